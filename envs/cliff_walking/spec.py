@@ -1,0 +1,58 @@
+"""The spec of CliffWalking: what the platform has to know besides the dynamics in ``step.py``."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from gymnasium import Env
+from gymnasium.spaces import Discrete
+
+from pearl_marl.errors import ArgumentError
+from pearl_marl.spec import EnvSpec, Field, Golden, Grid
+
+from .step import initial, observe, step, step_slippery
+
+ROWS, COLUMNS = 4, 12
+
+
+def pose(oracle: Env[Any, Any], state: tuple[int, ...]) -> None:
+    """Put Gymnasium's CliffWalking into ``(row, column)``, for rendering."""
+    row, column = state
+    oracle.s = COLUMNS * row + column  # type: ignore[attr-defined]
+    oracle.lastaction = None  # type: ignore[attr-defined]
+
+
+def configure(is_slippery: bool = False) -> EnvSpec:
+    """Return the spec under Gymnasium's keyword arguments.
+
+    Parameters
+    ----------
+    is_slippery
+        Whether an action is turned left or right, with probability 1/3 each.
+    """
+    if not isinstance(is_slippery, bool):
+        raise ArgumentError(f"is_slippery is {is_slippery!r}; it must be True or False")
+    return EnvSpec(
+        name="CliffWalking",
+        version=0,
+        summary="Walk from start to goal along a cliff; falling off costs 100",
+        # Six bits hold a slot's whole state. Two fields rather than one cell number spare the
+        # hardware a division and the CPU a chain of comparisons.
+        state=(Field("row", 2), Field("column", 4)),
+        action=Field("action", 2),
+        observation=(Field("cell", 6),),
+        reward=Field("reward", 1),
+        rewards=(-1.0, -100.0),
+        observation_space=Discrete(ROWS * COLUMNS),
+        action_space=Discrete(4),
+        golden=Golden(initial, step_slippery if is_slippery else step, observe),
+        step_draws=1 if is_slippery else 0,
+        options={"is_slippery": is_slippery},
+        configure=configure,
+        oracle="CliffWalking-v1",
+        pose=pose,
+        grid=Grid(ROWS, COLUMNS, cell=lambda observations: observations),
+    )
+
+
+SPEC = configure()

@@ -1,0 +1,36 @@
+"""Every error this package raises on purpose.
+
+A refused call changes nothing: whoever catches one of these may go on with the environment as
+it was before the call.
+"""
+
+
+class PearlError(Exception):
+    """Base of every error of this package."""
+
+
+class ArgumentError(PearlError, ValueError):
+    """An argument is not among those that are possible; the message names the value and the limit."""
+
+
+class ActionError(PearlError, ValueError):
+    """An action is missing, of the wrong kind or out of range.
+
+    The message names the first agent concerned, its action, and the action space.
+    """
+
+
+class OrderError(PearlError, RuntimeError):
+    """A call came at the wrong time: ``step`` before ``reset``, or anything after ``close``."""
+
+
+class SavedStateError(PearlError, ValueError):
+    """A saved state is damaged, or belongs to another environment, size or version."""
+
+
+class DeviceError(PearlError, RuntimeError):
+    """A device is not available or failed; the message names it and says what to do."""
+
+
+class LockstepError(PearlError, AssertionError):
+    """Two devices that must agree bit for bit did not; names slot, step, field and both values."""

@@ -1,0 +1,1 @@
+"""The SystemVerilog backbone that every environment shares, as package data."""
