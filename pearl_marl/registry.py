@@ -32,7 +32,7 @@ def _specs() -> dict[str, EnvSpec]:
     return {_key(spec.name): spec for spec in specs}
 
 
-def envs() -> list[str]:
+def names() -> list[str]:
     """Return the names of all environments, in alphabetical order."""
     return sorted(spec.name for spec in _specs().values())
 
@@ -51,7 +51,7 @@ def get_spec(name: str) -> EnvSpec:
     if spec is None:
         near = difflib.get_close_matches(_key(name), _specs(), n=3, cutoff=0.5)
         hint = f"did you mean {' or '.join(repr(_specs()[k].name) for k in near)}?" if near else ""
-        raise ArgumentError(f"there is no environment {name!r}; {hint or 'there are ' + ', '.join(envs())}")
+        raise ArgumentError(f"there is no environment {name!r}; {hint or 'there are ' + ', '.join(names())}")
     return spec
 
 

@@ -54,3 +54,21 @@ def views(spec: EnvSpec, n: int, memory: npt.NDArray[np.uint8]) -> dict[str, npt
         c.name: memory[padded * c.bytes_before : padded * (c.bytes_before + c.dtype.itemsize)].view(c.dtype)[:n]
         for c in columns(spec)
     }
+
+
+def state_dtype(spec: EnvSpec) -> np.dtype[Any]:
+    """Return the dtype in which all of a slot's state fields can be shown as values."""
+    if any(f.fraction for f in spec.state):
+        return np.dtype(np.float64)
+    return np.result_type(*(f.dtype for f in spec.state))
+
+
+def state_values(spec: EnvSpec, n: int, memory: npt.NDArray[np.uint8]) -> npt.NDArray[Any]:
+    """Return the values of the slots' state fields, shape ``(n, fields)``, in :func:`state_dtype`."""
+    columns_by_name = views(spec, n, memory)
+    values = np.empty((n, len(spec.state)), state_dtype(spec))
+    for i, f in enumerate(spec.state):
+        values[:, i] = columns_by_name[f"state_{i}"]
+        if f.fraction:
+            values[:, i] *= 2.0**-f.fraction
+    return values

@@ -48,6 +48,16 @@ class Field:
         width = max(8, 1 << (self.bits - 1).bit_length())
         return np.dtype(f"{'int' if self.signed else 'uint'}{width}")
 
+    @property
+    def low(self) -> float:
+        """The least value."""
+        return -(2.0 ** (self.bits - 1 - self.fraction)) if self.signed else 0.0
+
+    @property
+    def high(self) -> float:
+        """The greatest value."""
+        return ((1 << (self.bits - self.signed)) - 1) * 2.0**-self.fraction
+
 
 def word_bits(fields: Sequence[Field]) -> int:
     """Return the width in bits of the word made of ``fields`` side by side."""
@@ -114,6 +124,8 @@ class EnvSpec:
         The Gymnasium id of the environment that this one is held against, if it is one of theirs.
     pose
         Puts the oracle's environment, unwrapped, into a slot's state, so that it can render it.
+    render_modes, render_fps
+        How the oracle can render, as its own metadata say.
     grid
         How observations fall onto a grid, for heat maps.
     """
@@ -136,6 +148,8 @@ class EnvSpec:
     configure: Callable[..., EnvSpec] | None = None
     oracle: str | None = None
     pose: Callable[[Env[Any, Any], tuple[int, ...]], None] | None = None
+    render_modes: tuple[str, ...] = ()
+    render_fps: int = 4
     grid: Grid | None = None
 
     def __post_init__(self) -> None:
@@ -186,10 +200,6 @@ class EnvSpec:
                 )
         assert self.configure is not None
         return self.configure(**{**self.options, **options})
-
-    def observation_fields(self, observations: npt.NDArray[Any]) -> npt.NDArray[Any]:
-        """Return observations as an array of shape ``(n, fields)``."""
-        return observations.reshape(len(observations), len(self.observation))
 
 
 def check_max_cycles(value: object) -> None:

@@ -10,14 +10,11 @@ and ``recv``); a subclass moves the slots.
 
 from __future__ import annotations
 
-import json
 import operator
 import secrets
-import struct
-import zlib
 from abc import ABC, abstractmethod
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple, Self
 
 import numpy as np
@@ -26,12 +23,11 @@ from gymnasium.vector import AutoresetMode
 
 from pearl_marl import actions as action_codec
 from pearl_marl import rng, slot_memory
-from pearl_marl.errors import ArgumentError, OrderError, SavedStateError
+from pearl_marl.errors import ArgumentError, OrderError
+from pearl_marl.saved_state import SavedState
 from pearl_marl.spec import EnvSpec, check_max_cycles
 
 Array = npt.NDArray[Any]
-
-SAVED_STATE_MAGIC = b"PEARLST1"
 
 
 class BatchStep(NamedTuple):
@@ -55,6 +51,18 @@ class BatchStep(NamedTuple):
     terminations: Array
     truncations: Array
     final_obs: Array
+
+    @property
+    def ended(self) -> npt.NDArray[np.bool_]:
+        """Which slots' episodes ended in this step, shape ``(n,)``."""
+        return np.logical_or(self.terminations, self.truncations)
+
+    def arrivals(self) -> Array:
+        """Return where the step itself took every slot: ``final_obs`` where it ended, else ``obs``."""
+        ended = self.ended
+        if not ended.any():
+            return self.obs
+        return np.where(ended.reshape(-1, *(1,) * (self.obs.ndim - 1)), self.final_obs, self.obs)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -258,6 +266,11 @@ class Device(ABC):
         """The reward table in use, ``float32``; empty where rewards are not categories."""
         return self._table.copy()
 
+    @property
+    def ready(self) -> bool:
+        """Whether the slots have been reset, so that they can step."""
+        return self._ready
+
     def state(self) -> Array:
         """Return every slot's state, shape ``(n, fields)``: what the next step starts from.
 
@@ -265,48 +278,44 @@ class Device(ABC):
         has a fraction.
         """
         self._check_idle("state", ready=True)
-        fields = self.config.spec.state
-        memory, _ = self._read()
-        columns = slot_memory.views(self.config.spec, self.config.n_envs, memory)
-        if any(f.fraction for f in fields):
-            return np.stack([columns[f"state_{i}"] * 2.0**-f.fraction for i, f in enumerate(fields)], axis=1)
-        return np.stack([columns[f"state_{i}"] for i in range(len(fields))], axis=1)
+        return slot_memory.state_values(self.config.spec, self.config.n_envs, self._read()[0])
 
-    def save(self) -> bytes:
-        """Return all that the continuation depends on; :meth:`load` of any device takes it."""
-        self._check_idle("save", ready=True)
+    def snapshot(self) -> SavedState:
+        """Return all that the continuation depends on; :meth:`restore` of any device takes it."""
+        self._check_idle("snapshot", ready=True)
         memory, stored = self._read()
-        header = {
-            "identity": self.config.identity(),
-            "seed": list(self._seed),
-            "tick": self._tick,
-            "rewards": self._table.tolist(),
-        }
-        head = json.dumps(header).encode()
-        body = struct.pack("<QQ", len(head), len(memory)) + head + memory.tobytes() + stored.tobytes()
-        return SAVED_STATE_MAGIC + struct.pack("<I", zlib.crc32(body)) + body
+        return SavedState(
+            identity=self.config.identity(),
+            seed=self._seed,
+            tick=self._tick,
+            rewards=tuple(self._table.tolist()),
+            memory=memory,
+            stored=stored,
+            live=memory[:0],
+        )
 
-    def load(self, blob: bytes) -> Array:
-        """Continue from what :meth:`save` returned; return the observation of every slot's state.
-
-        Raises
-        ------
-        SavedStateError
-            The bytes are damaged, of another version, or of another environment, size or mode:
-            names the first difference. Nothing has changed then.
-        """
-        self._check_idle("load")
-        header, memory, stored = _parse(blob)
-        for key, mine in self.config.identity().items():
-            if (theirs := header["identity"].get(key)) != mine:
-                raise SavedStateError(f"the saved state has {key} {theirs!r}, this environment has {mine!r}")
-        expected = slot_memory.allocate(self.config.spec, self.config.n_envs).size
-        if len(memory) != expected or len(stored) not in (0, expected):
-            raise SavedStateError(f"the saved state has {len(memory)} bytes of slots; {expected} are needed")
-        self._seed, self._tick = tuple(header["seed"]), header["tick"]
-        self._table = np.array(header["rewards"], np.float32)
+    def restore(self, saved: SavedState) -> Array:
+        """Continue from a snapshot whose identity is this batch's; return every slot's observation."""
+        self._check_idle("restore")
+        self._seed, self._tick = saved.seed, saved.tick
+        self._table = np.array(saved.rewards, np.float32)
         self._ready = True
-        return self._write(memory, stored)
+        return self._write(saved.memory, saved.stored)
+
+    def set_max_cycles(self, max_cycles: int | None) -> None:
+        """Replace the time limit, from the next step on; see :class:`BatchConfig`.
+
+        Steps are counted only while there is a limit: where there was none, every episode counts
+        from now.
+        """
+        self._check_idle("set_max_cycles")
+        config = replace(self.config, max_cycles=max_cycles)
+        if self._ready and not self.config.limit:
+            memory, stored = self._read()
+            memory = memory.copy()
+            slot_memory.views(config.spec, config.n_envs, memory)["elapsed"][:] = 0
+            self._write(memory, stored)
+        self.config = config
 
     def close(self) -> None:
         """Release what the device holds. Safe to call twice."""
@@ -381,20 +390,3 @@ def _reward_table(spec: EnvSpec, table: npt.ArrayLike | None) -> npt.NDArray[np.
         raise ArgumentError(f"rewards are {array.tolist()}; each must be a finite float32")
     return array
 
-
-def _parse(blob: bytes) -> tuple[dict[str, Any], Array, Array]:
-    if not isinstance(blob, (bytes, bytearray, memoryview)):
-        raise SavedStateError(f"a saved state is bytes, not {type(blob).__name__}")
-    blob = bytes(blob)
-    start = len(SAVED_STATE_MAGIC)
-    if not blob.startswith(SAVED_STATE_MAGIC[:-1]):
-        raise SavedStateError("these bytes are no saved state of PEARL-MARL")
-    if not blob.startswith(SAVED_STATE_MAGIC):
-        raise SavedStateError(f"the saved state has version {blob[start - 1 : start]!r}; this program reads version b'1'")
-    body = blob[start + 4 :]
-    if len(body) < 16 or zlib.crc32(body) != struct.unpack_from("<I", blob, start)[0]:
-        raise SavedStateError("the saved state is damaged or cut short (its checksum is wrong)")
-    head, slots = struct.unpack_from("<QQ", body)
-    header = json.loads(body[16 : 16 + head])
-    data = np.frombuffer(body, np.uint8, offset=16 + head)
-    return header, data[:slots], data[slots:]

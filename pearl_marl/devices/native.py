@@ -49,7 +49,6 @@ class Native(Device):
         self._memory = slot_memory.allocate(spec, n)
         # Without stored initial states the kernels get the memory itself, and do not look.
         self._stored = slot_memory.allocate(spec, n) if config.initial_states == "stored" else self._memory
-        self._limit = config.limit
         self._next_step = config.autoreset_mode is AutoresetMode.NEXT_STEP
         self._sets = [_allocate(config)]
         self._threads = self._asked or 1
@@ -115,7 +114,7 @@ class Native(Device):
         self._run(
             self._kernels.step,
             (self._memory, stored, actions, self._table, *results, *self._seed, self._tick, config.first_slot),
-            (self._limit, self._next_step, stored is not self._memory),
+            (config.limit, self._next_step, stored is not self._memory),
         )
         if self._asked is None and self._threads == 1 and time.perf_counter() - began > SLOW_STEP_SECONDS:
             self._slow_steps += 1
