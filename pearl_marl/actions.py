@@ -56,9 +56,11 @@ def _refusal(
     if array.dtype.kind in "iu":
         first = int(np.flatnonzero((array < 0) | (array >= space.n))[0])
         return ActionError(f"agent_{first_slot + first}: action {array[first]} is out of range; {limits}")
-    first = next((i for i, a in enumerate(array.tolist()) if type(a) is not int), 0)
-    value, dtype = array[first], array.dtype
-    return ActionError(f"agent_{first_slot + first}: action {value!r} is no integer (dtype {dtype}); {limits}")
+    values = array.tolist()
+    first = next((i for i, a in enumerate(values) if not isinstance(a, (int, np.integer))), 0)
+    return ActionError(
+        f"agent_{first_slot + first}: action {values[first]!r} is no integer (dtype {array.dtype}); {limits}"
+    )
 
 
 @njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]

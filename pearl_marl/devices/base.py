@@ -97,7 +97,7 @@ class BatchConfig:
 
     def __post_init__(self) -> None:
         n, first = self.n_envs, self.first_slot
-        for name, value, least in (("the number of slots", n, 1), ("first_slot", first, 0)):
+        for name, value, least in (("the number of agents", n, 1), ("first_slot", first, 0)):
             if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < least:
                 raise ArgumentError(f"{name} is {value!r}; it must be an integer of at least {least}")
         if first + n > 1 << 32:
