@@ -23,9 +23,9 @@ class AgentDict(dict[str, Any]):
     agents
         The keys, in order. Not to be changed afterwards.
     array
-        What :attr:`array` gives.
+        What :attr:`array` gives: a row an agent, in the same order.
     values
-        Makes the values, in the order of ``agents``, from ``array``.
+        Makes the values from ``array``.
 
     Notes
     -----
@@ -35,31 +35,19 @@ class AgentDict(dict[str, Any]):
     __slots__ = ("_agents", "_values", "array")
 
     array: npt.NDArray[Any]
-    """The values of all slots as the device returned them, a row a slot; no copy is made."""
+    """The values as the device returned them; no copy is made."""
 
     def __init__(
         self, agents: Sequence[str], array: npt.NDArray[Any], values: Callable[[npt.NDArray[Any]], Sequence[Any]]
     ) -> None:
         self.array = array
         self._agents = agents
-        self._values: Callable[[npt.NDArray[Any]], Sequence[Any]] | None = values
+        self._values = values
         if agents:
             # C code asks a dict for its size without asking us: json.dumps takes size 0 for "{}".
             # One key present sends it to items(), which fills the dict.
             dict.__setitem__(self, agents[0], None)
-
-    def _fill(self) -> None:
-        if self._values is not None:
-            values, self._values = self._values, None
-            dict.update(self, zip(self._agents, values(self.array), strict=True))
-
-    def __len__(self) -> int:
-        return dict.__len__(self) if self._values is None else len(self._agents)
-
-    # Overriding __iter__ also keeps dict(d), {**d} and f(**d) from copying the unfilled dict in C.
-    def __iter__(self) -> Iterator[str]:
-        self._fill()
-        return dict.__iter__(self)
+            self.__class__ = _UnfilledAgentDict
 
     def __reduce__(self) -> tuple[Any, ...]:
         return dict, (dict(self),)
@@ -67,7 +55,23 @@ class AgentDict(dict[str, Any]):
     def __copy__(self) -> dict[str, Any]:
         return dict(self)
 
-    copy = __copy__
+
+class _UnfilledAgentDict(AgentDict):
+    # Every method fills the dict and, with it, turns it into an AgentDict, whose methods are those
+    # of dict itself: after the first call nothing is slower than in a plain one.
+    __slots__ = ()
+
+    def _fill(self) -> None:
+        self.__class__ = AgentDict  # type: ignore[assignment]
+        dict.update(self, zip(self._agents, self._values(self.array), strict=True))
+
+    def __len__(self) -> int:
+        return len(self._agents)
+
+    # This also keeps dict(d), {**d} and f(**d) from copying the unfilled dict in C.
+    def __iter__(self) -> Iterator[str]:
+        self._fill()
+        return iter(self)
 
 
 def _filled_first(name: str) -> Callable[..., Any]:
@@ -75,7 +79,7 @@ def _filled_first(name: str) -> Callable[..., Any]:
 
     def method(self: AgentDict, *args: Any, **kwargs: Any) -> Any:
         for lazy in (self, *args):
-            if isinstance(lazy, AgentDict):
+            if isinstance(lazy, _UnfilledAgentDict):
                 lazy._fill()
         return plain(self, *args, **kwargs)
 
@@ -87,9 +91,9 @@ def _filled_first(name: str) -> Callable[..., Any]:
 for _name in (
     *("__getitem__", "__setitem__", "__delitem__", "__contains__", "__reversed__", "__repr__"),
     *("__eq__", "__ne__", "__or__", "__ror__", "__ior__"),
-    *("get", "keys", "values", "items", "pop", "popitem", "setdefault", "update", "clear"),
+    *("copy", "get", "keys", "values", "items", "pop", "popitem", "setdefault", "update", "clear"),
 ):
-    setattr(AgentDict, _name, _filled_first(_name))
+    setattr(_UnfilledAgentDict, _name, _filled_first(_name))
 
 
 def scalars(array: npt.NDArray[Any]) -> list[Any]:

@@ -65,12 +65,14 @@ def compile_kernels(spec: EnvSpec) -> Kernels:
 
 @functools.lru_cache(maxsize=64)
 def _load(name: str, source: str, golden: Golden) -> Kernels:
-    path = _cache_folder() / f"{name}.py"
+    path = cache_folder() / f"{name}.py"
     if not path.exists():
         # Written beside and renamed, so that another process never reads half a file.
         with tempfile.NamedTemporaryFile("w", dir=path.parent, suffix=".tmp", delete=False) as file:
             file.write(source)
         os.replace(file.name, path)
+    compiled: dict[types.FunctionType, Any] = {}
+    functions = [_compiled(f, compiled) for f in (*golden, rng.key, rng.draw)]
     # Numba's cache finds a function again by its module's name, so the module has to be a real one.
     module = types.ModuleType(f"pearl_marl_kernel_{name}")
     module.__file__ = str(path)
@@ -79,18 +81,15 @@ def _load(name: str, source: str, golden: Golden) -> Kernels:
         np=np,
         u32=np.uint32,
         kernel=numba.njit(nogil=True, cache=True, error_model="numpy"),
-        initial=numba.njit(golden.initial),
-        golden_step=numba.njit(golden.step),
-        observe=numba.njit(golden.observe),
-        key=numba.njit(rng.key),
-        draw=numba.njit(rng.draw),
+        **dict(zip(("initial", "golden_step", "observe", "key", "draw"), functions, strict=True)),
     )
     exec(compile(source, str(path), "exec"), vars(module))
     return Kernels(module.reset, module.step, module.advance, path)
 
 
 @functools.cache
-def _cache_folder() -> Path:
+def cache_folder() -> Path:
+    """Return where kernels are kept; a temporary folder if the user's cache cannot be written."""
     folder = Path(os.environ.get("PEARL_CACHE_DIR") or platformdirs.user_cache_dir("pearl_marl")) / "kernels"
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -98,6 +97,25 @@ def _cache_folder() -> Path:
             return folder
     except OSError:  # a read-only home costs a compilation in every process, and no more
         return Path(tempfile.mkdtemp(prefix="pearl_marl_kernels_"))
+
+
+def _compiled(function: Any, done: dict[types.FunctionType, Any]) -> Any:
+    """Give a plain function to Numba, and with it every plain function that it calls.
+
+    Numba compiles a callee only if that is one of its own. So the function is made again over
+    names that stand for compiled callees, and golden functions need to know nothing of Numba.
+    """
+    if not isinstance(function, types.FunctionType):
+        return function
+    if function not in done:
+        code, named = function.__code__, function.__globals__
+        names = {
+            name: _compiled(named[name], done) for name in code.co_names if name in named
+        }
+        cells = tuple(types.CellType(_compiled(cell.cell_contents, done)) for cell in function.__closure__ or ())
+        again = types.FunctionType(code, {**named, **names}, code.co_name, function.__defaults__, cells)
+        done[function] = numba.njit(again)
+    return done[function]
 
 
 def _fingerprint(function: GoldenFunction) -> bytes:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
@@ -13,6 +12,7 @@ from gymnasium.vector import AutoresetMode
 
 from pearl_marl import slot_memory
 from pearl_marl.devices.base import Array, BatchConfig, BatchStep, Device
+from pearl_marl.devices.results import ResultArrays
 from pearl_marl.errors import ArgumentError
 from pearl_marl.kernel_source import BLOCK
 from pearl_marl.kernels import compile_kernels
@@ -20,10 +20,8 @@ from pearl_marl.kernels import compile_kernels
 SLOW_STEP_SECONDS = 300e-6
 """From here on a second thread pays: handing it work and waiting for it costs about 50 us."""
 
-SLOW_STEPS_TO_SWITCH = 3
-
-MAX_SETS = 8
-"""How many sets of results are kept for use again. Whoever holds more gets fresh memory."""
+SLOW_STEPS_TO_SWITCH = 5
+"""In a row: a single one may only have been interrupted."""
 
 
 class Native(Device):
@@ -50,25 +48,10 @@ class Native(Device):
         # Without stored initial states the kernels get the memory itself, and do not look.
         self._stored = slot_memory.allocate(spec, n) if config.initial_states == "stored" else self._memory
         self._next_step = config.autoreset_mode is AutoresetMode.NEXT_STEP
-        self._sets = [_allocate(config)]
+        self._results = ResultArrays(config)
         self._threads = self._asked or 1
         self._slow_steps = 0
         self._pool: ThreadPoolExecutor | None = None
-
-    def _results(self) -> BatchStep:
-        """Return arrays to write a step's results into."""
-        if not self.config.copy:
-            return self._sets[0]
-        # Fresh memory of this size costs more than the step does: the system clears every page of
-        # it. So a set of arrays is used again once nobody outside refers to any of them.
-        for results in self._sets:
-            if all(sys.getrefcount(array) == _UNSHARED for array in results):
-                break
-        else:
-            results = _allocate(self.config)
-            if len(self._sets) < MAX_SETS:
-                self._sets.append(results)
-        return BatchStep(*results)
 
     def _ranges(self) -> list[tuple[int, int]]:
         """Split the slots at block boundaries into as many ranges as there are threads."""
@@ -96,7 +79,7 @@ class Native(Device):
         config, stored = self.config, self._stored
         n = config.n_envs
         flags = np.ones(n, np.uint8) if mask is None else mask.view(np.uint8)
-        obs = self._results().obs
+        obs = self._results.take().obs
         use_stored = stored is not self._memory
         self._run(
             self._kernels.reset,
@@ -109,18 +92,18 @@ class Native(Device):
 
     def _step(self, actions: Array) -> BatchStep:
         config, stored = self.config, self._stored
-        results = self._results()
+        results = self._results.take()
         began = time.perf_counter()
         self._run(
             self._kernels.step,
             (self._memory, stored, actions, self._table, *results, *self._seed, self._tick, config.first_slot),
             (config.limit, self._next_step, stored is not self._memory),
         )
-        if self._asked is None and self._threads == 1 and time.perf_counter() - began > SLOW_STEP_SECONDS:
-            self._slow_steps += 1
+        if self._asked is None and self._threads == 1:
+            self._slow_steps = self._slow_steps + 1 if time.perf_counter() - began > SLOW_STEP_SECONDS else 0
             if self._slow_steps == SLOW_STEPS_TO_SWITCH:
                 self._threads = len(os.sched_getaffinity(0))
-        return results._replace(final_obs=results.obs) if self._next_step else results
+        return results
 
     def _read(self) -> tuple[Array, Array]:
         return self._memory, self._stored if self._stored is not self._memory else self._memory[:0]
@@ -134,18 +117,3 @@ class Native(Device):
     def _close(self) -> None:
         if self._pool is not None:
             self._pool.shutdown(wait=True)
-
-
-def _allocate(config: BatchConfig) -> BatchStep:
-    n, space = config.n_envs, config.spec.observation_space
-    shape, dtype = (n, *(space.shape or ())), space.dtype
-    flags = np.empty(n, np.bool_), np.empty(n, np.bool_)
-    # In NEXT_STEP mode the observation of an ending step is the final one, so it has no use for two.
-    same_step = config.autoreset_mode is AutoresetMode.SAME_STEP
-    return BatchStep(
-        np.zeros(shape, dtype), np.empty(n, np.float32), *flags, np.zeros(shape if same_step else 0, dtype)
-    )
-
-
-# What sys.getrefcount tells of an array that only its set refers to: the set, the loop, the call.
-_UNSHARED = 3
