@@ -1,4 +1,4 @@
-"""The environments: one folder each, with ``spec.py``, ``step.py``, ``README.md`` and the core in SystemVerilog.
+"""The environments, a folder each: ``spec.py``, ``step.py``, ``README.md``, the core in SystemVerilog.
 
 The package is also a function: ``pearl_marl.envs()`` returns the names of all environments.
 """

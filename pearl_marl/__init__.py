@@ -7,6 +7,7 @@
 
 import importlib
 from collections.abc import Callable
+from typing import cast
 
 from pearl_marl import devices, errors
 from pearl_marl.parallel_env import PearlParallelEnv, env, parallel_env, raw_env
@@ -15,7 +16,7 @@ from pearl_marl.spec import EnvSpec
 from pearl_marl.vector_env import PearlVectorEnv, make_vec
 
 # These two are folders beside this one, mapped into the package when it is installed.
-envs: Callable[[], list[str]] = importlib.import_module("pearl_marl.envs")
+envs = cast(Callable[[], list[str]], importlib.import_module("pearl_marl.envs"))
 wrappers = importlib.import_module("pearl_marl.wrappers")
 
 __all__ = [

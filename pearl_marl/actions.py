@@ -44,7 +44,12 @@ def encode(actions: Any, space: Discrete, target: npt.NDArray[Any], first_slot: 
         raise _refusal(array, space, target, first_slot)
 
 
-_UNSIGNED = {1: np.dtype(np.uint8), 2: np.dtype(np.uint16), 4: np.dtype(np.uint32), 8: np.dtype(np.uint64)}
+_UNSIGNED: dict[int, np.dtype[Any]] = {
+    1: np.dtype(np.uint8),
+    2: np.dtype(np.uint16),
+    4: np.dtype(np.uint32),
+    8: np.dtype(np.uint64),
+}
 
 
 def _refusal(
@@ -52,7 +57,9 @@ def _refusal(
 ) -> ActionError:
     limits = f"{space} takes integers from 0 to {space.n - 1}"
     if array.shape != target.shape:
-        return ActionError(f"actions have shape {array.shape}; {len(target)} agents take {target.shape}: {limits}")
+        return ActionError(
+            f"actions have shape {array.shape}; {len(target)} agents take {target.shape}: {limits}"
+        )
     if array.dtype.kind in "iu":
         first = int(np.flatnonzero((array < 0) | (array >= space.n))[0])
         return ActionError(f"agent_{first_slot + first}: action {array[first]} is out of range; {limits}")
@@ -63,7 +70,7 @@ def _refusal(
     )
 
 
-@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, nogil=True)
 def _narrow(source: Any, target: Any) -> Any:
     """Copy into a narrower array; return the largest number seen."""
     largest = source.dtype.type(0)

@@ -38,7 +38,10 @@ class AgentDict(dict[str, Any]):
     """The values as the device returned them; no copy is made."""
 
     def __init__(
-        self, agents: Sequence[str], array: npt.NDArray[Any], values: Callable[[npt.NDArray[Any]], Sequence[Any]]
+        self,
+        agents: Sequence[str],
+        array: npt.NDArray[Any],
+        values: Callable[[npt.NDArray[Any]], Sequence[Any]],
     ) -> None:
         self.array = array
         self._agents = agents

@@ -123,7 +123,9 @@ def machine() -> dict[str, Any]:
     model = platform.processor()
     with suppress(OSError):
         lines = Path("/proc/cpuinfo").read_text().splitlines()
-        model = next((line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")), model)
+        model = next(
+            (line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")), model
+        )
     versions = {}
     for package in ("pearl-marl", "numpy", "numba", "gymnasium", "pettingzoo", "envpool"):
         with suppress(metadata.PackageNotFoundError):
@@ -199,7 +201,11 @@ def _ours(spec: EnvSpec, n: int) -> list[Contender]:
         ("step_batch, copy=False", f"{delivered}; one thread", batch(False, 1, spec.action.dtype)),
         ("step_batch", f"{delivered}, yours to keep; one thread", batch(True, 1, spec.action.dtype)),
         ("step_batch, int64 actions", f"{delivered}, yours to keep; one thread", batch(True, 1, np.int64)),
-        ("step_batch, threads=None", f"{delivered}, yours to keep; as many threads as pay", batch(True, None, spec.action.dtype)),
+        (
+            "step_batch, threads=None",
+            f"{delivered}, yours to keep; as many threads as pay",
+            batch(True, None, spec.action.dtype),
+        ),
         ("PettingZoo step, array actions", "five dicts, nobody looks inside; one thread", pettingzoo(False)),
         ("PettingZoo step, dict actions", "five dicts, every key read; one thread", pettingzoo(True)),
         ("Gymnasium VectorEnv step", "arrays and infos, int64 actions; one thread", vector),
@@ -233,7 +239,9 @@ def _peers(spec: EnvSpec, n: int) -> list[Contender]:
 
     def vectorised(mode: str, count: int) -> Callable[[], Callable[[], Any]]:
         def make() -> Callable[[], Any]:
-            envs = gymnasium.make_vec(required("Gymnasium"), num_envs=count, vectorization_mode=mode, **options)
+            envs = gymnasium.make_vec(
+                required("Gymnasium"), num_envs=count, vectorization_mode=mode, **options
+            )
             envs.reset(seed=0)
             actions = _random_actions(spec, count, np.int64)
             return lambda: envs.step(actions)
@@ -245,5 +253,10 @@ def _peers(spec: EnvSpec, n: int) -> list[Contender]:
     return [
         Contender("EnvPool, sync", f"{arrays}; all cores", n, envpool),
         Contender("Gymnasium SyncVectorEnv", f"{arrays}; one thread", sync, vectorised("sync", sync)),
-        Contender("Gymnasium AsyncVectorEnv", f"{arrays}; a process a slot", asynchronous, vectorised("async", asynchronous)),
+        Contender(
+            "Gymnasium AsyncVectorEnv",
+            f"{arrays}; a process a slot",
+            asynchronous,
+            vectorised("async", asynchronous),
+        ),
     ]

@@ -28,6 +28,10 @@ class EpisodeStatistics:
         self._returns = np.zeros(n, np.float64)
         self._starts = np.zeros(n, np.int64)
         self._steps = 0
+        self.clear()
+
+    def clear(self) -> None:
+        """Forget the finished episodes; those under way go on."""
         self.finished = 0
         self.truncated = 0
         self._sums = np.zeros(4)  # of returns, their squares, lengths, their squares
@@ -55,6 +59,8 @@ class EpisodeStatistics:
         for name, total, squares in (("return", *self._sums[:2]), ("length", *self._sums[2:])):
             mean = total / self.finished if self.finished else None
             result[f"{name}_mean"] = mean
-            result[f"{name}_std"] = None if mean is None else math.sqrt(max(squares / self.finished - mean**2, 0))
+            result[f"{name}_std"] = (
+                None if mean is None else math.sqrt(max(squares / self.finished - mean**2, 0))
+            )
         low, high = self._extremes if self.finished else (None, None)
         return {**result, "return_min": low, "return_max": high}

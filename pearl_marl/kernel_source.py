@@ -179,6 +179,7 @@ def kernel_source(spec: EnvSpec) -> str:
         ]
 
     state = ", ".join(f"S{k}[i]" for k in fields)
+    step_arguments = ", ".join([state, "A[i]", *(f"draw_{d}[i]" for d in step_draws)])
     new_state = ", ".join(f"s{k}" for k in fields)
     start_over = [
         "if use_stored:",
@@ -233,7 +234,7 @@ def kernel_source(spec: EnvSpec) -> str:
         "draw_for_step": draw(step_draws),
         "reward_names": [f"reward_{k} = table[{k}]" for k in range(len(spec.rewards or ()))],
         "golden_step": [
-            f"{new_state}, r, t = golden_step({', '.join([state, 'A[i]', *(f'draw_{d}[i]' for d in step_draws)])})",
+            f"{new_state}, r, t = golden_step({step_arguments})",
             *(f"S{k}[i] = s{k}" for k in fields),
             "code[i] = r",
             "flag[i] = t",

@@ -109,10 +109,10 @@ def _compiled(function: Any, done: dict[types.FunctionType, Any]) -> Any:
         return function
     if function not in done:
         code, named = function.__code__, function.__globals__
-        names = {
-            name: _compiled(named[name], done) for name in code.co_names if name in named
-        }
-        cells = tuple(types.CellType(_compiled(cell.cell_contents, done)) for cell in function.__closure__ or ())
+        names = {name: _compiled(named[name], done) for name in code.co_names if name in named}
+        cells = tuple(
+            types.CellType(_compiled(cell.cell_contents, done)) for cell in function.__closure__ or ()
+        )
         again = types.FunctionType(code, {**named, **names}, code.co_name, function.__defaults__, cells)
         done[function] = numba.njit(again)
     return done[function]

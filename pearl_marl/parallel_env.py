@@ -108,7 +108,9 @@ class PearlParallelEnv(pettingzoo.ParallelEnv):  # type: ignore[misc]
         """
         obs = self.reset_batch(seed)
         nobody = np.zeros(len(obs), np.bool_)
-        return AgentDict(self.possible_agents, obs, scalars), AgentDict(self.possible_agents, nobody, ended_infos(obs))
+        return AgentDict(self.possible_agents, obs, scalars), AgentDict(
+            self.possible_agents, nobody, ended_infos(obs)
+        )
 
     def reset_batch(self, seed: int | None = None) -> Array:
         """Begin an episode for every agent; return observations of shape ``(n_agents, ...)``."""
@@ -147,7 +149,9 @@ class PearlParallelEnv(pettingzoo.ParallelEnv):  # type: ignore[misc]
             obs = result.arrivals()
             ended = np.zeros(len(agents), np.bool_)
             if len(agents) < len(live):
-                obs, rewards, terminations, truncations = (a[live] for a in (obs, rewards, terminations, truncations))
+                obs, rewards, terminations, truncations = (
+                    a[live] for a in (obs, rewards, terminations, truncations)
+                )
         return (
             AgentDict(agents, obs, scalars),
             AgentDict(agents, rewards, python_values),
@@ -190,7 +194,9 @@ class PearlParallelEnv(pettingzoo.ParallelEnv):  # type: ignore[misc]
         low, high = zip(*((f.low, f.high) for f in self.spec.state), strict=True)
         shape = len(self._live), 1
         dtype = state_dtype(self.spec)
-        return Box(np.tile(np.array(low, dtype), shape), np.tile(np.array(high, dtype), shape), dtype=dtype.type)
+        return Box(
+            np.tile(np.array(low, dtype), shape), np.tile(np.array(high, dtype), shape), dtype=dtype.type
+        )
 
     def save_state(self) -> bytes:
         """Return all that the continuation depends on; :meth:`load_state` takes it, on any device."""
@@ -233,10 +239,14 @@ class PearlParallelEnv(pettingzoo.ParallelEnv):  # type: ignore[misc]
         ``"human"``, which draws by itself after every step.
         """
         if self.render_mode is None:
-            raise OrderError(f"render() without a render_mode: make the environment with one of {self.spec.render_modes}")
+            raise OrderError(
+                f"render() without a render_mode: make the environment with one of {self.spec.render_modes}"
+            )
         if agent is not None:
             if agent not in self._known:
-                raise ArgumentError(f"there is no agent {agent!r}; agents are agent_0 to agent_{len(self._live) - 1}")
+                raise ArgumentError(
+                    f"there is no agent {agent!r}; agents are agent_0 to agent_{len(self._live) - 1}"
+                )
             self._rendered_slot = int(agent.removeprefix("agent_"))
         state = self.device.state()[self._rendered_slot]
         if self._renderer is None:
@@ -267,7 +277,7 @@ class PearlParallelEnv(pettingzoo.ParallelEnv):  # type: ignore[misc]
             values = [actions[agent] for agent in self.agents]
         except KeyError as missing:
             raise ActionError(
-                f"no action for {missing.args[0]!r}; each of the {len(self.agents)} agents in env.agents needs one"
+                f"no action for {missing.args[0]!r}; all {len(self.agents)} agents in env.agents need one"
             ) from None
         if len(actions) != len(values):
             here = set(self.agents)
@@ -280,7 +290,9 @@ class PearlParallelEnv(pettingzoo.ParallelEnv):  # type: ignore[misc]
             array = np.empty(0)
         if array.shape != (len(values),):
             odd = next(i for i, value in enumerate(values) if np.ndim(value))
-            raise ActionError(f"{self.agents[odd]}: action {values[odd]!r} is no integer; {self.spec.action_space}")
+            raise ActionError(
+                f"{self.agents[odd]}: action {values[odd]!r} is no integer; {self.spec.action_space}"
+            )
         if len(values) == len(self._live):
             return array
         whole = np.zeros(len(self._live), array.dtype)

@@ -27,7 +27,9 @@ def _key(name: str) -> str:
 
 @functools.cache
 def _specs() -> dict[str, EnvSpec]:
-    folders = sorted(m.name for m in pkgutil.iter_modules(importlib.import_module(_PACKAGE).__path__) if m.ispkg)
+    folders = sorted(
+        m.name for m in pkgutil.iter_modules(importlib.import_module(_PACKAGE).__path__) if m.ispkg
+    )
     specs = (importlib.import_module(f"{_PACKAGE}.{folder}.spec").SPEC for folder in folders)
     return {_key(spec.name): spec for spec in specs}
 
@@ -80,4 +82,6 @@ def register_elsewhere(spec: EnvSpec) -> None:
                 kind, f"pearl/{spec.id}", f"pearl_marl.parallel_env:{entry_point}", kwargs=arguments
             )
     gymnasium.registry.pop(f"Pearl/{spec.id}", None)
-    gymnasium.register(f"Pearl/{spec.id}", vector_entry_point="pearl_marl.vector_env:make_vec", kwargs=arguments)
+    gymnasium.register(
+        f"Pearl/{spec.id}", vector_entry_point="pearl_marl.vector_env:make_vec", kwargs=arguments
+    )

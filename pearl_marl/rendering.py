@@ -45,7 +45,9 @@ class OracleRenderer:
         try:
             return self._env.render()
         except gymnasium.error.DependencyNotInstalled as error:
-            raise PearlError(f"rendering needs another package ({error}): pip install 'pearl-marl[render]'") from error
+            raise PearlError(
+                f"rendering needs another package ({error}): pip install 'pearl-marl[render]'"
+            ) from error
 
     def close(self) -> None:
         """Close the window, if there is one."""
@@ -55,7 +57,9 @@ class OracleRenderer:
 def check_render_mode(spec: EnvSpec, mode: str | None) -> None:
     """Refuse a render mode that the environment does not have; ``None`` is none."""
     if mode is not None and mode not in spec.render_modes:
-        raise ArgumentError(f"render_mode is {mode!r}; {spec.name} has {', '.join(spec.render_modes) or 'none'}")
+        raise ArgumentError(
+            f"render_mode is {mode!r}; {spec.name} has {', '.join(spec.render_modes) or 'none'}"
+        )
 
 
 class HeatMap:

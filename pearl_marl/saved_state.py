@@ -56,7 +56,9 @@ class SavedState:
         header = {"identity": self.identity, "seed": self.seed, "tick": self.tick, "rewards": self.rewards}
         header["lengths"] = [len(getattr(self, name)) for name in _ARRAYS]
         head = json.dumps(header).encode()
-        body = struct.pack("<Q", len(head)) + head + b"".join(getattr(self, name).tobytes() for name in _ARRAYS)
+        body = (
+            struct.pack("<Q", len(head)) + head + b"".join(getattr(self, name).tobytes() for name in _ARRAYS)
+        )
         return _MAGIC + _VERSION + struct.pack("<I", zlib.crc32(body)) + body
 
     @classmethod
@@ -87,7 +89,9 @@ class SavedState:
         for name, mine in identity.items():
             theirs = header["identity"].get(name)
             if theirs != mine:
-                raise SavedStateError(f"the saved state has {name} = {theirs!r}; this environment has {mine!r}")
+                raise SavedStateError(
+                    f"the saved state has {name} = {theirs!r}; this environment has {mine!r}"
+                )
         arrays = np.split(np.frombuffer(body, np.uint8, offset=start), np.cumsum(header["lengths"])[:-1])
         return cls(
             identity=identity,

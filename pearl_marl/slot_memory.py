@@ -59,7 +59,9 @@ def views(spec: EnvSpec, n: int, memory: npt.NDArray[np.uint8]) -> dict[str, npt
     """Return each column of ``memory`` as an array of shape ``(n,)`` that shares its bytes."""
     padded = -(-n // ALIGNMENT) * ALIGNMENT
     return {
-        c.name: memory[padded * c.bytes_before : padded * (c.bytes_before + c.dtype.itemsize)].view(c.dtype)[:n]
+        c.name: memory[padded * c.bytes_before : padded * (c.bytes_before + c.dtype.itemsize)].view(c.dtype)[
+            :n
+        ]
         for c in columns(spec)
     }
 

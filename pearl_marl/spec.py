@@ -65,7 +65,7 @@ def word_bits(fields: Sequence[Field]) -> int:
 
 
 class Golden(NamedTuple):
-    """The three functions that are an environment's dynamics; :mod:`pearl_marl.golden` says how to write them.
+    """The three functions that are an environment's dynamics, as :mod:`pearl_marl.golden` has them written.
 
     Each takes and returns scalars, in the order in which the spec lists its fields::
 
@@ -168,7 +168,9 @@ class EnvSpec:
         if not isinstance(self.action_space, Discrete) or self.action_space.start != 0:
             raise ArgumentError(f"{self.name}: action space {self.action_space} is not a Discrete from 0")
         if self.action_space.n > 1 << self.action.bits:
-            raise ArgumentError(f"{self.name}: {self.action_space} does not fit {self.action.bits} action bits")
+            raise ArgumentError(
+                f"{self.name}: {self.action_space} does not fit {self.action.bits} action bits"
+            )
         if self.rewards is not None and len(self.rewards) > 1 << self.reward.bits:
             raise ArgumentError(
                 f"{self.name}: {len(self.rewards)} rewards do not fit {self.reward.bits} reward bits"
@@ -194,7 +196,9 @@ class EnvSpec:
         for name in options:
             if name not in known:
                 near = difflib.get_close_matches(name, known, n=1)
-                has = f"{self.name} takes {', '.join(known)}" if known else f"{self.name} takes none of its own"
+                has = (
+                    f"{self.name} takes {', '.join(known)}" if known else f"{self.name} takes none of its own"
+                )
                 raise ArgumentError(
                     f"unknown argument {name!r}{f', did you mean {near[0]!r}?' if near else ''} ({has})"
                 )

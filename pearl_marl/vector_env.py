@@ -39,7 +39,11 @@ class PearlVectorEnv(VectorEnv[Any, Any, Any]):
     """
 
     def __init__(
-        self, config: BatchConfig, device: Device, rewards: npt.ArrayLike | None, autoreset_mode: AutoresetMode
+        self,
+        config: BatchConfig,
+        device: Device,
+        rewards: npt.ArrayLike | None,
+        autoreset_mode: AutoresetMode,
     ) -> None:
         spec = config.spec
         self.device = device.open(config, rewards)

@@ -26,7 +26,9 @@ from pearl_marl.cli.common import (
 )
 from pearl_marl.registry import get_spec
 
-Rounds = Annotated[int, typer.Option("--rounds", min=1, help="How often each contender is timed; the median counts.")]
+Rounds = Annotated[
+    int, typer.Option("--rounds", min=1, help="How often each contender is timed; the median counts.")
+]
 Seconds = Annotated[float, typer.Option("--seconds", min=0.0, help="About how long one timing lasts.")]
 
 
@@ -44,13 +46,16 @@ def command(
     rows = contenders(spec, n_agents)
     small = [c for c in contenders(spec, 1) if c.ours and c.name in ("kernel only", "step_batch, copy=False")]
     everyone = rows + small
-    for _ in progress(measure(everyone, rounds, seconds), len(everyone) * (rounds + 1), f"{spec.name}, {n_agents:,} agents"):
+    for _ in progress(
+        measure(everyone, rounds, seconds), len(everyone) * (rounds + 1), f"{spec.name}, {n_agents:,} agents"
+    ):
         pass
+    facts = machine()
     result = {
         "environment": spec.id,
         "options": dict(spec.options),
         "date": datetime.date.today().isoformat(),
-        "machine": machine(),
+        "machine": facts,
         "rounds": rounds,
         "contenders": [c.row() for c in rows],
         "one_agent": [c.row() for c in small],
@@ -66,12 +71,15 @@ def command(
         f"One agent: step_batch takes {duration(batch)}, of which the call of a kernel {duration(kernel)}; "
         f"so {duration(batch - kernel)} are checks and bookkeeping."
     )
-    facts = result["machine"]
-    console.print(f"{facts['processor']}, {facts['cores']} cores; {_versions(facts)}", style="dim", highlight=False)
+    console.print(
+        f"{facts['processor']}, {facts['cores']} cores; {_versions(facts)}", style="dim", highlight=False
+    )
 
 
 def _versions(facts: dict[str, Any]) -> str:
-    return ", ".join(f"{name} {version}" for name, version in {"Python": facts["python"], **facts["versions"]}.items())
+    return ", ".join(
+        f"{name} {version}" for name, version in {"Python": facts["python"], **facts["versions"]}.items()
+    )
 
 
 def _table(title: str, rows: list[Contender]) -> Table:

@@ -27,7 +27,9 @@ def command(as_json: AsJson = False) -> None:
     """Check what this machine can run; each lack comes with its mend."""
     results = {name: check() for name, check in _CHECKS.items()}
     if as_json:
-        print_json({name: {"ok": ok, "found": found, "mend": mend} for name, (ok, found, mend) in results.items()})
+        print_json(
+            {name: {"ok": ok, "found": found, "mend": mend} for name, (ok, found, mend) in results.items()}
+        )
         return
     table = Table(title="What this machine can run")
     table.add_column("")
@@ -35,7 +37,9 @@ def command(as_json: AsJson = False) -> None:
     table.add_column("found", overflow="fold")
     table.add_column("what to do", overflow="fold")
     for name, (ok, found, mend) in results.items():
-        table.add_row("[green]yes[/]" if ok else "[yellow]no[/]", name, escape(found), "" if ok else escape(mend))
+        table.add_row(
+            "[green]yes[/]" if ok else "[yellow]no[/]", name, escape(found), "" if ok else escape(mend)
+        )
     console.print(table)
 
 
@@ -58,7 +62,11 @@ def _native() -> Check:
 def _cache() -> Check:
     folder = cache_folder()
     kept = not folder.is_relative_to(tempfile.gettempdir()) or "PEARL_CACHE_DIR" in os.environ
-    return kept, str(folder), "kernels are compiled in every process: make the cache folder writable, or set PEARL_CACHE_DIR"
+    return (
+        kept,
+        str(folder),
+        "kernels are compiled in every process: make the cache folder writable, or set PEARL_CACHE_DIR",
+    )
 
 
 def _package(extra: str, *modules: str) -> Callable[[], Check]:

@@ -37,7 +37,9 @@ from pearl_marl.rendering import HeatMap
 
 ActionFile = Annotated[
     Path | None,
-    typer.Option("--actions", metavar="FILE", help="A .npy file of actions, shape (steps, n_agents); random without."),
+    typer.Option(
+        "--actions", metavar="FILE", help="A .npy file of actions, shape (steps, n_agents); random without."
+    ),
 ]
 MaxCycles = Annotated[int | None, typer.Option("--max-cycles", help="Time limit of an episode, 0 for none.")]
 
@@ -57,7 +59,9 @@ def command(
     """Step every agent with random (or given) actions: throughput and episode statistics."""
     if steps < 1:
         raise ArgumentError(f"--steps is {steps}; it must be at least 1")
-    env = parallel_env(env_id, n_agents, device=device, max_cycles=max_cycles, copy=False, **env_options(option))
+    env = parallel_env(
+        env_id, n_agents, device=device, max_cycles=max_cycles, copy=False, **env_options(option)
+    )
     batches = _random(env, n_agents, steps, seed) if actions is None else _given(actions, n_agents, steps)
     statistics = EpisodeStatistics(n_agents)
     heat_map = HeatMap(env.spec) if env.spec.grid else None
@@ -128,7 +132,9 @@ def _table(result: dict[str, Any]) -> Table:
     table.add_column("what", style="bold")
     table.add_column("figure")
     step_seconds = result["microseconds_per_step"] * 1e-6
-    table.add_row("agents x steps", f"{result['n_agents']:,} x {result['steps']:,} = {result['agent_steps']:,}")
+    table.add_row(
+        "agents x steps", f"{result['n_agents']:,} x {result['steps']:,} = {result['agent_steps']:,}"
+    )
     table.add_row("throughput", f"{rate(result['agent_steps_per_second'])} agent-steps/s")
     table.add_row("one step of all agents", f"{duration(step_seconds)} ({result['counts']})")
     table.add_row("first step", duration(result["first_step_microseconds"] * 1e-6))

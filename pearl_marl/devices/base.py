@@ -101,12 +101,18 @@ class BatchConfig:
             if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < least:
                 raise ArgumentError(f"{name} is {value!r}; it must be an integer of at least {least}")
         if first + n > 1 << 32:
-            raise ArgumentError(f"slots {first} to {first + n - 1} exceed the 2**32 that random draws can tell apart")
+            raise ArgumentError(
+                f"slots {first} to {first + n - 1} exceed the 2**32 that random draws can tell apart"
+            )
         if self.autoreset_mode not in (AutoresetMode.SAME_STEP, AutoresetMode.NEXT_STEP):
-            raise ArgumentError(f"a device resets in SAME_STEP or NEXT_STEP mode, not {self.autoreset_mode!r}")
+            raise ArgumentError(
+                f"a device resets in SAME_STEP or NEXT_STEP mode, not {self.autoreset_mode!r}"
+            )
         check_max_cycles(self.max_cycles)
         if self.initial_states not in ("random", "stored"):
-            raise ArgumentError(f"initial_states is {self.initial_states!r}; possible are 'random' and 'stored'")
+            raise ArgumentError(
+                f"initial_states is {self.initial_states!r}; possible are 'random' and 'stored'"
+            )
 
     @property
     def limit(self) -> int:
@@ -194,7 +200,8 @@ class Device(ABC):
             chosen = np.asarray(mask)
             if chosen.shape != (self.config.n_envs,) or chosen.dtype != np.bool_:
                 raise ArgumentError(
-                    f"a reset mask is bool of shape ({self.config.n_envs},), not {chosen.dtype} of shape {chosen.shape}"
+                    f"a reset mask is bool of shape ({self.config.n_envs},), "
+                    f"not {chosen.dtype} of shape {chosen.shape}"
                 )
             if seed is not None:
                 raise ArgumentError("a seed restarts every slot, so it cannot come with a reset mask")
@@ -389,4 +396,3 @@ def _reward_table(spec: EnvSpec, table: npt.ArrayLike | None) -> npt.NDArray[np.
     if not np.isfinite(array).all():
         raise ArgumentError(f"rewards are {array.tolist()}; each must be a finite float32")
     return array
-

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import time
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -59,7 +61,7 @@ class Native(Device):
         blocks = -(-n // BLOCK)
         parts = min(self._threads, blocks)
         edges = [blocks * i // parts * BLOCK for i in range(parts)] + [n]
-        return list(zip(edges[:-1], edges[1:], strict=True))
+        return list(itertools.pairwise(edges))
 
     def _run(self, kernel: Any, before: tuple[Any, ...], after: tuple[Any, ...]) -> None:
         """Call ``kernel(*before, lo, hi, n, *after)`` for every range, one of them on this thread."""
@@ -70,7 +72,7 @@ class Native(Device):
         first, *others = self._ranges()
         if self._pool is None:
             self._pool = ThreadPoolExecutor(self._threads - 1, thread_name_prefix="pearl-native")
-        tasks = [self._pool.submit(kernel, *before, lo, hi, n, *after) for lo, hi in others]
+        tasks = [self._pool.submit(partial(kernel, *before, lo, hi, n, *after)) for lo, hi in others]
         kernel(*before, *first, n, *after)
         for task in tasks:
             task.result()
@@ -78,7 +80,7 @@ class Native(Device):
     def _reset(self, mask: Array | None) -> Array:
         config, stored = self.config, self._stored
         n = config.n_envs
-        flags = np.ones(n, np.uint8) if mask is None else mask.view(np.uint8)
+        flags = np.ones(n, np.uint8) if mask is None else mask.astype(np.uint8)
         obs = self._results.take().obs
         use_stored = stored is not self._memory
         self._run(
@@ -96,7 +98,16 @@ class Native(Device):
         began = time.perf_counter()
         self._run(
             self._kernels.step,
-            (self._memory, stored, actions, self._table, *results, *self._seed, self._tick, config.first_slot),
+            (
+                self._memory,
+                stored,
+                actions,
+                self._table,
+                *results,
+                *self._seed,
+                self._tick,
+                config.first_slot,
+            ),
             (config.limit, self._next_step, stored is not self._memory),
         )
         if self._asked is None and self._threads == 1:
