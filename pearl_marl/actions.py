@@ -44,12 +44,7 @@ def encode(actions: Any, space: Discrete, target: npt.NDArray[Any], first_slot: 
         raise _refusal(array, space, target, first_slot)
 
 
-_UNSIGNED: dict[int, np.dtype[Any]] = {
-    1: np.dtype(np.uint8),
-    2: np.dtype(np.uint16),
-    4: np.dtype(np.uint32),
-    8: np.dtype(np.uint64),
-}
+_UNSIGNED: dict[int, np.dtype[Any]] = {size: np.dtype(f"u{size}") for size in (1, 2, 4, 8)}
 
 
 def _refusal(
