@@ -16,7 +16,7 @@ import tempfile
 import types
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import llvmlite
 import numba
@@ -79,14 +79,33 @@ def _load(name: str, source: str, golden: Golden) -> Kernels:
         np=np,
         u32=np.uint32,
         kernel=numba.njit(nogil=True, cache=True, error_model="numpy"),
-        initial=numba.njit(golden.initial),
-        golden_step=numba.njit(golden.step),
-        observe=numba.njit(golden.observe),
-        key=numba.njit(rng.key),
-        draw=numba.njit(rng.draw),
+        initial=_compiled(golden.initial),
+        golden_step=_compiled(golden.step),
+        observe=_compiled(golden.observe),
+        key=_compiled(rng.key),
+        draw=_compiled(rng.draw),
     )
     exec(compile(source, str(path), "exec"), vars(module))
     return Kernels(module.reset, module.step, module.advance, path)
+
+
+def _compiled(function: GoldenFunction) -> Callable[..., Any]:
+    """Return a function for kernels to call, and with it every plain Python function that it calls.
+
+    Numba calls compiled functions only, while golden functions and their helpers have to stay plain
+    for everyone else. So this compiles a twin of each, whose names mean the other twins.
+    """
+    if not isinstance(function, types.FunctionType):
+        return function  # compiled by its author
+
+    def twin(value: Any) -> Any:
+        return _compiled(value) if isinstance(value, types.FunctionType) else value
+
+    code, scope = function.__code__, function.__globals__
+    scope = {**scope, **{name: twin(scope[name]) for name in code.co_names if name in scope}}
+    cells = tuple(types.CellType(twin(cell.cell_contents)) for cell in function.__closure__ or ())
+    copy = types.FunctionType(code, scope, function.__name__, function.__defaults__, cells)
+    return cast("Callable[..., Any]", numba.njit(copy))
 
 
 @functools.cache
