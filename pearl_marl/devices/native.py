@@ -141,9 +141,9 @@ def _allocate(config: BatchConfig) -> BatchStep:
     shape, dtype = (n, *(space.shape or ())), space.dtype
     flags = np.empty(n, np.bool_), np.empty(n, np.bool_)
     # In NEXT_STEP mode the observation of an ending step is the final one, so it has no use for two.
-    same_step = config.autoreset_mode is AutoresetMode.SAME_STEP
+    final_rows = n if config.autoreset_mode is AutoresetMode.SAME_STEP else 0
     return BatchStep(
-        np.zeros(shape, dtype), np.empty(n, np.float32), *flags, np.zeros(shape if same_step else 0, dtype)
+        np.zeros(shape, dtype), np.empty(n, np.float32), *flags, np.zeros((final_rows, *shape[1:]), dtype)
     )
 
 
