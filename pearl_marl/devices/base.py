@@ -289,8 +289,8 @@ class Device(ABC):
             seed=self._seed,
             tick=self._tick,
             rewards=tuple(self._table.tolist()),
-            memory=memory,
-            stored=stored,
+            memory=memory.copy(),
+            stored=stored.copy(),
             live=memory[:0],
         )
 
