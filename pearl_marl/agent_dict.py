@@ -69,6 +69,9 @@ class AgentDict(dict[str, Any]):
 
     copy = __copy__
 
+    # Makes plain dicts too: it would call this class with no argument.
+    fromkeys = staticmethod(dict.fromkeys)
+
 
 def _filled_first(name: str) -> Callable[..., Any]:
     plain = getattr(dict, name)
