@@ -76,6 +76,9 @@ class _UnfilledAgentDict(AgentDict):
         self._fill()
         return iter(self)
 
+    # Makes plain dicts too: it would call this class with no argument.
+    fromkeys = staticmethod(dict.fromkeys)
+
 
 def _filled_first(name: str) -> Callable[..., Any]:
     plain = getattr(dict, name)

@@ -175,6 +175,8 @@ class PearlParallelEnv(pettingzoo.ParallelEnv):  # type: ignore[misc]
         """
         if not self.agents and self.device.ready:
             raise OrderError("step() with no agent left: every episode has ended, call reset() first")
+        if len(self.agents) < len(self._live):
+            actions = self._without_left(actions)
         result = self.device.step(actions)
         if not self._autoreset:
             leaving = result.ended & self._live
@@ -270,6 +272,13 @@ class PearlParallelEnv(pettingzoo.ParallelEnv):  # type: ignore[misc]
     def _render_for_human(self) -> None:
         if self.render_mode == "human":
             self.render()
+
+    def _without_left(self, actions: npt.ArrayLike) -> npt.ArrayLike:
+        """Return actions with 0 where an agent has left: nobody looks at what was there."""
+        array = np.asarray(actions)
+        if array.shape != self._live.shape or array.dtype.kind not in "iu":
+            return actions
+        return np.where(self._live, array, 0)
 
     def _action_array(self, actions: Mapping[str, Any]) -> Array:
         """Return the actions of a dict as an array over all slots, 0 where an agent has left."""

@@ -86,7 +86,8 @@ class SavedState:
             raise SavedStateError("the saved state is damaged or cut short: its checksum is wrong")
         start = 8 + struct.unpack_from("<Q", body)[0]
         header = json.loads(body[8:start])
-        for name, mine in identity.items():
+        # Options may hold what JSON has no type for, such as tuples: compare what became of them.
+        for name, mine in json.loads(json.dumps(identity)).items():
             theirs = header["identity"].get(name)
             if theirs != mine:
                 raise SavedStateError(
