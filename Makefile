@@ -17,7 +17,7 @@ demo: $(VENV)/.render
 	$(BIN)/python experiments/cliff_walking_q_learning.py --out $(OUT)/demo
 
 test: $(VENV)/.dev
-	$(BIN)/python -m pytest -n $(CORES)
+	$(BIN)/python -m pytest -n $(CORES) --slow
 
 lint: $(VENV)/.dev
 	$(BIN)/ruff check .

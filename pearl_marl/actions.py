@@ -12,8 +12,8 @@ from numba import njit
 from pearl_marl.errors import ActionError
 
 
-def encode(actions: Any, space: Discrete, target: npt.NDArray[Any], first_slot: int = 0) -> None:
-    """Write actions into ``target`` in the device's width; refuse them all if one is not in ``space``.
+def encode(actions: Any, space: Discrete, target: npt.NDArray[Any], first_slot: int = 0) -> npt.NDArray[Any]:
+    """Return actions in the device's width; refuse them all if one is not in ``space``.
 
     Parameters
     ----------
@@ -22,10 +22,14 @@ def encode(actions: Any, space: Discrete, target: npt.NDArray[Any], first_slot: 
     space
         A ``Discrete`` from 0.
     target
-        Unsigned integers of shape ``(n,)``, wide enough for ``space``. After an error its
-        content is of no meaning.
+        Unsigned integers of shape ``(n,)``, wide enough for ``space``: where actions of another width
+        go. After an error its content is of no meaning.
     first_slot
         The global number of the first slot, for the agents' names.
+
+    Returns
+    -------
+    ``target``, or ``actions`` if they have its dtype already.
 
     Raises
     ------
@@ -33,6 +37,10 @@ def encode(actions: Any, space: Discrete, target: npt.NDArray[Any], first_slot: 
         Names the first agent whose action is not in ``space``, and the action.
     """
     array = np.asarray(actions)
+    if array.dtype is target.dtype and array.shape == target.shape and array.flags.c_contiguous:
+        if _largest(array) >= space.n:
+            raise _refusal(array, space, target, first_slot)
+        return array
     kind = array.dtype.kind
     if array.shape != target.shape or kind not in "iu":
         raise _refusal(array, space, target, first_slot)
@@ -42,6 +50,7 @@ def encode(actions: Any, space: Discrete, target: npt.NDArray[Any], first_slot: 
     unsigned = array.view(_UNSIGNED[array.itemsize]) if kind == "i" else array
     if _narrow(unsigned, target) >= space.n:
         raise _refusal(array, space, target, first_slot)
+    return target
 
 
 _UNSIGNED: dict[int, np.dtype[Any]] = {size: np.dtype(f"u{size}") for size in (1, 2, 4, 8)}
@@ -63,6 +72,15 @@ def _refusal(
     return ActionError(
         f"agent_{first_slot + first}: action {values[first]!r} is no integer (dtype {array.dtype}); {limits}"
     )
+
+
+@njit(cache=True, nogil=True)
+def _largest(source: Any) -> Any:
+    """Return the largest number."""
+    largest = source.dtype.type(0)
+    for i in range(source.size):
+        largest = max(largest, source[i])
+    return largest
 
 
 @njit(cache=True, nogil=True)

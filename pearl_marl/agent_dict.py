@@ -58,6 +58,9 @@ class AgentDict(dict[str, Any]):
     def __copy__(self) -> dict[str, Any]:
         return dict(self)
 
+    # Makes plain dicts too: it would call this class with no argument.
+    fromkeys = staticmethod(dict.fromkeys)
+
 
 class _UnfilledAgentDict(AgentDict):
     # Every method fills the dict and, with it, turns it into an AgentDict, whose methods are those
@@ -75,9 +78,6 @@ class _UnfilledAgentDict(AgentDict):
     def __iter__(self) -> Iterator[str]:
         self._fill()
         return iter(self)
-
-    # Makes plain dicts too: it would call this class with no argument.
-    fromkeys = staticmethod(dict.fromkeys)
 
 
 def _filled_first(name: str) -> Callable[..., Any]:

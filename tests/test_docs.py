@@ -22,7 +22,8 @@ def test_python_examples_run(page, tmp_path):
     """The examples of a page run in order, as one program."""
     program = tmp_path / "examples.py"
     program.write_text("\n".join(blocks(page, "python")))
-    done = subprocess.run([sys.executable, program], cwd=tmp_path, capture_output=True, text=True, timeout=300)
+    command = [sys.executable, program]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stderr
 
 

@@ -25,13 +25,14 @@ from pearl_marl.cli.common import (
     console,
     duration,
     env_options,
+    error_console,
     print_json,
     progress,
     rate,
     write_json,
 )
 from pearl_marl.episodes import EpisodeStatistics
-from pearl_marl.errors import ArgumentError
+from pearl_marl.errors import ArgumentError, PearlError
 from pearl_marl.parallel_env import PearlParallelEnv, parallel_env
 from pearl_marl.rendering import HeatMap
 
@@ -98,8 +99,11 @@ def command(
     if out is not None:
         written.append(write_json(out, "run.json", result))
         if heat_map is not None:
-            written.append(out / "heat_map.png")
-            heat_map.save(written[-1])
+            try:
+                heat_map.save(out / "heat_map.png")
+                written.append(out / "heat_map.png")
+            except PearlError as error:  # the run is done, and its figures are written
+                error_console.print(f"No heat_map.png: {error}", markup=False)
     if as_json:
         print_json(result)
         return

@@ -21,8 +21,8 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium.vector import AutoresetMode
 
-from pearl_marl import actions as action_codec
 from pearl_marl import rng, slot_memory
+from pearl_marl.actions import encode
 from pearl_marl.errors import ArgumentError, OrderError
 from pearl_marl.saved_state import SavedState
 from pearl_marl.spec import EnvSpec, check_max_cycles
@@ -231,10 +231,10 @@ class Device(ABC):
         OrderError
             Before the first reset, after ``close``, or between ``send`` and ``recv``.
         """
-        self._check_idle("step", ready=True)
+        if not self._ready or self._pending is not None:
+            self._check_idle("step", ready=True)
         config = self.config
-        action_codec.encode(actions, config.spec.action_space, self._actions, config.first_slot)
-        result = self._step(self._actions)
+        result = self._step(encode(actions, config.spec.action_space, self._actions, config.first_slot))
         self._tick += 1
         return result
 
@@ -242,7 +242,9 @@ class Device(ABC):
         """Start a step and return at once; :meth:`recv` has its results. Raises as :meth:`step` does."""
         self._check_idle("send", ready=True)
         config = self.config
-        action_codec.encode(actions, config.spec.action_space, self._actions, config.first_slot)
+        encoded = encode(actions, config.spec.action_space, self._actions, config.first_slot)
+        if encoded is not self._actions:
+            self._actions[:] = encoded  # the caller may change his before the step is done
         if self._worker is None:
             self._worker = ThreadPoolExecutor(1, thread_name_prefix=f"pearl-{self.name}")
         self._pending = self._worker.submit(self._step, self._actions)
@@ -328,7 +330,7 @@ class Device(ABC):
         """Release what the device holds. Safe to call twice."""
         if self._closed:
             return
-        self._closed = True
+        self._closed, self._ready = True, False
         if hasattr(self, "config"):
             if self._worker is not None:
                 self._worker.shutdown(wait=True)
