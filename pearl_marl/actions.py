@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -36,42 +37,61 @@ def encode(actions: Any, space: Discrete, target: npt.NDArray[Any], first_slot: 
     ActionError
         Names the first agent whose action is not in ``space``, and the action.
     """
-    array = np.asarray(actions)
+    try:
+        array = np.asarray(actions)
+    except ValueError:  # a ragged list
+        raise _refusal(actions, space, target, first_slot) from None
     if array.dtype is target.dtype and array.shape == target.shape and array.flags.c_contiguous:
         if _largest(array) >= space.n:
-            raise _refusal(array, space, target, first_slot)
+            raise _refusal(actions, space, target, first_slot)
         return array
     kind = array.dtype.kind
     if array.shape != target.shape or kind not in "iu":
-        raise _refusal(array, space, target, first_slot)
+        raise _refusal(actions, space, target, first_slot)
     if not array.dtype.isnative or not array.flags.c_contiguous:
         array = np.ascontiguousarray(array, array.dtype.newbyteorder("="))
     # Seen as unsigned, a negative number is a large one: one comparison does for both ends.
     unsigned = array.view(_UNSIGNED[array.itemsize]) if kind == "i" else array
     if _narrow(unsigned, target) >= space.n:
-        raise _refusal(array, space, target, first_slot)
+        raise _refusal(actions, space, target, first_slot)
     return target
+
+
+def refuse_first(agents: Iterable[str], actions: Iterable[Any], space: Discrete) -> ActionError:
+    """Return the error for actions that are not all in ``space``; it names the first that is not.
+
+    Where all are, their dtype is what was wrong, and the first stands for it.
+    """
+    pairs = list(zip(agents, actions, strict=True))
+    agent, action = next((pair for pair in pairs if _why_not(pair[1], space)), pairs[0])
+    why = _why_not(action, space) or "is not of an integer dtype"
+    return ActionError(f"{agent}: action {action!r} {why}; {_limits(space)}")
+
+
+def _why_not(action: Any, space: Discrete) -> str:
+    if isinstance(action, (bool, np.bool_)) or not isinstance(action, (int, np.integer)):
+        return "is no integer"
+    return "" if 0 <= action < space.n else "is out of range"
+
+
+def _limits(space: Discrete) -> str:
+    return f"{space} takes integers from 0 to {space.n - 1}"
 
 
 _UNSIGNED: dict[int, np.dtype[Any]] = {size: np.dtype(f"u{size}") for size in (1, 2, 4, 8)}
 
 
-def _refusal(
-    array: npt.NDArray[Any], space: Discrete, target: npt.NDArray[Any], first_slot: int
-) -> ActionError:
-    limits = f"{space} takes integers from 0 to {space.n - 1}"
-    if array.shape != target.shape:
-        return ActionError(
-            f"actions have shape {array.shape}; {len(target)} agents take {target.shape}: {limits}"
-        )
-    if array.dtype.kind in "iu":
-        first = int(np.flatnonzero((array < 0) | (array >= space.n))[0])
-        return ActionError(f"agent_{first_slot + first}: action {array[first]} is out of range; {limits}")
-    values = array.tolist()
-    first = next((i for i, a in enumerate(values) if not isinstance(a, (int, np.integer))), 0)
-    return ActionError(
-        f"agent_{first_slot + first}: action {values[first]!r} is no integer (dtype {array.dtype}); {limits}"
-    )
+def _refusal(actions: Any, space: Discrete, target: npt.NDArray[Any], first_slot: int) -> ActionError:
+    # What was given tells more than the array that NumPy made of it: [0, 1.5] becomes two floats.
+    values = actions.tolist() if isinstance(actions, np.ndarray) else actions
+    try:
+        shape = np.shape(actions)
+    except ValueError:  # a ragged list
+        shape = (len(actions),)
+    if shape != target.shape:
+        wanted = f"{len(target)} agents take {target.shape}: {_limits(space)}"
+        return ActionError(f"actions have shape {shape}; {wanted}")
+    return refuse_first((f"agent_{first_slot + i}" for i in range(len(target))), values, space)
 
 
 @njit(cache=True, nogil=True)

@@ -59,7 +59,7 @@ class AgentDict(dict[str, Any]):
         return dict(self)
 
     # Makes plain dicts too: it would call this class with no argument.
-    fromkeys = staticmethod(dict.fromkeys)
+    fromkeys = staticmethod(dict.fromkeys)  # type: ignore[assignment]
 
 
 class _UnfilledAgentDict(AgentDict):

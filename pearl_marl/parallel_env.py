@@ -7,7 +7,7 @@ import re
 from collections.abc import Mapping
 from copy import deepcopy
 from dataclasses import replace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -15,6 +15,7 @@ import pettingzoo
 from gymnasium.spaces import Box, Space
 from pettingzoo.utils.conversions import parallel_to_aec, parallel_to_aec_wrapper
 
+from pearl_marl.actions import refuse_first
 from pearl_marl.agent_dict import AgentDict, ended_infos, python_values, scalars
 from pearl_marl.devices import BatchConfig, BatchStep, Device, make_device
 from pearl_marl.errors import ActionError, ArgumentError, OrderError
@@ -141,7 +142,9 @@ class PearlParallelEnv(pettingzoo.ParallelEnv):  # type: ignore[misc]
             Before ``reset``, after ``close``, or once every agent has left.
         """
         agents, live = self.agents, self._live
-        result = self.step_batch(self._action_array(actions) if isinstance(actions, Mapping) else actions)
+        # Without agents, step_batch() refuses the call for that.
+        given = self._action_array(actions) if agents and isinstance(actions, Mapping) else actions
+        result = self.step_batch(cast("npt.ArrayLike", given))
         obs, rewards, terminations, truncations, final_obs = result
         ended = result.ended
         if not self._autoreset:
@@ -295,13 +298,10 @@ class PearlParallelEnv(pettingzoo.ParallelEnv):  # type: ignore[misc]
             raise ActionError(f"an action for {extra!r}, but {why}; only agents in env.agents act")
         try:
             array = np.array(values)
-        except ValueError:  # a ragged list
+        except ValueError:  # some are sequences
             array = np.empty(0)
-        if array.shape != (len(values),):
-            odd = next(i for i, value in enumerate(values) if np.ndim(value))
-            raise ActionError(
-                f"{self.agents[odd]}: action {values[odd]!r} is no integer; {self.spec.action_space}"
-            )
+        if array.shape != (len(values),) or array.dtype.kind not in "iu":
+            raise refuse_first(self.agents, values, self.spec.action_space)
         if len(values) == len(self._live):
             return array
         whole = np.zeros(len(self._live), array.dtype)

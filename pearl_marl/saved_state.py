@@ -51,6 +51,10 @@ class SavedState:
     stored: Bytes
     live: Bytes
 
+    def check(self, identity: dict[str, Any]) -> None:
+        """Raise SavedStateError where this is no state of an environment of the given identity."""
+        _compare(self.identity, identity)
+
     def to_bytes(self) -> bytes:
         """Return the saved state as bytes."""
         header = {"identity": self.identity, "seed": self.seed, "tick": self.tick, "rewards": self.rewards}
@@ -86,13 +90,7 @@ class SavedState:
             raise SavedStateError("the saved state is damaged or cut short: its checksum is wrong")
         start = 8 + struct.unpack_from("<Q", body)[0]
         header = json.loads(body[8:start])
-        # Options may hold what JSON has no type for, such as tuples: compare what became of them.
-        for name, mine in json.loads(json.dumps(identity)).items():
-            theirs = header["identity"].get(name)
-            if theirs != mine:
-                raise SavedStateError(
-                    f"the saved state has {name} = {theirs!r}; this environment has {mine!r}"
-                )
+        _compare(header["identity"], identity)
         arrays = np.split(np.frombuffer(body, np.uint8, offset=start), np.cumsum(header["lengths"])[:-1])
         return cls(
             identity=identity,
@@ -101,3 +99,13 @@ class SavedState:
             rewards=tuple(header["rewards"]),
             **dict(zip(_ARRAYS, arrays, strict=True)),
         )
+
+
+def _compare(saved: dict[str, Any], mine: dict[str, Any]) -> None:
+    # Options may hold what JSON has no type for, such as tuples: compare what becomes of them.
+    saved, mine = json.loads(json.dumps([saved, mine]))
+    for name, value in mine.items():
+        if saved.get(name) != value:
+            raise SavedStateError(
+                f"the saved state has {name} = {saved.get(name)!r}; this environment has {value!r}"
+            )

@@ -304,8 +304,15 @@ class Device(ABC):
         )
 
     def restore(self, saved: SavedState) -> Array:
-        """Continue from a snapshot whose identity is this batch's; return every slot's observation."""
+        """Continue from a snapshot of a batch like this one; return every slot's observation.
+
+        Raises
+        ------
+        SavedStateError
+            Names what differs between the two batches. Nothing has changed.
+        """
         self._check_idle("restore")
+        saved.check(self.config.identity())
         self._seed, self._tick = saved.seed, saved.tick
         self._table = np.array(saved.rewards, np.float32)
         self._ready = True
