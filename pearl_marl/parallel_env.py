@@ -130,7 +130,7 @@ class PearlParallelEnv(pettingzoo.ParallelEnv):  # type: ignore[misc]
         Returns
         -------
         Observations (NumPy scalars, or arrays), rewards (``float``), terminations and truncations
-        (``bool``) and infos, each a dict by agent.
+        (``bool``) and infos, each a dict by agent; all empty where no agent is left and ``actions`` is ``{}``.
 
         Raises
         ------
@@ -140,9 +140,12 @@ class PearlParallelEnv(pettingzoo.ParallelEnv):  # type: ignore[misc]
             Before ``reset``, after ``close``, or once every agent has left.
         """
         agents, live = self.agents, self._live
-        if agents and isinstance(actions, Mapping):  # without agents this call is refused for that
-            actions = self._action_array(actions)
-        result = self.step_batch(actions)
+        given: Any = actions
+        if isinstance(actions, Mapping) and self.device.ready:
+            if not agents and not actions:  # PettingZoo's convention, which SuperSuit's black_death needs
+                return {}, {}, {}, {}, {}
+            given = self._action_array(actions)
+        result = self.step_batch(given)
         obs, rewards, terminations, truncations, final_obs = result
         ended = result.ended
         if not self._autoreset:

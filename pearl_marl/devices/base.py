@@ -268,8 +268,8 @@ class Device(ABC):
 
     @property
     def ready(self) -> bool:
-        """Whether the slots have been reset, so that they can step."""
-        return self._ready
+        """Whether the slots have been reset, and not closed, so that they can step."""
+        return self._ready and not self._closed
 
     def state(self) -> Array:
         """Return every slot's state, shape ``(n, fields)``: what the next step starts from.
