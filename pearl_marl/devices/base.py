@@ -385,7 +385,8 @@ def _reward_table(spec: EnvSpec, table: npt.ArrayLike | None) -> npt.NDArray[np.
             raise ArgumentError(f"{spec.name} computes its rewards; it has no table to replace")
         return np.empty(0, np.float32)
     try:
-        array = np.array(table, np.float32)
+        with np.errstate(over="ignore"):  # infinite then, and refused below
+            array = np.array(table, np.float32)
     except (TypeError, ValueError):
         raise ArgumentError(f"rewards are {table!r}; {spec.name} takes {len(spec.rewards)} numbers") from None
     if array.shape != (len(spec.rewards),):
