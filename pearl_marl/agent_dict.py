@@ -70,7 +70,7 @@ class AgentDict(dict[str, Any]):
     copy = __copy__
 
     # Makes plain dicts too: it would call this class with no argument.
-    fromkeys = staticmethod(dict.fromkeys)
+    fromkeys = staticmethod(dict.fromkeys)  # type: ignore[assignment]
 
 
 def _filled_first(name: str) -> Callable[..., Any]:
