@@ -141,7 +141,8 @@ def _table(result: dict[str, Any]) -> Table:
     )
     table.add_row("throughput", f"{rate(result['agent_steps_per_second'])} agent-steps/s")
     table.add_row("one step of all agents", f"{duration(step_seconds)} ({result['counts']})")
-    table.add_row("first step", duration(result["first_step_microseconds"] * 1e-6))
+    first = duration(result["first_step_microseconds"] * 1e-6)
+    table.add_row("first step", f"{first} (loads the kernel; the first time ever compiles it)")
     table.add_row("episodes finished", f"{result['episodes']:,}, of them truncated {result['truncated']:,}")
     if result["episodes"]:
         span = f"{result['return_min']:g} to {result['return_max']:g}"
