@@ -9,11 +9,12 @@
 from __future__ import annotations
 
 from pearl_marl.devices.base import BatchConfig, BatchStep, Device
+from pearl_marl.devices.lockstep import Lockstep
 from pearl_marl.devices.native import Native
 from pearl_marl.devices.reference import Reference
 from pearl_marl.errors import ArgumentError
 
-__all__ = ["BatchConfig", "BatchStep", "Device", "Native", "Reference", "make_device"]
+__all__ = ["BatchConfig", "BatchStep", "Device", "Lockstep", "Native", "Reference", "make_device"]
 
 _BY_NAME: dict[str, type[Device]] = {"native": Native, "reference": Reference}
 
