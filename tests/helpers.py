@@ -9,17 +9,17 @@ import numpy as np
 import pytest
 
 import pearl_marl
-from pearl_marl.devices import BatchConfig, BatchStep, Device, Native, Reference
+from pearl_marl.devices import BatchConfig, BatchStep, Device, Lockstep, Native, Reference
 from pearl_marl.spec import EnvSpec
 
 from .toy import TOYS
 
 Array = np.ndarray[Any, Any]
 
-DEVICES = ("native", "reference")
+DEVICES = ("native", "reference", "lockstep")
 """Every device that the contract runs on. Add its maker to :func:`make_device` and its sizes below."""
 
-LARGEST = {"native": 43008, "reference": 43008}
+LARGEST = {"native": 43008, "reference": 43008, "lockstep": 43008}
 """More slots than this take a device too long for the everyday suite."""
 
 SIZE, STEPS = 70, 40
@@ -34,6 +34,8 @@ def make_device(name: str, spec: EnvSpec, **options: Any) -> Device:
         return Native(**options)
     if name == "reference":
         return Reference(**options)
+    if name == "lockstep":
+        return Lockstep("native", "reference", **options)
     pytest.skip(f"no device {name!r} on this machine")
 
 
