@@ -175,7 +175,7 @@ class Comparison:
         if ours.dtype != theirs.dtype or ours.shape != theirs.shape:
             unequal = np.arange(len(theirs)) == 0
             ours, theirs = (np.array([f"{a.dtype} of shape {a.shape}"]) for a in (ours, theirs))
-            words = Words(f"{field} array", ours, theirs)
+            words = words._replace(field=f"{field} array")
         else:
             # As integers: two floats may be equal and yet have other bits, or have the same and be unequal.
             bits = f"u{theirs.dtype.itemsize}"
@@ -184,7 +184,8 @@ class Comparison:
                 unequal &= where
         self.words += len(unequal) if where is None else int(np.count_nonzero(where))
         if unequal.any():
-            self._differing.append((words, unequal))
+            # Copies: a device may write its next results where these are.
+            self._differing.append((words._replace(device=ours.copy(), reference=theirs.copy()), unequal))
 
     def first(self) -> tuple[int, int, tuple[Difference, ...]]:
         """Return the first slot that differs, how many do, and what differs there."""

@@ -184,7 +184,8 @@ def _replay(replay: Replay, device: str | None, reference: str | None, as_json: 
         )
     else:
         agents = f"{replay.config.n_envs:,} agent{'s' * (replay.config.n_envs != 1)}"
-        console.print(f"Recorded, replayed here with {agents}:\n{recorded}\n", markup=False, highlight=False)
+        text = f"Recorded, replayed here with {agents}:\n{recorded}\n"
+        console.print(text, markup=False, highlight=False, soft_wrap=True)
         _say(error, f"The divergence is gone: {device} agrees with {reference} in every word of this call.")
     if error is not None:
         sys.exit(1)
@@ -225,12 +226,12 @@ def _table(title: str, plan: list[Run]) -> Table:
     table = Table(title=title)
     for heading in ("autoreset", "starts"):
         table.add_column(heading, no_wrap=True)
-    for heading in ("limit", "steps", "words", "episodes", "truncated"):
+    for heading in ("limit", "steps", "words", "episodes"):
         table.add_column(heading, justify="right", no_wrap=True)
     table.add_column("", no_wrap=True)
     verdicts = {True: "[green]bit-exact[/]", False: "[bold red]differs[/]", None: "[dim]not run[/]"}
     for run in plan:
         mode, starts, limit = _written(run.config.autoreset_mode), run.config.initial_states, run.config.limit
-        figures = (f"{figure:,}" for figure in (run.taken, run.words, run.episodes, run.truncated))
+        figures = (f"{figure:,}" for figure in (run.taken, run.words, run.episodes))
         table.add_row(mode, starts, f"{limit or 'none'}", *figures, verdicts[run.exact])
     return table

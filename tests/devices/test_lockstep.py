@@ -48,14 +48,15 @@ def until_error(lockstep: Device, actions: np.ndarray) -> tuple[int, LockstepErr
     raise AssertionError("nothing was found")
 
 
+@pytest.mark.parametrize("copy", [True, False])
 @pytest.mark.parametrize("mode", [AutoresetMode.SAME_STEP, AutoresetMode.NEXT_STEP], ids=lambda m: m.name)
 @pytest.mark.parametrize("slot", [0, 33, N - 1])
 @pytest.mark.parametrize("field", [*RESULTS, *STATE])
-def test_one_bit_of_any_field(field: str, slot: int, mode: AutoresetMode) -> None:
+def test_one_bit_of_any_field(field: str, slot: int, mode: AutoresetMode, copy: bool) -> None:
     broken = Flips(field, tick=12, slot=slot)
-    lockstep = open_pair(broken, autoreset_mode=mode, first_slot=1000)
+    lockstep = open_pair(broken, autoreset_mode=mode, first_slot=1000, copy=copy)
     actions = actions_for(CLIFF, 20)
-    truth = Reference().open(replace(lockstep.config, spec=CLIFF))
+    truth = Reference().open(replace(lockstep.config, copy=True))
     truth.reset(seed=5)
     trajectory(truth, actions[:12])
     before = slot_memory.views(CLIFF, N, truth.snapshot().memory)
