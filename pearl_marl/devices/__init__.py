@@ -4,6 +4,8 @@
     The CPU: :class:`Native`.
 ``"reference"``
     The golden functions as they stand: :class:`Reference`, slow, for others to be held against.
+
+:class:`Lockstep` steps two of them as one and compares every word.
 """
 
 from __future__ import annotations

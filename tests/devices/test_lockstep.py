@@ -300,7 +300,7 @@ def test_words_are_counted() -> None:
     assert lockstep.words == 10 * (13 + 9)  # and everybody's final observation
 
 
-def test_the_error_survives_pickling() -> None:
+def test_a_divergence_survives_pickling() -> None:
     error = until_error(open_pair(Flips("obs", tick=1, slot=2)), actions_for(CLIFF, 3))[1]
     assert str(pickle.loads(pickle.dumps(error.divergence))) == str(error)
 
