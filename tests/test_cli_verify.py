@@ -156,6 +156,16 @@ def test_the_whole_batch_where_the_slot_alone_is_right(pearl, tmp_path):
     assert replayed["divergence"] == replayed["recorded"] == result["divergence"]
 
 
+def test_the_states_after_the_last_step_are_compared(pearl, monkeypatch):
+    """Also where that step is not one after which they would be anyway."""
+    monkeypatch.setitem(devices._BY_NAME, "late", lambda: Flips("elapsed", tick=4, slot=8))
+    modes = ("--autoreset-mode", "same-step", "--initial-states", "random", "--max-cycles", 100)
+    arguments = ("--device", "late", "--n-agents", 5000, "--steps", 5, "--json", *modes)
+    status, out, _ = pearl("verify", "CliffWalking", *arguments)
+    divergence = json.loads(out)["divergence"]
+    assert (status, divergence["step"], divergence["field"]) == (1, 4, "elapsed")
+
+
 @pytest.mark.usefixtures("broken")
 def test_without_out_nothing_is_written(pearl, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
