@@ -123,20 +123,36 @@ def _fingerprint(function: GoldenFunction) -> bytes:
     digest = hashlib.sha256()
     seen: set[types.FunctionType] = set()
 
+    def visit_code(code: types.CodeType, scope: dict[str, Any]) -> None:
+        digest.update(code.co_code)
+        digest.update(repr((code.co_names, code.co_varnames)).encode())
+        for constant in code.co_consts:
+            if isinstance(constant, types.CodeType):  # an inner function, whose repr holds its address
+                visit_code(constant, scope)
+            else:
+                visit(constant)
+        for name in code.co_names:
+            value = scope.get(name)
+            visit(value)
+            if isinstance(value, types.ModuleType):
+                for attribute in code.co_names:
+                    constant = vars(value).get(attribute)
+                    if not isinstance(constant, types.FunctionType):  # Numba knows these or refuses them
+                        visit(constant)
+
     def visit(value: Any) -> None:
+        value = getattr(value, "py_func", value)  # what Numba has compiled already
         if isinstance(value, types.FunctionType):
             if value in seen:
                 return
             seen.add(value)
-            code = value.__code__
-            digest.update(code.co_code)
-            digest.update(repr((code.co_names, code.co_varnames, code.co_consts)).encode())
-            for name in code.co_names:
-                if name in value.__globals__:
-                    visit(value.__globals__[name])
+            visit_code(value.__code__, value.__globals__)
+            for default in (*(value.__defaults__ or ()), *(value.__kwdefaults__ or {}).values()):
+                visit(default)
             for cell in value.__closure__ or ():
                 visit(cell.cell_contents)
         elif isinstance(value, np.ndarray):
+            digest.update(repr((value.dtype, value.shape)).encode())
             digest.update(value.tobytes())
         elif isinstance(value, (int, float, str, bytes, tuple, np.generic, type(None))):
             digest.update(repr(value).encode())

@@ -7,7 +7,7 @@ import re
 from collections.abc import Mapping
 from copy import deepcopy
 from dataclasses import replace
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -132,7 +132,7 @@ class PearlParallelEnv(pettingzoo.ParallelEnv):  # type: ignore[misc]
         Returns
         -------
         Observations (NumPy scalars, or arrays), rewards (``float``), terminations and truncations
-        (``bool``) and infos, each a dict by agent.
+        (``bool``) and infos, each a dict by agent; all empty for ``{}`` once no agent is left.
 
         Raises
         ------
@@ -142,9 +142,12 @@ class PearlParallelEnv(pettingzoo.ParallelEnv):  # type: ignore[misc]
             Before ``reset``, after ``close``, or once every agent has left.
         """
         agents, live = self.agents, self._live
-        # Without agents, step_batch() refuses the call for that.
-        given = self._action_array(actions) if agents and isinstance(actions, Mapping) else actions
-        result = self.step_batch(cast("npt.ArrayLike", given))
+        given: Any = actions
+        if isinstance(actions, Mapping) and self.device.ready:
+            if not agents and not actions:  # PettingZoo's convention, which SuperSuit's black_death needs
+                return {}, {}, {}, {}, {}
+            given = self._action_array(actions)
+        result = self.step_batch(given)
         obs, rewards, terminations, truncations, final_obs = result
         ended = result.ended
         if not self._autoreset:

@@ -73,7 +73,7 @@ class Golden(NamedTuple):
         step(*state, action, *step_draws) -> *next_state, reward, terminated
         observe(*state)                   -> *observation
 
-    A function of one result returns it bare, or as a tuple of one. Draws are uniform ``u32``;
+    A function of one result returns it bare. Draws are uniform ``u32``;
     ``terminated`` is 0 or 1. Options are constants of the enclosing scope.
     """
 

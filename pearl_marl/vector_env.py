@@ -80,7 +80,7 @@ class PearlVectorEnv(VectorEnv[Any, Any, Any]):
         if unknown:
             raise ArgumentError(f"unknown reset option {unknown[0]!r}; the only one is 'reset_mask'")
         mask = options.get("reset_mask")
-        if mask is not None and not np.any(mask):
+        if mask is not None and not (mask := np.asarray(mask)).any():
             raise ArgumentError("reset_mask resets nothing: at least one element must be True")
         obs = self.device.reset(seed, mask)
         if self._mode is AutoresetMode.DISABLED:

@@ -282,8 +282,8 @@ class Device(ABC):
 
     @property
     def ready(self) -> bool:
-        """Whether the slots have been reset, so that they can step."""
-        return self._ready
+        """Whether the slots have been reset, and not closed, so that they can step."""
+        return self._ready and not self._closed
 
     def state(self) -> Array:
         """Return every slot's state, shape ``(n, fields)``: what the next step starts from.
@@ -404,7 +404,8 @@ def _reward_table(spec: EnvSpec, table: npt.ArrayLike | None) -> npt.NDArray[np.
             raise ArgumentError(f"{spec.name} computes its rewards; it has no table to replace")
         return np.empty(0, np.float32)
     try:
-        array = np.array(table, np.float32)
+        with np.errstate(over="ignore"):  # infinite then, and refused below
+            array = np.array(table, np.float32)
     except (TypeError, ValueError):
         raise ArgumentError(f"rewards are {table!r}; {spec.name} takes {len(spec.rewards)} numbers") from None
     if array.shape != (len(spec.rewards),):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pearl_marl.devices import BatchConfig, Reference
-from pearl_marl.errors import OrderError
+from pearl_marl.errors import ActionError, OrderError
 
 from ..helpers import SIZE, Case
 
@@ -50,8 +50,11 @@ def test_against_the_reference(case: Case, limit: int | None, as_dict: bool) -> 
                 break
         if limit:
             assert not env.agents
+            assert env.step({}) == ({}, {}, {}, {}, {}), "PettingZoo's convention"
             with pytest.raises(OrderError, match="every episode has ended"):
-                env.step({})
+                env.step(actions)
+            with pytest.raises(ActionError, match=r"agent_0.*its episode has ended"):
+                env.step({"agent_0": 0})
 
 
 def test_array_actions_of_agents_that_left_are_ignored(case: Case) -> None:

@@ -7,6 +7,7 @@ import pytest
 from gymnasium.spaces import Discrete
 
 from pearl_marl import get_spec
+from pearl_marl.errors import ActionError
 
 from ..helpers import SIZE, STEPS, Case
 
@@ -149,3 +150,14 @@ def test_spaces_equal_the_oracles(case: Case) -> None:
     assert spec.action_space == oracle.action_space
     limit = oracle.spec.max_episode_steps if oracle.spec else None
     assert spec.max_cycles == limit
+
+
+def test_the_least_and_the_greatest_action(case: Case) -> None:
+    """Both ends of the space are taken, and the number after each is not."""
+    n = int(case.spec.action_space.n)
+    device = case.open(3)
+    device.reset(seed=0)
+    device.step([0, n - 1, 0])
+    for outside in (-1, n):
+        with pytest.raises(ActionError, match=f"agent_2: action {outside} is out of range"):
+            device.step([0, n - 1, outside])
