@@ -9,18 +9,17 @@ import numpy as np
 import pytest
 
 import pearl_marl
-from pearl_marl.devices import BatchConfig, BatchStep, Device, Native
+from pearl_marl.devices import BatchConfig, BatchStep, Device, Lockstep, Native, Reference
 from pearl_marl.spec import EnvSpec
 
-from .reference import assert_same_step
 from .toy import TOYS
 
 Array = np.ndarray[Any, Any]
 
-DEVICES = ("native",)
+DEVICES = ("native", "reference", "lockstep")
 """Every device that the contract runs on. Add its maker to :func:`make_device` and its sizes below."""
 
-LARGEST = {"native": 43008}
+LARGEST = {"native": 43008, "reference": 43008, "lockstep": 43008}
 """More slots than this take a device too long for the everyday suite."""
 
 SIZE, STEPS = 70, 40
@@ -33,6 +32,10 @@ def make_device(name: str, spec: EnvSpec, **options: Any) -> Device:
     """Return a fresh device, or skip the test and say why this machine or environment cannot."""
     if name == "native":
         return Native(**options)
+    if name == "reference":
+        return Reference(**options)
+    if name == "lockstep":
+        return Lockstep("native", "reference", **options)
     pytest.skip(f"no device {name!r} on this machine")
 
 
@@ -81,6 +84,16 @@ def trajectory(device: Any, actions: Array) -> list[BatchStep]:
     """Step through all rows of ``actions``. Works on a device and on an environment with ``step_batch``."""
     step: Callable[[Array], BatchStep] = getattr(device, "step_batch", None) or device.step
     return [step(row) for row in actions]
+
+
+def assert_same_step(ours: BatchStep, theirs: BatchStep, where: str = "") -> None:
+    """Compare everything that has a meaning, dtypes included."""
+    ended = theirs.terminations | theirs.truncations
+    for name in ("obs", "rewards", "terminations", "truncations"):
+        mine, other = getattr(ours, name), getattr(theirs, name)
+        assert mine.dtype == other.dtype, f"{where} {name}"
+        np.testing.assert_array_equal(mine, other, f"{where} {name}")
+    np.testing.assert_array_equal(ours.final_obs[ended], theirs.final_obs[ended], f"{where} final_obs")
 
 
 def assert_same_trajectory(first: list[BatchStep], second: list[BatchStep]) -> None:

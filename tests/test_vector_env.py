@@ -11,11 +11,10 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.wrappers import vector as wrappers
 
 import pearl_marl
-from pearl_marl.devices import BatchConfig
+from pearl_marl.devices import BatchConfig, Reference
 from pearl_marl.errors import ArgumentError, OrderError
 
 from .helpers import SIZE, Case
-from .reference import Reference
 
 
 def test_registered_with_gymnasium(case: Case) -> None:
@@ -72,7 +71,7 @@ def test_spaces_are_batches(case: Case) -> None:
 def test_disabled_mode(case: Case, copy: bool) -> None:
     """Where an episode ended, its last observation stays until the mask names that sub-environment."""
     env = case.vector(autoreset_mode="Disabled", max_cycles=7, copy=copy)
-    reference = Reference(BatchConfig(spec=case.spec, n_envs=SIZE, max_cycles=7))
+    reference = Reference().open(BatchConfig(spec=case.spec, n_envs=SIZE, max_cycles=7))
     np.testing.assert_array_equal(env.reset(seed=0)[0], reference.reset(seed=0))
     resets = 0
     for actions in case.actions(40):

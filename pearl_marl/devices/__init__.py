@@ -2,17 +2,23 @@
 
 ``"native"``
     The CPU: :class:`Native`.
+``"reference"``
+    The golden functions as they stand: :class:`Reference`, slow, for others to be held against.
+
+:class:`Lockstep` steps two of them as one and compares every word.
 """
 
 from __future__ import annotations
 
 from pearl_marl.devices.base import BatchConfig, BatchStep, Device
+from pearl_marl.devices.lockstep import Lockstep
 from pearl_marl.devices.native import Native
+from pearl_marl.devices.reference import Reference
 from pearl_marl.errors import ArgumentError
 
-__all__ = ["BatchConfig", "BatchStep", "Device", "Native", "make_device"]
+__all__ = ["BatchConfig", "BatchStep", "Device", "Lockstep", "Native", "Reference", "make_device"]
 
-_BY_NAME: dict[str, type[Device]] = {"native": Native}
+_BY_NAME: dict[str, type[Device]] = {"native": Native, "reference": Reference}
 
 
 def make_device(device: str | Device) -> Device:

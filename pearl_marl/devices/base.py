@@ -23,7 +23,7 @@ from gymnasium.vector import AutoresetMode
 
 from pearl_marl import rng, slot_memory
 from pearl_marl.actions import encode
-from pearl_marl.errors import ArgumentError, OrderError
+from pearl_marl.errors import ArgumentError, OrderError, PearlError
 from pearl_marl.saved_state import SavedState
 from pearl_marl.spec import EnvSpec, check_max_cycles
 
@@ -207,6 +207,7 @@ class Device(ABC):
                 raise ArgumentError("a seed restarts every slot, so it cannot come with a reset mask")
             if not self._ready:
                 raise OrderError("the first reset starts every slot: call reset() without a mask first")
+        before = self._seed, self._tick, self._ready
         if seed is not None:
             self._seed, self._tick = rng.seed_words(_checked_seed(seed)), 0
         elif not self._ready:
@@ -214,7 +215,11 @@ class Device(ABC):
         elif chosen is None:
             self._tick += 1  # or every reset would begin the same episodes
         self._ready = True
-        return self._reset(chosen)
+        try:
+            return self._reset(chosen)
+        except PearlError:
+            self._seed, self._tick, self._ready = before
+            raise
 
     def step(self, actions: npt.ArrayLike) -> BatchStep:
         """Step every slot once.
@@ -313,10 +318,15 @@ class Device(ABC):
         """
         self._check_idle("restore")
         saved.check(self.config.identity())
+        before = self._seed, self._tick, self._table, self._ready
         self._seed, self._tick = saved.seed, saved.tick
         self._table = np.array(saved.rewards, np.float32)
         self._ready = True
-        return self._write(saved.memory, saved.stored)
+        try:
+            return self._write(saved.memory, saved.stored)
+        except PearlError:
+            self._seed, self._tick, self._table, self._ready = before
+            raise
 
     def set_max_cycles(self, max_cycles: int | None) -> None:
         """Replace the time limit, from the next step on; see :class:`BatchConfig`.

@@ -5,11 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pearl_marl.devices import BatchConfig
+from pearl_marl.devices import BatchConfig, Reference
 from pearl_marl.errors import ActionError, OrderError
 
 from ..helpers import SIZE, Case
-from ..reference import Reference
 
 
 def habits(case: Case, steps: int) -> np.ndarray:
@@ -24,7 +23,7 @@ def habits(case: Case, steps: int) -> np.ndarray:
 def test_against_the_reference(case: Case, limit: int | None, as_dict: bool) -> None:
     env = case.parallel(autoreset=False, max_cycles=limit)
     config = BatchConfig(spec=case.spec, n_envs=SIZE, max_cycles=limit)
-    reference = Reference(config)
+    reference = Reference().open(config)
     for seed in (1, None):
         obs, _ = env.reset(seed=seed)
         np.testing.assert_array_equal(list(obs.values()), reference.reset(seed=seed))
