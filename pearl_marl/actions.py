@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from gymnasium.spaces import Discrete
-from numba import njit
 
+from pearl_marl.cache import compiled
 from pearl_marl.errors import ActionError
 
 
@@ -41,6 +41,8 @@ def encode(actions: Any, space: Discrete, target: npt.NDArray[Any], first_slot: 
         array = np.asarray(actions)
     except ValueError:  # a ragged list
         raise _refusal(actions, space, target, first_slot) from None
+    if not (array.flags.writeable and array.flags.aligned):
+        array = array.copy()  # to Numba each of these is another type, and another compilation
     if array.dtype is target.dtype and array.shape == target.shape and array.flags.c_contiguous:
         if _largest(array) >= space.n:
             raise _refusal(actions, space, target, first_slot)
@@ -63,12 +65,13 @@ def refuse_first(agents: Iterable[str], actions: Iterable[Any], space: Discrete)
     Where all are, their dtype is what was wrong, and the first stands for it.
     """
     pairs = list(zip(agents, actions, strict=True))
-    agent, action = next((pair for pair in pairs if _why_not(pair[1], space)), pairs[0])
-    why = _why_not(action, space) or "is not of an integer dtype"
+    agent, action = next((pair for pair in pairs if why_not(pair[1], space)), pairs[0])
+    why = why_not(action, space) or "is not of an integer dtype"
     return ActionError(f"{agent}: action {action!r} {why}; {_limits(space)}")
 
 
-def _why_not(action: Any, space: Discrete) -> str:
+def why_not(action: Any, space: Discrete) -> str:
+    """Return why one action is not in ``space``, in words; empty if it is."""
     if isinstance(action, (bool, np.bool_)) or not isinstance(action, (int, np.integer)):
         return "is no integer"
     return "" if 0 <= action < space.n else "is out of range"
@@ -94,7 +97,7 @@ def _refusal(actions: Any, space: Discrete, target: npt.NDArray[Any], first_slot
     return refuse_first((f"agent_{first_slot + i}" for i in range(len(target))), values, space)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _largest(source: Any) -> Any:
     """Return the largest number."""
     largest = source.dtype.type(0)
@@ -103,7 +106,7 @@ def _largest(source: Any) -> Any:
     return largest
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _narrow(source: Any, target: Any) -> Any:
     """Copy into a narrower array; return the largest number seen."""
     largest = source.dtype.type(0)

@@ -68,8 +68,9 @@ class _UnfilledAgentDict(AgentDict):
     __slots__ = ()
 
     def _fill(self) -> None:
-        self.__class__ = AgentDict  # type: ignore[assignment]
+        # The values first: another thread may look as soon as the class says that they are there.
         dict.update(self, zip(self._agents, self._values(self.array), strict=True))
+        self.__class__ = AgentDict  # type: ignore[assignment]
 
     def __len__(self) -> int:
         return len(self._agents)

@@ -14,11 +14,10 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
+
+from pearl_marl.cache import compiled
 
 Stream = npt.NDArray[np.uint8]
-
-_kernel: Callable[..., Any] = njit(cache=True, nogil=True)
 
 
 def stream_bytes(count: int, stride: int) -> int:
@@ -46,7 +45,7 @@ def pack(values: npt.NDArray[Any], bits: int, stream: Stream, stride: int, offse
     if bits == stride and bits in (1, 2, 4):
         _narrow_kernels(bits)[0](values.astype(np.uint8, copy=False), stream)
     elif bits == stride and bits in (8, 16, 32, 64):
-        stream[: len(values) * bits // 8] = values.astype(f"<u{bits // 8}", copy=False).view(np.uint8)
+        stream[: len(values) * bits // 8] = np.ascontiguousarray(values, f"<u{bits // 8}").view(np.uint8)
     else:
         _pack_any(values, bits, stream.view(np.uint64), stride, offset)
 
@@ -80,7 +79,7 @@ def _narrow_kernels(bits: int) -> tuple[Callable[..., None], Callable[..., None]
     per_byte = 8 // bits
     mask = np.uint8((1 << bits) - 1)
 
-    @_kernel
+    @compiled
     def pack_narrow(values: Any, stream: Any) -> None:
         whole = len(values) // per_byte
         for i in range(whole):
@@ -93,7 +92,7 @@ def _narrow_kernels(bits: int) -> tuple[Callable[..., None], Callable[..., None]
             kept = np.uint8(stream[whole] & np.uint8(~np.uint8(mask << shift)))
             stream[whole] = np.uint8(kept | np.uint8(np.uint8(values[i] & mask) << shift))
 
-    @_kernel
+    @compiled
     def unpack_narrow(stream: Any, out: Any) -> None:
         whole = len(out) // per_byte
         for i in range(whole):
@@ -106,7 +105,7 @@ def _narrow_kernels(bits: int) -> tuple[Callable[..., None], Callable[..., None]
     return pack_narrow, unpack_narrow
 
 
-@_kernel
+@compiled
 def _pack_any(values: Any, bits: int, words: Any, stride: int, offset: int) -> None:
     mask = np.uint64(0xFFFFFFFFFFFFFFFF) >> np.uint64(64 - bits)
     for i in range(len(values)):
@@ -119,7 +118,7 @@ def _pack_any(values: Any, bits: int, words: Any, stride: int, offset: int) -> N
             words[word + 1] = (words[word + 1] & ~(mask >> back)) | (value >> back)
 
 
-@_kernel
+@compiled
 def _unpack_any(words: Any, bits: int, out: Any, stride: int, offset: int, signed: bool) -> None:
     mask = np.uint64(0xFFFFFFFFFFFFFFFF) >> np.uint64(64 - bits)
     sign = np.uint64(1) << np.uint64(bits - 1)

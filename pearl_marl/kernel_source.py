@@ -55,7 +55,6 @@ def step(
     reset_tick = tick if next_step else tick + 1
     $reset_keys
     $reward_names
-    count = 0
     for b in range(lo, hi, $BLOCK):
         m = min($BLOCK, hi - b)
         slot_0 = first_slot + b
@@ -79,7 +78,7 @@ def step(
             for i in range(m):
                 T[i] = np.uint8(0) if resetting[i] else flag[i]
                 flag[i] = resetting[i]
-            $start_over_nested
+            $start_over
             for i in range(m):
                 flag[i] = T[i]
         else:
@@ -108,18 +107,14 @@ def step(
         any_ended = np.uint64(0)
         for i in range(flag_words.size):
             any_ended |= flag_words[i]
-        if any_ended:
+        if any_ended and not next_step:
+            F = final_observations[b : b + m]
             for i in range(m):
-                count += flag[i]
-            if not next_step:
-                F = final_observations[b : b + m]
-                for i in range(m):
-                    $copy_observation
-                $start_over
-                for i in range(m):
-                    E[i] = np.uint32(0) if flag[i] else E[i]
-                $observe
-    return count
+                $copy_observation
+            $start_over
+            for i in range(m):
+                E[i] = np.uint32(0) if flag[i] else E[i]
+            $observe
 
 
 @kernel
@@ -196,15 +191,16 @@ def kernel_source(spec: EnvSpec) -> str:
         scale = f" * np.{dtype}({2.0**-f.fraction!r})" if f.fraction else ""
         observe.append(f"    O[i{'' if discrete else f', {k}'}] = np.{dtype}(np.{f.dtype}(o{k})){scale}")
 
-    if spec.rewards is None:
+    categories = 0 if spec.rewards is None else 1 << spec.reward.bits
+    if not categories:
         scale = f" * np.float32({2.0**-spec.reward.fraction!r})" if spec.reward.fraction else ""
         reward = [f"R[i] = np.float32(code[i]){scale}"]
-    elif len(spec.rewards) <= 8:  # a chain of blends; beyond that a gather costs less
+    elif categories <= 8:  # a chain of blends; beyond that a gather costs less
         reward = ["r = reward_0"]
-        reward += [f"r = reward_{k} if code[i] == {k} else r" for k in range(1, len(spec.rewards))]
+        reward += [f"r = reward_{k} if code[i] == {k} else r" for k in range(1, categories)]
         reward += ["R[i] = r"]
     else:
-        reward = ["R[i] = table[code[i]]"]
+        reward = [f"R[i] = table[code[i] & {categories - 1}]"]
 
     def span(c: slot_memory.Column) -> str:
         return f"[p * {c.bytes_before} : p * {c.bytes_before + c.dtype.itemsize}].view(np.{c.dtype})"
@@ -232,7 +228,7 @@ def kernel_source(spec: EnvSpec) -> str:
         "step_keys": keys(step_draws, "tick"),
         "step_keys_fixed": ["seed_0 = seed_1 = 0", *keys(step_draws, "0")],
         "draw_for_step": draw(step_draws),
-        "reward_names": [f"reward_{k} = table[{k}]" for k in range(len(spec.rewards or ()))],
+        "reward_names": [f"reward_{k} = table[{k}]" for k in range(categories if categories <= 8 else 0)],
         "golden_step": [
             f"{new_state}, r, t = golden_step({step_arguments})",
             *(f"S{k}[i] = s{k}" for k in fields),
@@ -240,7 +236,6 @@ def kernel_source(spec: EnvSpec) -> str:
             "flag[i] = t",
         ],
         "start_over": start_over,
-        "start_over_nested": start_over,
         "observe": observe,
         "rewards": ["for i in range(m):", *(f"    {line}" for line in reward)],
         "copy_observation": ["F[i] = O[i]"] if discrete else [f"F[i, {k}] = O[i, {k}]" for k in observed],

@@ -8,7 +8,6 @@ nothing. ``PEARL_CACHE_DIR`` moves the folder.
 
 from __future__ import annotations
 
-import functools
 import hashlib
 import os
 import sys
@@ -21,9 +20,9 @@ from typing import Any, NamedTuple
 import llvmlite
 import numba
 import numpy as np
-import platformdirs
 
 from pearl_marl import rng
+from pearl_marl.cache import cache_folder
 from pearl_marl.golden import GoldenFunction
 from pearl_marl.kernel_source import kernel_source
 from pearl_marl.spec import EnvSpec, Golden
@@ -37,8 +36,7 @@ class Kernels(NamedTuple):
         observation of every slot of the range.
     ``step(memory, stored, actions, table, observations, rewards, terminations, truncations,
     final_observations, seed_0, seed_1, tick, first_slot, lo, hi, n, limit, next_step, use_stored)``
-        steps that range and returns how many of its slots ended. Without a ``limit`` it leaves
-        ``truncations`` alone; ``final_observations`` are written where a slot of the block ended.
+        steps that range. ``final_observations`` are written for a block in which a slot ended.
     ``advance(memory, actions, table, rewards, terminations, lo, hi, n)``
         does the golden step and the rewards alone, for benchmarks.
 
@@ -47,7 +45,7 @@ class Kernels(NamedTuple):
     """
 
     reset: Callable[..., None]
-    step: Callable[..., int]
+    step: Callable[..., None]
     advance: Callable[..., None]
     path: Path
 
@@ -60,12 +58,18 @@ def compile_kernels(spec: EnvSpec) -> Kernels:
         digest.update(version.encode())
     for function in (*spec.golden, rng.key, rng.draw):
         digest.update(_fingerprint(function))
-    return _load(f"{spec.name}_{digest.hexdigest()[:16]}", source, spec.golden)
+    name = f"{spec.name}_{digest.hexdigest()[:16]}"
+    if name not in _loaded:
+        _loaded[name] = _load(name, source, spec.golden)
+    return _loaded[name]
 
 
-@functools.lru_cache(maxsize=64)
+_loaded: dict[str, Kernels] = {}
+"""By name, which is a hash of all that a kernel depends on."""
+
+
 def _load(name: str, source: str, golden: Golden) -> Kernels:
-    path = cache_folder() / f"{name}.py"
+    path = cache_folder("kernels") / f"{name}.py"
     if not path.exists():
         # Written beside and renamed, so that another process never reads half a file.
         with tempfile.NamedTemporaryFile("w", dir=path.parent, suffix=".tmp", delete=False) as file:
@@ -85,18 +89,6 @@ def _load(name: str, source: str, golden: Golden) -> Kernels:
     )
     exec(compile(source, str(path), "exec"), vars(module))
     return Kernels(module.reset, module.step, module.advance, path)
-
-
-@functools.cache
-def cache_folder() -> Path:
-    """Return where kernels are kept; a temporary folder if the user's cache cannot be written."""
-    folder = Path(os.environ.get("PEARL_CACHE_DIR") or platformdirs.user_cache_dir("pearl_marl")) / "kernels"
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=folder):
-            return folder
-    except OSError:  # a read-only home costs a compilation in every process, and no more
-        return Path(tempfile.mkdtemp(prefix="pearl_marl_kernels_"))
 
 
 def _compiled(function: Any, done: dict[types.FunctionType, Any]) -> Any:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import inspect
 import re
 from collections.abc import Mapping
 from copy import deepcopy
@@ -13,9 +14,10 @@ import numpy as np
 import numpy.typing as npt
 import pettingzoo
 from gymnasium.spaces import Box, Space
-from pettingzoo.utils.conversions import parallel_to_aec, parallel_to_aec_wrapper
+from pettingzoo.utils.conversions import parallel_to_aec_wrapper
+from pettingzoo.utils.wrappers import OrderEnforcingWrapper
 
-from pearl_marl.actions import refuse_first
+from pearl_marl.actions import refuse_first, why_not
 from pearl_marl.agent_dict import AgentDict, ended_infos, python_values, scalars
 from pearl_marl.devices import BatchConfig, BatchStep, Device, make_device
 from pearl_marl.errors import ActionError, ArgumentError, OrderError
@@ -60,6 +62,7 @@ class PearlParallelEnv(pettingzoo.ParallelEnv):  # type: ignore[misc]
         self.render_mode = render_mode
         self.possible_agents = [f"agent_{i}" for i in range(config.n_envs)]
         self.agents: list[str] = []
+        self._agents: tuple[str, ...] = ()
         self.metadata = {
             "name": f"{re.sub(r'(?<=[a-z0-9])(?=[A-Z])', '_', spec.name).lower()}_v{spec.version}",
             "render_modes": list(spec.render_modes),
@@ -109,7 +112,7 @@ class PearlParallelEnv(pettingzoo.ParallelEnv):  # type: ignore[misc]
         """
         obs = self.reset_batch(seed)
         nobody = np.zeros(len(obs), np.bool_)
-        return AgentDict(self.possible_agents, obs, scalars), AgentDict(
+        return AgentDict(self._agents, obs, scalars), AgentDict(
             self.possible_agents, nobody, ended_infos(obs)
         )
 
@@ -141,7 +144,7 @@ class PearlParallelEnv(pettingzoo.ParallelEnv):  # type: ignore[misc]
         OrderError
             Before ``reset``, after ``close``, or once every agent has left.
         """
-        agents, live = self.agents, self._live
+        agents, live = self._agents, self._live
         given: Any = actions
         if isinstance(actions, Mapping) and self.device.ready:
             if not agents and not actions:  # PettingZoo's convention, which SuperSuit's black_death needs
@@ -177,7 +180,8 @@ class PearlParallelEnv(pettingzoo.ParallelEnv):  # type: ignore[misc]
         Returns
         -------
         :class:`pearl_marl.devices.BatchStep`, its rows in the order of ``possible_agents``. Without
-        autoreset, the slots of agents that left run on, and their rows have no meaning.
+        autoreset, the slots of agents that left run on, and their rows have no meaning; in the step in
+        which an agent ends, ``obs`` is already its slot's next start (``arrivals()`` is where it ended).
         """
         if not self.agents and self.device.ready:
             raise OrderError("step() with no agent left: every episode has ended, call reset() first")
@@ -251,6 +255,8 @@ class PearlParallelEnv(pettingzoo.ParallelEnv):  # type: ignore[misc]
                 f"render() without a render_mode: make the environment with one of {self.spec.render_modes}"
             )
         if agent is not None:
+            if agent in self._known and agent not in self._agents:
+                raise OrderError(f"render({agent!r}): its episode has ended, and it has left until reset()")
             if agent not in self._known:
                 raise ArgumentError(
                     f"there is no agent {agent!r}; agents are agent_0 to agent_{len(self._live) - 1}"
@@ -273,7 +279,9 @@ class PearlParallelEnv(pettingzoo.ParallelEnv):  # type: ignore[misc]
 
     def _set_live(self, live: npt.NDArray[np.bool_]) -> None:
         self._live = live
-        self.agents = [agent for agent, here in zip(self.possible_agents, live.tolist(), strict=True) if here]
+        # The dicts of a step keep this one, whatever is done to the public list meanwhile.
+        self._agents = tuple(a for a, here in zip(self.possible_agents, live.tolist(), strict=True) if here)
+        self.agents = list(self._agents)
 
     def _render_for_human(self) -> None:
         if self.render_mode == "human":
@@ -281,7 +289,10 @@ class PearlParallelEnv(pettingzoo.ParallelEnv):  # type: ignore[misc]
 
     def _without_left(self, actions: npt.ArrayLike) -> npt.ArrayLike:
         """Return actions with 0 where an agent has left: nobody looks at what was there."""
-        array = np.asarray(actions)
+        try:
+            array = np.asarray(actions)
+        except ValueError:  # a ragged list, for the device to refuse
+            return actions
         if array.shape != self._live.shape or array.dtype.kind not in "iu":
             return actions
         return np.where(self._live, array, 0)
@@ -357,7 +368,7 @@ def parallel_env(
     DeviceError
         The device is not available.
     """
-    spec = get_spec(env_id).with_options(**options)
+    spec = get_spec(env_id).with_options(inspect.signature(parallel_env).parameters, **options)
     if not isinstance(autoreset, bool):
         raise ArgumentError(f"autoreset is {autoreset!r}; it must be True or False")
     config = BatchConfig(
@@ -372,12 +383,24 @@ def raw_env(env_id: str, n_agents: int = 1, **arguments: Any) -> Any:
     Takes what :func:`parallel_env` takes but ``autoreset``: turn by turn, agents leave when their
     episode ends.
     """
-    return parallel_to_aec_wrapper(_strict(env_id, n_agents, arguments))
+    return _CheckedAEC(_strict(env_id, n_agents, arguments))
 
 
 def env(env_id: str, n_agents: int = 1, **arguments: Any) -> Any:
     """Make the AEC form; takes what :func:`raw_env` takes."""
-    return parallel_to_aec(_strict(env_id, n_agents, arguments))
+    return OrderEnforcingWrapper(_CheckedAEC(_strict(env_id, n_agents, arguments)))
+
+
+class _CheckedAEC(parallel_to_aec_wrapper):  # type: ignore[misc]
+    """PettingZoo's conversion, which by itself would notice a bad action only at the end of the round."""
+
+    def step(self, action: Any) -> None:
+        agent = self.agent_selection
+        if not (self.terminations[agent] or self.truncations[agent]):
+            space = self.env.unwrapped.spec.action_space
+            if why_not(action, space):
+                raise refuse_first([agent], [action], space)
+        super().step(action)
 
 
 def _strict(env_id: str, n_agents: int, arguments: dict[str, Any]) -> PearlParallelEnv:

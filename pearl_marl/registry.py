@@ -68,8 +68,8 @@ def register(spec: EnvSpec) -> None:
         raise ArgumentError(f"register() takes an EnvSpec, not {type(spec).__name__}")
     if _key(spec.name) in _specs():
         warnings.warn(f"environment {spec.name!r} was registered before and is replaced", stacklevel=2)
-    _specs()[_key(spec.name)] = spec
     register_elsewhere(spec)
+    _specs()[_key(spec.name)] = spec
 
 
 def register_elsewhere(spec: EnvSpec) -> None:

@@ -42,12 +42,7 @@ class OracleRenderer:
         Returns an image of shape ``(height, width, 3)``, a string, or ``None`` for ``"human"``.
         """
         self._pose(self._env, tuple(state.tolist()))
-        try:
-            return self._env.render()
-        except gymnasium.error.DependencyNotInstalled as error:
-            raise PearlError(
-                f"rendering needs another package ({error}): pip install 'pearl-marl[render]'"
-            ) from error
+        return self._env.render()
 
     def close(self) -> None:
         """Close the window, if there is one."""
@@ -89,11 +84,12 @@ class HeatMap:
         levels = np.ceil(scale / max(scale.max(), 1) * (len(_SHADES) - 1)).astype(int)
         return "\n".join("".join(_SHADES[level] * 2 for level in row) for row in levels)
 
-    def save(self, path: Path) -> None:
+    def save(self, path: str | Path) -> None:
         """Write the map as a picture. Needs matplotlib, of the ``render`` extra."""
         plt = import_pyplot()
         from matplotlib.colors import LogNorm
 
+        path = Path(path)
         rows, columns = self.counts.shape
         figure, axes = plt.subplots(figsize=(1 + 0.7 * columns, 1.2 + 0.7 * rows), layout="constrained")
         image = axes.imshow(np.where(self.counts, self.counts, np.nan), norm=LogNorm(vmin=1), cmap="viridis")

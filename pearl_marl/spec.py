@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import difflib
 import inspect
-from collections.abc import Callable, Mapping, Sequence
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -39,8 +40,10 @@ class Field:
     fraction: int = 0
 
     def __post_init__(self) -> None:
-        if not 1 <= self.bits <= 64:
-            raise ArgumentError(f"field {self.name!r} has {self.bits} bits; possible are 1 to 64")
+        if not isinstance(self.bits, int) or not 1 <= self.bits <= 64:
+            raise ArgumentError(f"field {self.name!r} has {self.bits!r} bits; possible are 1 to 64")
+        if not isinstance(self.fraction, int) or self.fraction < 0:
+            raise ArgumentError(f"field {self.name!r} has {self.fraction!r} fraction bits; 0 is the least")
 
     @property
     def dtype(self) -> np.dtype[Any]:
@@ -50,13 +53,15 @@ class Field:
 
     @property
     def low(self) -> float:
-        """The least value."""
-        return -(2.0 ** (self.bits - 1 - self.fraction)) if self.signed else 0.0
+        """The least value; an ``int`` where there is no fraction."""
+        word = -(1 << (self.bits - 1)) if self.signed else 0
+        return word * 2.0**-self.fraction if self.fraction else word
 
     @property
     def high(self) -> float:
-        """The greatest value."""
-        return ((1 << (self.bits - self.signed)) - 1) * 2.0**-self.fraction
+        """The greatest value; an ``int`` where there is no fraction."""
+        word = (1 << (self.bits - self.signed)) - 1
+        return word * 2.0**-self.fraction if self.fraction else word
 
 
 def word_bits(fields: Sequence[Field]) -> int:
@@ -171,6 +176,10 @@ class EnvSpec:
             raise ArgumentError(
                 f"{self.name}: {self.action_space} does not fit {self.action.bits} action bits"
             )
+        if not re.fullmatch(r"[A-Za-z][A-Za-z0-9]*", self.name):
+            raise ArgumentError(f"name {self.name!r}: it takes letters and digits, a letter first")
+        if self.rewards is not None and self.reward.bits > 16:
+            raise ArgumentError(f"{self.name}: a category of {self.reward.bits} bits; a table takes up to 16")
         if self.rewards is not None and len(self.rewards) > 1 << self.reward.bits:
             raise ArgumentError(
                 f"{self.name}: {len(self.rewards)} rewards do not fit {self.reward.bits} reward bits"
@@ -182,8 +191,15 @@ class EnvSpec:
         """The name with its version, as in ``"CliffWalking-v0"``."""
         return f"{self.name}-v{self.version}"
 
-    def with_options(self, **options: Any) -> EnvSpec:
+    def with_options(self, also: Iterable[str] = (), /, **options: Any) -> EnvSpec:
         """Return the spec of this environment under the given keyword arguments.
+
+        Parameters
+        ----------
+        also
+            Names that the caller takes himself, to be suggested where one of ``options`` is close to it.
+        **options
+            The environment's own arguments.
 
         Raises
         ------
@@ -195,13 +211,11 @@ class EnvSpec:
         known = list(inspect.signature(self.configure).parameters) if self.configure else []
         for name in options:
             if name not in known:
-                near = difflib.get_close_matches(name, known, n=1)
-                has = (
-                    f"{self.name} takes {', '.join(known)}" if known else f"{self.name} takes none of its own"
-                )
-                raise ArgumentError(
-                    f"unknown argument {name!r}{f', did you mean {near[0]!r}?' if near else ''} ({has})"
-                )
+                meant = {"num_envs": "n_agents", "n_envs": "n_agents", "n_agents": "num_envs"}.get(name, "")
+                near = [meant] if meant in also else difflib.get_close_matches(name, [*known, *also], n=1)
+                hint = f", did you mean {near[0]!r}?" if near else ""
+                own = f"{self.name}'s own arguments: {', '.join(known) or 'none'}"
+                raise ArgumentError(f"unknown argument {name!r}{hint} ({own})")
         assert self.configure is not None
         return self.configure(**{**self.options, **options})
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 from copy import deepcopy
 from typing import Any
 
@@ -21,8 +22,9 @@ Array = npt.NDArray[Any]
 class PearlVectorEnv(VectorEnv[Any, Any, Any]):
     """Many slots of one environment as a ``gymnasium.vector.VectorEnv``.
 
-    Make one with :func:`make_vec`. It does in each autoreset mode what Gymnasium's own
-    ``SyncVectorEnv`` does, and rewards are ``float32``.
+    Make one with :func:`make_vec`. In each autoreset mode it returns what Gymnasium's own
+    ``SyncVectorEnv`` returns, with these differences: rewards are ``float32``, one seed serves the
+    whole batch, and ``infos`` hold nothing but final observations.
 
     ``SAME_STEP``
         Where a sub-environment ended, ``obs`` is the first observation of its next episode, and
@@ -83,6 +85,8 @@ class PearlVectorEnv(VectorEnv[Any, Any, Any]):
         if mask is not None and not (mask := np.asarray(mask)).any():
             raise ArgumentError("reset_mask resets nothing: at least one element must be True")
         obs = self.device.reset(seed, mask)
+        if seed is not None:
+            self._np_random_seed = int(seed)
         if self._mode is AutoresetMode.DISABLED:
             if mask is None:
                 self._waiting[:] = False
@@ -172,10 +176,9 @@ def make_vec(
     try:
         mode = AutoresetMode(autoreset_mode)
     except ValueError:
-        raise ArgumentError(
-            f"autoreset_mode is {autoreset_mode!r}; possible are {', '.join(map(str, AutoresetMode))}"
-        ) from None
-    spec = get_spec(env_id).with_options(**options)
+        possible = ", ".join(repr(mode.value) for mode in AutoresetMode)
+        raise ArgumentError(f"autoreset_mode is {autoreset_mode!r}; possible are {possible}") from None
+    spec = get_spec(env_id).with_options(inspect.signature(make_vec).parameters, **options)
     config = BatchConfig(
         spec=spec,
         n_envs=num_envs,

@@ -214,7 +214,7 @@ MAKE = [
         lambda f: f("CliffWalking", 2, wings=2),
         ArgumentError,
         "'wings'",
-        "takes is_slippery",
+        "own arguments: is_slippery",
     ),
     refused("option value", lambda f: f("CliffWalking", 2, is_slippery=1), ArgumentError, "is_slippery is 1"),
     refused("device", lambda f: f("CliffWalking", 2, device="gpu"), ArgumentError, "'gpu'", "'native'"),

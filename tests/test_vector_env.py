@@ -51,7 +51,7 @@ def test_modes_by_object_and_name(mode: Any) -> None:
 
 
 def test_unknown_mode() -> None:
-    with pytest.raises(ArgumentError, match=r"'sometimes'.*NEXT_STEP"):
+    with pytest.raises(ArgumentError, match=r"'sometimes'.*'NextStep'"):
         pearl_marl.make_vec("CliffWalking", 2, autoreset_mode="sometimes")
 
 

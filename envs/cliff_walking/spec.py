@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
 from gymnasium import Env
 from gymnasium.spaces import Discrete
 
@@ -52,7 +53,7 @@ def configure(is_slippery: bool = False) -> EnvSpec:
         oracle="CliffWalking-v1",
         pose=pose,
         render_modes=("human", "rgb_array", "ansi"),
-        grid=Grid(ROWS, COLUMNS, cell=lambda observations: observations),
+        grid=Grid(ROWS, COLUMNS, cell=np.asarray),
     )
 
 

@@ -18,13 +18,12 @@ from pearl_marl.cli.common import (
     Out,
     console,
     duration,
-    env_options,
     print_json,
     progress,
     rate,
+    spec_of,
     write_json,
 )
-from pearl_marl.registry import get_spec
 
 Rounds = Annotated[
     int, typer.Option("--rounds", min=1, help="How often each contender is timed; the median counts.")
@@ -33,7 +32,7 @@ Seconds = Annotated[float, typer.Option("--seconds", min=0.0, help="About how lo
 
 
 def command(
-    env_id: EnvName,
+    env_id: EnvName = "CliffWalking",
     n_agents: Agents = 43008,
     rounds: Rounds = 7,
     seconds: Seconds = 0.2,
@@ -42,7 +41,7 @@ def command(
     as_json: AsJson = False,
 ) -> None:
     """Measure steps per second against Gymnasium's vector environments and EnvPool."""
-    spec = get_spec(env_id).with_options(**env_options(option))
+    spec = spec_of(env_id, option)
     rows = contenders(spec, n_agents)
     small = [c for c in contenders(spec, 1) if c.ours and c.name in ("kernel only", "step_batch, copy=False")]
     everyone = rows + small

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import ast
+import contextlib
 import json
 from collections.abc import Iterable, Iterator
 from pathlib import Path
@@ -10,6 +12,10 @@ from typing import Annotated, Any, TypeVar
 import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+from pearl_marl.errors import ArgumentError
+from pearl_marl.registry import get_spec
+from pearl_marl.spec import EnvSpec
 
 T = TypeVar("T")
 
@@ -30,17 +36,35 @@ Options = Annotated[
 
 
 def env_options(pairs: Iterable[str] | None) -> dict[str, Any]:
-    """Turn ``["is_slippery=true"]`` into keyword arguments; values are JSON, or else strings."""
+    """Turn ``["is_slippery=true"]`` into keyword arguments; values are JSON, Python's, or strings."""
     result = {}
     for pair in pairs or ():
         name, equals, value = pair.partition("=")
         if not equals:
             raise typer.BadParameter(f"{pair!r} is not NAME=VALUE", param_hint="--option")
-        try:
-            result[name.replace("-", "_")] = json.loads(value)
-        except json.JSONDecodeError:
-            result[name.replace("-", "_")] = value
+        result[name.replace("-", "_")] = _literal(value)
     return result
+
+
+def _literal(text: str) -> Any:
+    for read in (json.loads, ast.literal_eval):
+        with contextlib.suppress(ValueError, SyntaxError):
+            return read(text)
+    return text
+
+
+def spec_of(env_id: str, options: Iterable[str] | None) -> EnvSpec:
+    """Return the spec that a command is about; ``options`` can only be the environment's own arguments."""
+    return get_spec(env_id).with_options(**env_options(options))
+
+
+def out_folder(folder: Path) -> Path:
+    """Make the ``--out`` folder, before the work whose results go there."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ArgumentError(f"--out {folder} is no folder that can be written: {error.strerror}") from None
+    return folder
 
 
 def progress(items: Iterable[T], total: int, label: str) -> Iterator[T]:
@@ -57,8 +81,7 @@ def print_json(value: Any) -> None:
 
 def write_json(folder: Path, name: str, value: Any) -> Path:
     """Write a result into the ``--out`` folder; return its path."""
-    folder.mkdir(parents=True, exist_ok=True)
-    path = folder / name
+    path = out_folder(folder) / name
     path.write_text(json.dumps(value, indent=2) + "\n")
     return path
 

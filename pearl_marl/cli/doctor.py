@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import importlib.util
-import os
 import platform
 import shutil
 import sys
-import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
@@ -16,8 +14,8 @@ from rich.markup import escape
 from rich.table import Table
 
 from pearl_marl.benchmark import machine
+from pearl_marl.cache import cache_folder
 from pearl_marl.cli.common import AsJson, console, print_json
-from pearl_marl.kernels import cache_folder
 
 Check = tuple[bool, str, str]
 """Whether it is fine, what was found, and what to do if it is not."""
@@ -60,13 +58,10 @@ def _native() -> Check:
 
 
 def _cache() -> Check:
-    folder = cache_folder()
-    kept = not folder.is_relative_to(tempfile.gettempdir()) or "PEARL_CACHE_DIR" in os.environ
-    return (
-        kept,
-        str(folder),
-        "kernels are compiled in every process: make the cache folder writable, or set PEARL_CACHE_DIR",
-    )
+    folder = cache_folder("kernels")
+    kept = not folder.name.startswith("pearl_marl_")  # the name of a temporary one
+    mend = "kernels are compiled in every process: make the cache folder writable, or set PEARL_CACHE_DIR"
+    return kept, str(folder), mend
 
 
 def _package(extra: str, *modules: str) -> Callable[[], Check]:

@@ -24,11 +24,12 @@ from pearl_marl.cli.common import (
     Steps,
     console,
     duration,
-    env_options,
     error_console,
+    out_folder,
     print_json,
     progress,
     rate,
+    spec_of,
     write_json,
 )
 from pearl_marl.episodes import EpisodeStatistics
@@ -60,9 +61,10 @@ def command(
     """Step every agent with random (or given) actions: throughput and episode statistics."""
     if steps < 1:
         raise ArgumentError(f"--steps is {steps}; it must be at least 1")
-    env = parallel_env(
-        env_id, n_agents, device=device, max_cycles=max_cycles, copy=False, **env_options(option)
-    )
+    options = spec_of(env_id, option).options
+    if out is not None:
+        out_folder(out)
+    env = parallel_env(env_id, n_agents, device=device, max_cycles=max_cycles, copy=False, **options)
     batches = _random(env, n_agents, steps, seed) if actions is None else _given(actions, n_agents, steps)
     statistics = EpisodeStatistics(n_agents)
     heat_map = HeatMap(env.spec) if env.spec.grid else None
@@ -126,6 +128,8 @@ def _given(path: Path, n: int, steps: int) -> Iterator[npt.NDArray[Any]]:
         batches = np.load(path, mmap_mode="r")
     except (OSError, ValueError) as error:
         raise ArgumentError(f"--actions {path} is no readable .npy file: {error}") from None
+    if not isinstance(batches, np.ndarray):
+        raise ArgumentError(f"--actions {path} holds several arrays; it must be a .npy file of one")
     if batches.ndim != 2 or batches.shape[1] != n or len(batches) < steps:
         raise ArgumentError(f"--actions {path} has shape {batches.shape}; {steps} steps need ({steps}, {n})")
     return iter(batches[:steps])

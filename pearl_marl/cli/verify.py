@@ -20,14 +20,13 @@ from pearl_marl.cli.common import (
     Out,
     Seed,
     console,
-    env_options,
     error_console,
     print_json,
     progress,
+    spec_of,
 )
 from pearl_marl.devices import Lockstep
 from pearl_marl.errors import ArgumentError, DeviceError, LockstepError
-from pearl_marl.registry import get_spec
 from pearl_marl.replay import Replay
 from pearl_marl.verification import Run, runs, verify
 
@@ -98,7 +97,7 @@ def command(
     if subject.endswith(".json") or Path(subject).is_file():
         _replay(Replay.read(Path(subject)), device, reference, as_json)
         return
-    spec = get_spec(subject).with_options(**env_options(option))
+    spec = spec_of(subject, option)
     mode = None if autoreset_mode is None else AutoresetMode[autoreset_mode.name]
     plan = runs(spec, n_agents, steps, mode, initial_states and initial_states.value, max_cycles)
     device, reference = device or "native", reference or "reference"

@@ -25,6 +25,8 @@ def make_device(device: str | Device) -> Device:
     """Return the device of that name, or the configured device that was given."""
     if isinstance(device, Device):
         return device
+    if isinstance(device, type) and issubclass(device, Device):
+        raise ArgumentError(f"device is the class {device.__name__}; call it: {device.__name__}()")
     if not isinstance(device, str) or device not in _BY_NAME:
         raise ArgumentError(
             f"there is no device {device!r}; possible are {', '.join(map(repr, _BY_NAME))} "

@@ -11,6 +11,7 @@ and ``recv``); a subclass moves the slots.
 from __future__ import annotations
 
 import operator
+import os
 import secrets
 from abc import ABC, abstractmethod
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -23,7 +24,7 @@ from gymnasium.vector import AutoresetMode
 
 from pearl_marl import rng, slot_memory
 from pearl_marl.actions import encode
-from pearl_marl.errors import ArgumentError, OrderError, PearlError
+from pearl_marl.errors import ArgumentError, OrderError
 from pearl_marl.saved_state import SavedState
 from pearl_marl.spec import EnvSpec, check_max_cycles
 
@@ -113,6 +114,11 @@ class BatchConfig:
             raise ArgumentError(
                 f"initial_states is {self.initial_states!r}; possible are 'random' and 'stored'"
             )
+        if not isinstance(self.copy, bool):
+            raise ArgumentError(f"copy is {self.copy!r}; it must be True or False")
+        # A NumPy integer would wrap around where sizes in bytes are computed from it.
+        object.__setattr__(self, "n_envs", int(n))
+        object.__setattr__(self, "first_slot", int(first))
 
     @property
     def limit(self) -> int:
@@ -124,18 +130,19 @@ class BatchConfig:
         return {
             "environment": self.spec.id,
             "options": dict(self.spec.options),
-            "n_agents": int(self.n_envs),
+            "n_agents": self.n_envs,
             "autoreset_mode": self.autoreset_mode.value,
             "max_cycles": self.limit,
             "initial_states": self.initial_states,
-            "first_slot": int(self.first_slot),
+            "first_slot": self.first_slot,
         }
 
 
 class Device(ABC):
     """A place where slots are stepped. Usable on its own, or given to an environment as ``device=``.
 
-    One object serves one batch: :meth:`open` it once, :meth:`close` it at the end.
+    One object serves one batch: :meth:`open` it once, :meth:`close` it at the end. It is not to be
+    used from two threads at the same time.
     """
 
     name: str
@@ -164,6 +171,7 @@ class Device(ABC):
         """
         if self._closed or hasattr(self, "config"):
             raise OrderError(f"this {self.name} device has been opened before; make another one")
+        self._settings = dict(self.__dict__)
         table = _reward_table(config.spec, config.spec.rewards if rewards is None else rewards)
         self._open(config)
         self.config = config
@@ -172,6 +180,7 @@ class Device(ABC):
         self._tick = 0
         self._actions = np.empty(config.n_envs, config.spec.action.dtype)
         self._worker: ThreadPoolExecutor | None = None
+        self._worker_pid = 0
         self._pending: Future[BatchStep] | None = None
         return self
 
@@ -217,7 +226,7 @@ class Device(ABC):
         self._ready = True
         try:
             return self._reset(chosen)
-        except PearlError:
+        except BaseException:
             self._seed, self._tick, self._ready = before
             raise
 
@@ -250,7 +259,8 @@ class Device(ABC):
         encoded = encode(actions, config.spec.action_space, self._actions, config.first_slot)
         if encoded is not self._actions:
             self._actions[:] = encoded  # the caller may change his before the step is done
-        if self._worker is None:
+        if self._worker is None or self._worker_pid != os.getpid():  # threads do not survive a fork
+            self._worker_pid = os.getpid()
             self._worker = ThreadPoolExecutor(1, thread_name_prefix=f"pearl-{self.name}")
         self._pending = self._worker.submit(self._step, self._actions)
 
@@ -278,7 +288,8 @@ class Device(ABC):
     @property
     def rewards(self) -> Array:
         """The reward table in use, ``float32``; empty where rewards are not categories."""
-        return self._table.copy()
+        self._check_idle("rewards")
+        return self._table[: len(self.config.spec.rewards or ())].copy()
 
     @property
     def ready(self) -> bool:
@@ -302,7 +313,7 @@ class Device(ABC):
             identity=self.config.identity(),
             seed=self._seed,
             tick=self._tick,
-            rewards=tuple(self._table.tolist()),
+            rewards=tuple(self.rewards.tolist()),
             memory=memory.copy(),
             stored=stored.copy(),
             live=memory[:0],
@@ -320,11 +331,11 @@ class Device(ABC):
         saved.check(self.config.identity())
         before = self._seed, self._tick, self._table, self._ready
         self._seed, self._tick = saved.seed, saved.tick
-        self._table = np.array(saved.rewards, np.float32)
+        self._table = _padded(self.config.spec, saved.rewards)
         self._ready = True
         try:
             return self._write(saved.memory, saved.stored)
-        except PearlError:
+        except BaseException:
             self._seed, self._tick, self._table, self._ready = before
             raise
 
@@ -363,6 +374,22 @@ class Device(ABC):
         if self._pending is not None:
             raise OrderError(f"{call}() between send() and recv(): call recv() first")
 
+    def __getstate__(self) -> dict[str, Any]:
+        # A copy is a device of its own that goes on from here: threads, buffers and compiled code stay.
+        if not hasattr(self, "config"):
+            return {"settings": self.__dict__}
+        saved = self.snapshot() if self._ready else None
+        return {"settings": self._settings, "config": self.config, "rewards": self._table, "saved": saved}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state["settings"])
+        if "config" in state:
+            config = state["config"]
+            categories = config.spec.rewards
+            self.open(config, None if categories is None else state["rewards"][: len(categories)])
+            if state["saved"] is not None:
+                self.restore(state["saved"])
+
     @abstractmethod
     def _open(self, config: BatchConfig) -> None:
         """Get ready to step the slots of ``config``, or raise DeviceError."""
@@ -393,8 +420,8 @@ def _checked_seed(seed: Any) -> int:
         value = operator.index(seed)
     except TypeError:
         raise ArgumentError(f"seed is {seed!r}; it must be a non-negative integer or None") from None
-    if value < 0:
-        raise ArgumentError(f"seed is {seed}; it must not be negative")
+    if value < 0 or isinstance(seed, bool):
+        raise ArgumentError(f"seed is {seed!r}; it must be a non-negative integer or None")
     return value
 
 
@@ -406,7 +433,10 @@ def _reward_table(spec: EnvSpec, table: npt.ArrayLike | None) -> npt.NDArray[np.
     try:
         with np.errstate(over="ignore"):  # infinite then, and refused below
             array = np.array(table, np.float32)
-    except (TypeError, ValueError):
+            numbers = np.asarray(table).dtype.kind in "iuf"
+    except (TypeError, ValueError, OverflowError):
+        numbers = False
+    if not numbers:
         raise ArgumentError(f"rewards are {table!r}; {spec.name} takes {len(spec.rewards)} numbers") from None
     if array.shape != (len(spec.rewards),):
         raise ArgumentError(
@@ -415,4 +445,13 @@ def _reward_table(spec: EnvSpec, table: npt.ArrayLike | None) -> npt.NDArray[np.
         )
     if not np.isfinite(array).all():
         raise ArgumentError(f"rewards are {array.tolist()}; each must be a finite float32")
-    return array
+    return _padded(spec, array)
+
+
+def _padded(spec: EnvSpec, table: npt.ArrayLike) -> npt.NDArray[np.float32]:
+    """Return a table with an entry for every word of the reward field: NaN for those that mean nothing."""
+    if spec.rewards is None:
+        return np.empty(0, np.float32)
+    padded = np.full(1 << spec.reward.bits, np.nan, np.float32)
+    padded[: len(spec.rewards)] = table
+    return padded

@@ -129,7 +129,7 @@ class Lockstep(Device):
             identity=self.config.identity(),
             seed=self._seed,
             tick=self._tick,
-            rewards=tuple(self._table.tolist()),
+            rewards=tuple(self.rewards.tolist()),
             memory=memory,
             stored=stored,
             live=memory[:0],

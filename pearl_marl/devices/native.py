@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import os
+import statistics
 import time
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
@@ -20,10 +21,13 @@ from pearl_marl.kernel_source import BLOCK
 from pearl_marl.kernels import compile_kernels
 
 SLOW_STEP_SECONDS = 300e-6
-"""From here on a second thread pays: handing it work and waiting for it costs about 50 us."""
+"""From here on a second thread can pay: handing it work and waiting for it costs about 50 us."""
 
-SLOW_STEPS_TO_SWITCH = 5
-"""In a row: a single one may only have been interrupted."""
+SECONDS_PER_THREAD = 150e-6
+"""The least work a thread is taken for."""
+
+TRIAL_STEPS = 5
+"""Steps in a row that decide: a single one may only have been interrupted."""
 
 
 class Native(Device):
@@ -32,16 +36,20 @@ class Native(Device):
     Parameters
     ----------
     threads
-        How many threads share a step. ``None`` starts with one and takes all the cores this
-        process may use once steps prove long enough to pay for it. Results are the same.
+        How many threads share a step. ``None`` starts with one, takes more once steps prove long
+        enough, and gives them up again if they do not help. Results are the same.
     """
 
     name = "native"
 
     def __init__(self, threads: int | None = None) -> None:
-        if threads is not None and (isinstance(threads, bool) or not isinstance(threads, int) or threads < 1):
+        integer = isinstance(threads, (int, np.integer)) and not isinstance(threads, bool)
+        if threads is not None and not (integer and threads >= 1):
             raise ArgumentError(f"threads is {threads!r}; it must be a positive integer or None")
-        self._asked = threads
+        self._threads = int(threads or 1)
+        self._tuning = threads is None and _cores() > 1
+        self._recent: list[float] = []
+        self._alone = 0.0
 
     def _open(self, config: BatchConfig) -> None:
         spec, n = config.spec, config.n_envs
@@ -51,9 +59,8 @@ class Native(Device):
         self._stored = slot_memory.allocate(spec, n) if config.initial_states == "stored" else self._memory
         self._next_step = config.autoreset_mode is AutoresetMode.NEXT_STEP
         self._results = ResultArrays(config)
-        self._threads = self._asked or 1
-        self._slow_steps = 0
         self._pool: ThreadPoolExecutor | None = None
+        self._pool_process = 0
 
     def _ranges(self) -> list[tuple[int, int]]:
         """Split the slots at block boundaries into as many ranges as there are threads."""
@@ -70,7 +77,8 @@ class Native(Device):
             kernel(*before, 0, n, n, *after)
             return
         first, *others = self._ranges()
-        if self._pool is None:
+        if self._pool is None or self._pool_process != os.getpid():  # threads do not survive a fork
+            self._pool_process = os.getpid()
             self._pool = ThreadPoolExecutor(self._threads - 1, thread_name_prefix="pearl-native")
         tasks = [self._pool.submit(partial(kernel, *before, lo, hi, n, *after)) for lo, hi in others]
         kernel(*before, *first, n, *after)
@@ -110,11 +118,25 @@ class Native(Device):
             ),
             (config.limit, self._next_step, stored is not self._memory),
         )
-        if self._asked is None and self._threads == 1:
-            self._slow_steps = self._slow_steps + 1 if time.perf_counter() - began > SLOW_STEP_SECONDS else 0
-            if self._slow_steps == SLOW_STEPS_TO_SWITCH:
-                self._threads = len(os.sched_getaffinity(0))
+        if self._tuning:
+            self._tune(time.perf_counter() - began)
         return results
+
+    def _tune(self, seconds: float) -> None:
+        """Learn from one step's time: take more threads for long steps, keep them if they help."""
+        self._recent.append(seconds)
+        if self._threads == 1 and seconds < SLOW_STEP_SECONDS:
+            self._recent.clear()
+        if len(self._recent) < TRIAL_STEPS:
+            return
+        typical = statistics.median(self._recent)
+        self._recent.clear()
+        if self._threads == 1:
+            self._alone = typical
+            self._threads = min(_cores(), max(2, round(typical / SECONDS_PER_THREAD)))
+        else:
+            self._threads = self._threads if typical < self._alone else 1
+            self._tuning = False
 
     def _read(self) -> tuple[Array, Array]:
         return self._memory, self._stored if self._stored is not self._memory else self._memory[:0]
@@ -128,3 +150,8 @@ class Native(Device):
     def _close(self) -> None:
         if self._pool is not None:
             self._pool.shutdown(wait=True)
+
+
+def _cores() -> int:
+    """Return how many cores this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -1,0 +1,42 @@
+"""The user's cache folder: compiled kernels and simulated devices are kept there between runs.
+
+``PEARL_CACHE_DIR`` moves it.
+"""
+
+from __future__ import annotations
+
+import atexit
+import functools
+import os
+import shutil
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import platformdirs
+from numba import njit
+
+
+@functools.cache
+def cache_folder(name: str) -> Path:
+    """Return the folder of that name in the cache; a temporary one if the cache cannot be written."""
+    folder = Path(os.environ.get("PEARL_CACHE_DIR") or platformdirs.user_cache_dir("pearl_marl")) / name
+    folder = folder.expanduser().resolve()
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            return folder
+    except OSError:  # what is made is made again in every process, and no harm done
+        temporary = Path(tempfile.mkdtemp(prefix=f"pearl_marl_{name}_"))
+        atexit.register(shutil.rmtree, temporary, ignore_errors=True)
+        return temporary
+
+
+def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Compile a function of this package with Numba, and keep the result where Numba can."""
+    try:
+        result: Callable[..., Any] = njit(cache=True, nogil=True)(function)
+    except RuntimeError:  # neither the package nor the home folder can be written
+        result = njit(nogil=True)(function)
+    return result

@@ -1,0 +1,127 @@
+"""What only the native device has: threads, its use of memory, and copies of it."""
+
+from __future__ import annotations
+
+import copy
+import multiprocessing
+import pickle
+from typing import Any
+
+import numpy as np
+import pytest
+
+import pearl_marl
+from pearl_marl.devices import BatchConfig, Native, native
+from pearl_marl.errors import ActionError, OrderError
+
+from ..helpers import assert_same_trajectory, trajectory
+
+SPEC = pearl_marl.get_spec("CliffWalking")
+N = 5000
+
+
+def opened(device: Native | None = None, n: Any = N, **config: Any) -> Native:
+    return (device or Native()).open(BatchConfig(spec=SPEC, n_envs=n, **config))
+
+
+def actions(steps: int, n: int = N) -> np.ndarray[Any, Any]:
+    return np.random.default_rng(0).integers(0, 4, (steps, n), np.uint8)
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.int8, np.uint16, np.int64])
+def test_sizes_may_be_numpy_integers(dtype: Any) -> None:
+    """Sizes in bytes computed in such a type would wrap around."""
+    device, plain = opened(n=dtype(100)), opened(n=100)
+    assert (device.reset(seed=1) == plain.reset(seed=1)).all()
+    assert_same_trajectory(trajectory(device, actions(5, 100)), trajectory(plain, actions(5, 100)))
+
+
+@pytest.mark.parametrize("spoil", ["read-only", "unaligned", "strided"])
+def test_unusual_actions_compile_nothing(spoil: str) -> None:
+    device = opened()
+    device.reset(seed=0)
+    given = actions(1)[0].astype(np.int32)
+    device.step(given)
+    compiled = len(device._kernels.step.signatures)
+    if spoil == "read-only":
+        given = given.astype(np.uint8)
+        given.flags.writeable = False
+    elif spoil == "unaligned":
+        given = np.frombuffer(b"x" + given.tobytes(), np.int32, offset=1)
+    else:
+        given = np.repeat(given, 2)[::2]
+    device.step(given)
+    assert len(device._kernels.step.signatures) == compiled
+
+
+def test_threads_that_do_not_help_are_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(native, "_cores", lambda: 8)
+    device = opened()
+    took = []
+    for seconds in [1e-3] * native.TRIAL_STEPS + [2e-3] * native.TRIAL_STEPS + [1e-3] * 20:
+        if device._tuning:
+            device._tune(seconds)
+        took.append(device._threads)
+    assert took[native.TRIAL_STEPS] == 7
+    assert took[-1] == 1
+
+
+def test_threads_that_help_are_kept_and_short_steps_want_none(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(native, "_cores", lambda: 2)
+    device = opened()
+    for seconds in [1e-3, 1e-3, 1e-5] * native.TRIAL_STEPS:  # interrupted now and then, but short
+        device._tune(seconds)
+    assert device._threads == 1
+    for seconds in [1e-3] * native.TRIAL_STEPS + [6e-4] * native.TRIAL_STEPS:
+        device._tune(seconds)
+    assert (device._threads, device._tuning) == (2, False)
+
+
+def _steps_in_a_child(device: Native, queue: Any) -> None:
+    queue.put(device.step(actions(1)[0]).obs.sum())
+
+
+def test_a_forked_child_can_step() -> None:
+    """Threads do not survive a fork, so the child has to start its own."""
+    device = opened(Native(threads=2))
+    device.reset(seed=0)
+    device.step(actions(1)[0])
+    context = multiprocessing.get_context("fork")
+    queue = context.Queue()
+    child = context.Process(target=_steps_in_a_child, args=(device, queue), daemon=True)
+    child.start()
+    assert queue.get(timeout=30) == device.step(actions(1)[0]).obs.sum()
+    child.join()
+
+
+@pytest.mark.parametrize("duplicate", [copy.deepcopy, lambda device: pickle.loads(pickle.dumps(device))])
+@pytest.mark.parametrize("initial_states", ["random", "stored"])
+def test_a_copy_goes_on_by_itself(duplicate: Any, initial_states: str) -> None:
+    device = opened(Native(threads=2), initial_states=initial_states)
+    device.reset(seed=3)
+    device.set_rewards([1, 2])
+    trajectory(device, actions(3))
+    other = duplicate(device)
+    assert_same_trajectory(trajectory(device, actions(4)), trajectory(other, actions(4)))
+    assert other.rewards.tolist() == [1, 2]
+
+
+def test_no_copy_between_send_and_recv() -> None:
+    device = opened()
+    device.reset(seed=0)
+    device.send(actions(1)[0])
+    with pytest.raises(OrderError, match="recv"):
+        copy.deepcopy(device)
+    device.recv()
+
+
+def test_a_bad_action_of_the_aec_form_can_be_mended() -> None:
+    """PettingZoo's conversion alone would keep it until the end of the round, and be stuck there."""
+    env = pearl_marl.env("CliffWalking", 2)
+    env.reset(seed=0)
+    with pytest.raises(ActionError, match=r"agent_0: action 9"):
+        env.step(9)
+    assert env.agent_selection == "agent_0"
+    env.step(0)
+    env.step(1)
+    assert env.observe("agent_0") == 24
