@@ -242,68 +242,46 @@ module pearl_backbone
   logic issue, issue_last;
   logic [GROUP_BITS-1:0] issue_group;
   logic [31:0] issue_slot;
-  logic actions_valid, resets_valid, actions_re, resets_re;
-  logic [index_bits(ACTION_WORDS)-1:0] actions_raddr;
-  logic [index_bits(MASK_WORDS)-1:0] resets_raddr;
+  logic actions_valid, resets_valid;
   logic [PE_NUM-1:0][ACTION_BITS-1:0] actions;
   logic [PE_NUM-1:0] resets;
 
-  pearl_ram #(
-      .WIDTH(DATA_WL),
-      .DEPTH(ACTION_WORDS)
-  ) u_actions (
-      .clk_i,
-      .we_i   (host_we[Actions]),
-      .waddr_i(host_index[index_bits(ACTION_WORDS)-1:0]),
-      .wdata_i(host_wdata),
-      .re_i   (busy ? actions_re : host_re[Actions]),
-      .raddr_i(busy ? actions_raddr : host_index[index_bits(ACTION_WORDS)-1:0]),
-      .rdata_o(host_rdata[Actions])
-  );
-
-  pearl_unpacker #(
+  pearl_input_bank #(
       .ROW_BITS(PE_NUM * ACTION_BITS),
       .DATA_WL (DATA_WL),
       .WORDS   (ACTION_WORDS)
-  ) u_unpack_actions (
+  ) u_actions (
       .clk_i,
       .rst_ni,
-      .start_i(start),
-      .re_o   (actions_re),
-      .raddr_o(actions_raddr),
-      .rdata_i(host_rdata[Actions]),
-      .valid_o(actions_valid),
-      .row_o  (actions),
-      .take_i (issue)
+      .busy_i      (busy),
+      .start_i     (start),
+      .valid_o     (actions_valid),
+      .row_o       (actions),
+      .take_i      (issue),
+      .host_re_i   (host_re[Actions]),
+      .host_we_i   (host_we[Actions]),
+      .host_addr_i (host_index[index_bits(ACTION_WORDS)-1:0]),
+      .host_wdata_i(host_wdata),
+      .host_rdata_o(host_rdata[Actions])
   );
 
-  pearl_ram #(
-      .WIDTH(DATA_WL),
-      .DEPTH(MASK_WORDS)
-  ) u_reset_mask (
-      .clk_i,
-      .we_i   (host_we[ResetMask]),
-      .waddr_i(host_index[index_bits(MASK_WORDS)-1:0]),
-      .wdata_i(host_wdata),
-      .re_i   (busy ? resets_re : host_re[ResetMask]),
-      .raddr_i(busy ? resets_raddr : host_index[index_bits(MASK_WORDS)-1:0]),
-      .rdata_o(host_rdata[ResetMask])
-  );
-
-  pearl_unpacker #(
+  pearl_input_bank #(
       .ROW_BITS(PE_NUM),
       .DATA_WL (DATA_WL),
       .WORDS   (MASK_WORDS)
-  ) u_unpack_resets (
+  ) u_reset_mask (
       .clk_i,
       .rst_ni,
-      .start_i(start),
-      .re_o   (resets_re),
-      .raddr_o(resets_raddr),
-      .rdata_i(host_rdata[ResetMask]),
-      .valid_o(resets_valid),
-      .row_o  (resets),
-      .take_i (issue)
+      .busy_i      (busy),
+      .start_i     (start),
+      .valid_o     (resets_valid),
+      .row_o       (resets),
+      .take_i      (issue),
+      .host_re_i   (host_re[ResetMask]),
+      .host_we_i   (host_we[ResetMask]),
+      .host_addr_i (host_index[index_bits(MASK_WORDS)-1:0]),
+      .host_wdata_i(host_wdata),
+      .host_rdata_o(host_rdata[ResetMask])
   );
 
   pearl_group_reader #(
@@ -523,106 +501,55 @@ module pearl_backbone
 
   // ---- From groups to the host's words: three banks, written in parallel ----
 
-  logic obs_we;
-  logic [index_bits(OBS_WORDS)-1:0] obs_waddr;
-  logic [DATA_WL-1:0] obs_wdata;
-
-  pearl_packer #(
+  pearl_result_bank #(
       .ROW_BITS(PE_NUM * OBS_BITS),
       .DATA_WL (DATA_WL),
       .WORDS   (OBS_WORDS)
-  ) u_pack_obs (
-      .clk_i,
-      .rst_ni,
-      .start_i(start),
-      .valid_i(at_result.valid),
-      .last_i (at_result.last),
-      .row_i  (obs),
-      .we_o   (obs_we),
-      .waddr_o(obs_waddr),
-      .wdata_o(obs_wdata),
-      .done_o (obs_done)
-  );
-
-  pearl_ram #(
-      .WIDTH(DATA_WL),
-      .DEPTH(OBS_WORDS)
   ) u_observations (
       .clk_i,
-      .we_i   (obs_we),
-      .waddr_i(obs_waddr),
-      .wdata_i(obs_wdata),
-      .re_i   (host_re[Observations]),
-      .raddr_i(host_index[index_bits(OBS_WORDS)-1:0]),
-      .rdata_o(host_rdata[Observations])
+      .rst_ni,
+      .start_i     (start),
+      .valid_i     (at_result.valid),
+      .last_i      (at_result.last),
+      .row_i       (obs),
+      .done_o      (obs_done),
+      .host_re_i   (host_re[Observations]),
+      .host_addr_i (host_index[index_bits(OBS_WORDS)-1:0]),
+      .host_rdata_o(host_rdata[Observations])
   );
 
-  logic rewards_we;
-  logic [index_bits(REWARD_WORDS)-1:0] rewards_waddr;
-  logic [DATA_WL-1:0] rewards_wdata;
-
-  pearl_packer #(
+  pearl_result_bank #(
       .ROW_BITS(PE_NUM * REWARD_BITS),
       .DATA_WL (DATA_WL),
       .WORDS   (REWARD_WORDS)
-  ) u_pack_rewards (
-      .clk_i,
-      .rst_ni,
-      .start_i(start),
-      .valid_i(at_result.valid),
-      .last_i (at_result.last),
-      .row_i  (rewards),
-      .we_o   (rewards_we),
-      .waddr_o(rewards_waddr),
-      .wdata_o(rewards_wdata),
-      .done_o (rewards_done)
-  );
-
-  pearl_ram #(
-      .WIDTH(DATA_WL),
-      .DEPTH(REWARD_WORDS)
   ) u_rewards (
       .clk_i,
-      .we_i   (rewards_we),
-      .waddr_i(rewards_waddr),
-      .wdata_i(rewards_wdata),
-      .re_i   (host_re[Rewards]),
-      .raddr_i(host_index[index_bits(REWARD_WORDS)-1:0]),
-      .rdata_o(host_rdata[Rewards])
+      .rst_ni,
+      .start_i     (start),
+      .valid_i     (at_result.valid),
+      .last_i      (at_result.last),
+      .row_i       (rewards),
+      .done_o      (rewards_done),
+      .host_re_i   (host_re[Rewards]),
+      .host_addr_i (host_index[index_bits(REWARD_WORDS)-1:0]),
+      .host_rdata_o(host_rdata[Rewards])
   );
 
-  logic ters_we;
-  logic [index_bits(TER_WORDS)-1:0] ters_waddr;
-  logic [DATA_WL-1:0] ters_wdata;
-
-  pearl_packer #(
+  pearl_result_bank #(
       .ROW_BITS(PE_NUM * TER_BITS),
       .DATA_WL (DATA_WL),
       .WORDS   (TER_WORDS)
-  ) u_pack_ters (
-      .clk_i,
-      .rst_ni,
-      .start_i(start),
-      .valid_i(at_result.valid),
-      .last_i (at_result.last),
-      .row_i  (ters),
-      .we_o   (ters_we),
-      .waddr_o(ters_waddr),
-      .wdata_o(ters_wdata),
-      .done_o (ters_done)
-  );
-
-  pearl_ram #(
-      .WIDTH(DATA_WL),
-      .DEPTH(TER_WORDS)
   ) u_ters (
       .clk_i,
-      .we_i   (ters_we),
-      .waddr_i(ters_waddr),
-      .wdata_i(ters_wdata),
-      .re_i   (host_re[Ters]),
-      .raddr_i(host_index[index_bits(TER_WORDS)-1:0]),
-      .rdata_o(host_rdata[Ters])
+      .rst_ni,
+      .start_i     (start),
+      .valid_i     (at_result.valid),
+      .last_i      (at_result.last),
+      .row_i       (ters),
+      .done_o      (ters_done),
+      .host_re_i   (host_re[Ters]),
+      .host_addr_i (host_index[index_bits(TER_WORDS)-1:0]),
+      .host_rdata_o(host_rdata[Ters])
   );
 
 endmodule
