@@ -277,8 +277,9 @@ async def memory_is_memory_to_any_burst(dut: Any) -> None:
     host = Host(dut, 0.3)
     for name in ("actions", "reset_mask", "initial_states"):
         region = LAYOUT[name]
-        # Columns of a row that are not there read as zero, so only rows without them are tried.
-        if region.rows > 1 and region.row_words * LAYOUT.data_wl != region.row_slots * region.slot_bits:
+        # What pads a group's row reads as zero, so only rows without padding are tried.
+        padded = region.row_words * LAYOUT.data_wl != region.row_slots * region.slot_bits
+        if name == "initial_states" and padded:
             continue
         size = LAYOUT.size(name)
         truth = bytearray(size)

@@ -25,8 +25,7 @@ from pearl_marl.spec import EnvSpec
 
 HERE = Path(__file__).parent
 CACHE = Path(platformdirs.user_cache_dir("pearl_marl")) / "cocotb"
-# Benches are short: time spent optimising the C++ does not come back.
-BUILD_ARGS = ["--assert", "-Wno-fatal", "-CFLAGS", "-O1"]
+BUILD_ARGS = ["--assert", "-Wno-fatal"]
 BENCH_VARIABLE = "PEARL_BENCH"
 
 

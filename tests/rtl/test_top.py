@@ -21,7 +21,7 @@ from pearl_marl.memory_map import memory_map
         ("CliffWalking", {"is_slippery": True}, (60, 7, 32), 0.0, 6),
         ("CliffWalking", {}, (1000, 16, 64), 0.0, 4),
         ("CliffWalking", {"is_slippery": True}, (1024, 16, 128), 0.0, 3),
-        ("CliffWalking", {}, (193, 64, 32), 0.2, 4),
+        ("CliffWalking", {}, (193, 24, 32), 0.2, 4),
         ("CliffWalking", {}, (40, 16, 1024), 0.0, 4),
         ("ShiftAdd", {}, (23, 5, 64), 0.0, 6),
         ("ShiftAdd", {}, (260, 4, 32), 0.1, 4),
