@@ -8,6 +8,7 @@ from typing import Any
 import cocotb
 from cocotb.clock import Clock
 from cocotb.triggers import ClockCycles
+from cocotbext.axi import AxiBus, AxiMaster
 
 
 async def start(dut: Any, **idle: int) -> None:
@@ -32,6 +33,19 @@ def spec_of(name: str, options: dict[str, Any]) -> Any:
     from pearl_marl.registry import get_spec
 
     return get_spec(name).with_options(**options)
+
+
+def axi_master(dut: Any, random: Any, idle: float) -> AxiMaster:
+    """A master on the module's bus, with every channel idle in this share of cycles."""
+    axi = AxiMaster(AxiBus.from_prefix(dut, "s_axi"), dut.clk_i, dut.rst_ni, reset_active_level=False)
+    write, read = axi.write_if, axi.read_if
+    for half in (write, read):
+        # Every byte moved is logged otherwise, which takes longer than to move it.
+        half.log.setLevel("WARNING")
+    if idle:
+        for channel in (write.aw_channel, write.w_channel, write.b_channel, read.ar_channel, read.r_channel):
+            channel.set_pause_generator(pauses(random, idle))
+    return axi
 
 
 def pauses(random: Any, share: float) -> Any:

@@ -7,9 +7,9 @@ from typing import Any
 
 import cocotb
 import harness
-from bench import pauses, start
+from bench import axi_master, start
 from cocotb.triggers import Combine, FallingEdge, RisingEdge, with_timeout
-from cocotbext.axi import AxiBus, AxiMaster
+from cocotbext.axi import AxiMaster
 from cocotbext.axi.constants import AxiResp
 
 ARGUMENTS = harness.arguments()
@@ -17,15 +17,6 @@ WORD = ARGUMENTS["word"] // 8
 WORDS, READ_ONLY = 64, 8
 SIZE, WRITABLE = WORDS * WORD, (WORDS - READ_ONLY) * WORD
 FIXED, INCR, WRAP = range(3)
-
-
-def master(dut: Any, source: random.Random) -> AxiMaster:
-    axi = AxiMaster(AxiBus.from_prefix(dut, "s_axi"), dut.clk_i, dut.rst_ni, reset_active_level=False)
-    if ARGUMENTS["idle"]:
-        write, read = axi.write_if, axi.read_if
-        for channel in (write.aw_channel, write.w_channel, write.b_channel, read.ar_channel, read.r_channel):
-            channel.set_pause_generator(pauses(source, ARGUMENTS["idle"]))
-    return axi
 
 
 async def clear(axi: AxiMaster) -> bytearray:
@@ -37,7 +28,7 @@ async def clear(axi: AxiMaster) -> bytearray:
 async def memory_is_memory_to_any_burst(dut: Any) -> None:
     await start(dut)
     source = random.Random(8)
-    axi = master(dut, source)
+    axi = axi_master(dut, source, ARGUMENTS["idle"])
     truth = await clear(axi)
     for _ in range(60):
         begin = source.randrange(WRITABLE)
@@ -59,7 +50,7 @@ async def memory_is_memory_to_any_burst(dut: Any) -> None:
 async def reads_and_writes_at_once_all_end(dut: Any) -> None:
     await start(dut)
     source = random.Random(9)
-    axi = master(dut, source)
+    axi = axi_master(dut, source, ARGUMENTS["idle"])
     await clear(axi)
     half = WRITABLE // 2
 
@@ -79,7 +70,7 @@ async def reads_and_writes_at_once_all_end(dut: Any) -> None:
 async def errors_are_told_and_change_nothing(dut: Any) -> None:
     await start(dut)
     source = random.Random(10)
-    axi = master(dut, source)
+    axi = axi_master(dut, source, ARGUMENTS["idle"])
     await clear(axi)
     before = (await axi.read(WRITABLE, SIZE - WRITABLE)).data
     for length in (1, WORD, 3 * WORD):
@@ -98,7 +89,7 @@ async def errors_are_told_and_change_nothing(dut: Any) -> None:
 @cocotb.test(skip=ARGUMENTS["idle"] > 0)
 async def whole_words_stream(dut: Any) -> None:
     await start(dut)
-    axi = master(dut, random.Random(11))
+    axi = axi_master(dut, random.Random(11), 0)
     beats = {"w": 0, "r": 0}
 
     async def count(channel: str) -> None:

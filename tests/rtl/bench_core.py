@@ -45,9 +45,7 @@ def golden(state: int, action: int, first: bool, hold: bool, draws: tuple[int, .
         drawn = call_reference(SPEC.golden.initial, words[: SPEC.reset_draws])
         origin = [f.dtype.type(w) for w, f in zip(drawn, SPEC.state, strict=True)]
     act = SPEC.action.dtype.type(action)
-    *moved, reward, terminated = call_reference(
-        SPEC.golden.step, [*origin, act, *words[SPEC.reset_draws :]]
-    )
+    *moved, reward, terminated = call_reference(SPEC.golden.step, [*origin, act, *words[SPEC.reset_draws :]])
     after = origin if hold else moved
     observed = call_reference(SPEC.golden.observe, after)
     results = {"state_o": join(after, SPEC.state), "obs_o": join(observed, SPEC.observation)}

@@ -9,9 +9,8 @@ from typing import Any
 import cocotb
 import harness
 import numpy as np
-from bench import pauses, spec_of, start
+from bench import axi_master, spec_of, start
 from cocotb.triggers import ClockCycles, with_timeout
-from cocotbext.axi import AxiBus, AxiMaster
 from cocotbext.axi.constants import AxiResp
 from model import ELAPSED, TER, Model, unpack_region
 
@@ -39,18 +38,9 @@ class Host:
 
     def __init__(self, dut: Any, idle: float = 0.0) -> None:
         self.dut = dut
-        self.axi = AxiMaster(AxiBus.from_prefix(dut, "s_axi"), dut.clk_i, dut.rst_ni, reset_active_level=False)
         self.random = random.Random(1)
+        self.axi = axi_master(dut, self.random, idle)
         self.sequence = 0
-        if idle:
-            for channel in (
-                self.axi.write_if.aw_channel,
-                self.axi.write_if.w_channel,
-                self.axi.write_if.b_channel,
-                self.axi.read_if.ar_channel,
-                self.axi.read_if.r_channel,
-            ):
-                channel.set_pause_generator(pauses(self.random, idle))
 
     async def write(self, address: int, data: bytes, expected: AxiResp = AxiResp.OKAY, **kind: Any) -> None:
         answer = await with_timeout(self.axi.write(address, data, **kind), 10, "ms")
@@ -157,9 +147,7 @@ async def steps_equal_the_model_in_every_mode(dut: Any) -> None:
             model.tick = int(generator.choice([0, 0xFFFFFFFF, 1 << 40]))
             model.first_slot = int(generator.integers(0, 1 << 31))
             model.max_cycles = max_cycles
-            model.initial_states = [
-                generator.integers(0, 1 << f.bits, n).astype(f.dtype) for f in SPEC.state
-            ]
+            model.initial_states = [generator.integers(0, 1 << f.bits, n).astype(f.dtype) for f in SPEC.state]
             await host.load(model)
             for step in range(ARGUMENTS["steps"]):
                 mode = base | (Mode.RESET_ALL if step == 0 else Mode(0))
@@ -175,7 +163,10 @@ async def steps_equal_the_model_in_every_mode(dut: Any) -> None:
                 assert results == expected, f"{mode!r}, max_cycles {max_cycles}, step {step}"
                 slowest = max(slowest, status[Status.CYCLES])
             current = unpack_region(
-                LAYOUT, LAYOUT["current_states"], (*SPEC.state, *TER), await host.read_region("current_states")
+                LAYOUT,
+                LAYOUT["current_states"],
+                (*SPEC.state, *TER),
+                await host.read_region("current_states"),
             )
             for column, truth in zip(current, [*model.states, model.ters], strict=True):
                 np.testing.assert_array_equal(column, truth)

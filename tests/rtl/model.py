@@ -66,13 +66,13 @@ class Model:
         self.elapsed = np.zeros(n, np.uint32)
         self.ters = np.zeros(n, np.uint8)
 
-    def step(self, mode: Mode, mask: npt.NDArray[np.bool_], actions: npt.NDArray[np.uint8]) -> dict[str, bytes]:
+    def step(
+        self, mode: Mode, mask: npt.NDArray[np.bool_], actions: npt.NDArray[np.uint8]
+    ) -> dict[str, bytes]:
         """Take a step; return the bytes of the three result regions."""
         spec, n = self.spec, self.layout.n_envs
         slots = np.arange(n) + self.first_slot
-        draws = [
-            rng.draws(self.seed, slots, self.tick, i) for i in range(spec.reset_draws + spec.step_draws)
-        ]
+        draws = [rng.draws(self.seed, slots, self.tick, i) for i in range(spec.reset_draws + spec.step_draws)]
         ended = self.ters != 0
         named = (mask & bool(mode & Mode.RESET_MASK)) | bool(mode & Mode.RESET_ALL)
         first = ended | named
@@ -81,7 +81,10 @@ class Model:
             start = self.initial_states
         else:
             drawn = call_reference(spec.golden.initial, draws[: spec.reset_draws])
-            start = [np.broadcast_to(np.asarray(w).astype(f.dtype), n) for w, f in zip(drawn, spec.state, strict=True)]
+            start = [
+                np.broadcast_to(np.asarray(w).astype(f.dtype), n)
+                for w, f in zip(drawn, spec.state, strict=True)
+            ]
         origin = [np.where(first, s, w) for s, w in zip(start, self.states, strict=True)]
         *moved, reward, terminated = call_reference(
             spec.golden.step, [*origin, actions, *draws[spec.reset_draws :]]

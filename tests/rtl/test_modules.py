@@ -35,7 +35,16 @@ def test_packing(top: str, rows: int, row: int, word: int, tmp_path: Path) -> No
     for idle in (0.0, 0.4):
         folder = tmp_path / str(idle)
         folder.mkdir()
-        run(design, top.replace("pearl", "bench"), folder, row=row, word=word, rows=rows, words=words, idle=idle)
+        run(
+            design,
+            top.replace("pearl", "bench"),
+            folder,
+            row=row,
+            word=word,
+            rows=rows,
+            words=words,
+            idle=idle,
+        )
 
 
 @pytest.mark.parametrize(("rows", "row", "word"), [(1, 6, 32), (5, 32, 32), (4, 72, 32), (3, 160, 64)])

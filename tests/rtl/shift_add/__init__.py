@@ -1,4 +1,4 @@
-"""An environment for tests only: its core takes several cycles a slot, draws for start and step, odd widths."""
+"""An environment for tests only: a core of several cycles a slot, random starts and steps, odd widths."""
 
 from __future__ import annotations
 
