@@ -18,6 +18,7 @@ async def first_in_first_out(dut: Any) -> None:
     await start(dut, push_i=0, data_i=0, pop_i=0)
     source = random.Random(6)
     queue: list[int] = []
+    await FallingEdge(dut.clk_i)
     for cycle in range(600):
         # It runs full, then empty, then in between.
         bias = (0.9, 0.1, 0.5)[cycle // 200]

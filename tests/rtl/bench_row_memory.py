@@ -21,6 +21,7 @@ async def host_and_pipeline_see_the_same(dut: Any) -> None:
     await start(dut, **dict.fromkeys(names + host_names, 0))
     source = random.Random(5)
     rows = [0] * ROWS
+    await FallingEdge(dut.clk_i)
     for row in range(ROWS):
         dut.busy_i.value, dut.we_i.value, dut.waddr_i.value, dut.wdata_i.value = 1, 1, row, 0
         await FallingEdge(dut.clk_i)

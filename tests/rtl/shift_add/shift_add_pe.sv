@@ -1,5 +1,8 @@
 // A core that takes several cycles a slot, for tests of the backbone: a shift-and-add multiplier.
+
+// verilator lint_off DECLFILENAME
 package shift_add_pkg;
+  // verilator lint_on DECLFILENAME
 
   localparam int unsigned LATENCY = 4;
   localparam int unsigned II = 4;
@@ -19,19 +22,19 @@ endpackage
 module shift_add_pe
   import shift_add_pkg::*;
 (
-    input  logic             clk_i,
-    input  logic             rst_ni,
-    input  logic             valid_i,
-    input  logic             first_i,
-    input  logic             hold_i,
-    input  state_t           state_i,
-    input  logic [2:0]       action_i,
-    input  logic [2:0][31:0] rng_i,
-    output logic             valid_o,
-    output state_t           state_o,
-    output logic [12:0]      obs_o,
-    output logic [4:0]       reward_o,
-    output logic             terminated_o
+    input  logic                clk_i,
+    input  logic                rst_ni,
+    input  logic                valid_i,
+    input  logic                first_i,
+    input  logic                hold_i,
+    input  state_t              state_i,
+    input  logic   [ 2:0]       action_i,
+    input  logic   [ 2:0][31:0] rng_i,
+    output logic                valid_o,
+    output state_t              state_o,
+    output logic   [12:0]       obs_o,
+    output logic   [ 4:0]       reward_o,
+    output logic                terminated_o
 );
 
   logic [LATENCY-1:0] valid_q;
