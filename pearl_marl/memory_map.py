@@ -3,24 +3,37 @@
 Everything is a function of ``(spec, n_envs, pe_num, data_wl)``. The host's codec reads it, the
 RTL gets the same numbers as parameters, and a test compares the two.
 
-Two rules shape it:
+Three rules shape it:
 
 - *What a step writes is contiguous, and so is what it reads*: actions, then the doorbell that
-  starts the step; results, then the status that ends it. So a step is one transfer each way.
+  starts the step; results, then the status that ends it. So a step is one transfer each way. The
+  reset mask stands right before the actions, so a step with a mask is one transfer too.
 - *No bit is wasted between slots.* A region is one stream of bits in which slot ``i`` owns bits
   ``i * slot_bits`` and up, least significant first. Only a region's end is padded, to a whole
   word of ``data_wl`` bits.
+- *Except in the memories that the hardware takes a group of slots from at a time*: initial states,
+  current states and elapsed steps. They are a stream per group, and every group starts at a multiple
+  of a power of two words, so that the hardware splits an address into group and word by its bits.
+  The padding reads as zero and takes no space in the hardware.
 
 ::
 
-    control | initial states | reset mask | actions | doorbell || observations | rewards | ters | status
-    ------------- once, or at a reset ----- ---- every step --    ------------ every step -------------
+    control | initial states | current states | elapsed | reset mask | actions | doorbell ||
+    --------------------- once, at a reset, for checkpoints --------- --- every step ----
+
+    || observations | rewards | ters | status
+       ------------ every step -------------
+
+A slot of the current states is its state word and, above it, the two bits of its last result's end
+(``terminated``, then ``truncated``). Control, initial and current states, elapsed, reset mask and
+actions can be written and (but for control) read only while no step runs; results and
+status are read-only. A refused access, and one to a hole in the map, is answered with an error.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import IntEnum
+from enum import IntEnum, IntFlag
 
 from pearl_marl.errors import ArgumentError
 from pearl_marl.spec import EnvSpec, word_bits
@@ -29,6 +42,23 @@ PROTOCOL_VERSION = 1
 MAGIC = 0x4C524150  # "PARL", little-endian
 
 DATA_WIDTHS = (32, 64, 128, 256, 512, 1024)
+TER_BITS = 2
+ELAPSED_BITS = 32
+
+
+REGION_NAMES = (
+    "control",
+    "initial_states",
+    "current_states",
+    "elapsed",
+    "reset_mask",
+    "actions",
+    "doorbell",
+    "observations",
+    "rewards",
+    "ters",
+    "status",
+)
 
 
 class Control(IntEnum):
@@ -48,28 +78,60 @@ class Control(IntEnum):
     TICK_HIGH = 11
     FIRST_SLOT = 12
     MAX_CYCLES = 13
-    MODE = 14
-    RESERVED = 15
+    RESERVED_0 = 14
+    RESERVED_1 = 15
 
 
 class Doorbell(IntEnum):
-    """The 32-bit words of the doorbell, by index."""
+    """The 32-bit words of the doorbell, by index.
+
+    A step starts when ``SEQUENCE`` is written and differs from that of the step before.
+    """
 
     MODE = 0
     SEQUENCE = 1
 
 
+class Mode(IntFlag):
+    """The bits of the doorbell's ``MODE``: how this step treats resets."""
+
+    NEXT_STEP = 1
+    """A slot that ended spends this step resetting; if not set, it steps from its start state."""
+    STORED = 2
+    """Start states come from the initial states region; if not set, from random draws."""
+    RESET_ALL = 4
+    """Every slot steps from its start state."""
+    RESET_MASK = 8
+    """So does every slot whose bit in the reset mask is set."""
+
+
 class Status(IntEnum):
-    """The 32-bit words of the status, by index."""
+    """The 32-bit words of the status, by index.
+
+    ``SEQUENCE`` becomes that of the doorbell once every result of its step is in place. ``CYCLES``
+    are clock cycles from doorbell to then. Results that were read together with a status belong to
+    its ``SEQUENCE``, unless ``ERROR`` says :attr:`StatusError.TORN_READ`.
+    """
 
     ERROR = 0
     CYCLES = 1
     SEQUENCE = 2
 
 
+class StatusError(IntFlag):
+    """The bits of the status's ``ERROR``."""
+
+    BUSY_DOORBELL = 1
+    """A doorbell came while a step was running, and was refused. Cleared by the next one that rings."""
+    BUSY_WRITE = 2
+    """The same of any other write."""
+    TORN_READ = 4
+    """A result was read while a step was running. Cleared by reading the first word of results after it."""
+
+
 @dataclass(frozen=True, slots=True)
 class Region:
-    """One contiguous piece of the address space.
+    """One contiguous piece of the address space: ``rows`` streams, one after the other.
 
     Parameters
     ----------
@@ -77,16 +139,27 @@ class Region:
         As in the diagram above.
     offset
         Byte address of the first word.
-    words
-        How many words of ``data_wl`` bits it has.
+    rows
+        How many streams it is made of: one, or one per group.
+    row_words
+        How many words of ``data_wl`` bits a stream has.
+    row_slots
+        How many slots a stream has room for; 0 for the registers.
     slot_bits
         Bits a slot owns in it; 0 for the registers.
     """
 
     name: str
     offset: int
-    words: int
+    rows: int
+    row_words: int
+    row_slots: int
     slot_bits: int
+
+    @property
+    def words(self) -> int:
+        """How many words of ``data_wl`` bits it has."""
+        return self.rows * self.row_words
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,31 +224,33 @@ def memory_map(spec: EnvSpec, n_envs: int, pe_num: int, data_wl: int) -> MemoryM
         raise ArgumentError(f"pe_num is {pe_num}; possible are 1 to n_envs = {n_envs}")
     if data_wl not in DATA_WIDTHS:
         raise ArgumentError(f"data_wl is {data_wl}; possible are {', '.join(map(str, DATA_WIDTHS))}")
-    register_regions = {"control": len(Control), "doorbell": len(Doorbell), "status": len(Status)}
-    slot_regions = {
-        "initial_states": word_bits(spec.state),
+    groups = -(-n_envs // pe_num)
+    registers = {"control": len(Control), "doorbell": len(Doorbell), "status": len(Status)}
+    streams = {
         "reset_mask": 1,
         "actions": spec.action.bits,
         "observations": word_bits(spec.observation),
         "rewards": spec.reward.bits,
-        "ters": 2,
+        "ters": TER_BITS,
     }
-    regions = []
+    by_group = {
+        "initial_states": word_bits(spec.state),
+        "current_states": word_bits(spec.state) + TER_BITS,
+        "elapsed": ELAPSED_BITS,
+    }
+    regions: list[Region] = []
     offset = 0
-    for name in (
-        "control",
-        "initial_states",
-        "reset_mask",
-        "actions",
-        "doorbell",
-        "observations",
-        "rewards",
-        "ters",
-        "status",
-    ):
-        slot_bits = slot_regions.get(name, 0)
-        bits = slot_bits * n_envs if slot_bits else 32 * register_regions[name]
-        words = -(-bits // data_wl)
-        regions.append(Region(name, offset, words, slot_bits))
-        offset += words * data_wl // 8
-    return MemoryMap(n_envs, pe_num, data_wl, -(-n_envs // pe_num), tuple(regions))
+    for name in REGION_NAMES:
+        if name in registers:
+            rows, row_words, row_slots, slot_bits = 1, -(-32 * registers[name] // data_wl), 0, 0
+        elif name in streams:
+            slot_bits = streams[name]
+            rows, row_words, row_slots = 1, -(-n_envs * slot_bits // data_wl), n_envs
+        else:
+            slot_bits = by_group[name]
+            least_words = -(-pe_num * slot_bits // data_wl)
+            rows, row_words, row_slots = groups, 1 << (least_words - 1).bit_length(), pe_num
+        region = Region(name, offset, rows, row_words, row_slots, slot_bits)
+        regions.append(region)
+        offset += region.words * data_wl // 8
+    return MemoryMap(n_envs, pe_num, data_wl, groups, tuple(regions))

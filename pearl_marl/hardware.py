@@ -1,0 +1,86 @@
+"""From a spec and a memory map to what a hardware tool is given: sources, parameters, macros.
+
+Simulation, synthesis and lint all elaborate the same design from the same three lists.
+"""
+
+from __future__ import annotations
+
+import inspect
+import zlib
+from importlib import resources
+from pathlib import Path
+
+from pearl_marl.errors import DeviceError
+from pearl_marl.memory_map import MemoryMap
+from pearl_marl.spec import EnvSpec, word_bits
+
+
+def core_path(spec: EnvSpec) -> Path:
+    """Return the core's file: ``<name>_pe.sv`` in the folder ``<name>`` that holds the golden step.
+
+    Raises
+    ------
+    DeviceError
+        There is no such file.
+    """
+    folder = Path(inspect.getfile(spec.golden.step)).parent
+    path = folder / f"{folder.name}_pe.sv"
+    if not path.is_file():
+        raise DeviceError(f"{spec.name} has no hardware core: there is no file {path}")
+    return path
+
+
+def backbone_paths() -> list[Path]:
+    """Return the files of the backbone; packages come first, as the tools demand."""
+    folder = Path(str(resources.files("pearl_marl.rtl")))
+    packages = [folder / "pearl_pkg.sv", folder / "pearl_core_pkg.sv"]
+    return packages + sorted(path for path in folder.glob("*.sv") if path not in packages)
+
+
+def sources(spec: EnvSpec) -> list[Path]:
+    """Return every file of a design, in the order in which they have to be read."""
+    return [core_path(spec), *backbone_paths()]
+
+
+def macros(spec: EnvSpec) -> dict[str, str]:
+    """Return the macros that name the core and set its parameters.
+
+    An option of the environment is the core's parameter of the same name in capitals.
+    """
+    core = core_path(spec).stem
+    defined = {"PEARL_CORE": core, "PEARL_CORE_PKG": core.removesuffix("_pe") + "_pkg"}
+    options = ",".join(f".{name.upper()}({int(value)})" for name, value in spec.options.items())
+    return {**defined, "PEARL_CORE_OPTIONS": options} if options else defined
+
+
+def env_hash(spec: EnvSpec) -> int:
+    """Return a number that names an environment with its options, for the control region.
+
+    It has 31 bits, because a parameter given to Yosys as a plain number is a signed one of 32.
+    """
+    return zlib.crc32(repr((spec.id, sorted(spec.options.items()))).encode()) & 0x7FFFFFFF
+
+
+def address_bits(layout: MemoryMap) -> int:
+    """Return how many bits of byte address reach the whole map and a hole after it."""
+    last = layout.regions[-1]
+    return layout.end(last.name).bit_length()
+
+
+def parameters(spec: EnvSpec, layout: MemoryMap) -> dict[str, int]:
+    """Return the parameters of ``pearl_top``, but for the widths of its bus's addresses and ids."""
+    word_bytes = layout.data_wl // 8
+    offsets = {f"{region.name.upper()}_OFFSET": region.offset // word_bytes for region in layout.regions}
+    return {
+        "N_ENVS": layout.n_envs,
+        "PE_NUM": layout.pe_num,
+        "DATA_WL": layout.data_wl,
+        "STATE_BITS": word_bits(spec.state),
+        "ACTION_BITS": spec.action.bits,
+        "OBS_BITS": word_bits(spec.observation),
+        "REWARD_BITS": spec.reward.bits,
+        "DRAWS": spec.reset_draws + spec.step_draws,
+        "ENV_HASH": env_hash(spec),
+        **offsets,
+        "END_OFFSET": layout.end("status") // word_bytes,
+    }

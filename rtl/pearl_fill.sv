@@ -1,0 +1,34 @@
+// How full a packer is, in units of UNIT bits: a row comes in, a word goes out whenever there is one.
+//
+// The packer uses it to place rows. The group reader uses another one to know, a fixed latency
+// ahead, whether the packer will have room: so nothing between the two ever has to stall.
+module pearl_fill #(
+    // Bits of a row and of a word in units of their common power of two.
+    parameter  int unsigned ROW_UNITS  = 3,
+    parameter  int unsigned WORD_UNITS = 2,
+    localparam int unsigned FILL_BITS  = $clog2(ROW_UNITS + WORD_UNITS + 1)
+) (
+    input  logic                 clk_i,
+    input  logic                 rst_ni,
+    input  logic                 clear_i,
+    input  logic                 row_i,
+    output logic                 word_o,
+    // Where a row that comes in this cycle is put, after this cycle's word has gone out.
+    output logic [FILL_BITS-1:0] offset_o,
+    // Whether there is room for it.
+    output logic                 ready_o
+);
+
+  logic [FILL_BITS-1:0] fill_q;
+
+  assign word_o   = 32'(fill_q) >= WORD_UNITS;
+  assign offset_o = word_o ? fill_q - FILL_BITS'(WORD_UNITS) : fill_q;
+  assign ready_o  = 32'(offset_o) <= WORD_UNITS;
+
+  always_ff @(posedge clk_i or negedge rst_ni) begin
+    if (!rst_ni) fill_q <= '0;
+    else if (clear_i) fill_q <= '0;
+    else fill_q <= row_i ? offset_o + FILL_BITS'(ROW_UNITS) : offset_o;
+  end
+
+endmodule

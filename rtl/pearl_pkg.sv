@@ -1,0 +1,97 @@
+// What host and hardware agree on beyond addresses (pearl_marl/memory_map.py and pearl_marl/rng.py
+// are the other side; a test compares the two), and helpers for parameter arithmetic.
+package pearl_pkg;
+
+  localparam logic [31:0] MAGIC = 32'h4C52_4150;
+  localparam int unsigned PROTOCOL_VERSION = 1;
+
+  localparam int unsigned TER_BITS = 2;
+  // As wide as MAX_CYCLES, so that every limit the host can write is exact.
+  localparam int unsigned ELAPSED_BITS = 32;
+
+  // Regions of the address space, in the order of their addresses.
+  typedef enum int unsigned {
+    Control,
+    InitialStates,
+    CurrentStates,
+    Elapsed,
+    ResetMask,
+    Actions,
+    Doorbell,
+    Observations,
+    Rewards,
+    Ters,
+    Status,
+    NumRegions
+  } region_e;
+
+  // Words of the control region.
+  localparam int unsigned CONTROL_WORDS = 16;
+  localparam int unsigned CONTROL_SEED_0 = 8;
+  localparam int unsigned CONTROL_SEED_1 = 9;
+  localparam int unsigned CONTROL_TICK_LOW = 10;
+  localparam int unsigned CONTROL_TICK_HIGH = 11;
+  localparam int unsigned CONTROL_FIRST_SLOT = 12;
+  localparam int unsigned CONTROL_MAX_CYCLES = 13;
+
+  // The doorbell's mode word, least significant bit last.
+  typedef struct packed {
+    logic reset_mask;  // slots named in the reset mask start afresh
+    logic reset_all;   // so do all slots
+    logic stored;      // start states come from the Initial-States memory, not from random draws
+    logic next_step;   // a slot that ended spends this step resetting
+  } mode_t;
+
+  // The status's error word, least significant bit last.
+  typedef struct packed {
+    logic torn_read;      // a result was read during a step, and the first result not since
+    logic busy_write;     // a write came during a step and was refused
+    logic busy_doorbell;  // a doorbell came during a step and was refused
+  } error_t;
+
+  // Answers of the memory port, coded as AXI codes them.
+  typedef enum logic [1:0] {
+    RespOkay   = 2'b00,
+    RespSlvErr = 2'b10,
+    RespDecErr = 2'b11
+  } resp_e;
+  // Cycles from a request at the memory port to its answer; the AXI slave sizes its queue by it.
+  localparam int unsigned PORT_LATENCY = 3;
+
+  // Cycles from a slot number to its random draw.
+  localparam int unsigned DRAW_LATENCY = 3;
+  localparam logic [31:0] CHAIN_A = 32'h243F_6A88;
+  localparam logic [31:0] CHAIN_B = 32'h85A3_08D3;
+  localparam logic [31:0] MULTIPLIER_1 = 32'h7FEB_352D;
+  localparam logic [31:0] MULTIPLIER_2 = 32'h846C_A68B;
+
+  // The three stages of mix32, apart because each of the first two holds a multiplier.
+  function automatic logic [31:0] mix_first(logic [31:0] x);
+    return (x ^ (x >> 16)) * MULTIPLIER_1;
+  endfunction
+
+  function automatic logic [31:0] mix_second(logic [31:0] x);
+    return (x ^ (x >> 15)) * MULTIPLIER_2;
+  endfunction
+
+  function automatic logic [31:0] mix_last(logic [31:0] x);
+    return x ^ (x >> 16);
+  endfunction
+
+  function automatic int unsigned ceil_div(int unsigned a, int unsigned b);
+    return (a + b - 1) / b;
+  endfunction
+
+  // Bits that number n things; at least 1, since a port cannot have none.
+  function automatic int unsigned index_bits(int unsigned n);
+    return n < 2 ? 1 : $clog2(n);
+  endfunction
+
+  // The largest power of two that divides a and the power of two b.
+  function automatic int unsigned common_unit(int unsigned a, int unsigned b);
+    int unsigned unit = b;
+    while (a % unit != 0) unit /= 2;
+    return unit;
+  endfunction
+
+endpackage

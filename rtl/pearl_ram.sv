@@ -1,0 +1,34 @@
+// A memory with one write port and one read port, in the form that infers block RAM.
+//
+// A read answers in the next cycle and is kept until the next read. Reading what is written in the
+// same cycle gives the old word; nothing in the backbone does that within a step.
+module pearl_ram
+  import pearl_pkg::index_bits;
+#(
+    parameter int unsigned WIDTH = 32,
+    parameter int unsigned DEPTH = 16,
+    localparam int unsigned ADDR_BITS = index_bits(DEPTH)
+) (
+    input  logic                 clk_i,
+    input  logic                 we_i,
+    input  logic [ADDR_BITS-1:0] waddr_i,
+    input  logic [    WIDTH-1:0] wdata_i,
+    input  logic                 re_i,
+    input  logic [ADDR_BITS-1:0] raddr_i,
+    output logic [    WIDTH-1:0] rdata_o
+);
+
+  // Public, because a simulation's host may move whole memories at once instead of word by word.
+  logic [WIDTH-1:0]
+      mem[2**ADDR_BITS > DEPTH && DEPTH > 1 ? DEPTH : 2**ADDR_BITS]
+/* verilator public_flat_rw */;
+  logic [WIDTH-1:0] rdata_q;
+
+  always_ff @(posedge clk_i) begin
+    if (we_i) mem[waddr_i] <= wdata_i;
+    if (re_i) rdata_q <= mem[raddr_i];
+  end
+
+  assign rdata_o = rdata_q;
+
+endmodule

@@ -1,0 +1,178 @@
+// Control region, doorbell and status: the words in them, and what they mean to the backbone.
+//
+// A doorbell rings when its sequence number is written and differs from the last one that rang. So
+// writing a doorbell again, or its mode alone, does nothing.
+module pearl_registers
+  import pearl_pkg::*;
+#(
+    parameter int unsigned DATA_WL = 32,
+    parameter int unsigned N_ENVS = 7,
+    parameter int unsigned PE_NUM = 4,
+    parameter int unsigned STATE_BITS = 6,
+    parameter int unsigned RESULT_BITS = 9,
+    // Names the environment and its options: a host refuses a build that is for another one.
+    parameter logic [31:0] ENV_HASH = 32'h0,
+    localparam int unsigned INDEX_BITS = index_bits(ceil_div(CONTROL_WORDS * 32, DATA_WL))
+) (
+    input logic clk_i,
+    input logic rst_ni,
+
+    // Word of the region, its write enables, and what is read from each region at it.
+    input  logic [INDEX_BITS-1:0] index_i,
+    input  logic                  control_we_i,
+    input  logic                  doorbell_we_i,
+    input  logic [   DATA_WL-1:0] wdata_i,
+    output logic [   DATA_WL-1:0] control_o,
+    output logic [   DATA_WL-1:0] doorbell_o,
+    output logic [   DATA_WL-1:0] status_o,
+
+    output logic               ring_o,
+    output mode_t              mode_o,
+    output logic  [ 1:0][31:0] seed_o,
+    output logic  [63:0]       tick_o,
+    // seed_o or tick_o are new.
+    output logic               keys_stale_o,
+    output logic  [31:0]       first_slot_o,
+    output logic  [31:0]       max_cycles_o,
+
+    input logic        done_i,
+    input logic [31:0] cycles_i,
+    // A write, or a doorbell, was refused because a step was running.
+    input logic        busy_write_i,
+    input logic        busy_doorbell_i,
+    // A result was read during a step; the first word of results was read outside of one.
+    input logic        torn_i,
+    input logic        untorn_i
+);
+
+  localparam int unsigned DOORBELL_WORDS = 2;
+  localparam int unsigned STATUS_WORDS = 3;
+  localparam int unsigned CONTROL_BITS = ceil_div(CONTROL_WORDS * 32, DATA_WL) * DATA_WL;
+  localparam int unsigned DOORBELL_BITS = ceil_div(DOORBELL_WORDS * 32, DATA_WL) * DATA_WL;
+  localparam int unsigned STATUS_BITS = ceil_div(STATUS_WORDS * 32, DATA_WL) * DATA_WL;
+
+  logic [1:0][31:0] seed_q;
+  logic [63:0] tick_q;
+  logic [31:0] first_slot_q, max_cycles_q, mode_word_q, sequence_q, rung_q, finished_q, cycles_q;
+  logic [DOORBELL_WORDS-1:0] doorbell_we;
+  error_t error_q;
+  logic stale_q;
+
+  // Which 32-bit words a write reaches.
+  function automatic logic reaches(int unsigned register, logic [INDEX_BITS-1:0] index);
+    return 32'(index) == register * 32 / DATA_WL;
+  endfunction
+
+  function automatic logic [31:0] word_of(int unsigned register, logic [DATA_WL-1:0] data);
+    return data[register*32%DATA_WL+:32];
+  endfunction
+
+  always_ff @(posedge clk_i or negedge rst_ni) begin
+    if (!rst_ni) begin
+      seed_q       <= '0;
+      tick_q       <= '0;
+      first_slot_q <= '0;
+      max_cycles_q <= '0;
+      stale_q      <= 1'b1;
+    end else begin
+      stale_q <= control_we_i || done_i;
+      if (done_i) tick_q <= tick_q + 1'b1;
+      if (control_we_i) begin
+        if (reaches(CONTROL_SEED_0, index_i)) seed_q[0] <= word_of(CONTROL_SEED_0, wdata_i);
+        if (reaches(CONTROL_SEED_1, index_i)) seed_q[1] <= word_of(CONTROL_SEED_1, wdata_i);
+        if (reaches(CONTROL_TICK_LOW, index_i)) tick_q[31:0] <= word_of(CONTROL_TICK_LOW, wdata_i);
+        if (reaches(CONTROL_TICK_HIGH, index_i)) begin
+          tick_q[63:32] <= word_of(CONTROL_TICK_HIGH, wdata_i);
+        end
+        if (reaches(CONTROL_FIRST_SLOT, index_i)) begin
+          first_slot_q <= word_of(CONTROL_FIRST_SLOT, wdata_i);
+        end
+        if (reaches(CONTROL_MAX_CYCLES, index_i)) begin
+          max_cycles_q <= word_of(CONTROL_MAX_CYCLES, wdata_i);
+        end
+      end
+    end
+  end
+
+  for (genvar i = 0; i < DOORBELL_WORDS; i++) begin : gen_doorbell_we
+    assign doorbell_we[i] = doorbell_we_i && reaches(i, index_i);
+  end
+
+  assign ring_o = doorbell_we[1] && word_of(1, wdata_i) != rung_q;
+
+  always_ff @(posedge clk_i or negedge rst_ni) begin
+    if (!rst_ni) begin
+      mode_word_q <= '0;
+      sequence_q  <= '0;
+      rung_q      <= '0;
+      finished_q  <= '0;
+      cycles_q    <= '0;
+      error_q     <= '0;
+    end else begin
+      if (doorbell_we[0]) mode_word_q <= word_of(0, wdata_i);
+      if (doorbell_we[1]) sequence_q <= word_of(1, wdata_i);
+      if (ring_o) begin
+        rung_q <= word_of(1, wdata_i);
+        error_q.busy_write <= 1'b0;
+        error_q.busy_doorbell <= 1'b0;
+      end
+      if (busy_write_i) error_q.busy_write <= 1'b1;
+      if (busy_doorbell_i) error_q.busy_doorbell <= 1'b1;
+      if (untorn_i) error_q.torn_read <= 1'b0;
+      if (torn_i) error_q.torn_read <= 1'b1;
+      if (done_i) begin
+        finished_q <= rung_q;
+        cycles_q   <= cycles_i;
+      end
+    end
+  end
+
+  logic [ CONTROL_BITS-1:0] control;
+  logic [DOORBELL_BITS-1:0] doorbell;
+  logic [  STATUS_BITS-1:0] status;
+
+  // The last two control words are reserved.
+  assign control = CONTROL_BITS'({
+    max_cycles_q,
+    first_slot_q,
+    tick_q,
+    seed_q,
+    RESULT_BITS,
+    STATE_BITS,
+    DATA_WL,
+    PE_NUM,
+    N_ENVS,
+    ENV_HASH,
+    PROTOCOL_VERSION,
+    MAGIC
+  });
+  assign doorbell = DOORBELL_BITS'({sequence_q, mode_word_q});
+  assign status = STATUS_BITS'({finished_q, cycles_q, 32'(error_q)});
+
+  // Read one cycle after the address, like the memories.
+  logic [INDEX_BITS-1:0] index_q;
+  always_ff @(posedge clk_i) index_q <= index_i;
+
+  always_comb begin
+    control_o  = '0;
+    doorbell_o = '0;
+    status_o   = '0;
+    for (int unsigned i = 0; i < CONTROL_BITS / DATA_WL; i++) begin
+      if (32'(index_q) == i) control_o = control[i*DATA_WL+:DATA_WL];
+    end
+    for (int unsigned i = 0; i < DOORBELL_BITS / DATA_WL; i++) begin
+      if (32'(index_q) == i) doorbell_o = doorbell[i*DATA_WL+:DATA_WL];
+    end
+    for (int unsigned i = 0; i < STATUS_BITS / DATA_WL; i++) begin
+      if (32'(index_q) == i) status_o = status[i*DATA_WL+:DATA_WL];
+    end
+  end
+
+  assign mode_o = mode_t'(mode_word_q[$bits(mode_t)-1:0]);
+  assign seed_o = seed_q;
+  assign tick_o = tick_q;
+  assign keys_stale_o = stale_q;
+  assign first_slot_o = first_slot_q;
+  assign max_cycles_o = max_cycles_q;
+
+endmodule

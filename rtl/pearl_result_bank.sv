@@ -1,0 +1,58 @@
+// A memory that the pipeline fills with rows, packed to one stream of bits, and the host reads.
+module pearl_result_bank
+  import pearl_pkg::index_bits;
+#(
+    parameter int unsigned ROW_BITS = 48,
+    parameter int unsigned DATA_WL = 32,
+    parameter int unsigned WORDS = 3,
+    localparam int unsigned ADDR_BITS = index_bits(WORDS)
+) (
+    input  logic                clk_i,
+    input  logic                rst_ni,
+    input  logic                start_i,
+    input  logic                valid_i,
+    input  logic                last_i,
+    input  logic [ROW_BITS-1:0] row_i,
+    // Every word has been written.
+    output logic                done_o,
+
+    input  logic                 host_re_i,
+    input  logic [ADDR_BITS-1:0] host_addr_i,
+    output logic [  DATA_WL-1:0] host_rdata_o
+);
+
+  logic we;
+  logic [ADDR_BITS-1:0] waddr;
+  logic [DATA_WL-1:0] wdata;
+
+  pearl_packer #(
+      .ROW_BITS(ROW_BITS),
+      .DATA_WL (DATA_WL),
+      .WORDS   (WORDS)
+  ) u_packer (
+      .clk_i,
+      .rst_ni,
+      .start_i,
+      .valid_i,
+      .last_i,
+      .row_i,
+      .we_o   (we),
+      .waddr_o(waddr),
+      .wdata_o(wdata),
+      .done_o
+  );
+
+  pearl_ram #(
+      .WIDTH(DATA_WL),
+      .DEPTH(WORDS)
+  ) u_ram (
+      .clk_i,
+      .we_i   (we),
+      .waddr_i(waddr),
+      .wdata_i(wdata),
+      .re_i   (host_re_i),
+      .raddr_i(host_addr_i),
+      .rdata_o(host_rdata_o)
+  );
+
+endmodule

@@ -1,0 +1,130 @@
+// The whole design for a board: an AXI4 slave, as an XDMA core masters it, in front of the backbone,
+// and an interrupt.
+module pearl_top #(
+    // Slots, processing elements and bits of a word of the address space.
+    parameter int unsigned N_ENVS = 7,
+    parameter int unsigned PE_NUM = 4,
+    parameter int unsigned DATA_WL = 32,
+    // Widths of the environment's words; the core's package must say the same.
+    parameter int unsigned STATE_BITS = 6,
+    parameter int unsigned ACTION_BITS = 2,
+    parameter int unsigned OBS_BITS = 6,
+    parameter int unsigned REWARD_BITS = 1,
+    // 32-bit random draws of a slot in a step, those for a start state first.
+    parameter int unsigned DRAWS = 0,
+    // Names the environment and its options: a host refuses a build that is for another one.
+    parameter logic [31:0] ENV_HASH = 32'h0,
+    // Where each region starts, in words, and where the last one ends. They come from
+    // pearl_marl/memory_map.py, which explains the layout.
+    parameter int unsigned CONTROL_OFFSET = 0,
+    parameter int unsigned INITIAL_STATES_OFFSET = 16,
+    parameter int unsigned CURRENT_STATES_OFFSET = 18,
+    parameter int unsigned ELAPSED_OFFSET = 20,
+    parameter int unsigned RESET_MASK_OFFSET = 28,
+    parameter int unsigned ACTIONS_OFFSET = 29,
+    parameter int unsigned DOORBELL_OFFSET = 30,
+    parameter int unsigned OBSERVATIONS_OFFSET = 32,
+    parameter int unsigned REWARDS_OFFSET = 34,
+    parameter int unsigned TERS_OFFSET = 35,
+    parameter int unsigned STATUS_OFFSET = 36,
+    parameter int unsigned END_OFFSET = 39,
+    // Bits of a byte address on the bus; enough for the whole map.
+    parameter int unsigned ADDR_BITS = 16,
+    parameter int unsigned ID_BITS = 4,
+    localparam int unsigned STRB_BITS = DATA_WL / 8
+) (
+    input  logic clk_i,
+    input  logic rst_ni,
+    // High from the end of a step to the next doorbell.
+    output logic irq_o,
+
+    input  logic [  ID_BITS-1:0] s_axi_awid,
+    input  logic [ADDR_BITS-1:0] s_axi_awaddr,
+    input  logic [          7:0] s_axi_awlen,
+    input  logic [          2:0] s_axi_awsize,
+    input  logic [          1:0] s_axi_awburst,
+    input  logic                 s_axi_awvalid,
+    output logic                 s_axi_awready,
+    input  logic [  DATA_WL-1:0] s_axi_wdata,
+    input  logic [STRB_BITS-1:0] s_axi_wstrb,
+    input  logic                 s_axi_wlast,
+    input  logic                 s_axi_wvalid,
+    output logic                 s_axi_wready,
+    output logic [  ID_BITS-1:0] s_axi_bid,
+    output logic [          1:0] s_axi_bresp,
+    output logic                 s_axi_bvalid,
+    input  logic                 s_axi_bready,
+    input  logic [  ID_BITS-1:0] s_axi_arid,
+    input  logic [ADDR_BITS-1:0] s_axi_araddr,
+    input  logic [          7:0] s_axi_arlen,
+    input  logic [          2:0] s_axi_arsize,
+    input  logic [          1:0] s_axi_arburst,
+    input  logic                 s_axi_arvalid,
+    output logic                 s_axi_arready,
+    output logic [  ID_BITS-1:0] s_axi_rid,
+    output logic [  DATA_WL-1:0] s_axi_rdata,
+    output logic [          1:0] s_axi_rresp,
+    output logic                 s_axi_rlast,
+    output logic                 s_axi_rvalid,
+    input  logic                 s_axi_rready
+);
+
+  localparam int unsigned WORD_ADDR_BITS = ADDR_BITS - $clog2(STRB_BITS);
+
+  logic req, we, rvalid;
+  logic [WORD_ADDR_BITS-1:0] addr;
+  logic [DATA_WL-1:0] wdata, rdata;
+  pearl_pkg::resp_e resp;
+
+  pearl_axi_slave #(
+      .DATA_WL  (DATA_WL),
+      .ADDR_BITS(ADDR_BITS),
+      .ID_BITS  (ID_BITS)
+  ) u_axi_slave (
+      .req_o   (req),
+      .we_o    (we),
+      .addr_o  (addr),
+      .wdata_o (wdata),
+      .rvalid_i(rvalid),
+      .rdata_i (rdata),
+      .resp_i  (resp),
+      .*
+  );
+
+  pearl_backbone #(
+      .N_ENVS(N_ENVS),
+      .PE_NUM(PE_NUM),
+      .DATA_WL(DATA_WL),
+      .STATE_BITS(STATE_BITS),
+      .ACTION_BITS(ACTION_BITS),
+      .OBS_BITS(OBS_BITS),
+      .REWARD_BITS(REWARD_BITS),
+      .DRAWS(DRAWS),
+      .ENV_HASH(ENV_HASH),
+      .CONTROL_OFFSET(CONTROL_OFFSET),
+      .INITIAL_STATES_OFFSET(INITIAL_STATES_OFFSET),
+      .CURRENT_STATES_OFFSET(CURRENT_STATES_OFFSET),
+      .ELAPSED_OFFSET(ELAPSED_OFFSET),
+      .RESET_MASK_OFFSET(RESET_MASK_OFFSET),
+      .ACTIONS_OFFSET(ACTIONS_OFFSET),
+      .DOORBELL_OFFSET(DOORBELL_OFFSET),
+      .OBSERVATIONS_OFFSET(OBSERVATIONS_OFFSET),
+      .REWARDS_OFFSET(REWARDS_OFFSET),
+      .TERS_OFFSET(TERS_OFFSET),
+      .STATUS_OFFSET(STATUS_OFFSET),
+      .END_OFFSET(END_OFFSET),
+      .WORD_ADDR_BITS(WORD_ADDR_BITS)
+  ) u_backbone (
+      .clk_i,
+      .rst_ni,
+      .irq_o,
+      .req_i   (req),
+      .we_i    (we),
+      .addr_i  (addr),
+      .wdata_i (wdata),
+      .rvalid_o(rvalid),
+      .rdata_o (rdata),
+      .resp_o  (resp)
+  );
+
+endmodule

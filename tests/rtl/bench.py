@@ -1,0 +1,53 @@
+"""What the benches share."""
+
+from __future__ import annotations
+
+import itertools
+from typing import Any
+
+import cocotb
+from cocotb.clock import Clock
+from cocotb.triggers import ClockCycles
+from cocotbext.axi import AxiBus, AxiMaster
+
+
+async def start(dut: Any, **idle: int) -> None:
+    """Start the clock, set inputs to their idle values and go through a reset."""
+    cocotb.start_soon(Clock(dut.clk_i, 10, unit="ns").start())
+    for name, value in idle.items():
+        getattr(dut, name).value = value
+    if hasattr(dut, "rst_ni"):
+        dut.rst_ni.value = 0
+        # Long enough to flush the pipeline.
+        await ClockCycles(dut.clk_i, 20)
+        dut.rst_ni.value = 1
+    await ClockCycles(dut.clk_i, 2)
+
+
+def spec_of(name: str, options: dict[str, Any]) -> Any:
+    """The spec that the pytest side means."""
+    if name == "ShiftAdd":
+        from shift_add import SPEC
+
+        return SPEC
+    from pearl_marl.registry import get_spec
+
+    return get_spec(name).with_options(**options)
+
+
+def axi_master(dut: Any, random: Any, idle: float) -> AxiMaster:
+    """A master on the module's bus, with every channel idle in this share of cycles."""
+    axi = AxiMaster(AxiBus.from_prefix(dut, "s_axi"), dut.clk_i, dut.rst_ni, reset_active_level=False)
+    write, read = axi.write_if, axi.read_if
+    for half in (write, read):
+        # Every byte moved is logged otherwise, which takes longer than to move it.
+        half.log.setLevel("WARNING")
+    if idle:
+        for channel in (write.aw_channel, write.w_channel, write.b_channel, read.ar_channel, read.r_channel):
+            channel.set_pause_generator(pauses(random, idle))
+    return axi
+
+
+def pauses(random: Any, share: float) -> Any:
+    """An endless idle pattern: pause in about this share of cycles."""
+    return (random.random() < share for _ in itertools.count())

@@ -1,0 +1,132 @@
+"""Builds a module under Verilator once and runs a cocotb bench on it."""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import hashlib
+import json
+import os
+import shutil
+import tempfile
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import platformdirs
+from cocotb_tools.runner import get_results, get_runner
+
+from pearl_marl import hardware, toolchain
+from pearl_marl.memory_map import MemoryMap
+from pearl_marl.spec import EnvSpec
+
+HERE = Path(__file__).parent
+CACHE = Path(platformdirs.user_cache_dir("pearl_marl")) / "cocotb"
+BUILD_ARGS = ["--assert", "-Wno-fatal"]
+BENCH_VARIABLE = "PEARL_BENCH"
+
+
+@dataclass(frozen=True)
+class Design:
+    """What makes one Verilator build different from another."""
+
+    top: str
+    sources: tuple[Path, ...]
+    parameters: Mapping[str, int] = field(default_factory=dict)
+    macros: Mapping[str, str] = field(default_factory=dict)
+
+    def digest(self) -> str:
+        texts = [path.read_text() for path in self.sources]
+        return _digest(self.top, texts, dict(self.parameters), dict(self.macros))
+
+
+def _digest(*parts: Any) -> str:
+    tools = [version("verilator"), version("cocotb"), BUILD_ARGS]
+    return hashlib.sha256(json.dumps([tools, parts]).encode()).hexdigest()[:24]
+
+
+def module(top: str, **parameters: int) -> Design:
+    """A module of the backbone, or a bench's own top, that contains no core."""
+    own = HERE / f"{top}.sv"
+    core_free = [path for path in hardware.backbone_paths() if "PEARL_CORE" not in path.read_text()]
+    users = {"pearl_pe_array.sv", "pearl_backbone.sv", "pearl_top.sv"}
+    files = [path for path in core_free if path.name not in users]
+    return Design(top, (*files, *([own] if own.exists() else [])), parameters)
+
+
+def whole(spec: EnvSpec, layout: MemoryMap, top: str = "pearl_top") -> Design:
+    """The whole design around the core of ``spec``."""
+    parameters = {**hardware.parameters(spec, layout), "ADDR_BITS": hardware.address_bits(layout)}
+    return Design(top, tuple(hardware.sources(spec)), parameters, hardware.macros(spec))
+
+
+def build(design: Design) -> Path:
+    """Build a design unless it is in the cache; safe with many processes at it."""
+    folder = CACHE / design.digest()
+    CACHE.mkdir(parents=True, exist_ok=True)
+    with (CACHE / f"{folder.name}.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not folder.exists():
+            os.environ.update(toolchain.environment())
+            scratch = Path(tempfile.mkdtemp(dir=CACHE))
+            # Verilator's own library takes most of a small build's time and is always the same. It is
+            # dated ahead, since make would otherwise find it older than this build's makefile.
+            library = CACHE / f"library-{_digest()}"
+            for built in library.glob("*.o"):
+                os.utime(shutil.copy(built, scratch), times=(time.time() + 3600,) * 2)
+            try:
+                get_runner("verilator").build(
+                    sources=list(design.sources),
+                    hdl_toplevel=design.top,
+                    parameters=dict(design.parameters),
+                    defines=dict(design.macros),
+                    build_args=BUILD_ARGS,
+                    build_dir=scratch,
+                    timescale=("1ns", "1ps"),
+                    log_file=scratch / "build.log",
+                )
+                if not library.exists():
+                    spare = Path(tempfile.mkdtemp(dir=CACHE))
+                    for built in scratch.glob("verilated*.o"):
+                        shutil.copy(built, spare)
+                    with contextlib.suppress(OSError):  # another process was faster
+                        spare.rename(library)
+                    shutil.rmtree(spare, ignore_errors=True)
+                # Only whole builds get the name that is looked for.
+                scratch.rename(folder)
+            except SystemExit as error:
+                log = (scratch / "build.log").read_text().splitlines()[-40:]
+                raise AssertionError("\n".join(log)) from error
+            finally:
+                shutil.rmtree(scratch, ignore_errors=True)
+    return folder
+
+
+def run(design: Design, bench: str, tmp_path: Path, **arguments: Any) -> None:
+    """Run all cocotb tests of the module ``bench`` on a design; ``arguments`` reach it as JSON."""
+    folder = build(design)
+    runner = get_runner("verilator")
+    log = tmp_path / "bench.log"
+    try:
+        results = runner.test(
+            hdl_toplevel=design.top,
+            hdl_toplevel_lang="verilog",
+            test_module=bench,
+            build_dir=folder,
+            test_dir=tmp_path,
+            extra_env={BENCH_VARIABLE: json.dumps(arguments), "PYTHONPATH": str(HERE)},
+            log_file=log,
+            results_xml=str(tmp_path / "results.xml"),
+        )
+    except SystemExit as error:
+        raise AssertionError("\n".join(log.read_text().splitlines()[-60:])) from error
+    count, _ = get_results(results)
+    assert count > 0, f"no test of {bench} ran"
+
+
+def arguments() -> Any:
+    """In a bench: what the pytest side passed to :func:`run`."""
+    return json.loads(os.environ[BENCH_VARIABLE])

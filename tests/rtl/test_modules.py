@@ -1,0 +1,87 @@
+"""Each module alone, over the product of its parameters."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from bench import spec_of
+from harness import Design, module, run
+
+from pearl_marl import hardware
+
+# Row and word: equal, dividing either way, sharing a factor, sharing none; wider and narrower rows.
+RATIOS = [(32, 32), (8, 32), (96, 32), (64, 128), (48, 32), (24, 32), (42, 32), (7, 32), (99, 64), (1, 32)]
+ROWS_RATIOS = [(13, row, word) for row, word in RATIOS] + [(1, 7, 32), (1, 96, 32)]
+
+
+@pytest.mark.parametrize("draws", [1, 3])
+def test_keys(draws: int, tmp_path: Path) -> None:
+    run(module("pearl_rng", DRAWS=draws), "bench_rng", tmp_path, draws=draws)
+
+
+@pytest.mark.parametrize(("pe_num", "draws"), [(1, 1), (3, 2)])
+def test_draws(pe_num: int, draws: int, tmp_path: Path) -> None:
+    design = module("pearl_draw_row", PE_NUM=pe_num, DRAWS=draws)
+    run(design, "bench_draw_row", tmp_path, pe_num=pe_num, draws=draws)
+
+
+@pytest.mark.parametrize("top", ["pearl_packer", "pearl_unpacker"])
+@pytest.mark.parametrize(("rows", "row", "word"), ROWS_RATIOS)
+def test_packing(top: str, rows: int, row: int, word: int, tmp_path: Path) -> None:
+    # A last row that is all padding but for its first bit is the shortest stream of so many rows.
+    words = -(-((rows - 1) * row + 1) // word)
+    design = module(top, ROW_BITS=row, DATA_WL=word, WORDS=words)
+    for idle in (0.0, 0.4):
+        folder = tmp_path / str(idle)
+        folder.mkdir()
+        run(
+            design,
+            top.replace("pearl", "bench"),
+            folder,
+            row=row,
+            word=word,
+            rows=rows,
+            words=words,
+            idle=idle,
+        )
+
+
+@pytest.mark.parametrize(("rows", "row", "word"), [(1, 6, 32), (5, 32, 32), (4, 72, 32), (3, 160, 64)])
+def test_row_memory(rows: int, row: int, word: int, tmp_path: Path) -> None:
+    design = module("pearl_row_memory", ROWS=rows, ROW_BITS=row, DATA_WL=word)
+    run(design, "bench_row_memory", tmp_path, rows=rows, row=row, word=word)
+
+
+@pytest.mark.parametrize("depth", [2, 8])
+def test_fifo(depth: int, tmp_path: Path) -> None:
+    run(module("pearl_fifo", DEPTH=depth), "bench_fifo", tmp_path, depth=depth)
+
+
+def test_axi_address(tmp_path: Path) -> None:
+    run(module("pearl_axi_address"), "bench_axi_address", tmp_path)
+
+
+@pytest.mark.parametrize("word", [32, 256, 1024])
+def test_axi_slave(word: int, tmp_path: Path) -> None:
+    design = module("axi_memory", DATA_WL=word, ADDR_BITS=14)
+    for idle in (0.0, 0.4):
+        folder = tmp_path / str(idle)
+        folder.mkdir()
+        run(design, "bench_axi_slave", folder, word=word, idle=idle)
+
+
+@pytest.mark.parametrize(
+    ("env", "options", "latency", "ii", "stride"),
+    [
+        ("CliffWalking", {"is_slippery": False}, 2, 1, 1),
+        ("CliffWalking", {"is_slippery": True}, 2, 1, 1),
+        ("ShiftAdd", {}, 4, 4, 7),
+    ],
+)
+def test_core(env: str, options: dict[str, bool], latency: int, ii: int, stride: int, tmp_path: Path) -> None:
+    spec = spec_of(env, options)
+    path = hardware.core_path(spec)
+    parameters = {name.upper(): int(value) for name, value in options.items()}
+    design = Design(path.stem, (path,), parameters)
+    run(design, "bench_core", tmp_path, env=env, options=options, latency=latency, ii=ii, stride=stride)

@@ -1,0 +1,34 @@
+"""The whole design over AXI, at small sizes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from bench import spec_of
+from harness import run, whole
+
+from pearl_marl.memory_map import memory_map
+
+
+@pytest.mark.parametrize(
+    ("env", "options", "size", "idle", "steps"),
+    [
+        # Ratios of row to word: a whole number of rows to a word, of words to a row, neither; a last
+        # group that is full, and one that is not; one group only; one slot only.
+        ("CliffWalking", {}, (1, 1, 32), 0.0, 4),
+        ("CliffWalking", {}, (7, 4, 32), 0.3, 8),
+        ("CliffWalking", {"is_slippery": True}, (60, 7, 32), 0.0, 6),
+        ("CliffWalking", {}, (1000, 16, 64), 0.0, 4),
+        ("CliffWalking", {"is_slippery": True}, (1024, 16, 128), 0.0, 3),
+        ("CliffWalking", {}, (193, 24, 32), 0.2, 4),
+        ("CliffWalking", {}, (40, 16, 1024), 0.0, 4),
+        ("ShiftAdd", {}, (23, 5, 64), 0.0, 6),
+        ("ShiftAdd", {}, (260, 4, 32), 0.1, 4),
+    ],
+    ids=lambda value: "-".join(map(str, value)) if isinstance(value, tuple) else None,
+)
+def test_top_equals_the_model(env, options, size, idle, steps, tmp_path: Path) -> None:
+    spec = spec_of(env, options)
+    design = whole(spec, memory_map(spec, *size))
+    run(design, "bench_top", tmp_path, env=env, options=options, size=size, idle=idle, steps=steps)
