@@ -21,9 +21,9 @@ from typing import Any, NamedTuple
 import llvmlite
 import numba
 import numpy as np
-import platformdirs
 
 from pearl_marl import rng
+from pearl_marl.cache import cache_folder
 from pearl_marl.golden import GoldenFunction
 from pearl_marl.kernel_source import kernel_source
 from pearl_marl.spec import EnvSpec, Golden
@@ -65,7 +65,7 @@ def compile_kernels(spec: EnvSpec) -> Kernels:
 
 @functools.lru_cache(maxsize=64)
 def _load(name: str, source: str, golden: Golden) -> Kernels:
-    path = cache_folder() / f"{name}.py"
+    path = cache_folder("kernels") / f"{name}.py"
     if not path.exists():
         # Written beside and renamed, so that another process never reads half a file.
         with tempfile.NamedTemporaryFile("w", dir=path.parent, suffix=".tmp", delete=False) as file:
@@ -85,18 +85,6 @@ def _load(name: str, source: str, golden: Golden) -> Kernels:
     )
     exec(compile(source, str(path), "exec"), vars(module))
     return Kernels(module.reset, module.step, module.advance, path)
-
-
-@functools.cache
-def cache_folder() -> Path:
-    """Return where kernels are kept; a temporary folder if the user's cache cannot be written."""
-    folder = Path(os.environ.get("PEARL_CACHE_DIR") or platformdirs.user_cache_dir("pearl_marl")) / "kernels"
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=folder):
-            return folder
-    except OSError:  # a read-only home costs a compilation in every process, and no more
-        return Path(tempfile.mkdtemp(prefix="pearl_marl_kernels_"))
 
 
 def _compiled(function: Any, done: dict[types.FunctionType, Any]) -> Any:

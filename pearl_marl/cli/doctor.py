@@ -17,7 +17,7 @@ from rich.table import Table
 
 from pearl_marl.benchmark import machine
 from pearl_marl.cli.common import AsJson, console, print_json
-from pearl_marl.kernels import cache_folder
+from pearl_marl.cache import cache_folder
 
 Check = tuple[bool, str, str]
 """Whether it is fine, what was found, and what to do if it is not."""
@@ -60,7 +60,7 @@ def _native() -> Check:
 
 
 def _cache() -> Check:
-    folder = cache_folder()
+    folder = cache_folder("kernels")
     kept = not folder.is_relative_to(tempfile.gettempdir()) or "PEARL_CACHE_DIR" in os.environ
     return (
         kept,

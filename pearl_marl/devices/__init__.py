@@ -2,17 +2,20 @@
 
 ``"native"``
     The CPU: :class:`Native`.
+``"rtl"``
+    The hardware under Verilator: :class:`Rtl`.
 """
 
 from __future__ import annotations
 
 from pearl_marl.devices.base import BatchConfig, BatchStep, Device
 from pearl_marl.devices.native import Native
+from pearl_marl.devices.rtl import Rtl
 from pearl_marl.errors import ArgumentError
 
-__all__ = ["BatchConfig", "BatchStep", "Device", "Native", "make_device"]
+__all__ = ["BatchConfig", "BatchStep", "Device", "Native", "Rtl", "make_device"]
 
-_BY_NAME: dict[str, type[Device]] = {"native": Native}
+_BY_NAME: dict[str, type[Device]] = {"native": Native, "rtl": Rtl}
 
 
 def make_device(device: str | Device) -> Device:
