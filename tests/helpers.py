@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 
 import pearl_marl
-from pearl_marl.devices import BatchConfig, BatchStep, Device, Native
+from pearl_marl import hardware, toolchain
+from pearl_marl.devices import BatchConfig, BatchStep, Device, Native, Rtl
+from pearl_marl.errors import DeviceError
 from pearl_marl.spec import EnvSpec
 
 from .reference import assert_same_step
@@ -17,10 +19,10 @@ from .toy import TOYS
 
 Array = np.ndarray[Any, Any]
 
-DEVICES = ("native",)
+DEVICES = ("native", "rtl")
 """Every device that the contract runs on. Add its maker to :func:`make_device` and its sizes below."""
 
-LARGEST = {"native": 43008}
+LARGEST = {"native": 43008, "rtl": 1000}
 """More slots than this take a device too long for the everyday suite."""
 
 SIZE, STEPS = 70, 40
@@ -33,6 +35,14 @@ def make_device(name: str, spec: EnvSpec, **options: Any) -> Device:
     """Return a fresh device, or skip the test and say why this machine or environment cannot."""
     if name == "native":
         return Native(**options)
+    if name == "rtl":
+        try:
+            hardware.core_path(spec)
+            toolchain.find("verilator")
+            toolchain.find("g++")
+        except DeviceError as error:
+            pytest.skip(str(error))
+        return Rtl(**options)
     pytest.skip(f"no device {name!r} on this machine")
 
 

@@ -34,19 +34,13 @@ _Signals = Sequence[tuple[str, int]]
 # The package is changed while a build runs, so one runs at a time in a process.
 _lock = threading.Lock()
 
-# What each of our changes to the generated C++ replaces.
+# What our change to the generated C++ replaces.
 _CONSTRUCT = """    Verilated::traceEverOn(true);
     V{top}* top = new V{top}();
 """
 _OWN_CONTEXT = """    auto* context = new VerilatedContext;
     context->traceEverOn(true);
     V{top}* top = new V{top}(context);
-"""
-_DESTRUCT = """        delete top;
-"""
-_DESTROY_CONTEXT = """        VerilatedContext* context = top->contextp();
-        delete top;
-        delete context;
 """
 _TRACE_FUNCTIONS = re.compile(r"VerilatedVcdC\* start_vcd_trace.*?(?=bool get_finished)", re.DOTALL)
 # A signal of Verilator 5's root class: `CData/*0:0*/ pearl_top__DOT__u_backbone__DOT__busy;`
@@ -131,9 +125,9 @@ def generate(folder: Path, arguments: Sequence[str], code: str, traced: bool) ->
         internals = [(name, int(high) + 1) for high, name in _SIGNAL.findall(root)]
         text: str = template(top, inputs, outputs, internals, json)
         text = text.replace(f"top->{top}__DOT__", f"top->rootp->{top}__DOT__")
-        # Models that share the default context cannot run in different threads.
+        # Models that share the default context cannot run in different threads. A context outlives its
+        # model, because Verilator's library keeps pointers to it in every thread that it ran in.
         text = _replace(text, _CONSTRUCT.format(top=top), _OWN_CONTEXT.format(top=top))
-        text = _replace(text, _DESTRUCT, _DESTROY_CONTEXT)
         if not traced:  # the library then lacks what these call
             text = _TRACE_FUNCTIONS.sub("", text)
         return f'#include "V{top}___024root.h"\n#define PEARL_MODEL V{top}\n{text}\n{code}'

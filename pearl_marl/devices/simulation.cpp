@@ -46,6 +46,9 @@ struct Host {
 #endif
     }
 
+    // The simulator finds a model's context by thread, and calls come from any.
+    void enter() { Verilated::threadContextp(top->contextp()); }
+
     // Before the edge: inputs are settled, and so are the outputs that the edge will see.
     void settle() {
         top->clk_i = 0;
@@ -215,6 +218,7 @@ Host* pearl_open(PEARL_MODEL* model, VerilatedVcdC* vcd, uint64_t patience, cons
     uint8_t* banks[] = {
         PEARL_BANK(reset_mask), PEARL_BANK(actions), PEARL_BANK(observations), PEARL_BANK(rewards), PEARL_BANK(ters)};
     for (int i = 0; i < kBackdoors; i++) host->windows[i] = {bounds[2 * i], bounds[2 * i + 1], banks[i]};
+    host->enter();
     // An assertion that fails must not end the host's process.
     model->contextp()->fatalOnError(false);
     model->rst_ni = 0;
@@ -227,16 +231,19 @@ Host* pearl_open(PEARL_MODEL* model, VerilatedVcdC* vcd, uint64_t patience, cons
 void pearl_close(Host* host) { delete host; }
 
 int pearl_write(Host* host, uint64_t begin, const uint8_t* data, uint64_t length) {
+    host->enter();
     host->write(begin, data, length);
     return host->take_answer();
 }
 
 int pearl_read(Host* host, uint64_t begin, uint8_t* data, uint64_t length) {
+    host->enter();
     host->read(begin, data, length);
     return host->take_answer();
 }
 
 int pearl_wait(Host* host) {
+    host->enter();
     host->wait_for_end();
     return host->take_answer();
 }
@@ -245,6 +252,7 @@ int pearl_step(
     Host* host, uint64_t write_begin, const uint8_t* written, uint64_t write_length, uint64_t read_begin,
     uint8_t* data, uint64_t read_length
 ) {
+    host->enter();
     host->write(write_begin, written, write_length);
     if (host->answer == kOkay) host->wait_for_end();
     if (host->answer == kOkay) host->read(read_begin, data, read_length);
