@@ -16,8 +16,8 @@ from rich.markup import escape
 from rich.table import Table
 
 from pearl_marl.benchmark import machine
-from pearl_marl.cli.common import AsJson, console, print_json
 from pearl_marl.cache import cache_folder
+from pearl_marl.cli.common import AsJson, console, print_json
 
 Check = tuple[bool, str, str]
 """Whether it is fine, what was found, and what to do if it is not."""

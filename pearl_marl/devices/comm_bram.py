@@ -43,7 +43,6 @@ from pearl_marl.spec import EnvSpec, Field, word_bits
 _TER = Field("ter", TER_BITS)
 _ELAPSED = Field("elapsed", ELAPSED_BITS)
 _IDENTITY = tuple(word for word in Control if word < Control.SEED_0)
-_SETTINGS = tuple(word for word in Control if Control.SEED_0 <= word < Control.RESERVED_0)
 
 
 class Transport(ABC):
@@ -82,6 +81,11 @@ class CommBram(Device):
     cycles = 0
     """Clock cycles that the last step took in the hardware, from doorbell to last result."""
 
+    _sequence: int
+    _known: bool
+    # What the hardware's settings are: seed, tick, first slot, time limit.
+    _held: tuple[int, int, int, int, int]
+
     @abstractmethod
     def _connect(self, config: BatchConfig) -> tuple[Transport, MemoryMap]:
         """Return the transport to the hardware, and the memory map that it has to have."""
@@ -99,9 +103,11 @@ class CommBram(Device):
         self._results = ResultArrays(config)
         self._next_step = config.autoreset_mode is AutoresetMode.NEXT_STEP
         self._repeats = config.initial_states == "stored"
-        self._mode = (Mode.NEXT_STEP if self._next_step else Mode(0)) | (
-            Mode.STORED if self._repeats else Mode(0)
-        )
+        self._mode = Mode(0)
+        if self._next_step:
+            self._mode |= Mode.NEXT_STEP
+        if self._repeats:
+            self._mode |= Mode.STORED
         # Scratch for starts of episodes; the stored ones stay in a memory of their own.
         self._starts = slot_memory.allocate(spec, n)
         self._stored = slot_memory.allocate(spec, n) if self._repeats else self._starts
@@ -192,7 +198,7 @@ class CommBram(Device):
             )
         self._known = True
         self._sequence = sequence
-        self._held = (*self._held[:2], self._tick + 1, *self._held[3:])
+        self._held = self._settings(self._tick + 1)
         self.cycles = int(self._status[Status.CYCLES])
 
     def _unpack(self) -> BatchStep:
@@ -293,18 +299,17 @@ class CommBram(Device):
 
     def _write_settings(self) -> None:
         """Bring seed, tick, first slot and time limit to the hardware where it has others."""
-        wanted = (*self._seed, self._tick, self.config.first_slot, self.config.limit)
+        wanted = self._settings(self._tick)
         if wanted == self._held:
             return
-        values = dict(zip(_SETTINGS, self._words_of(wanted), strict=True))
-        words = np.array([values[word] for word in _SETTINGS], "<u4")
-        self._transport.write(4 * _SETTINGS[0], words.view(np.uint8))
+        seed_0, seed_1, tick, first_slot, limit = wanted
+        # From SEED_0 to MAX_CYCLES, as the control region has them.
+        words = np.array([seed_0, seed_1, tick & 0xFFFFFFFF, tick >> 32, first_slot, limit], "<u4")
+        self._transport.write(4 * Control.SEED_0, words.view(np.uint8))
         self._held = wanted
 
-    @staticmethod
-    def _words_of(settings: tuple[int, int, int, int, int]) -> tuple[int, ...]:
-        seed_0, seed_1, tick, first_slot, limit = settings
-        return seed_0, seed_1, tick & 0xFFFFFFFF, tick >> 32, first_slot, limit
+    def _settings(self, tick: int) -> tuple[int, int, int, int, int]:
+        return (*self._seed, tick, self.config.first_slot, self.config.limit)
 
     def _synchronise(self) -> None:
         """Take up the hardware's sequence number, and forget what it was set to."""

@@ -35,7 +35,6 @@ _VERILATOR = ("-O3", "--flatten", "--x-assign", "fast", "--x-initial", "fast")
 # The library is loaded as one piece, and nobody replaces its functions: calls within it are direct.
 _FAST = "-O3 -march=native -fno-semantic-interposition"
 _MAKE = (f"OPT_FAST={_FAST}", "OPT_SLOW=-O0", "OPT_GLOBAL=-O1", "LDFLAGS=-shared")
-_LIBRARY_OBJECTS = ("verilated*.o",)
 
 
 def library(spec: EnvSpec, layout: MemoryMap, traced: bool = False) -> Path:
@@ -56,6 +55,7 @@ def library(spec: EnvSpec, layout: MemoryMap, traced: bool = False) -> Path:
     parameters = {**hardware.parameters(spec, layout), "ADDR_BITS": hardware.address_bits(layout)}
     arguments = [
         *_VERILATOR,
+        *(["--trace", "--public-flat-rw"] if traced else []),
         *(f"-G{name}={value}" for name, value in parameters.items()),
         *(f"+define+{name}={value}" for name, value in hardware.macros(spec).items()),
     ]
@@ -142,7 +142,12 @@ def _tools() -> tuple[str, ...]:
             f"a simulated device needs the Python package {error.name}; "
             "install it with: pip install 'pearl-marl[rtl]'"
         ) from error
-    compiler = toolchain.run(["g++", "--version"]), toolchain.run(["g++", "-march=native", "-Q", "--help=target"])
+    for program in ("make", "perl"):
+        toolchain.find(program)
+    compiler = (
+        toolchain.run(["g++", "--version"]),
+        toolchain.run(["g++", "-march=native", "-Q", "--help=target"]),
+    )
     return (*versions, *compiler)
 
 

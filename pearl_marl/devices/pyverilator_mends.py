@@ -98,7 +98,7 @@ def generate(folder: Path, arguments: Sequence[str], code: str, traced: bool) ->
     code
         C++ to stand after the generated wrapper, in which the model's class is ``PEARL_MODEL``.
     traced
-        Whether the model can write waveforms.
+        Whether ``arguments`` ask for waveforms.
 
     Raises
     ------
@@ -112,7 +112,7 @@ def generate(folder: Path, arguments: Sequence[str], code: str, traced: bool) ->
         # The package's own arguments choose C++11, which Verilator 5 cannot be compiled with, take
         # one source file and no parameters, turn tracing on always and lint errors off.
         names = ["--top-module", TOP, "--prefix", f"V{TOP}", "-Mdir", str(folder)]
-        flags = ["-CFLAGS", "-fPIC -DVL_USER_FINISH", *(["--trace"] if traced else [])]
+        flags = ["-CFLAGS", "-fPIC -DVL_USER_FINISH"]
         toolchain.run(["verilator", "--cc", "--exe", str(wrapper), *names, *flags, *arguments])
 
     template = module.template_cpp.template_cpp
@@ -120,7 +120,9 @@ def generate(folder: Path, arguments: Sequence[str], code: str, traced: bool) ->
     def template_cpp(top: str, inputs: _Signals, outputs: _Signals, _internals: _Signals, json: str) -> str:
         # Verilator 5 declares ports as references, VL_IN8(&clk,0,0), and the package takes the & for
         # a part of the name; and it keeps a model's internal signals in a class of their own.
-        inputs, outputs = ([(name.lstrip("&"), width) for name, width in ports] for ports in (inputs, outputs))
+        inputs, outputs = (
+            [(name.lstrip("&"), width) for name, width in ports] for ports in (inputs, outputs)
+        )
         root = (folder / f"V{top}___024root.h").read_text()
         internals = [(name, int(high) + 1) for high, name in _SIGNAL.findall(root)]
         text: str = template(top, inputs, outputs, internals, json)

@@ -18,7 +18,7 @@ from pearl_marl.devices import pyverilator_mends
 from pearl_marl.devices.base import BatchConfig
 from pearl_marl.devices.comm_bram import CommBram, Transport
 from pearl_marl.devices.model_build import library
-from pearl_marl.errors import ArgumentError, DeviceError, OrderError
+from pearl_marl.errors import ArgumentError, DeviceError
 from pearl_marl.memory_map import DATA_WIDTHS, MemoryMap, memory_map
 from pearl_marl.spec import EnvSpec, word_bits
 
@@ -26,7 +26,7 @@ PATHS = ("backdoor", "axi")
 
 MAX_DEFAULT_PE_NUM = 64
 """More processing elements take fewer cycles, but each cycle takes longer to simulate, and the model
-longer to compile: 43,008 slots of CliffWalking step equally fast with 64 and 128, and 32 % slower with 256."""
+longer to compile: 43,008 slots of CliffWalking step equally fast with 64 and 128, slower with 32 and 256."""
 
 DEFAULT_GROUPS = 16
 """With this many groups, a step's constant dozen of cycles no longer matters; so few slots make do
@@ -157,22 +157,33 @@ class Simulation(Transport):
         )
 
     def write(self, offset: int, data: Stream) -> None:
+        """See :class:`Transport`."""
         self._check(self._functions.pearl_write(self._host, offset, data.ctypes.data, data.size))
 
     def read(self, offset: int, data: Stream) -> None:
+        """See :class:`Transport`."""
         self._check(self._functions.pearl_read(self._host, offset, data.ctypes.data, data.size))
 
     def wait(self, sequence: int) -> None:
+        """Clock until the interrupt."""
         self._check(self._functions.pearl_wait(self._host))
 
     def exchange(self, offset: int, data: Stream, answer_offset: int, answer: Stream, sequence: int) -> None:
+        """Do a whole step in one call."""
         self._check(
             self._functions.pearl_step(
-                self._host, offset, data.ctypes.data, data.size, answer_offset, answer.ctypes.data, answer.size
+                self._host,
+                offset,
+                data.ctypes.data,
+                data.size,
+                answer_offset,
+                answer.ctypes.data,
+                answer.size,
             )
         )
 
     def peek(self, signal: str) -> int:
+        """See :meth:`Rtl.peek`."""
         found = self._model.all_signals.get(tuple(signal.split(".")))
         if found is None:
             how = "" if self._traced else "; open the device with trace= to keep every signal"
@@ -180,6 +191,7 @@ class Simulation(Transport):
         return int(found.value)
 
     def close(self) -> None:
+        """End the simulation, and the waveform file."""
         self._functions.pearl_close(self._host)
         if self._traced:
             self._model.stop_vcd_trace()

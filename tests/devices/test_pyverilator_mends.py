@@ -17,7 +17,9 @@ def test_the_mends_are_for_the_installed_version() -> None:
 
 def test_what_is_mended_is_still_there() -> None:
     module = mends.package()
-    text = module.template_cpp.template_cpp("top", [("a", 1)], [("b", 70)], [("pearl_top__DOT__c", 3)], "null")
+    text = module.template_cpp.template_cpp(
+        "top", [("a", 1)], [("b", 70)], [("pearl_top__DOT__c", 3)], "null"
+    )
     assert text.count(mends._CONSTRUCT.format(top="top")) == 1
     assert len(mends._TRACE_FUNCTIONS.findall(text)) == 1
     assert "top->pearl_top__DOT__c" in text

@@ -131,7 +131,7 @@ def test_peek_and_cycles() -> None:
     device.step(ACTIONS[0])
     assert device.peek("irq_o") == 1
     assert device.cycles == 12
-    with pytest.raises(DeviceError, match="no signal 'u_backbone.nothing'; open the device with trace="):
+    with pytest.raises(DeviceError, match=r"no signal 'u_backbone.nothing'; open the device with trace="):
         device.peek("u_backbone.nothing")
     device.close()
 
@@ -143,7 +143,7 @@ def test_trace_writes_waveforms_and_keeps_every_signal(tmp_path: Path) -> None:
     assert_same_trajectory(trajectory(device, ACTIONS), trajectory(plain, ACTIONS))
     assert device.peek("u_backbone.u_sequencer.busy_o") == 0
     assert device.peek("u_backbone.u_pe_array.gen_pe[2].u_pe.first") in (0, 1)
-    with pytest.raises(DeviceError, match="no signal 'nothing'$"):
+    with pytest.raises(DeviceError, match=r"no signal 'nothing'$"):
         device.peek("nothing")
     device.close()
     plain.close()
@@ -154,7 +154,7 @@ def test_trace_writes_waveforms_and_keeps_every_signal(tmp_path: Path) -> None:
 
 
 def test_a_trace_that_cannot_be_written(tmp_path: Path) -> None:
-    with pytest.raises(DeviceError, match="waveform file .* cannot be written"):
+    with pytest.raises(DeviceError, match=r"waveform file .* cannot be written"):
         opened(Rtl(4, 32, trace=tmp_path / "no" / "waves.vcd"))
 
 
@@ -270,7 +270,7 @@ def test_two_processes_build_once(own_cache: Path) -> None:
 
 
 def test_a_cache_that_cannot_be_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Its place is taken by a temporary folder. A file in the way stands for a read-only disk: root may write anywhere."""
+    """A temporary folder takes its place. Root may write anywhere, so a file stands in the way here."""
     (tmp_path / "cache").write_text("")
     monkeypatch.setenv("PEARL_CACHE_DIR", str(tmp_path / "cache"))
     cache.cache_folder.cache_clear()
@@ -298,5 +298,3 @@ def test_the_hash_sees_what_matters(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     core(tmp_path, monkeypatch, "// First stage:", "// 1st stage:")
     model_build.library(SPEC, layout)
     assert len(set(entries)) == len(entries) == 6
-
-
