@@ -13,15 +13,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from gymnasium.vector import AutoresetMode
 
 from pearl_marl import cache, get_spec, hardware
-from pearl_marl.devices import BatchConfig, Rtl, make_device, model_build, pyverilator_mends
+from pearl_marl.devices import BatchConfig, Native, Rtl, make_device, model_build, pyverilator_mends
 from pearl_marl.devices.rtl import default_data_wl, default_pe_num
 from pearl_marl.errors import ArgumentError, DeviceError
 from pearl_marl.memory_map import memory_map
 from pearl_marl.spec import Field
 
 from ..helpers import assert_same_trajectory, trajectory
+from ..reference import assert_same_step
+from ..rtl.shift_add import SPEC as SHIFT_ADD
+from ..toy import LADDER
 
 SPEC = get_spec("CliffWalking")
 ACTIONS = np.random.default_rng(0).integers(4, size=(60, 7), dtype=np.uint8)
@@ -104,8 +108,6 @@ def test_both_paths_give_the_same_words(pe_num: int, data_wl: int) -> None:
 
 
 def test_snapshots_move_between_devices() -> None:
-    from pearl_marl.devices import Native
-
     config = {"max_cycles": 11, "initial_states": "stored"}
     native = Native().open(BatchConfig(spec=SPEC, n_envs=7, **config))
     native.reset(seed=0)
@@ -124,6 +126,43 @@ def test_snapshots_move_between_devices() -> None:
     assert_same_trajectory(trajectory(other, ACTIONS[30:]), trajectory(native, ACTIONS[30:]))
     for device in (native, rtl, other):
         device.close()
+
+
+@pytest.mark.parametrize("initial_states", ["random", "stored"])
+@pytest.mark.parametrize("mode", [AutoresetMode.SAME_STEP, AutoresetMode.NEXT_STEP], ids=lambda m: m.name)
+def test_random_starts_odd_widths_and_a_core_of_several_cycles(
+    mode: AutoresetMode, initial_states: str
+) -> None:
+    """What CliffWalking has none of, with everything that can happen between steps."""
+    n = 23
+    config = BatchConfig(
+        spec=SHIFT_ADD, n_envs=n, autoreset_mode=mode, initial_states=initial_states, first_slot=2**31
+    )
+    rtl, native = Rtl(5, 64).open(config), Native().open(config)
+    generator = np.random.default_rng(1)
+    np.testing.assert_array_equal(rtl.reset(seed=4), native.reset(seed=4))
+    ends = 0
+    for t in range(60):
+        actions = generator.integers(SHIFT_ADD.action_space.n, size=n, dtype=np.uint8)
+        ours, theirs = rtl.step(actions), native.step(actions)
+        assert_same_step(ours, theirs, f"step {t}")
+        ends += int(theirs.ended.sum())
+        if t % 7 == 3:
+            mask = generator.random(n) < 0.3
+            np.testing.assert_array_equal(rtl.reset(mask=mask), native.reset(mask=mask))
+        if t % 20 == 10:
+            np.testing.assert_array_equal(rtl.reset(), native.reset())
+        if t % 15 == 9:
+            limit = (6, 3, 0, 4)[t // 15]
+            rtl.set_max_cycles(limit)
+            native.set_max_cycles(limit)
+        if t % 4 == 1:
+            np.testing.assert_array_equal(rtl.snapshot().memory, native.snapshot().memory, f"step {t}")
+        if t % 25 == 20:
+            np.testing.assert_array_equal(rtl.restore(native.snapshot()), native.restore(native.snapshot()))
+    assert ends > n
+    rtl.close()
+    native.close()
 
 
 def test_peek_and_cycles() -> None:
@@ -159,8 +198,6 @@ def test_a_trace_that_cannot_be_written(tmp_path: Path) -> None:
 
 
 def test_no_core() -> None:
-    from ..toy import LADDER
-
     with pytest.raises(DeviceError, match="Ladder has no hardware core: there is no file"):
         opened(Rtl(), spec=LADDER)
 
