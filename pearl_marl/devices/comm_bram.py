@@ -224,11 +224,11 @@ class CommBram(Device):
             if not self._resets_all:
                 results.rewards[self._resetting & ~self._mask] = 0
             self._resetting = ended
-        elif ended.any():
+        elif (slots := np.flatnonzero(ended)).size:
             # The episode that begins in the hardware's next step begins here in this one.
-            results.final_obs[:] = obs
+            results.final_obs[slots] = obs[slots]
             self._start(self._starts, ended, self._start_obs, use_stored=self._repeats, ticks_ahead=1)
-            obs[ended] = self._start_obs[ended]
+            obs[slots] = self._start_obs[slots]
         return results
 
     def _start(
