@@ -12,7 +12,14 @@ from pearl_marl import get_spec
 from pearl_marl.devices import BatchConfig, Rtl
 
 # Slots, processing elements, bits of a word; the first is what device="rtl" takes by default.
-SIZES = [(43008, None, None), (43008, 256, 1024), (1024, 16, 128), (1000, 16, 64), (7, 4, 32)]
+SIZES = [
+    (43008, None, None),
+    (43008, 256, 1024),
+    (43008, 64, 512),
+    (1024, 16, 128),
+    (1000, 16, 64),
+    (7, 4, 32),
+]
 
 
 @pytest.mark.benchmark(group="simulated CliffWalking")

@@ -69,7 +69,7 @@ def test_device_by_name() -> None:
 def test_default_parameters_are_legal(n: int) -> None:
     pe_num = default_pe_num(n)
     memory_map(SPEC, n, pe_num, default_data_wl(SPEC, pe_num))
-    assert pe_num == 64 or -(-n // pe_num) <= 16
+    assert pe_num == 128 or -(-n // pe_num) <= 16
 
 
 @pytest.mark.parametrize(
