@@ -9,17 +9,19 @@ import numpy as np
 import pytest
 
 import pearl_marl
-from pearl_marl.devices import BatchConfig, BatchStep, Device, Lockstep, Native, Reference
+from pearl_marl import hardware, toolchain
+from pearl_marl.devices import BatchConfig, BatchStep, Device, Lockstep, Native, Reference, Rtl
+from pearl_marl.errors import DeviceError
 from pearl_marl.spec import EnvSpec
 
 from .toy import TOYS
 
 Array = np.ndarray[Any, Any]
 
-DEVICES = ("native", "reference", "lockstep")
+DEVICES = ("native", "reference", "lockstep", "rtl")
 """Every device that the contract runs on. Add its maker to :func:`make_device` and its sizes below."""
 
-LARGEST = {"native": 43008, "reference": 43008, "lockstep": 43008}
+LARGEST = {"native": 43008, "reference": 43008, "lockstep": 43008, "rtl": 1000}
 """More slots than this take a device too long for the everyday suite."""
 
 SIZE, STEPS = 70, 40
@@ -36,6 +38,14 @@ def make_device(name: str, spec: EnvSpec, **options: Any) -> Device:
         return Reference(**options)
     if name == "lockstep":
         return Lockstep("native", "reference", **options)
+    if name == "rtl":
+        try:
+            hardware.core_path(spec)
+            toolchain.find("verilator")
+            toolchain.find("g++")
+        except DeviceError as error:
+            pytest.skip(str(error))
+        return Rtl(**options)
     pytest.skip(f"no device {name!r} on this machine")
 
 

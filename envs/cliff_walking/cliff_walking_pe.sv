@@ -84,28 +84,27 @@ module cliff_walking_pe
     hold_q   <= hold_i;
   end
 
-  // Second stage: the step.
+  // Second stage: the step, in sums and masks as the golden step has it. A simulator then has no
+  // branches to predict, which random actions would make it mispredict.
   state_t moved, state_d, state_q;
+  logic moves, up, right, down, left;
   logic bottom, fell, goal;
   logic [5:0] obs_q;
   logic reward_q, terminated_q, valid_late_q;
 
-  always_comb begin
-    moved = from_q;
-    if (!hold_q) begin
-      unique case (action_q)
-        UP: if (from_q.row > 0) moved.row = from_q.row - 1'b1;
-        RIGHT: if (from_q.column < LAST_COLUMN) moved.column = from_q.column + 1'b1;
-        DOWN: if (from_q.row < LAST_ROW) moved.row = from_q.row + 1'b1;
-        LEFT: if (from_q.column > 0) moved.column = from_q.column - 1'b1;
-      endcase
-    end
-    bottom  = moved.row == LAST_ROW && !hold_q;
-    goal    = bottom && moved.column == LAST_COLUMN;
-    fell    = bottom && moved.column > 0 && moved.column < LAST_COLUMN;
-    state_d = moved;
-    if (fell) state_d.column = '0;
-  end
+  assign moves = !hold_q;
+  assign up = moves & action_q == UP & from_q.row != '0;
+  assign right = moves & action_q == RIGHT & from_q.column != LAST_COLUMN;
+  assign down = moves & action_q == DOWN & from_q.row != LAST_ROW;
+  assign left = moves & action_q == LEFT & from_q.column != '0;
+  assign moved.row = from_q.row + {1'b0, down} - {1'b0, up};
+  assign moved.column = from_q.column + {3'b000, right} - {3'b000, left};
+
+  assign bottom = moves & moved.row == LAST_ROW;
+  assign goal = bottom & moved.column == LAST_COLUMN;
+  assign fell = bottom & moved.column != '0 & moved.column != LAST_COLUMN;
+  assign state_d.row = moved.row;
+  assign state_d.column = moved.column & ~{4{fell}};
 
   always_ff @(posedge clk_i) begin
     state_q <= state_d;

@@ -2,6 +2,8 @@
 
 ``"native"``
     The CPU: :class:`Native`.
+``"rtl"``
+    The hardware under Verilator: :class:`Rtl`.
 ``"reference"``
     The golden functions as they stand: :class:`Reference`, slow, for others to be held against.
 
@@ -14,11 +16,12 @@ from pearl_marl.devices.base import BatchConfig, BatchStep, Device
 from pearl_marl.devices.lockstep import Lockstep
 from pearl_marl.devices.native import Native
 from pearl_marl.devices.reference import Reference
+from pearl_marl.devices.rtl import Rtl
 from pearl_marl.errors import ArgumentError
 
-__all__ = ["BatchConfig", "BatchStep", "Device", "Lockstep", "Native", "Reference", "make_device"]
+__all__ = ["BatchConfig", "BatchStep", "Device", "Lockstep", "Native", "Reference", "Rtl", "make_device"]
 
-_BY_NAME: dict[str, type[Device]] = {"native": Native, "reference": Reference}
+_BY_NAME: dict[str, type[Device]] = {"native": Native, "reference": Reference, "rtl": Rtl}
 
 
 def make_device(device: str | Device) -> Device:

