@@ -171,7 +171,7 @@ class Device(ABC):
         """
         if self._closed or hasattr(self, "config"):
             raise OrderError(f"this {self.name} device has been opened before; make another one")
-        self._settings = dict(self.__dict__)
+        self._made_with = dict(self.__dict__)
         table = _reward_table(config.spec, config.spec.rewards if rewards is None else rewards)
         self._open(config)
         self.config = config
@@ -379,7 +379,7 @@ class Device(ABC):
         if not hasattr(self, "config"):
             return {"settings": self.__dict__}
         saved = self.snapshot() if self._ready else None
-        return {"settings": self._settings, "config": self.config, "rewards": self._table, "saved": saved}
+        return {"settings": self._made_with, "config": self.config, "rewards": self._table, "saved": saved}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state["settings"])
