@@ -94,7 +94,7 @@ module cliff_walking_pe
 
   assign moves = !hold_q;
   assign up = moves & action_q == UP & from_q.row != '0;
-  assign right = moves & action_q == RIGHT & from_q.column != LAST_COLUMN;
+  assign right = moves & action_q == RIGHT & from_q.column < LAST_COLUMN;
   assign down = moves & action_q == DOWN & from_q.row != LAST_ROW;
   assign left = moves & action_q == LEFT & from_q.column != '0;
   assign moved.row = from_q.row + {1'b0, down} - {1'b0, up};
@@ -102,7 +102,7 @@ module cliff_walking_pe
 
   assign bottom = moves & moved.row == LAST_ROW;
   assign goal = bottom & moved.column == LAST_COLUMN;
-  assign fell = bottom & moved.column != '0 & moved.column != LAST_COLUMN;
+  assign fell = bottom & moved.column != '0 & moved.column < LAST_COLUMN;
   assign state_d.row = moved.row;
   assign state_d.column = moved.column & ~{4{fell}};
 

@@ -22,8 +22,7 @@ from pearl_marl.errors import ArgumentError, DeviceError
 from pearl_marl.memory_map import memory_map
 from pearl_marl.spec import Field
 
-from ..helpers import assert_same_trajectory, trajectory
-from ..reference import assert_same_step
+from ..helpers import assert_same_step, assert_same_trajectory, trajectory
 from ..rtl.shift_add import SPEC as SHIFT_ADD
 from ..toy import LADDER
 
