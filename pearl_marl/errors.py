@@ -4,6 +4,14 @@ A refused call changes nothing: whoever catches one of these may go on with the 
 it was before the call.
 """
 
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from pearl_marl.divergence import Divergence
+    from pearl_marl.replay import Replay
+
 
 class PearlError(Exception):
     """Base of every error of this package."""
@@ -33,4 +41,29 @@ class DeviceError(PearlError, RuntimeError):
 
 
 class LockstepError(PearlError, AssertionError):
-    """Two devices that must agree bit for bit did not; names slot, step, field and both values."""
+    """Two devices that must agree bit for bit did not.
+
+    Attributes
+    ----------
+    divergence
+        What differs, decoded: a :class:`pearl_marl.divergence.Divergence`. Its fields ``step``,
+        ``slot``, ``field``, ``device_value``, ``reference_value``, ``state_before`` and ``action`` are
+        attributes of the error too.
+    replay
+        What does it again: a :class:`pearl_marl.replay.Replay`.
+    """
+
+    def __init__(self, divergence: Divergence, replay: Replay) -> None:
+        super().__init__(divergence, replay)
+        self.divergence = divergence
+        self.replay = replay
+        self.step = divergence.step
+        self.slot = divergence.slot
+        self.field = divergence.field
+        self.device_value = divergence.device_value
+        self.reference_value = divergence.reference_value
+        self.state_before = divergence.state_before
+        self.action = divergence.action
+
+    def __str__(self) -> str:
+        return str(self.divergence)

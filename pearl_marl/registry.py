@@ -27,12 +27,14 @@ def _key(name: str) -> str:
 
 @functools.cache
 def _specs() -> dict[str, EnvSpec]:
-    folders = sorted(m.name for m in pkgutil.iter_modules(importlib.import_module(_PACKAGE).__path__) if m.ispkg)
+    folders = sorted(
+        m.name for m in pkgutil.iter_modules(importlib.import_module(_PACKAGE).__path__) if m.ispkg
+    )
     specs = (importlib.import_module(f"{_PACKAGE}.{folder}.spec").SPEC for folder in folders)
     return {_key(spec.name): spec for spec in specs}
 
 
-def envs() -> list[str]:
+def names() -> list[str]:
     """Return the names of all environments, in alphabetical order."""
     return sorted(spec.name for spec in _specs().values())
 
@@ -51,7 +53,7 @@ def get_spec(name: str) -> EnvSpec:
     if spec is None:
         near = difflib.get_close_matches(_key(name), _specs(), n=3, cutoff=0.5)
         hint = f"did you mean {' or '.join(repr(_specs()[k].name) for k in near)}?" if near else ""
-        raise ArgumentError(f"there is no environment {name!r}; {hint or 'there are ' + ', '.join(envs())}")
+        raise ArgumentError(f"there is no environment {name!r}; {hint or 'there are ' + ', '.join(names())}")
     return spec
 
 
@@ -80,4 +82,6 @@ def register_elsewhere(spec: EnvSpec) -> None:
                 kind, f"pearl/{spec.id}", f"pearl_marl.parallel_env:{entry_point}", kwargs=arguments
             )
     gymnasium.registry.pop(f"Pearl/{spec.id}", None)
-    gymnasium.register(f"Pearl/{spec.id}", vector_entry_point="pearl_marl.vector_env:make_vec", kwargs=arguments)
+    gymnasium.register(
+        f"Pearl/{spec.id}", vector_entry_point="pearl_marl.vector_env:make_vec", kwargs=arguments
+    )

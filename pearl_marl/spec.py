@@ -48,6 +48,16 @@ class Field:
         width = max(8, 1 << (self.bits - 1).bit_length())
         return np.dtype(f"{'int' if self.signed else 'uint'}{width}")
 
+    @property
+    def low(self) -> float:
+        """The least value."""
+        return -(2.0 ** (self.bits - 1 - self.fraction)) if self.signed else 0.0
+
+    @property
+    def high(self) -> float:
+        """The greatest value."""
+        return ((1 << (self.bits - self.signed)) - 1) * 2.0**-self.fraction
+
 
 def word_bits(fields: Sequence[Field]) -> int:
     """Return the width in bits of the word made of ``fields`` side by side."""
@@ -55,7 +65,7 @@ def word_bits(fields: Sequence[Field]) -> int:
 
 
 class Golden(NamedTuple):
-    """The three functions that are an environment's dynamics; :mod:`pearl_marl.golden` says how to write them.
+    """The three functions that are an environment's dynamics, as :mod:`pearl_marl.golden` has them written.
 
     Each takes and returns scalars, in the order in which the spec lists its fields::
 
@@ -63,7 +73,7 @@ class Golden(NamedTuple):
         step(*state, action, *step_draws) -> *next_state, reward, terminated
         observe(*state)                   -> *observation
 
-    A function of one result returns it bare, or as a tuple of one. Draws are uniform ``u32``;
+    A function of one result returns it bare. Draws are uniform ``u32``;
     ``terminated`` is 0 or 1. Options are constants of the enclosing scope.
     """
 
@@ -114,6 +124,8 @@ class EnvSpec:
         The Gymnasium id of the environment that this one is held against, if it is one of theirs.
     pose
         Puts the oracle's environment, unwrapped, into a slot's state, so that it can render it.
+    render_modes, render_fps
+        How the oracle can render, as its own metadata say.
     grid
         How observations fall onto a grid, for heat maps.
     """
@@ -136,6 +148,8 @@ class EnvSpec:
     configure: Callable[..., EnvSpec] | None = None
     oracle: str | None = None
     pose: Callable[[Env[Any, Any], tuple[int, ...]], None] | None = None
+    render_modes: tuple[str, ...] = ()
+    render_fps: int = 4
     grid: Grid | None = None
 
     def __post_init__(self) -> None:
@@ -154,7 +168,9 @@ class EnvSpec:
         if not isinstance(self.action_space, Discrete) or self.action_space.start != 0:
             raise ArgumentError(f"{self.name}: action space {self.action_space} is not a Discrete from 0")
         if self.action_space.n > 1 << self.action.bits:
-            raise ArgumentError(f"{self.name}: {self.action_space} does not fit {self.action.bits} action bits")
+            raise ArgumentError(
+                f"{self.name}: {self.action_space} does not fit {self.action.bits} action bits"
+            )
         if self.rewards is not None and len(self.rewards) > 1 << self.reward.bits:
             raise ArgumentError(
                 f"{self.name}: {len(self.rewards)} rewards do not fit {self.reward.bits} reward bits"
@@ -180,16 +196,14 @@ class EnvSpec:
         for name in options:
             if name not in known:
                 near = difflib.get_close_matches(name, known, n=1)
-                has = f"{self.name} takes {', '.join(known)}" if known else f"{self.name} takes none of its own"
+                has = (
+                    f"{self.name} takes {', '.join(known)}" if known else f"{self.name} takes none of its own"
+                )
                 raise ArgumentError(
                     f"unknown argument {name!r}{f', did you mean {near[0]!r}?' if near else ''} ({has})"
                 )
         assert self.configure is not None
         return self.configure(**{**self.options, **options})
-
-    def observation_fields(self, observations: npt.NDArray[Any]) -> npt.NDArray[Any]:
-        """Return observations as an array of shape ``(n, fields)``."""
-        return observations.reshape(len(observations), len(self.observation))
 
 
 def check_max_cycles(value: object) -> None:

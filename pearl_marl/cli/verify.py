@@ -1,0 +1,237 @@
+"""``pearl verify``: a device against the golden functions, bit for bit."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from gymnasium.vector import AutoresetMode
+from rich.markup import escape
+from rich.table import Table
+
+from pearl_marl.cli.common import (
+    Agents,
+    AsJson,
+    Options,
+    Out,
+    Seed,
+    console,
+    env_options,
+    error_console,
+    print_json,
+    progress,
+)
+from pearl_marl.devices import Lockstep
+from pearl_marl.errors import ArgumentError, DeviceError, LockstepError
+from pearl_marl.registry import get_spec
+from pearl_marl.replay import Replay
+from pearl_marl.verification import Run, runs, verify
+
+
+class Autoreset(StrEnum):
+    """The modes of a device, as the command line writes them."""
+
+    SAME_STEP = "same-step"
+    NEXT_STEP = "next-step"
+
+
+class Starts(StrEnum):
+    """The initial states of a device."""
+
+    RANDOM = "random"
+    STORED = "stored"
+
+
+Subject = Annotated[
+    str, typer.Argument(metavar="ENV|FILE", help="An environment of `pearl envs`, or a replay file.")
+]
+DeviceToCheck = Annotated[
+    str | None,
+    typer.Option("--device", help="The device to check.", show_default="native, or the file's"),
+]
+ReferenceName = Annotated[
+    str | None,
+    typer.Option(
+        "--reference",
+        help="What it must agree with: `reference`, the golden functions themselves, or another device.",
+        show_default="reference, or the file's",
+    ),
+]
+StepsOfAll = Annotated[int, typer.Option("--steps", min=1, help="Steps of every agent, shared by the modes.")]
+MaxCycles = Annotated[
+    int | None,
+    typer.Option("--max-cycles", help="Time limit of an episode, 0 for none.", show_default="both"),
+]
+Mode = Annotated[
+    Autoreset | None,
+    typer.Option("--autoreset-mode", help="When a slot that ended begins again.", show_default="both"),
+]
+InitialStates = Annotated[
+    Starts | None,
+    typer.Option("--initial-states", help="Where episodes begin.", show_default="both"),
+]
+
+
+def command(
+    subject: Subject,
+    device: DeviceToCheck = None,
+    reference: ReferenceName = None,
+    n_agents: Agents = 43008,
+    steps: StepsOfAll = 300,
+    seed: Seed = 0,
+    max_cycles: MaxCycles = None,
+    autoreset_mode: Mode = None,
+    initial_states: InitialStates = None,
+    option: Options = None,
+    out: Out = None,
+    as_json: AsJson = False,
+) -> None:
+    """Compare a device with the golden functions, every word of every field, or replay a divergence.
+
+    Exit status 0: bit-exact. 1: not, and the first divergence is shown; with --out, it is also
+    written as a file that `pearl verify FILE` replays. 2: the call was refused.
+    """
+    if subject.endswith(".json") or Path(subject).is_file():
+        _replay(Replay.read(Path(subject)), device, reference, as_json)
+        return
+    spec = get_spec(subject).with_options(**env_options(option))
+    mode = None if autoreset_mode is None else AutoresetMode[autoreset_mode.name]
+    plan = runs(spec, n_agents, steps, mode, initial_states and initial_states.value, max_cycles)
+    device, reference = device or "native", reference or "reference"
+    if out is not None:  # before the work, not after it
+        try:
+            out.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise ArgumentError(f"--out {out} is no folder to write into: {error}") from None
+    parted: LockstepError | None = None
+    path = None
+    try:
+        for _ in progress(
+            _steps(plan, device, reference, seed),
+            sum(run.steps for run in plan),
+            f"{spec.name} on {device}, {n_agents:,} agents",
+        ):
+            pass
+    except LockstepError as caught:
+        parted = caught
+        if out is not None:
+            path = out / f"divergence_{spec.name}_{device.replace(':', '_')}.json"
+            _smallest(parted.replay, device, reference).write(path)
+    result = {
+        "environment": spec.id,
+        "options": dict(spec.options),
+        "device": device,
+        "reference": reference,
+        "n_agents": n_agents,
+        "seed": seed,
+        "exact": parted is None,
+        "agent_steps": n_agents * sum(run.taken for run in plan),
+        "words": sum(run.words for run in plan),
+        "episodes": sum(run.episodes for run in plan),
+        "modes": [_row(run) for run in plan],
+        "divergence": None if parted is None else parted.divergence.as_json(),
+        "replay": None if path is None else str(path),
+    }
+    if as_json:
+        print_json(result)
+    else:
+        console.print(_table(f"{spec.id} on {device}, held against {reference}", plan))
+        _say(parted, _verdict(result))
+        if path is not None:
+            console.print(f"Wrote {path}: pearl verify {path} replays it.", markup=False, soft_wrap=True)
+    if parted is not None:
+        sys.exit(1)
+    if not result["episodes"]:
+        error_console.print(
+            "Warning: no episode ended, so no start of another was compared. Take more --steps or agents.",
+            style="yellow",
+        )
+
+
+def _steps(plan: list[Run], device: str, reference: str, seed: int) -> Iterator[Run]:
+    for run in plan:
+        yield from verify(run, Lockstep(device, reference), seed)
+
+
+def _smallest(replay: Replay, device: str, reference: str) -> Replay:
+    """Return the replay of the one slot if that parts by itself in the same word, else of the batch."""
+    alone = replay.alone()
+    try:
+        again = alone.run(Lockstep(device, reference))
+    except DeviceError:  # not every device can be so small
+        return replay
+    return alone if again is not None and again.field == replay.divergence.field else replay
+
+
+def _replay(replay: Replay, device: str | None, reference: str | None, as_json: bool) -> None:
+    recorded = replay.divergence
+    device, reference = device or recorded.device, reference or recorded.reference
+    error = replay.run(Lockstep(device, reference))
+    if as_json:
+        print_json(
+            {
+                "environment": recorded.environment,
+                "device": device,
+                "reference": reference,
+                "exact": error is None,
+                "divergence": None if error is None else error.divergence.as_json(),
+                "recorded": recorded.as_json(),
+            }
+        )
+    else:
+        agents = f"{replay.config.n_envs:,} agent{'s' * (replay.config.n_envs != 1)}"
+        text = f"Recorded, replayed here with {agents}:\n{recorded}\n"
+        console.print(text, markup=False, highlight=False, soft_wrap=True)
+        _say(error, f"The divergence is gone: {device} agrees with {reference} in every word of this call.")
+    if error is not None:
+        sys.exit(1)
+
+
+def _say(error: LockstepError | None, verdict: str) -> None:
+    if error is None:
+        console.print(f"[bold green]{escape(verdict)}[/]", highlight=False, soft_wrap=True)
+    else:
+        console.print(f"[bold red]Not bit-exact.[/] {escape(str(error))}", highlight=False, soft_wrap=True)
+
+
+def _verdict(result: dict[str, Any]) -> str:
+    return (
+        f"{result['device']} is bit-exact with {result['reference']} over {result['agent_steps']:,} "
+        f"agent-steps: {result['words']:,} words compared, {result['episodes']:,} episodes ended."
+    )
+
+
+def _row(run: Run) -> dict[str, Any]:
+    return {
+        "autoreset_mode": _written(run.config.autoreset_mode),
+        "initial_states": run.config.initial_states,
+        "max_cycles": run.config.limit,
+        "steps": run.taken,
+        "exact": run.exact,
+        "words": run.words,
+        "episodes": run.episodes,
+        "truncated": run.truncated,
+    }
+
+
+def _written(mode: AutoresetMode) -> str:
+    return Autoreset[mode.name].value
+
+
+def _table(title: str, plan: list[Run]) -> Table:
+    table = Table(title=title)
+    for heading in ("autoreset", "starts"):
+        table.add_column(heading, no_wrap=True)
+    for heading in ("limit", "steps", "words", "episodes"):
+        table.add_column(heading, justify="right", no_wrap=True)
+    table.add_column("", no_wrap=True)
+    verdicts = {True: "[green]bit-exact[/]", False: "[bold red]differs[/]", None: "[dim]not run[/]"}
+    for run in plan:
+        mode, starts, limit = _written(run.config.autoreset_mode), run.config.initial_states, run.config.limit
+        figures = (f"{figure:,}" for figure in (run.taken, run.words, run.episodes))
+        table.add_row(mode, starts, f"{limit or 'none'}", *figures, verdicts[run.exact])
+    return table

@@ -1,0 +1,33 @@
+"""Where slots are stepped. All devices give the same answers, bit for bit.
+
+``"native"``
+    The CPU: :class:`Native`.
+``"reference"``
+    The golden functions as they stand: :class:`Reference`, slow, for others to be held against.
+
+:class:`Lockstep` steps two of them as one and compares every word.
+"""
+
+from __future__ import annotations
+
+from pearl_marl.devices.base import BatchConfig, BatchStep, Device
+from pearl_marl.devices.lockstep import Lockstep
+from pearl_marl.devices.native import Native
+from pearl_marl.devices.reference import Reference
+from pearl_marl.errors import ArgumentError
+
+__all__ = ["BatchConfig", "BatchStep", "Device", "Lockstep", "Native", "Reference", "make_device"]
+
+_BY_NAME: dict[str, type[Device]] = {"native": Native, "reference": Reference}
+
+
+def make_device(device: str | Device) -> Device:
+    """Return the device of that name, or the configured device that was given."""
+    if isinstance(device, Device):
+        return device
+    if not isinstance(device, str) or device not in _BY_NAME:
+        raise ArgumentError(
+            f"there is no device {device!r}; possible are {', '.join(map(repr, _BY_NAME))} "
+            "or a device object from pearl_marl.devices"
+        )
+    return _BY_NAME[device]()

@@ -1,0 +1,418 @@
+"""What every device is: an array of actions in, arrays of results out.
+
+::
+
+    Device(...)  --open(spec, n_envs, ...)-->  open  --reset(seed)-->  ready  --step(actions)-->  ...
+
+:class:`Device` does what all devices share (order of calls, checks, seeds, saved states, ``send``
+and ``recv``); a subclass moves the slots.
+"""
+
+from __future__ import annotations
+
+import operator
+import secrets
+from abc import ABC, abstractmethod
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple, Self
+
+import numpy as np
+import numpy.typing as npt
+from gymnasium.vector import AutoresetMode
+
+from pearl_marl import rng, slot_memory
+from pearl_marl.actions import encode
+from pearl_marl.errors import ArgumentError, OrderError, PearlError
+from pearl_marl.saved_state import SavedState
+from pearl_marl.spec import EnvSpec, check_max_cycles
+
+Array = npt.NDArray[Any]
+
+
+class BatchStep(NamedTuple):
+    """The results of one step, a row a slot.
+
+    Parameters
+    ----------
+    obs
+        Shape ``(n, *observation_space.shape)``, in the space's dtype. In SAME_STEP mode, where a
+        slot ended, the first observation of its new episode.
+    rewards
+        ``float32``, shape ``(n,)``.
+    terminations, truncations
+        ``bool``, shape ``(n,)``. Both may be set: the last step of a time limit can also reach the goal.
+    final_obs
+        Like ``obs``; where a slot ended, the last observation of that episode. Other rows have no meaning.
+    """
+
+    obs: Array
+    rewards: Array
+    terminations: Array
+    truncations: Array
+    final_obs: Array
+
+    @property
+    def ended(self) -> npt.NDArray[np.bool_]:
+        """Which slots' episodes ended in this step, shape ``(n,)``."""
+        return np.logical_or(self.terminations, self.truncations)
+
+    def arrivals(self) -> Array:
+        """Return where the step itself took every slot: ``final_obs`` where it ended, else ``obs``."""
+        ended = self.ended
+        if not ended.any():
+            return self.obs
+        return np.where(ended.reshape(-1, *(1,) * (self.obs.ndim - 1)), self.final_obs, self.obs)
+
+
+@dataclass(frozen=True, kw_only=True)
+class BatchConfig:
+    """What a device is opened for; checked when made.
+
+    Parameters
+    ----------
+    spec
+        The environment.
+    n_envs
+        How many slots.
+    autoreset_mode
+        ``SAME_STEP`` or ``NEXT_STEP``: when a slot that ended begins its next episode.
+    max_cycles
+        The time limit; ``None`` takes the environment's own, 0 is none.
+    initial_states
+        ``"random"``: each episode starts from a draw. ``"stored"``: a slot repeats its first start.
+    first_slot
+        The global number of the first slot: random draws depend on it, and on nothing else of the device.
+    copy
+        Whether results are fresh arrays. If not, the next step overwrites them.
+    """
+
+    spec: EnvSpec
+    n_envs: int
+    autoreset_mode: AutoresetMode = AutoresetMode.SAME_STEP
+    max_cycles: int | None = None
+    initial_states: str = "random"
+    first_slot: int = 0
+    copy: bool = True
+
+    def __post_init__(self) -> None:
+        n, first = self.n_envs, self.first_slot
+        for name, value, least in (("the number of agents", n, 1), ("first_slot", first, 0)):
+            if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < least:
+                raise ArgumentError(f"{name} is {value!r}; it must be an integer of at least {least}")
+        if first + n > 1 << 32:
+            raise ArgumentError(
+                f"slots {first} to {first + n - 1} exceed the 2**32 that random draws can tell apart"
+            )
+        if self.autoreset_mode not in (AutoresetMode.SAME_STEP, AutoresetMode.NEXT_STEP):
+            raise ArgumentError(
+                f"a device resets in SAME_STEP or NEXT_STEP mode, not {self.autoreset_mode!r}"
+            )
+        check_max_cycles(self.max_cycles)
+        if self.initial_states not in ("random", "stored"):
+            raise ArgumentError(
+                f"initial_states is {self.initial_states!r}; possible are 'random' and 'stored'"
+            )
+
+    @property
+    def limit(self) -> int:
+        """The time limit that holds; 0 for none."""
+        return int((self.spec.max_cycles if self.max_cycles is None else self.max_cycles) or 0)
+
+    def identity(self) -> dict[str, Any]:
+        """Return what a saved state has to agree with, by name."""
+        return {
+            "environment": self.spec.id,
+            "options": dict(self.spec.options),
+            "n_agents": int(self.n_envs),
+            "autoreset_mode": self.autoreset_mode.value,
+            "max_cycles": self.limit,
+            "initial_states": self.initial_states,
+            "first_slot": int(self.first_slot),
+        }
+
+
+class Device(ABC):
+    """A place where slots are stepped. Usable on its own, or given to an environment as ``device=``.
+
+    One object serves one batch: :meth:`open` it once, :meth:`close` it at the end.
+    """
+
+    name: str
+    """As users write it, for example ``"native"``."""
+
+    config: BatchConfig
+    _closed = False
+    _ready = False
+
+    def open(self, config: BatchConfig, rewards: npt.ArrayLike | None = None) -> Self:
+        """Take up a batch of slots.
+
+        Parameters
+        ----------
+        config
+            What to step.
+        rewards
+            Replaces the environment's reward table: see :meth:`set_rewards`.
+
+        Raises
+        ------
+        OrderError
+            This device has been opened before.
+        DeviceError
+            The device is not available.
+        """
+        if self._closed or hasattr(self, "config"):
+            raise OrderError(f"this {self.name} device has been opened before; make another one")
+        table = _reward_table(config.spec, config.spec.rewards if rewards is None else rewards)
+        self._open(config)
+        self.config = config
+        self._table = table
+        self._seed = (0, 0)
+        self._tick = 0
+        self._actions = np.empty(config.n_envs, config.spec.action.dtype)
+        self._worker: ThreadPoolExecutor | None = None
+        self._pending: Future[BatchStep] | None = None
+        return self
+
+    def reset(self, seed: int | None = None, mask: npt.ArrayLike | None = None) -> Array:
+        """Begin new episodes and return every slot's observation.
+
+        Parameters
+        ----------
+        seed
+            A non-negative integer of any size. ``None`` goes on with the random numbers in use, or
+            takes fresh ones from the operating system at the first reset.
+        mask
+            ``bool`` of shape ``(n,)``: the slots to reset, ``None`` for all. A slot that has not
+            stepped since its episode began keeps its initial state.
+
+        Raises
+        ------
+        ArgumentError
+            The seed or the mask is not one.
+        OrderError
+            A mask at the first reset, or the device is closed or busy.
+        """
+        self._check_idle("reset")
+        chosen: Array | None = None
+        if mask is not None:
+            chosen = np.asarray(mask)
+            if chosen.shape != (self.config.n_envs,) or chosen.dtype != np.bool_:
+                raise ArgumentError(
+                    f"a reset mask is bool of shape ({self.config.n_envs},), "
+                    f"not {chosen.dtype} of shape {chosen.shape}"
+                )
+            if seed is not None:
+                raise ArgumentError("a seed restarts every slot, so it cannot come with a reset mask")
+            if not self._ready:
+                raise OrderError("the first reset starts every slot: call reset() without a mask first")
+        before = self._seed, self._tick, self._ready
+        if seed is not None:
+            self._seed, self._tick = rng.seed_words(_checked_seed(seed)), 0
+        elif not self._ready:
+            self._seed = rng.seed_words(secrets.randbits(64))
+        elif chosen is None:
+            self._tick += 1  # or every reset would begin the same episodes
+        self._ready = True
+        try:
+            return self._reset(chosen)
+        except PearlError:
+            self._seed, self._tick, self._ready = before
+            raise
+
+    def step(self, actions: npt.ArrayLike) -> BatchStep:
+        """Step every slot once.
+
+        Parameters
+        ----------
+        actions
+            Integers of shape ``(n,)``, each in the action space.
+
+        Raises
+        ------
+        ActionError
+            Names the first agent whose action is not in the action space. No slot has stepped.
+        OrderError
+            Before the first reset, after ``close``, or between ``send`` and ``recv``.
+        """
+        if not self._ready or self._pending is not None:
+            self._check_idle("step", ready=True)
+        config = self.config
+        result = self._step(encode(actions, config.spec.action_space, self._actions, config.first_slot))
+        self._tick += 1
+        return result
+
+    def send(self, actions: npt.ArrayLike) -> None:
+        """Start a step and return at once; :meth:`recv` has its results. Raises as :meth:`step` does."""
+        self._check_idle("send", ready=True)
+        config = self.config
+        encoded = encode(actions, config.spec.action_space, self._actions, config.first_slot)
+        if encoded is not self._actions:
+            self._actions[:] = encoded  # the caller may change his before the step is done
+        if self._worker is None:
+            self._worker = ThreadPoolExecutor(1, thread_name_prefix=f"pearl-{self.name}")
+        self._pending = self._worker.submit(self._step, self._actions)
+
+    def recv(self) -> BatchStep:
+        """Wait for the step that :meth:`send` started and return its results."""
+        if getattr(self, "_pending", None) is None:
+            raise OrderError("recv() without a step under way: call send() first")
+        assert self._pending is not None
+        pending, self._pending = self._pending, None
+        result = pending.result()
+        self._tick += 1
+        return result
+
+    def set_rewards(self, table: npt.ArrayLike) -> None:
+        """Replace the reward table, from the next step on.
+
+        Parameters
+        ----------
+        table
+            Finite numbers, as many as the environment has reward categories.
+        """
+        self._check_idle("set_rewards")
+        self._table = _reward_table(self.config.spec, table)
+
+    @property
+    def rewards(self) -> Array:
+        """The reward table in use, ``float32``; empty where rewards are not categories."""
+        return self._table.copy()
+
+    @property
+    def ready(self) -> bool:
+        """Whether the slots have been reset, and not closed, so that they can step."""
+        return self._ready and not self._closed
+
+    def state(self) -> Array:
+        """Return every slot's state, shape ``(n, fields)``: what the next step starts from.
+
+        Integers in the narrowest dtype that holds all fields, or ``float64`` values where a field
+        has a fraction.
+        """
+        self._check_idle("state", ready=True)
+        return slot_memory.state_values(self.config.spec, self.config.n_envs, self._read()[0])
+
+    def snapshot(self) -> SavedState:
+        """Return all that the continuation depends on; :meth:`restore` of any device takes it."""
+        self._check_idle("snapshot", ready=True)
+        memory, stored = self._read()
+        return SavedState(
+            identity=self.config.identity(),
+            seed=self._seed,
+            tick=self._tick,
+            rewards=tuple(self._table.tolist()),
+            memory=memory.copy(),
+            stored=stored.copy(),
+            live=memory[:0],
+        )
+
+    def restore(self, saved: SavedState) -> Array:
+        """Continue from a snapshot of a batch like this one; return every slot's observation.
+
+        Raises
+        ------
+        SavedStateError
+            Names what differs between the two batches. Nothing has changed.
+        """
+        self._check_idle("restore")
+        saved.check(self.config.identity())
+        before = self._seed, self._tick, self._table, self._ready
+        self._seed, self._tick = saved.seed, saved.tick
+        self._table = np.array(saved.rewards, np.float32)
+        self._ready = True
+        try:
+            return self._write(saved.memory, saved.stored)
+        except PearlError:
+            self._seed, self._tick, self._table, self._ready = before
+            raise
+
+    def set_max_cycles(self, max_cycles: int | None) -> None:
+        """Replace the time limit, from the next step on; see :class:`BatchConfig`.
+
+        Steps are counted only while there is a limit: where there was none, every episode counts
+        from now.
+        """
+        self._check_idle("set_max_cycles")
+        config = replace(self.config, max_cycles=max_cycles)
+        if self._ready and not self.config.limit:
+            memory, stored = self._read()
+            memory = memory.copy()
+            slot_memory.views(config.spec, config.n_envs, memory)["elapsed"][:] = 0
+            self._write(memory, stored)
+        self.config = config
+
+    def close(self) -> None:
+        """Release what the device holds. Safe to call twice."""
+        if self._closed:
+            return
+        self._closed, self._ready = True, False
+        if hasattr(self, "config"):
+            if self._worker is not None:
+                self._worker.shutdown(wait=True)
+            self._close()
+
+    def _check_idle(self, call: str, ready: bool = False) -> None:
+        if self._closed:
+            raise OrderError(f"{call}() after close(): make a new environment")
+        if not hasattr(self, "config"):
+            raise OrderError(f"{call}() before open(): this {self.name} device has no batch yet")
+        if ready and not self._ready:
+            raise OrderError(f"{call}() before reset(): call reset() first")
+        if self._pending is not None:
+            raise OrderError(f"{call}() between send() and recv(): call recv() first")
+
+    @abstractmethod
+    def _open(self, config: BatchConfig) -> None:
+        """Get ready to step the slots of ``config``, or raise DeviceError."""
+
+    @abstractmethod
+    def _reset(self, mask: Array | None) -> Array:
+        """Start the masked slots (all, if ``None``) at ``self._tick``; return all observations."""
+
+    @abstractmethod
+    def _step(self, actions: Array) -> BatchStep:
+        """Step every slot at ``self._tick``; ``actions`` are checked and in the device's width."""
+
+    @abstractmethod
+    def _read(self) -> tuple[Array, Array]:
+        """Return the slots' memory and the stored initial states (empty if random), as bytes."""
+
+    @abstractmethod
+    def _write(self, memory: Array, stored: Array) -> Array:
+        """Replace both; return all observations."""
+
+    @abstractmethod
+    def _close(self) -> None:
+        """Release everything; called once."""
+
+
+def _checked_seed(seed: Any) -> int:
+    try:
+        value = operator.index(seed)
+    except TypeError:
+        raise ArgumentError(f"seed is {seed!r}; it must be a non-negative integer or None") from None
+    if value < 0:
+        raise ArgumentError(f"seed is {seed}; it must not be negative")
+    return value
+
+
+def _reward_table(spec: EnvSpec, table: npt.ArrayLike | None) -> npt.NDArray[np.float32]:
+    if spec.rewards is None:
+        if table is not None:
+            raise ArgumentError(f"{spec.name} computes its rewards; it has no table to replace")
+        return np.empty(0, np.float32)
+    try:
+        with np.errstate(over="ignore"):  # infinite then, and refused below
+            array = np.array(table, np.float32)
+    except (TypeError, ValueError):
+        raise ArgumentError(f"rewards are {table!r}; {spec.name} takes {len(spec.rewards)} numbers") from None
+    if array.shape != (len(spec.rewards),):
+        raise ArgumentError(
+            f"a reward table of shape {array.shape}; {spec.name} has {len(spec.rewards)} categories, "
+            f"by default {spec.rewards}"
+        )
+    if not np.isfinite(array).all():
+        raise ArgumentError(f"rewards are {array.tolist()}; each must be a finite float32")
+    return array

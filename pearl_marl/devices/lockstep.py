@@ -1,0 +1,277 @@
+"""Two devices as one: every step on both, every word compared."""
+
+from __future__ import annotations
+
+import secrets
+from collections.abc import Callable
+from typing import Any, NoReturn, Self, TypeVar
+
+import numpy.typing as npt
+
+from pearl_marl import devices
+from pearl_marl.devices.base import Array, BatchConfig, BatchStep, Device
+from pearl_marl.divergence import (
+    Comparison,
+    Divergence,
+    observation_words,
+    result_words,
+    state_of,
+    state_words,
+)
+from pearl_marl.errors import ArgumentError, LockstepError, PearlError
+from pearl_marl.replay import Replay
+from pearl_marl.saved_state import SavedState
+
+T = TypeVar("T")
+
+SMALL = 4096
+"""Up to so many slots the states are compared after every step."""
+
+STEPS_BETWEEN_STATES = 16
+"""Beyond that, after so many. Reading every slot's state back can cost a device more than the step."""
+
+
+class Lockstep(Device):
+    """A device, and another one that it must agree with.
+
+    It is used as the device would be, and answers as it does. Whatever both return is compared bit
+    for bit: observations, rewards, terminations, truncations, and final observations where a slot
+    ended. So are their states, after every ``state_every`` steps and at every reset, snapshot and
+    restore. At the first difference the call raises :class:`~pearl_marl.errors.LockstepError`, and
+    both devices are given the state that the reference had before the call.
+
+    A state that went wrong between two comparisons is not reported late: the steps since the last
+    one are taken again, with a comparison after each, to find the first that differs.
+
+    Parameters
+    ----------
+    device
+        The one to check: a name, or a configured device.
+    reference
+        What it is held against, likewise.
+    state_every
+        Steps from one comparison of the states to the next; ``None`` is 1 for up to 4,096 slots and
+        16 beyond. The last steps are compared by calling :meth:`snapshot`.
+
+    Attributes
+    ----------
+    words
+        How many words have been compared.
+    """
+
+    def __init__(
+        self, device: str | Device, reference: str | Device = "native", state_every: int | None = None
+    ) -> None:
+        if state_every is not None and (
+            isinstance(state_every, bool) or not isinstance(state_every, int) or state_every < 1
+        ):
+            raise ArgumentError(f"state_every is {state_every!r}; it must be a positive integer or None")
+        self.device, self.reference = devices.make_device(device), devices.make_device(reference)
+        if self.device is self.reference:
+            raise ArgumentError("a device is not its own reference: lockstep takes two")
+        self.name = f"lockstep of {self.device.name} and {self.reference.name}"
+        self.words = 0
+        self._asked = state_every
+
+    def open(self, config: BatchConfig, rewards: npt.ArrayLike | None = None) -> Self:
+        """Take up a batch of slots on both devices; see :meth:`Device.open`."""
+        super().open(config, rewards)
+        if rewards is not None:
+            self._both(lambda device: device.set_rewards(rewards))
+        return self
+
+    def reset(self, seed: int | None = None, mask: npt.ArrayLike | None = None) -> Array:
+        """Begin new episodes on both devices; see :meth:`Device.reset`."""
+        self._check_idle("reset")
+        self._before = self.snapshot() if self._ready else None
+        # Both have to begin from the same seed, and a replay has to know it.
+        self._reset_seed = secrets.randbits(64) if seed is None and self._before is None else seed
+        return super().reset(self._reset_seed, mask)
+
+    def set_rewards(self, table: npt.ArrayLike) -> None:
+        """Replace both devices' reward table; see :meth:`Device.set_rewards`."""
+        self._check_idle("set_rewards")
+        self._change(lambda device: device.set_rewards(table))
+        super().set_rewards(table)
+
+    def set_max_cycles(self, max_cycles: int | None) -> None:
+        """Replace both devices' time limit; see :meth:`Device.set_max_cycles`."""
+        self._check_idle("set_max_cycles")
+        self._change(lambda device: device.set_max_cycles(max_cycles))
+        self.config = self.reference.config
+
+    def _open(self, config: BatchConfig) -> None:
+        self._every = self._asked or (1 if config.n_envs <= SMALL else STEPS_BETWEEN_STATES)
+        # The state that both were last seen to share, and the actions of the steps since.
+        self._since: SavedState | None = None
+        self._taken: list[Array] = []
+        self.device.open(config)
+        try:
+            self.reference.open(config)
+        except BaseException:
+            self.device.close()
+            raise
+
+    def _reset(self, mask: Array | None) -> Array:
+        before, seed = self._before, self._reset_seed
+
+        def restart(device: Device) -> Array:
+            return device.reset(seed, mask)
+
+        arguments = {
+            "seed": None if seed is None else int(seed),
+            "mask": None if mask is None else mask.copy(),
+        }
+        return self._restart("reset", restart, before, **arguments)
+
+    def _write(self, memory: Array, stored: Array) -> Array:
+        saved = SavedState(
+            identity=self.config.identity(),
+            seed=self._seed,
+            tick=self._tick,
+            rewards=tuple(self._table.tolist()),
+            memory=memory,
+            stored=stored,
+            live=memory[:0],
+        )
+        return self._restart("restore", lambda device: device.restore(saved), saved)
+
+    def _restart(
+        self, call: str, begin: Callable[[Device], Array], before: SavedState | None, **arguments: Any
+    ) -> Array:
+        """Reset or restore both devices and compare all there is."""
+        previous = None if self._since is None else self.reference.snapshot()
+        ours, theirs = self._both(begin)
+        found = Comparison()
+        for words in observation_words(self.config.spec, "obs", ours, theirs):
+            found.add(words)
+        self._add_states(found)
+        self.words += found.words
+        if found:
+            if previous is not None:
+                self._continue_from(previous)
+            raise self._error(call, found, before, tick=self._tick, **arguments)
+        self._agreed()
+        return ours
+
+    def _step(self, actions: Array) -> BatchStep:
+        ours, theirs = self._both(lambda device: device.step(actions))
+        self._taken.append(actions.copy())
+        found = Comparison()
+        for words in result_words(self.config.spec, ours, theirs):
+            found.add(words)
+        if found or len(self._taken) >= self._every:
+            self._add_states(found)
+        self.words += found.words
+        if found:
+            self._diverged(found, undo=1)
+        if len(self._taken) >= self._every:
+            self._agreed()
+        return ours
+
+    def _read(self) -> tuple[Array, Array]:
+        self._compare_states()
+        saved = self.device.snapshot()
+        return saved.memory, saved.stored
+
+    def _close(self) -> None:
+        self.device.close()
+        self.reference.close()
+
+    def _change(self, setting: Callable[[Device], None]) -> None:
+        """Change what steps depend on; those taken before could not be taken again."""
+        if self._ready:
+            self._compare_states()
+        self._both(setting)
+        if self._ready:
+            self._agreed()
+
+    def _compare_states(self) -> None:
+        found = Comparison()
+        self._add_states(found)
+        self.words += found.words
+        if found:
+            self._diverged(found, undo=0)
+        self._agreed()
+
+    def _agreed(self) -> None:
+        self._since = self.reference.snapshot()
+        self._taken = []
+
+    def _add_states(self, found: Comparison) -> None:
+        saved = self.device.snapshot(), self.reference.snapshot()
+        for words in state_words(self.config.spec, self.config.n_envs, *saved):
+            found.add(words)
+
+    def _both(self, call: Callable[[Device], T]) -> tuple[T, T]:
+        """Call both devices. Should one refuse, neither has moved."""
+        ours = call(self.device)
+        try:
+            return ours, call(self.reference)
+        except PearlError:
+            if self.reference.ready:
+                self.device.restore(self.reference.snapshot())
+            raise
+
+    def _diverged(self, found: Comparison, undo: int) -> NoReturn:
+        """Find the first step that differs, take back the last ``undo`` steps, and raise."""
+        since, taken = self._since, self._taken
+        assert since is not None
+        at = len(taken) - 1
+        earlier = self._search(since, taken[:-1])
+        if earlier is not None:
+            at, found = earlier
+        self.reference.restore(since)
+        before = since
+        for i, actions in enumerate(taken):
+            if i == at:
+                before = self.reference.snapshot()
+            if i == len(taken) - undo:
+                break
+            self.reference.step(actions)
+        self._continue_from(self.reference.snapshot())
+        if not taken:
+            raise self._error("snapshot", found, since, tick=since.tick)
+        raise self._error("step", found, before, tick=before.tick, actions=taken[at])
+
+    def _search(self, since: SavedState, taken: list[Array]) -> tuple[int, Comparison] | None:
+        """Take steps again, comparing the states after each; return the first that differs, if any does.
+
+        A device that does not make the same mistake twice may differ in none.
+        """
+        if taken:
+            self._both(lambda device: device.restore(since))
+        for i, actions in enumerate(taken):
+            for device in (self.device, self.reference):
+                device.step(actions)
+            found = Comparison()
+            self._add_states(found)
+            if found:
+                return i, found
+        return None
+
+    def _continue_from(self, saved: SavedState) -> None:
+        self._both(lambda device: device.restore(saved))
+        self._agreed()
+
+    def _error(
+        self, call: str, found: Comparison, before: SavedState | None, tick: int, **arguments: Any
+    ) -> LockstepError:
+        spec, n = self.config.spec, self.config.n_envs
+        i, count, differences = found.first()
+        actions = arguments.get("actions")
+        divergence = Divergence(
+            environment=spec.id,
+            device=self.device.name,
+            reference=self.reference.name,
+            call=call,
+            step=tick,
+            slot=self.config.first_slot + i,
+            slots=count,
+            differences=differences,
+            state_before=None if before is None else state_of(spec, n, before, i),
+            action=None if actions is None else int(actions[i]),
+        )
+        return LockstepError(
+            divergence, Replay(config=self.config, divergence=divergence, before=before, **arguments)
+        )

@@ -1,0 +1,130 @@
+"""The CPU as a device: the compiled golden step, on one thread or several."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import time
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from typing import Any
+
+import numpy as np
+from gymnasium.vector import AutoresetMode
+
+from pearl_marl import slot_memory
+from pearl_marl.devices.base import Array, BatchConfig, BatchStep, Device
+from pearl_marl.devices.results import ResultArrays
+from pearl_marl.errors import ArgumentError
+from pearl_marl.kernel_source import BLOCK
+from pearl_marl.kernels import compile_kernels
+
+SLOW_STEP_SECONDS = 300e-6
+"""From here on a second thread pays: handing it work and waiting for it costs about 50 us."""
+
+SLOW_STEPS_TO_SWITCH = 5
+"""In a row: a single one may only have been interrupted."""
+
+
+class Native(Device):
+    """The CPU.
+
+    Parameters
+    ----------
+    threads
+        How many threads share a step. ``None`` starts with one and takes all the cores this
+        process may use once steps prove long enough to pay for it. Results are the same.
+    """
+
+    name = "native"
+
+    def __init__(self, threads: int | None = None) -> None:
+        if threads is not None and (isinstance(threads, bool) or not isinstance(threads, int) or threads < 1):
+            raise ArgumentError(f"threads is {threads!r}; it must be a positive integer or None")
+        self._asked = threads
+
+    def _open(self, config: BatchConfig) -> None:
+        spec, n = config.spec, config.n_envs
+        self._kernels = compile_kernels(spec)
+        self._memory = slot_memory.allocate(spec, n)
+        # Without stored initial states the kernels get the memory itself, and do not look.
+        self._stored = slot_memory.allocate(spec, n) if config.initial_states == "stored" else self._memory
+        self._next_step = config.autoreset_mode is AutoresetMode.NEXT_STEP
+        self._results = ResultArrays(config)
+        self._threads = self._asked or 1
+        self._slow_steps = 0
+        self._pool: ThreadPoolExecutor | None = None
+
+    def _ranges(self) -> list[tuple[int, int]]:
+        """Split the slots at block boundaries into as many ranges as there are threads."""
+        n = self.config.n_envs
+        blocks = -(-n // BLOCK)
+        parts = min(self._threads, blocks)
+        edges = [blocks * i // parts * BLOCK for i in range(parts)] + [n]
+        return list(itertools.pairwise(edges))
+
+    def _run(self, kernel: Any, before: tuple[Any, ...], after: tuple[Any, ...]) -> None:
+        """Call ``kernel(*before, lo, hi, n, *after)`` for every range, one of them on this thread."""
+        n = self.config.n_envs
+        if self._threads == 1:
+            kernel(*before, 0, n, n, *after)
+            return
+        first, *others = self._ranges()
+        if self._pool is None:
+            self._pool = ThreadPoolExecutor(self._threads - 1, thread_name_prefix="pearl-native")
+        tasks = [self._pool.submit(partial(kernel, *before, lo, hi, n, *after)) for lo, hi in others]
+        kernel(*before, *first, n, *after)
+        for task in tasks:
+            task.result()
+
+    def _reset(self, mask: Array | None) -> Array:
+        config, stored = self.config, self._stored
+        n = config.n_envs
+        flags = np.ones(n, np.uint8) if mask is None else mask.astype(np.uint8)
+        obs = self._results.take().obs
+        use_stored = stored is not self._memory
+        self._run(
+            self._kernels.reset,
+            (self._memory, stored, flags, obs, *self._seed, self._tick, config.first_slot),
+            (use_stored and mask is not None,),
+        )
+        if use_stored and mask is None:
+            stored[:] = self._memory
+        return obs
+
+    def _step(self, actions: Array) -> BatchStep:
+        config, stored = self.config, self._stored
+        results = self._results.take()
+        began = time.perf_counter()
+        self._run(
+            self._kernels.step,
+            (
+                self._memory,
+                stored,
+                actions,
+                self._table,
+                *results,
+                *self._seed,
+                self._tick,
+                config.first_slot,
+            ),
+            (config.limit, self._next_step, stored is not self._memory),
+        )
+        if self._asked is None and self._threads == 1:
+            self._slow_steps = self._slow_steps + 1 if time.perf_counter() - began > SLOW_STEP_SECONDS else 0
+            if self._slow_steps == SLOW_STEPS_TO_SWITCH:
+                self._threads = len(os.sched_getaffinity(0))
+        return results
+
+    def _read(self) -> tuple[Array, Array]:
+        return self._memory, self._stored if self._stored is not self._memory else self._memory[:0]
+
+    def _write(self, memory: Array, stored: Array) -> Array:
+        self._memory[:] = memory
+        if stored.size:
+            self._stored[:] = stored
+        return self._reset(np.zeros(self.config.n_envs, np.bool_))
+
+    def _close(self) -> None:
+        if self._pool is not None:
+            self._pool.shutdown(wait=True)

@@ -1,0 +1,161 @@
+"""The golden functions as a device: plain NumPy over all slots, written to be read.
+
+It is what every other device is held against, so it shares with them no more than the golden
+functions, the random draws and the layout of a saved state. The order in which slots step, end and
+begin again stands here a second time, and neither a generated kernel nor Numba has a part in it.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from gymnasium.spaces import Discrete
+from gymnasium.vector import AutoresetMode
+
+from pearl_marl import rng, slot_memory
+from pearl_marl.devices.base import Array, BatchConfig, BatchStep, Device
+from pearl_marl.devices.results import ResultArrays
+from pearl_marl.errors import DeviceError
+from pearl_marl.golden import GoldenFunction, call_reference
+from pearl_marl.spec import Field
+
+_TERMINATED = Field("terminated", 1)
+
+
+class Reference(Device):
+    """The golden functions themselves, some hundred times slower than :class:`Native`.
+
+    It also holds them to the widths that the spec promises: a word that does not fit its field
+    raises :class:`~pearl_marl.errors.DeviceError`, where hardware would lose the upper bits.
+    """
+
+    name = "reference"
+
+    def _open(self, config: BatchConfig) -> None:
+        self._next_step = config.autoreset_mode is AutoresetMode.NEXT_STEP
+        self._slots = np.arange(config.first_slot, config.first_slot + config.n_envs)
+        self._memory = slot_memory.allocate(config.spec, config.n_envs)
+        columns = slot_memory.views(config.spec, config.n_envs, self._memory)
+        *self._state, self._elapsed, self._resets_next = columns.values()
+        self._stored = self._memory[:0]
+        if config.initial_states == "stored":
+            self._stored = slot_memory.allocate(config.spec, config.n_envs)
+        self._results = ResultArrays(config)
+
+    def _reset(self, mask: Array | None) -> Array:
+        if mask is None:
+            self._put(self._random_start(self._tick))
+            self._elapsed[:] = self._resets_next[:] = 0
+            if self._stored.size:
+                self._stored[:] = self._memory
+        else:
+            self._put(_chosen(mask, self._start(self._tick), self._state))
+            self._elapsed[mask] = self._resets_next[mask] = 0
+        obs = self._results.take().obs
+        obs[...] = self._observe(self._state)
+        return obs
+
+    def _step(self, actions: Array) -> BatchStep:
+        spec, limit = self.config.spec, self.config.limit
+        draws = self._draws(self._tick, spec.reset_draws, spec.step_draws)
+        fields = (*spec.state, spec.reward, _TERMINATED)
+        *state, reward, terminated = self._words(spec.golden.step, [*self._state, actions, *draws], fields)
+
+        # NEXT_STEP: a slot that ended has run on unseen, and begins now instead.
+        resetting = self._resets_next.astype(np.bool_)
+        if resetting.any():
+            state = _chosen(resetting, self._start(self._tick), state)
+        elapsed = np.where(resetting, 0, self._elapsed + 1) if limit else self._elapsed
+        terminations = terminated.astype(np.bool_) & ~resetting
+        truncations = elapsed >= limit if limit else np.zeros_like(terminations)
+        truncations = truncations & ~resetting
+        ended = terminations | truncations
+        obs = final_obs = self._observe(state)
+        # SAME_STEP: it begins at once, with the draws of the next step.
+        if not self._next_step and ended.any():
+            state = _chosen(ended, self._start(self._tick + 1), state)
+            elapsed = np.where(ended, 0, elapsed)
+            obs = self._observe(state)
+
+        # Every golden function has been called: from here on nothing can be refused any more.
+        self._put(state)
+        self._elapsed[:] = elapsed
+        self._resets_next[:] = ended & self._next_step
+        results = self._results.take()
+        results.final_obs[...] = final_obs
+        results.obs[...] = obs
+        results.rewards[:] = np.where(resetting, np.float32(0), self._reward_values(reward))
+        results.terminations[:] = terminations
+        results.truncations[:] = truncations
+        return results
+
+    def _read(self) -> tuple[Array, Array]:
+        return self._memory, self._stored
+
+    def _write(self, memory: Array, stored: Array) -> Array:
+        self._memory[:] = memory
+        self._stored[:] = stored
+        obs = self._results.take().obs
+        obs[...] = self._observe(self._state)
+        return obs
+
+    def _close(self) -> None:
+        """Nothing is held but memory."""
+
+    def _put(self, state: list[Array]) -> None:
+        for column, words in zip(self._state, state, strict=True):
+            column[:] = words
+
+    def _start(self, tick: int) -> list[Array]:
+        """Return what every slot's next episode begins from, if it begins at ``tick``."""
+        if not self._stored.size:
+            return self._random_start(tick)
+        columns = slot_memory.views(self.config.spec, self.config.n_envs, self._stored)
+        return list(columns.values())[: len(self._state)]
+
+    def _random_start(self, tick: int) -> list[Array]:
+        spec = self.config.spec
+        return self._words(spec.golden.initial, self._draws(tick, 0, spec.reset_draws), spec.state)
+
+    def _draws(self, tick: int, first: int, count: int) -> list[Array]:
+        return [rng.draws(self._seed, self._slots, tick, first + k) for k in range(count)]
+
+    def _words(
+        self, function: GoldenFunction, arguments: list[Array], fields: tuple[Field, ...]
+    ) -> list[Array]:
+        """Call a golden function; return a row a slot of each word, in its field's dtype."""
+        words = []
+        for word, field in zip(call_reference(function, arguments), fields, strict=True):
+            word = np.asarray(word)
+            low = -(1 << field.bits - 1) if field.signed else 0
+            high = (1 << field.bits - field.signed) - 1
+            for value in (int(word.min()), int(word.max())):
+                if not low <= value <= high:
+                    raise DeviceError(
+                        f"reference: the golden functions of {self.config.spec.name} gave {field.name} = "
+                        f"{value}, and {'signed ' if field.signed else ''}{field.bits} bits hold "
+                        f"{low} to {high}; mend {function.__name__}() or widen the field in the spec"
+                    )
+            # Without arguments a golden function gives scalars.
+            words.append(np.broadcast_to(word, self.config.n_envs).astype(field.dtype))
+        return words
+
+    def _observe(self, state: list[Array]) -> Array:
+        spec = self.config.spec
+        dtype: Any = spec.observation_space.dtype
+        words = self._words(spec.golden.observe, state, spec.observation)
+        values = [
+            word.astype(dtype) * dtype.type(2.0**-f.fraction) if f.fraction else word.astype(dtype)
+            for word, f in zip(words, spec.observation, strict=True)
+        ]
+        return values[0] if isinstance(spec.observation_space, Discrete) else np.stack(values, 1)
+
+    def _reward_values(self, words: Array) -> Array:
+        if self.config.spec.rewards is not None:
+            return self._table[words]
+        return words.astype(np.float32) * np.float32(2.0**-self.config.spec.reward.fraction)
+
+
+def _chosen(where: Array, new: list[Array], old: list[Array]) -> list[Array]:
+    return [np.where(where, a, b) for a, b in zip(new, old, strict=True)]

@@ -1,0 +1,161 @@
+"""From a golden step to a compiled kernel that steps a whole batch.
+
+The kernel is generated (:mod:`pearl_marl.kernel_source`) and written to the user's cache folder,
+where it can be read and where Numba keeps the machine code beside it. The file's name is a hash of
+all that the kernel depends on: a changed golden step is a new file, and a warm start compiles
+nothing. ``PEARL_CACHE_DIR`` moves the folder.
+"""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import os
+import sys
+import tempfile
+import types
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import llvmlite
+import numba
+import numpy as np
+import platformdirs
+
+from pearl_marl import rng
+from pearl_marl.golden import GoldenFunction
+from pearl_marl.kernel_source import kernel_source
+from pearl_marl.spec import EnvSpec, Golden
+
+
+class Kernels(NamedTuple):
+    """The compiled functions of one environment, and the file where their source can be read.
+
+    ``reset(memory, stored, mask, observations, seed_0, seed_1, tick, first_slot, lo, hi, n, use_stored)``
+        starts an episode in every slot of ``lo .. hi - 1`` whose mask is set, and writes the
+        observation of every slot of the range.
+    ``step(memory, stored, actions, table, observations, rewards, terminations, truncations,
+    final_observations, seed_0, seed_1, tick, first_slot, lo, hi, n, limit, next_step, use_stored)``
+        steps that range and returns how many of its slots ended. Without a ``limit`` it leaves
+        ``truncations`` alone; ``final_observations`` are written where a slot of the block ended.
+    ``advance(memory, actions, table, rewards, terminations, lo, hi, n)``
+        does the golden step and the rewards alone, for benchmarks.
+
+    ``memory`` and ``stored`` are laid out by :mod:`pearl_marl.slot_memory`; flags are ``uint8``;
+    ``lo`` is a multiple of :data:`pearl_marl.kernel_source.BLOCK`. All release the GIL.
+    """
+
+    reset: Callable[..., None]
+    step: Callable[..., int]
+    advance: Callable[..., None]
+    path: Path
+
+
+def compile_kernels(spec: EnvSpec) -> Kernels:
+    """Return the kernels of an environment; those in the cache are loaded at their first call."""
+    source = kernel_source(spec)
+    digest = hashlib.sha256(source.encode())
+    for version in (numba.__version__, llvmlite.__version__, np.__version__):
+        digest.update(version.encode())
+    for function in (*spec.golden, rng.key, rng.draw):
+        digest.update(_fingerprint(function))
+    return _load(f"{spec.name}_{digest.hexdigest()[:16]}", source, spec.golden)
+
+
+@functools.lru_cache(maxsize=64)
+def _load(name: str, source: str, golden: Golden) -> Kernels:
+    path = cache_folder() / f"{name}.py"
+    if not path.exists():
+        # Written beside and renamed, so that another process never reads half a file.
+        with tempfile.NamedTemporaryFile("w", dir=path.parent, suffix=".tmp", delete=False) as file:
+            file.write(source)
+        os.replace(file.name, path)
+    compiled: dict[types.FunctionType, Any] = {}
+    functions = [_compiled(f, compiled) for f in (*golden, rng.key, rng.draw)]
+    # Numba's cache finds a function again by its module's name, so the module has to be a real one.
+    module = types.ModuleType(f"pearl_marl_kernel_{name}")
+    module.__file__ = str(path)
+    sys.modules[module.__name__] = module
+    vars(module).update(
+        np=np,
+        u32=np.uint32,
+        kernel=numba.njit(nogil=True, cache=True, error_model="numpy"),
+        **dict(zip(("initial", "golden_step", "observe", "key", "draw"), functions, strict=True)),
+    )
+    exec(compile(source, str(path), "exec"), vars(module))
+    return Kernels(module.reset, module.step, module.advance, path)
+
+
+@functools.cache
+def cache_folder() -> Path:
+    """Return where kernels are kept; a temporary folder if the user's cache cannot be written."""
+    folder = Path(os.environ.get("PEARL_CACHE_DIR") or platformdirs.user_cache_dir("pearl_marl")) / "kernels"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            return folder
+    except OSError:  # a read-only home costs a compilation in every process, and no more
+        return Path(tempfile.mkdtemp(prefix="pearl_marl_kernels_"))
+
+
+def _compiled(function: Any, done: dict[types.FunctionType, Any]) -> Any:
+    """Give a plain function to Numba, and with it every plain function that it calls.
+
+    Numba compiles a callee only if that is one of its own. So the function is made again over
+    names that stand for compiled callees, and golden functions need to know nothing of Numba.
+    """
+    if not isinstance(function, types.FunctionType):
+        return function
+    if function not in done:
+        code, named = function.__code__, function.__globals__
+        names = {name: _compiled(named[name], done) for name in code.co_names if name in named}
+        cells = tuple(
+            types.CellType(_compiled(cell.cell_contents, done)) for cell in function.__closure__ or ()
+        )
+        again = types.FunctionType(code, {**named, **names}, code.co_name, function.__defaults__, cells)
+        done[function] = numba.njit(again)
+    return done[function]
+
+
+def _fingerprint(function: GoldenFunction) -> bytes:
+    """Hash what a function computes: its code, and every function and constant that it names."""
+    digest = hashlib.sha256()
+    seen: set[types.FunctionType] = set()
+
+    def visit_code(code: types.CodeType, scope: dict[str, Any]) -> None:
+        digest.update(code.co_code)
+        digest.update(repr((code.co_names, code.co_varnames)).encode())
+        for constant in code.co_consts:
+            if isinstance(constant, types.CodeType):  # an inner function, whose repr holds its address
+                visit_code(constant, scope)
+            else:
+                visit(constant)
+        for name in code.co_names:
+            value = scope.get(name)
+            visit(value)
+            if isinstance(value, types.ModuleType):
+                for attribute in code.co_names:
+                    constant = vars(value).get(attribute)
+                    if not isinstance(constant, types.FunctionType):  # Numba knows these or refuses them
+                        visit(constant)
+
+    def visit(value: Any) -> None:
+        value = getattr(value, "py_func", value)  # what Numba has compiled already
+        if isinstance(value, types.FunctionType):
+            if value in seen:
+                return
+            seen.add(value)
+            visit_code(value.__code__, value.__globals__)
+            for default in (*(value.__defaults__ or ()), *(value.__kwdefaults__ or {}).values()):
+                visit(default)
+            for cell in value.__closure__ or ():
+                visit(cell.cell_contents)
+        elif isinstance(value, np.ndarray):
+            digest.update(repr((value.dtype, value.shape)).encode())
+            digest.update(value.tobytes())
+        elif isinstance(value, (int, float, str, bytes, tuple, np.generic, type(None))):
+            digest.update(repr(value).encode())
+
+    visit(function)
+    return digest.digest()

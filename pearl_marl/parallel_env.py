@@ -1,0 +1,386 @@
+"""The PettingZoo interface: every slot is an agent of one ``ParallelEnv``."""
+
+from __future__ import annotations
+
+import functools
+import re
+from collections.abc import Mapping
+from copy import deepcopy
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pettingzoo
+from gymnasium.spaces import Box, Space
+from pettingzoo.utils.conversions import parallel_to_aec, parallel_to_aec_wrapper
+
+from pearl_marl.actions import refuse_first
+from pearl_marl.agent_dict import AgentDict, ended_infos, python_values, scalars
+from pearl_marl.devices import BatchConfig, BatchStep, Device, make_device
+from pearl_marl.errors import ActionError, ArgumentError, OrderError
+from pearl_marl.registry import get_spec
+from pearl_marl.rendering import OracleRenderer, check_render_mode
+from pearl_marl.saved_state import SavedState
+from pearl_marl.slot_memory import state_dtype
+
+Array = npt.NDArray[Any]
+
+
+class PearlParallelEnv(pettingzoo.ParallelEnv):  # type: ignore[misc]
+    """Many slots of one environment as the agents of a PettingZoo ``ParallelEnv``.
+
+    Make one with :func:`parallel_env`. The five results of :meth:`step` are dicts that are filled
+    on first use (:class:`pearl_marl.agent_dict.AgentDict`); their ``.array`` is what the device
+    returned, a row an agent. Whoever needs no dict at all calls :meth:`step_batch`.
+
+    With ``autoreset=True`` agents stay: one whose episode ended finds itself at the start of the
+    next, and ``infos[agent]["final_obs"]`` holds where the old one ended. With ``autoreset=False``
+    it leaves ``agents`` until the next :meth:`reset`, as PettingZoo's own environments do.
+
+    Attributes
+    ----------
+    possible_agents, agents
+        ``"agent_0"`` and so on, in the order of the slots: all of them, and those still there.
+    metadata
+        PettingZoo's: ``name``, ``render_modes``, ``render_fps``, ``is_parallelizable``.
+    spec
+        The :class:`pearl_marl.spec.EnvSpec`.
+    device
+        The :class:`pearl_marl.devices.Device` that steps the slots.
+    """
+
+    def __init__(
+        self, config: BatchConfig, device: Device, rewards: Any, autoreset: bool, render_mode: str | None
+    ) -> None:
+        spec = config.spec
+        check_render_mode(spec, render_mode)
+        self.spec = spec
+        self.device = device.open(config, rewards)
+        self.render_mode = render_mode
+        self.possible_agents = [f"agent_{i}" for i in range(config.n_envs)]
+        self.agents: list[str] = []
+        self.metadata = {
+            "name": f"{re.sub(r'(?<=[a-z0-9])(?=[A-Z])', '_', spec.name).lower()}_v{spec.version}",
+            "render_modes": list(spec.render_modes),
+            "render_fps": spec.render_fps,
+            "is_parallelizable": True,
+        }
+        # Copies, or seeding one environment's spaces would seed another's.
+        self._observation_space, self._action_space = deepcopy((spec.observation_space, spec.action_space))
+        self._known = frozenset(self.possible_agents)
+        self._autoreset = autoreset
+        self._live = np.ones(config.n_envs, np.bool_)
+        self._renderer: OracleRenderer | None = None
+        self._rendered_slot = 0
+
+    def observation_space(self, agent: str) -> Space[Any]:
+        """Return the observation space, one object for all agents."""
+        return self._observation_space
+
+    def action_space(self, agent: str) -> Space[Any]:
+        """Return the action space, one object for all agents."""
+        return self._action_space
+
+    @property
+    def max_cycles(self) -> int:
+        """Steps after which an episode is truncated, 0 for never. Assigning takes effect at the next step."""
+        return self.device.config.limit
+
+    @max_cycles.setter
+    def max_cycles(self, value: int | None) -> None:
+        self.device.set_max_cycles(value)
+
+    def reset(
+        self, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, Any], dict[str, Any]]:
+        """Begin an episode for every agent.
+
+        Parameters
+        ----------
+        seed
+            A non-negative integer. ``None`` goes on with the random numbers in use.
+        options
+            Accepted as PettingZoo asks, and not used.
+
+        Returns
+        -------
+        Observations and infos, dicts by agent; the infos are empty.
+        """
+        obs = self.reset_batch(seed)
+        nobody = np.zeros(len(obs), np.bool_)
+        return AgentDict(self.possible_agents, obs, scalars), AgentDict(
+            self.possible_agents, nobody, ended_infos(obs)
+        )
+
+    def reset_batch(self, seed: int | None = None) -> Array:
+        """Begin an episode for every agent; return observations of shape ``(n_agents, ...)``."""
+        obs = self.device.reset(seed)
+        self._set_live(np.ones(len(obs), np.bool_))
+        self._render_for_human()
+        return obs
+
+    def step(self, actions: Mapping[str, Any] | npt.ArrayLike) -> tuple[dict[str, Any], ...]:
+        """Step every agent of ``agents`` once.
+
+        Parameters
+        ----------
+        actions
+            An integer for each of ``agents`` by name, or an array of shape ``(n_agents,)`` for all
+            of ``possible_agents``; there, what it says for agents that have left is ignored.
+
+        Returns
+        -------
+        Observations (NumPy scalars, or arrays), rewards (``float``), terminations and truncations
+        (``bool``) and infos, each a dict by agent; all empty for ``{}`` once no agent is left.
+
+        Raises
+        ------
+        ActionError
+            Names the first agent whose action is missing, unexpected or out of range.
+        OrderError
+            Before ``reset``, after ``close``, or once every agent has left.
+        """
+        agents, live = self.agents, self._live
+        given: Any = actions
+        if isinstance(actions, Mapping) and self.device.ready:
+            if not agents and not actions:  # PettingZoo's convention, which SuperSuit's black_death needs
+                return {}, {}, {}, {}, {}
+            given = self._action_array(actions)
+        result = self.step_batch(given)
+        obs, rewards, terminations, truncations, final_obs = result
+        ended = result.ended
+        if not self._autoreset:
+            # Here an agent that ended sees its last observation, and nothing of what its slot does next.
+            obs = result.arrivals()
+            ended = np.zeros(len(agents), np.bool_)
+            if len(agents) < len(live):
+                obs, rewards, terminations, truncations = (
+                    a[live] for a in (obs, rewards, terminations, truncations)
+                )
+        return (
+            AgentDict(agents, obs, scalars),
+            AgentDict(agents, rewards, python_values),
+            AgentDict(agents, terminations, python_values),
+            AgentDict(agents, truncations, python_values),
+            AgentDict(agents, ended, ended_infos(final_obs)),
+        )
+
+    def step_batch(self, actions: npt.ArrayLike) -> BatchStep:
+        """Step every slot once, without any dict.
+
+        Parameters
+        ----------
+        actions
+            Integers of shape ``(n_agents,)``; fastest in the dtype of ``spec.action``.
+
+        Returns
+        -------
+        :class:`pearl_marl.devices.BatchStep`, its rows in the order of ``possible_agents``. Without
+        autoreset, the slots of agents that left run on, and their rows have no meaning.
+        """
+        if not self.agents and self.device.ready:
+            raise OrderError("step() with no agent left: every episode has ended, call reset() first")
+        if len(self.agents) < len(self._live):
+            actions = self._without_left(actions)
+        result = self.device.step(actions)
+        if not self._autoreset:
+            leaving = result.ended & self._live
+            if leaving.any():
+                self._set_live(self._live & ~leaving)
+        if self.render_mode == "human":
+            self._render_for_human()
+        return result
+
+    def state(self) -> Array:
+        """Return the state of every slot, shape ``(n_agents, fields)``, as ``state_space`` has it."""
+        return self.device.state()
+
+    @functools.cached_property
+    def state_space(self) -> Box:
+        """The space of :meth:`state`."""
+        low, high = zip(*((f.low, f.high) for f in self.spec.state), strict=True)
+        shape = len(self._live), 1
+        dtype = state_dtype(self.spec)
+        return Box(
+            np.tile(np.array(low, dtype), shape), np.tile(np.array(high, dtype), shape), dtype=dtype.type
+        )
+
+    def save_state(self) -> bytes:
+        """Return all that the continuation depends on; :meth:`load_state` takes it, on any device."""
+        saved = self.device.snapshot()
+        live = self._live if not self._autoreset else self._live[:0]
+        return replace(saved, identity=self._identity(), live=live.view(np.uint8)).to_bytes()
+
+    def load_state(self, blob: bytes) -> Array:
+        """Continue from what :meth:`save_state` returned, bit for bit.
+
+        Returns
+        -------
+        The observation of every slot, shape ``(n_agents, ...)``.
+
+        Raises
+        ------
+        SavedStateError
+            The bytes are damaged, of another version, environment, size or mode. Nothing has changed.
+        """
+        saved = SavedState.from_bytes(blob, self._identity())
+        obs = self.device.restore(saved)
+        self._set_live(np.ones(len(obs), np.bool_) if self._autoreset else saved.live.astype(np.bool_))
+        return obs
+
+    def set_rewards(self, table: npt.ArrayLike) -> None:
+        """Replace the reward table, as many finite numbers as ``spec.rewards`` has, from the next step on."""
+        self.device.set_rewards(table)
+
+    def render(self, agent: str | None = None) -> Any:
+        """Draw an agent with the renderer of the environment that this one follows.
+
+        Parameters
+        ----------
+        agent
+            Whom to draw, from now on; ``"agent_0"`` at first.
+
+        Returns
+        -------
+        An image of shape ``(height, width, 3)`` for ``"rgb_array"``, a string for ``"ansi"``, ``None`` for
+        ``"human"``, which draws by itself after every step.
+        """
+        if self.render_mode is None:
+            raise OrderError(
+                f"render() without a render_mode: make the environment with one of {self.spec.render_modes}"
+            )
+        if agent is not None:
+            if agent not in self._known:
+                raise ArgumentError(
+                    f"there is no agent {agent!r}; agents are agent_0 to agent_{len(self._live) - 1}"
+                )
+            self._rendered_slot = int(agent.removeprefix("agent_"))
+        state = self.device.state()[self._rendered_slot]
+        if self._renderer is None:
+            self._renderer = OracleRenderer(self.spec, self.render_mode)
+        return self._renderer.render(state)
+
+    def close(self) -> None:
+        """Release the device and the window. Safe to call twice."""
+        self.device.close()
+        if self._renderer is not None:
+            self._renderer.close()
+            self._renderer = None
+
+    def _identity(self) -> dict[str, Any]:
+        return {**self.device.config.identity(), "autoreset": self._autoreset}
+
+    def _set_live(self, live: npt.NDArray[np.bool_]) -> None:
+        self._live = live
+        self.agents = [agent for agent, here in zip(self.possible_agents, live.tolist(), strict=True) if here]
+
+    def _render_for_human(self) -> None:
+        if self.render_mode == "human":
+            self.render()
+
+    def _without_left(self, actions: npt.ArrayLike) -> npt.ArrayLike:
+        """Return actions with 0 where an agent has left: nobody looks at what was there."""
+        array = np.asarray(actions)
+        if array.shape != self._live.shape or array.dtype.kind not in "iu":
+            return actions
+        return np.where(self._live, array, 0)
+
+    def _action_array(self, actions: Mapping[str, Any]) -> Array:
+        """Return the actions of a dict as an array over all slots, 0 where an agent has left."""
+        try:
+            values = [actions[agent] for agent in self.agents]
+        except KeyError as missing:
+            raise ActionError(
+                f"no action for {missing.args[0]!r}; all {len(self.agents)} agents in env.agents need one"
+            ) from None
+        if len(actions) != len(values):
+            here = set(self.agents)
+            extra = next(agent for agent in actions if agent not in here)
+            why = "its episode has ended" if extra in self._known else "there is no such agent"
+            raise ActionError(f"an action for {extra!r}, but {why}; only agents in env.agents act")
+        try:
+            array = np.array(values)
+        except ValueError:  # some are sequences
+            array = np.empty(0)
+        if array.shape != (len(values),) or array.dtype.kind not in "iu":
+            raise refuse_first(self.agents, values, self.spec.action_space)
+        if len(values) == len(self._live):
+            return array
+        whole = np.zeros(len(self._live), array.dtype)
+        whole[self._live] = array
+        return whole
+
+
+def parallel_env(
+    env_id: str,
+    n_agents: int = 1,
+    *,
+    device: str | Device = "native",
+    autoreset: bool = True,
+    max_cycles: int | None = None,
+    rewards: npt.ArrayLike | None = None,
+    initial_states: str = "random",
+    render_mode: str | None = None,
+    copy: bool = True,
+    **options: Any,
+) -> PearlParallelEnv:
+    """Make an environment whose slots are the agents of a PettingZoo ``ParallelEnv``.
+
+    Parameters
+    ----------
+    env_id
+        A name of :func:`pearl_marl.envs`, in any case.
+    n_agents
+        How many slots.
+    device
+        ``"native"``, or a configured device of :mod:`pearl_marl.devices`.
+    autoreset
+        Whether agents stay and start over (``True``), or leave when their episode ends.
+    max_cycles
+        Steps after which an episode is truncated: ``None`` for Gymnasium's default, 0 for no limit.
+    rewards
+        Replaces the reward table.
+    initial_states
+        ``"random"``, Gymnasium's distribution; ``"stored"``, each slot repeats its first start.
+    render_mode
+        ``"human"``, ``"rgb_array"`` or ``"ansi"``, where Gymnasium has it.
+    copy
+        Whether results are yours to keep. If not, the next step overwrites them.
+    **options
+        The environment's own arguments, named as Gymnasium names them.
+
+    Raises
+    ------
+    ArgumentError
+        An argument is not possible: names it, its value and what is.
+    DeviceError
+        The device is not available.
+    """
+    spec = get_spec(env_id).with_options(**options)
+    if not isinstance(autoreset, bool):
+        raise ArgumentError(f"autoreset is {autoreset!r}; it must be True or False")
+    config = BatchConfig(
+        spec=spec, n_envs=n_agents, max_cycles=max_cycles, initial_states=initial_states, copy=copy
+    )
+    return PearlParallelEnv(config, make_device(device), rewards, autoreset, render_mode)
+
+
+def raw_env(env_id: str, n_agents: int = 1, **arguments: Any) -> Any:
+    """Make the AEC form, without PettingZoo's check of the order of calls.
+
+    Takes what :func:`parallel_env` takes but ``autoreset``: turn by turn, agents leave when their
+    episode ends.
+    """
+    return parallel_to_aec_wrapper(_strict(env_id, n_agents, arguments))
+
+
+def env(env_id: str, n_agents: int = 1, **arguments: Any) -> Any:
+    """Make the AEC form; takes what :func:`raw_env` takes."""
+    return parallel_to_aec(_strict(env_id, n_agents, arguments))
+
+
+def _strict(env_id: str, n_agents: int, arguments: dict[str, Any]) -> PearlParallelEnv:
+    if arguments.pop("autoreset", False):
+        raise ArgumentError("the AEC form has no autoreset: its agents leave when their episode ends")
+    return parallel_env(env_id, n_agents, autoreset=False, **arguments)

@@ -1,0 +1,80 @@
+"""Benchmarks: ``pytest tests/benchmarks --benchmark-enable``. Without that each runs once, as a test."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from typing import Any
+
+import numpy as np
+import pytest
+
+import pearl_marl
+from pearl_marl import slot_memory
+from pearl_marl.kernels import compile_kernels
+
+from ..helpers import ENVIRONMENTS
+
+N = 43008
+
+
+@pytest.fixture(params=[name for name in ENVIRONMENTS if name in pearl_marl.envs()])
+def env(request: pytest.FixtureRequest) -> Any:
+    env = pearl_marl.parallel_env(request.param, N, copy=False)
+    env.reset(seed=0)
+    yield env
+    env.close()
+
+
+def actions_of(env: Any, n: int = N) -> np.ndarray:
+    generator = np.random.default_rng(0)
+    return generator.integers(env.spec.action_space.n, size=n).astype(env.spec.action.dtype)
+
+
+def test_kernel_only(env: Any, benchmark: Any) -> None:
+    spec = env.spec
+    arguments = (
+        slot_memory.allocate(spec, N),
+        actions_of(env),
+        np.array(spec.rewards or (), np.float32),
+        np.zeros(N, np.float32),
+        np.zeros(N, np.uint8),
+    )
+    benchmark(compile_kernels(spec).advance, *arguments, 0, N, N)
+
+
+def test_step_batch(env: Any, benchmark: Any) -> None:
+    assert benchmark(env.step_batch, actions_of(env)).obs.shape[0] == N
+
+
+def test_step_batch_copying(env: Any, benchmark: Any) -> None:
+    copying = pearl_marl.parallel_env(env.spec.name, N)
+    copying.reset(seed=0)
+    assert benchmark(copying.step_batch, actions_of(env)).obs.shape[0] == N
+
+
+def test_step_batch_of_few(env: Any, benchmark: Any) -> None:
+    """What a call costs by itself."""
+    few = pearl_marl.parallel_env(env.spec.name, 8, copy=False)
+    few.reset(seed=0)
+    assert benchmark(few.step_batch, actions_of(env, 8)).obs.shape[0] == 8
+
+
+def test_step_with_arrays(env: Any, benchmark: Any) -> None:
+    assert len(benchmark(env.step, actions_of(env))) == 5
+
+
+def test_step_with_dicts(env: Any, benchmark: Any) -> None:
+    """The slow way: a dict in, and every result looked into."""
+    actions = dict(zip(env.agents, actions_of(env).tolist(), strict=True))
+
+    def step() -> int:
+        return sum(len(list(result.values())) for result in env.step(actions))
+
+    assert benchmark(step) == 5 * N
+
+
+def test_import(benchmark: Any) -> None:
+    benchmark.pedantic(
+        subprocess.run, ([sys.executable, "-c", "import pearl_marl"],), {"check": True}, rounds=3
+    )

@@ -1,0 +1,163 @@
+"""Names, spaces, shapes and dtypes of what every environment returns."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from gymnasium.spaces import Discrete
+
+from pearl_marl import get_spec
+from pearl_marl.errors import ActionError
+
+from ..helpers import SIZE, STEPS, Case
+
+
+def contains_all(space: object, observations: np.ndarray) -> bool:
+    """Check every row, as ``space.contains`` would one by one."""
+    if isinstance(space, Discrete):
+        return bool(((observations >= space.start) & (observations < space.start + space.n)).all())
+    return bool(((observations >= space.low) & (observations <= space.high)).all())
+
+
+@pytest.mark.parametrize("autoreset", [True, False])
+def test_agents_and_spaces(case: Case, autoreset: bool) -> None:
+    env = case.parallel(autoreset=autoreset)
+    assert env.possible_agents == [f"agent_{i}" for i in range(SIZE)]
+    assert env.max_num_agents == SIZE
+    env.reset(seed=0)
+    assert env.agents == env.possible_agents
+    assert env.num_agents == SIZE
+    for space in (env.observation_space, env.action_space):
+        assert all(space(agent) is space("agent_0") for agent in env.possible_agents)
+    assert env.observation_space("agent_0") == case.spec.observation_space
+    assert env.action_space("agent_0") == case.spec.action_space
+    assert env.metadata["name"] == f"{case.spec.name.lower()}_v{case.spec.version}".replace(
+        "cliffwalking", "cliff_walking"
+    )
+    assert env.metadata["is_parallelizable"] is True
+    assert env.render_mode is None
+
+
+def test_two_environments_share_no_space(case: Case) -> None:
+    """Sampling from a shared one would make the second environment's samples depend on the first's."""
+    first, second = case.parallel(), case.parallel()
+    first.action_space("agent_0").seed(0)
+    second.action_space("agent_0").seed(0)
+    drawn = [first.action_space("agent_0").sample() for _ in range(20)]
+    assert drawn == [second.action_space("agent_0").sample() for _ in range(20)]
+    assert first.action_space("agent_0") is not second.action_space("agent_0")
+
+
+@pytest.mark.parametrize("copy", [True, False])
+def test_shapes_dtypes_and_ranges_of_batches(case: Case, copy: bool) -> None:
+    env = case.parallel(copy=copy, max_cycles=7)
+    space = case.spec.observation_space
+    obs = env.reset_batch(seed=4)
+    assert obs.shape == (SIZE, *space.shape)
+    assert obs.dtype == space.dtype
+    assert contains_all(space, obs)
+    for actions in case.actions():
+        step = env.step_batch(actions)
+        for array in (step.obs, step.final_obs):
+            assert array.shape == (SIZE, *space.shape)
+            assert array.dtype == space.dtype
+        for array, dtype in ((step.rewards, np.float32), (step.terminations, bool), (step.truncations, bool)):
+            assert array.shape == (SIZE,)
+            assert array.dtype == dtype
+        np.testing.assert_array_equal(step.ended, step.terminations | step.truncations)
+        assert contains_all(space, step.obs)
+        assert contains_all(space, step.final_obs[step.ended])
+        arrived = step.arrivals()
+        np.testing.assert_array_equal(arrived[step.ended], step.final_obs[step.ended])
+        np.testing.assert_array_equal(arrived[~step.ended], step.obs[~step.ended])
+
+
+def test_values_of_the_dicts(case: Case) -> None:
+    env = case.parallel(max_cycles=5)
+    obs, infos = env.reset(seed=0)
+    assert list(obs) == list(infos) == env.agents
+    assert all(info == {} for info in infos.values())
+    for actions in case.actions(12):
+        results = env.step(actions)
+        obs, rewards, terminations, truncations, infos = results
+        space = env.observation_space("agent_0")
+        for result in results:
+            assert isinstance(result, dict)
+            assert list(result) == env.agents
+        assert all(space.contains(o) for o in obs.values())
+        if isinstance(space, Discrete):  # PettingZoo's AEC test insists on NumPy's own scalars
+            assert all(isinstance(o, np.integer) for o in obs.values())
+        assert all(type(r) is float for r in rewards.values())
+        assert all(type(t) is bool for t in (*terminations.values(), *truncations.values()))
+        for agent in env.agents:
+            ended = terminations[agent] or truncations[agent]
+            assert ("final_obs" in infos[agent]) == ended
+            if ended:
+                assert space.contains(infos[agent]["final_obs"])
+
+
+def test_dicts_hold_what_the_arrays_hold(case: Case) -> None:
+    """Dict actions, array actions and no dict at all are three ways to the same numbers."""
+    by_dict, by_array, batched = (case.parallel(max_cycles=6) for _ in range(3))
+    first_obs, _ = by_dict.reset(seed=2)
+    by_array.reset(seed=2)
+    np.testing.assert_array_equal(batched.reset_batch(seed=2), list(first_obs.values()))
+    for actions in case.actions():
+        from_dict = by_dict.step(dict(zip(by_dict.agents, actions.tolist(), strict=True)))
+        from_array = by_array.step(actions)
+        step = batched.step_batch(actions)
+        for a, b, array in zip(from_dict[:4], from_array[:4], step[:4], strict=True):
+            np.testing.assert_array_equal(a.array, array)
+            np.testing.assert_array_equal(b.array, array)
+            np.testing.assert_array_equal(np.array(list(a.values())), array)
+        ended = step.ended
+        for a, b in zip(from_dict[4].values(), from_array[4].values(), strict=True):
+            assert a.keys() == b.keys()
+        for slot in np.flatnonzero(ended):
+            info = from_dict[4][f"agent_{slot}"]
+            np.testing.assert_array_equal(info["final_obs"], step.final_obs[slot])
+
+
+@pytest.mark.parametrize("dtype", ["int8", "uint8", "int16", "uint32", "int32", "int64", ">i4", "uint64"])
+def test_any_integer_dtype_of_actions(case: Case, dtype: str) -> None:
+    plain, other = case.open(), case.open()
+    plain.reset(seed=0)
+    other.reset(seed=0)
+    for actions in case.actions(4):
+        wide = np.repeat(actions.astype(dtype), 2)[::2]  # not contiguous
+        np.testing.assert_array_equal(plain.step(actions).obs, other.step(wide).obs)
+        np.testing.assert_array_equal(plain.step(actions).obs, other.step(actions.tolist()).obs)
+
+
+def test_state_and_its_space(case: Case) -> None:
+    env = case.parallel()
+    env.reset(seed=0)
+    for actions in case.actions(STEPS):
+        state = env.state()
+        assert state.shape == (SIZE, len(case.spec.state)) == env.state_space.shape
+        assert env.state_space.contains(state)
+        env.step_batch(actions)
+
+
+def test_spaces_equal_the_oracles(case: Case) -> None:
+    import gymnasium
+
+    spec = get_spec(case.env_id)
+    if spec.oracle is None:
+        pytest.skip(f"{case.env_id} has no oracle in Gymnasium")
+    oracle = gymnasium.make(spec.oracle)
+    assert spec.observation_space == oracle.observation_space
+    assert spec.action_space == oracle.action_space
+    limit = oracle.spec.max_episode_steps if oracle.spec else None
+    assert spec.max_cycles == limit
+
+
+def test_the_least_and_the_greatest_action(case: Case) -> None:
+    """Both ends of the space are taken, and the number after each is not."""
+    n = int(case.spec.action_space.n)
+    device = case.open(3)
+    device.reset(seed=0)
+    device.step([0, n - 1, 0])
+    for outside in (-1, n):
+        with pytest.raises(ActionError, match=f"agent_2: action {outside} is out of range"):
+            device.step([0, n - 1, outside])

@@ -1,0 +1,131 @@
+"""The reference device: what it checks, and that it is independent of what it checks.
+
+That its results are right is what the tests of the environments against their oracles show, through
+the native device, which the contract tests hold against this one.
+"""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import pearl_marl
+from pearl_marl.devices import BatchConfig, Native, Reference, make_device
+from pearl_marl.errors import DeviceError
+from pearl_marl.golden import u8
+from pearl_marl.spec import EnvSpec, Field
+
+from ..toy import LADDER
+
+CLIFF = pearl_marl.get_spec("CliffWalking")
+
+
+def open_reference(spec: EnvSpec, n: int = 70, **config: object) -> Reference:
+    device = Reference().open(BatchConfig(spec=spec, n_envs=n, **config))
+    device.reset(seed=0)
+    return device
+
+
+def test_it_has_a_name() -> None:
+    assert isinstance(make_device("reference"), Reference)
+    env = pearl_marl.parallel_env("CliffWalking", 3, device="reference")
+    assert env.reset(seed=0)[0] == {"agent_0": 36, "agent_1": 36, "agent_2": 36}
+
+
+def test_no_kernel_is_made(tmp_path) -> None:
+    """A mistake of the kernels' generator must not be able to reach it."""
+    program = """
+import sys
+from unittest import mock
+import numpy as np
+import pearl_marl
+from pearl_marl.devices import BatchConfig, Reference
+with mock.patch("pearl_marl.kernel_source.kernel_source", side_effect=AssertionError), \\
+        mock.patch("pearl_marl.kernels._load", side_effect=AssertionError):
+    device = Reference().open(BatchConfig(spec=pearl_marl.get_spec("CliffWalking"), n_envs=5))
+    device.reset(seed=0)
+    device.step(np.zeros(5, np.uint8))
+assert not [name for name in sys.modules if name.startswith("pearl_marl_kernel_")]
+"""
+    subprocess.run([sys.executable, "-c", program], check=True, cwd=tmp_path)
+
+
+def test_snapshots_are_those_of_the_native_device() -> None:
+    """Byte for byte, or saved states would tell which device made them."""
+    config = BatchConfig(spec=CLIFF, n_envs=70, max_cycles=9, initial_states="stored")
+    devices = [Native().open(config), Reference().open(config)]
+    for device in devices:
+        device.reset(seed=0)
+        for t in range(20):
+            device.step(np.full(70, t % 3, np.uint8))
+    first, second = (device.snapshot().to_bytes() for device in devices)
+    assert first == second
+
+
+def narrow(spec: EnvSpec) -> dict[str, EnvSpec]:
+    """Specs that promise one bit less than their golden functions need."""
+    return {
+        "column": replace(spec, state=(spec.state[0], Field("column", 3))),
+        "cell": replace(spec, observation=(Field("cell", 5),)),
+        "row": replace(spec, state=(Field("row", 1), spec.state[1])),
+    }
+
+
+@pytest.mark.parametrize("name", ["column", "cell", "row"])
+def test_words_that_do_not_fit_are_refused(name: str) -> None:
+    device = Reference().open(BatchConfig(spec=narrow(CLIFF)[name], n_envs=4))
+
+    def walk() -> None:
+        device.reset(seed=0)
+        for action in (0, *[1] * 11):
+            device.step(np.full(4, action, np.uint8))
+
+    with pytest.raises(DeviceError, match=rf"CliffWalking gave {name} = \d+, and \d bits hold 0 to"):
+        walk()
+
+
+def test_a_refused_step_changes_nothing() -> None:
+    device = open_reference(narrow(CLIFF)["column"])
+    device.step(np.zeros(70, np.uint8))
+    for _ in range(7):
+        device.step(np.ones(70, np.uint8))
+    before = device.snapshot().to_bytes()
+    with pytest.raises(DeviceError, match=r"column = 8.* mend step\(\)"):
+        device.step(np.ones(70, np.uint8))
+    assert device.snapshot().to_bytes() == before
+    device.step(np.zeros(70, np.uint8))
+
+
+def test_a_terminated_that_is_no_bit_is_refused() -> None:
+    golden = LADDER.golden._replace(step=lambda rung, action: (rung, u8(0), u8(2)))
+    with pytest.raises(DeviceError, match="terminated = 2"):
+        open_reference(replace(LADDER, golden=golden)).step(np.zeros(70, np.uint8))
+
+
+def test_a_refused_reset_keeps_seed_and_tick() -> None:
+    device = Reference().open(BatchConfig(spec=LADDER, n_envs=70))
+    device.reset(seed=0)
+    device.step(np.zeros(70, np.uint8))
+    before = device.snapshot().to_bytes()
+    good = device.config
+    device.config = replace(good, spec=replace(LADDER, golden=LADDER.golden._replace(initial=lambda d: d)))
+    for seed in (None, 7):
+        with pytest.raises(DeviceError, match="rung"):
+            device.reset(seed=seed)
+    device.config = good
+    assert device.snapshot().to_bytes() == before
+
+
+def test_it_is_fast_enough_to_be_asked() -> None:
+    """43,008 slots for 300 steps take about a second; ten times that would still do."""
+    device = open_reference(CLIFF, 43008, max_cycles=50)
+    actions = np.random.default_rng(0).integers(4, size=(30, 43008), dtype=np.uint8)
+    began = time.perf_counter()
+    for row in actions:
+        device.step(row)
+    assert time.perf_counter() - began < 6

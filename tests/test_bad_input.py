@@ -1,0 +1,447 @@
+"""Bad input: an error that names what was wrong, and an environment that goes on undisturbed."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from gymnasium.vector import AutoresetMode
+
+import pearl_marl
+from pearl_marl.devices import BatchConfig, Native
+from pearl_marl.errors import ActionError, ArgumentError, OrderError, PearlError, SavedStateError
+from pearl_marl.memory_map import memory_map
+from pearl_marl.spec import Field
+from tests.toy import DRIFT
+
+N = 5
+Call = Callable[[Any], Any]
+
+
+def by_name(*actions: Any) -> dict[str, Any]:
+    return {f"agent_{i}": action for i, action in enumerate(actions)}
+
+
+def refused(name: str, call: Call, error: type[PearlError], *words: str) -> Any:
+    """Return a test parameter: ``words`` have to stand in the message, in that order."""
+    return pytest.param(call, error, ".*".join(map(re.escape, words)), id=name)
+
+
+ACTIONS = [
+    refused(
+        "out of range",
+        lambda e: e.step([0, 0, 9, 0, 99]),
+        ActionError,
+        "agent_2",
+        "9",
+        "out of range",
+        "Disc",
+    ),
+    refused("negative", lambda e: e.step_batch(np.array([0, -1, 0, 0, 0])), ActionError, "agent_1", "-1"),
+    refused("int8", lambda e: e.step(np.array([0, 0, 0, 0, -1], np.int8)), ActionError, "agent_4", "-1"),
+    refused("wraps to 0", lambda e: e.step(np.array([0, 256, 0, 0, 0])), ActionError, "agent_1", "256"),
+    refused(
+        "in a dict", lambda e: e.step(by_name(0, 0, 0, 77, 0)), ActionError, "agent_3", "77", "out of range"
+    ),
+    refused("huge", lambda e: e.step([0, 0, 0, 2**70, 0]), ActionError, "agent_3", str(2**70)),
+    refused("missing", lambda e: e.step(by_name(0, 0, 0, 0)), ActionError, "agent_4"),
+    refused("none at all", lambda e: e.step({}), ActionError, "agent_0"),
+    refused("unknown agent", lambda e: e.step(by_name(*[0] * 6)), ActionError, "agent_5", "no such agent"),
+    refused(
+        "other name", lambda e: e.step({**by_name(*[0] * 5), "bob": 0}), ActionError, "bob", "no such agent"
+    ),
+    refused("too few", lambda e: e.step([0, 0]), ActionError, "(2,)", "(5,)"),
+    refused("a column", lambda e: e.step_batch(np.zeros((N, 1), int)), ActionError, "(5, 1)", "(5,)"),
+    refused("a number", lambda e: e.step(3), ActionError, "()", "(5,)"),
+    refused("nothing", lambda e: e.step(None), ActionError, "()", "(5,)"),
+    refused("a word", lambda e: e.step("left"), ActionError, "()", "(5,)"),
+    refused("ragged", lambda e: e.step([0, [1, 2], 0, 0, 0]), ActionError, "agent_1", "[1, 2]"),
+    refused("floats", lambda e: e.step(np.full(N, 1.0)), ActionError, "agent_0", "1.0", "no integer"),
+    refused("bools", lambda e: e.step(np.ones(N, bool)), ActionError, "agent_0", "True", "no integer"),
+    refused("one float", lambda e: e.step([0, 0, 1.5, 0, 0]), ActionError, "agent_2", "1.5", "no integer"),
+    refused("a float by name", lambda e: e.step(by_name(0, 0, 1.5, 0, 0)), ActionError, "agent_2", "1.5"),
+    refused("a word by name", lambda e: e.step(by_name(0, "up", 0, 0, 0)), ActionError, "agent_1", "'up'"),
+    refused("None by name", lambda e: e.step(by_name(0, 0, 0, 0, None)), ActionError, "agent_4", "None"),
+    refused("an array by name", lambda e: e.step(by_name(0, [0], 0, 0, 0)), ActionError, "agent_1", "[0]"),
+    refused(
+        "arrays by name",
+        lambda e: e.step(by_name(*[np.array([1])] * 5)),
+        ActionError,
+        "agent_0",
+        "array([1])",
+    ),
+]
+
+OTHERS = [
+    refused("negative seed", lambda e: e.reset(seed=-3), ArgumentError, "seed is -3"),
+    refused("fractional seed", lambda e: e.reset(seed=1.5), ArgumentError, "seed is 1.5"),
+    refused("seed of a batch", lambda e: e.reset_batch("1"), ArgumentError, "seed is '1'"),
+    refused("negative limit", lambda e: setattr(e, "max_cycles", -1), ArgumentError, "max_cycles is -1"),
+    refused("fractional limit", lambda e: setattr(e, "max_cycles", 2.5), ArgumentError, "max_cycles is 2.5"),
+    refused("true limit", lambda e: setattr(e, "max_cycles", True), ArgumentError, "max_cycles is True"),
+    refused("large limit", lambda e: setattr(e, "max_cycles", 2**32), ArgumentError, str(2**32)),
+    refused("render", lambda e: e.render(), OrderError, "render_mode"),
+    refused("short mask", lambda e: e.device.reset(mask=[True]), ArgumentError, "(5,)", "(1,)"),
+    refused(
+        "mask of numbers", lambda e: e.device.reset(mask=[0, 1, 2, 3, 4]), ArgumentError, "bool", "int64"
+    ),
+    refused("mask and seed", lambda e: e.device.reset(1, [True] * N), ArgumentError, "seed", "mask"),
+    refused("recv", lambda e: e.device.recv(), OrderError, "call send() first"),
+    refused("send", lambda e: e.device.send([9] * N), ActionError, "agent_0", "9"),
+    refused("open twice", lambda e: e.device.open(e.device.config), OrderError, "opened before"),
+    refused("empty blob", lambda e: e.load_state(b""), SavedStateError, "no saved state"),
+    refused("foreign blob", lambda e: e.load_state(b"\x89PNG" * 99), SavedStateError, "no saved state"),
+    refused("text", lambda e: e.load_state("PEARLST1"), SavedStateError, "not str"),
+]
+
+TABLES = [
+    refused("short table", lambda e: e.set_rewards([1.0]), ArgumentError, "(1,)", "2 categories"),
+    refused("long table", lambda e: e.set_rewards([1, 2, 3]), ArgumentError, "(3,)", "2 categories"),
+    refused("a number", lambda e: e.set_rewards(1.0), ArgumentError, "()", "2 categories"),
+    refused("NaN", lambda e: e.set_rewards([0.0, np.nan]), ArgumentError, "nan", "finite"),
+    refused("too large", lambda e: e.set_rewards([0.0, 1e300]), ArgumentError, "inf", "finite"),
+    refused("words", lambda e: e.set_rewards(["low", "high"]), ArgumentError, "'low'", "2 numbers"),
+    refused("None", lambda e: e.set_rewards(None), ArgumentError, "2"),
+]
+
+
+def make(env_id: str, autoreset: bool) -> pearl_marl.PearlParallelEnv:
+    env = pearl_marl.parallel_env(env_id, N, autoreset=autoreset, max_cycles=9)
+    env.reset(seed=5)
+    for actions in np.random.default_rng(0).integers(4, size=(4, N)):
+        env.step(actions)
+    return env
+
+
+def assert_refused_without_a_trace(
+    env: Any, twin: Any, call: Call, error: type[PearlError], words: str
+) -> None:
+    """Make a bad call, and then see that both environments have the same future."""
+    before = twin.save_state()
+    with pytest.raises(error, match=f"(?s){words}") as caught:
+        call(env)
+    assert type(caught.value) is error
+    assert env.save_state() == before
+    assert env.agents == twin.agents
+    for actions in np.random.default_rng(1).integers(4, size=(12, N)):
+        given = {agent: actions[int(agent[6:])] for agent in env.agents}
+        np.testing.assert_equal([dict(d) for d in env.step(given)], [dict(d) for d in twin.step(given)])
+        if not env.agents:
+            break
+    np.testing.assert_array_equal(env.reset_batch(), twin.reset_batch())
+
+
+@pytest.mark.parametrize("autoreset", [True, False])
+@pytest.mark.parametrize("name", ["CliffWalking", "Drift"])
+@pytest.mark.parametrize(("call", "error", "words"), ACTIONS + OTHERS)
+def test_a_refused_call_changes_nothing(
+    toys: None, name: str, autoreset: bool, call: Call, error: type[PearlError], words: str
+) -> None:
+    assert_refused_without_a_trace(make(name, autoreset), make(name, autoreset), call, error, words)
+
+
+@pytest.mark.parametrize(("call", "error", "words"), TABLES)
+def test_reward_tables(call: Call, error: type[PearlError], words: str) -> None:
+    envs = [make("CliffWalking", True) for _ in range(2)]
+    assert_refused_without_a_trace(*envs, call, error, words)
+
+
+def test_no_table_where_rewards_are_computed(toys: None) -> None:
+    envs = [make("Drift", True) for _ in range(2)]
+    assert_refused_without_a_trace(
+        *envs, lambda e: e.set_rewards([1.0]), ArgumentError, "computes its rewards"
+    )
+    with pytest.raises(ArgumentError, match="computes its rewards"):
+        pearl_marl.parallel_env("Drift", 2, rewards=[1.0])
+
+
+def test_an_action_for_an_agent_that_left() -> None:
+    env, twin = (pearl_marl.parallel_env("CliffWalking", 3, autoreset=False) for _ in range(2))
+    for e in (env, twin):
+        e.reset(seed=0)
+        for action in [0, *[1] * 11]:
+            e.step([3, action, 3])
+        e.step([3, 2, 3])
+        assert e.agents == ["agent_0", "agent_2"]
+    for actions, words in (
+        ({"agent_0": 0, "agent_1": 0, "agent_2": 0}, "'agent_1', but its episode has ended"),
+        ({"agent_0": 0}, "'agent_2'"),
+        ({"agent_0": 0, "agent_2": 4}, "agent_2: action 4"),
+        ({"agent_0": 0, "agent_2": 0.5}, "agent_2: action 0.5"),
+    ):
+        with pytest.raises(ActionError, match=words):
+            env.step(actions)
+        assert env.save_state() == twin.save_state()
+
+
+def test_the_first_slot_names_the_agents() -> None:
+    """Where a batch is a part of a larger one, its agents have the numbers they have there."""
+    device = Native().open(BatchConfig(spec=DRIFT, n_envs=4, first_slot=1000))
+    device.reset(seed=0)
+    with pytest.raises(ActionError, match="agent_1002: action 5 is out of range"):
+        device.step([0, 0, 5, 0])
+
+
+MAKE = [
+    refused(
+        "unknown",
+        lambda f: f("CliffWalkin", 2),
+        ArgumentError,
+        "'CliffWalkin'",
+        "did you mean 'CliffWalking'",
+    ),
+    refused("far from all", lambda f: f("Tetris", 2), ArgumentError, "'Tetris'", "CliffWalking"),
+    refused("no name", lambda f: f(7, 2), ArgumentError, "7"),
+    refused("no agents", lambda f: f("CliffWalking", 0), ArgumentError, "agents is 0", "at least 1"),
+    refused("negative", lambda f: f("CliffWalking", -4), ArgumentError, "agents is -4"),
+    refused("fractional", lambda f: f("CliffWalking", 2.5), ArgumentError, "agents is 2.5"),
+    refused("whole float", lambda f: f("CliffWalking", 2.0), ArgumentError, "agents is 2.0"),
+    refused("true", lambda f: f("CliffWalking", True), ArgumentError, "agents is True"),
+    refused("text", lambda f: f("CliffWalking", "3"), ArgumentError, "agents is '3'"),
+    refused("too many", lambda f: f("CliffWalking", 2**32 + 1), ArgumentError, str(2**32)),
+    refused(
+        "keyword",
+        lambda f: f("CliffWalking", 2, is_slipery=True),
+        ArgumentError,
+        "is_slipery",
+        "'is_slippery'",
+    ),
+    refused(
+        "other keyword",
+        lambda f: f("CliffWalking", 2, wings=2),
+        ArgumentError,
+        "'wings'",
+        "takes is_slippery",
+    ),
+    refused("option value", lambda f: f("CliffWalking", 2, is_slippery=1), ArgumentError, "is_slippery is 1"),
+    refused("device", lambda f: f("CliffWalking", 2, device="gpu"), ArgumentError, "'gpu'", "'native'"),
+    refused("no device", lambda f: f("CliffWalking", 2, device=None), ArgumentError, "None", "'native'"),
+    refused("limit", lambda f: f("CliffWalking", 2, max_cycles=-1), ArgumentError, "max_cycles is -1"),
+    refused(
+        "initial", lambda f: f("CliffWalking", 2, initial_states="same"), ArgumentError, "'same'", "'stored'"
+    ),
+    refused("rewards", lambda f: f("CliffWalking", 2, rewards=[1]), ArgumentError, "(1,)", "2 categories"),
+]
+
+
+@pytest.mark.parametrize("function", [pearl_marl.parallel_env, pearl_marl.make_vec, pearl_marl.env])
+@pytest.mark.parametrize(("call", "error", "words"), MAKE)
+def test_making(call: Call, error: type[PearlError], words: str, function: Any) -> None:
+    with pytest.raises(error, match=words):
+        call(function)
+
+
+@pytest.mark.parametrize(
+    ("call", "error", "words"),
+    [
+        refused(
+            "autoreset", lambda f: f("CliffWalking", autoreset="yes"), ArgumentError, "'yes'", "True or False"
+        ),
+        refused("mode", lambda f: f("CliffWalking", render_mode="3d"), ArgumentError, "'3d'", "human"),
+    ],
+)
+def test_making_a_parallel_env(call: Call, error: type[PearlError], words: str) -> None:
+    with pytest.raises(error, match=words):
+        call(pearl_marl.parallel_env)
+
+
+def test_no_renderer(toys: None) -> None:
+    with pytest.raises(ArgumentError, match="Drift has none"):
+        pearl_marl.parallel_env("Drift", render_mode="human")
+
+
+def test_rendering_an_unknown_agent() -> None:
+    env = pearl_marl.parallel_env("CliffWalking", 3, render_mode="ansi")
+    env.reset(seed=0)
+    with pytest.raises(ArgumentError, match=r"'agent_3'.*agent_0 to agent_2"):
+        env.render("agent_3")
+    assert env.render() is not None
+
+
+ORDER = [
+    pytest.param(lambda e: e.step([0] * N), id="step"),
+    pytest.param(lambda e: e.step(by_name(*[0] * N)), id="step by name"),
+    pytest.param(lambda e: e.step_batch([0] * N), id="step_batch"),
+    pytest.param(lambda e: e.state(), id="state"),
+    pytest.param(lambda e: e.save_state(), id="save_state"),
+    pytest.param(lambda e: e.device.send([0] * N), id="send"),
+    pytest.param(lambda e: e.device.snapshot(), id="snapshot"),
+]
+
+
+@pytest.mark.parametrize("autoreset", [True, False])
+@pytest.mark.parametrize("call", ORDER)
+def test_before_reset_and_after_close(call: Call, autoreset: bool) -> None:
+    env = pearl_marl.parallel_env("CliffWalking", N, autoreset=autoreset)
+    with pytest.raises(OrderError, match=r"before reset\(\)"):
+        call(env)
+    env.reset(seed=0)
+    blob = env.save_state()
+    call(env)
+    env.close()
+    for late in (call, lambda e: e.reset(), lambda e: e.load_state(blob), lambda e: e.set_rewards([0, 0])):
+        with pytest.raises(OrderError, match=r"after close\(\)"):
+            late(env)
+
+
+def test_a_mask_at_the_first_reset() -> None:
+    device = Native().open(BatchConfig(spec=DRIFT, n_envs=2))
+    with pytest.raises(OrderError, match="without a mask first"):
+        device.reset(mask=np.array([True, False]))
+    with pytest.raises(OrderError, match="before reset"):
+        device.step([0, 0])
+
+
+def test_between_send_and_recv() -> None:
+    device, twin = (Native().open(BatchConfig(spec=DRIFT, n_envs=N)) for _ in range(2))
+    device.reset(seed=0)
+    twin.reset(seed=0)
+    device.send([1] * N)
+    for call in (
+        lambda: device.step([0] * N),
+        lambda: device.send([0] * N),
+        lambda: device.reset(),
+        lambda: device.snapshot(),
+        lambda: device.state(),
+        lambda: device.set_max_cycles(4),
+    ):
+        with pytest.raises(OrderError, match=r"call recv\(\) first"):
+            call()
+    np.testing.assert_array_equal(device.recv().obs, twin.step([1] * N).obs)
+    np.testing.assert_array_equal(device.step([2] * N).obs, twin.step([2] * N).obs)
+
+
+def test_a_device_without_a_batch() -> None:
+    for call in (lambda d: d.reset(), lambda d: d.step([0]), lambda d: d.set_rewards([1])):
+        with pytest.raises(OrderError, match=r"before open\(\)"):
+            call(Native())
+    with pytest.raises(OrderError, match="call send"):
+        Native().recv()
+
+
+@pytest.mark.parametrize("threads", [0, -1, 1.0, True, "2"])
+def test_threads(threads: Any) -> None:
+    with pytest.raises(ArgumentError, match=re.escape(repr(threads))):
+        Native(threads=threads)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ({"first_slot": -1}, "first_slot is -1"),
+        ({"first_slot": 2**32 - 1}, str(2**32)),
+        ({"autoreset_mode": AutoresetMode.DISABLED}, "DISABLED"),
+        ({"n_envs": None}, "None"),
+    ],
+)
+def test_configurations(arguments: dict[str, Any], words: str) -> None:
+    with pytest.raises(ArgumentError, match=words):
+        BatchConfig(**{"spec": DRIFT, "n_envs": 2, **arguments})
+
+
+# Saved states.
+
+
+def saved(env_id: str = "Drift", n: int = N, autoreset: bool = True, **arguments: Any) -> bytes:
+    env = pearl_marl.parallel_env(env_id, n, autoreset=autoreset, **{"max_cycles": 9, **arguments})
+    env.reset(seed=1)
+    return env.save_state()
+
+
+@pytest.mark.parametrize(
+    ("blob", "words"),
+    [
+        pytest.param(
+            lambda: saved("CliffWalking"), "environment = 'CliffWalking-v0'.*'Drift-v3'", id="environment"
+        ),
+        pytest.param(lambda: saved(push=21), "options = .*21.*20", id="options"),
+        pytest.param(lambda: saved(n=6), "n_agents = 6.*5", id="size"),
+        pytest.param(lambda: saved(autoreset=False), "autoreset = False.*True", id="mode"),
+        pytest.param(lambda: saved(max_cycles=8), "max_cycles = 8.*9", id="limit"),
+        pytest.param(
+            lambda: saved(initial_states="stored"), "initial_states = 'stored'.*'random'", id="initial"
+        ),
+        pytest.param(lambda: b"PEARLST2" + saved()[8:], "version '2'.*version '1'", id="version"),
+    ],
+)
+def test_saved_states_of_others(toys: None, blob: Callable[[], bytes], words: str) -> None:
+    data = blob()
+    assert_refused_without_a_trace(
+        make("Drift", True), make("Drift", True), lambda e: e.load_state(data), SavedStateError, words
+    )
+
+
+def test_every_damaged_byte_is_noticed(toys: None) -> None:
+    env = make("Drift", True)
+    blob = saved()
+    before = env.save_state()
+    generator = np.random.default_rng(0)
+    for position in range(len(blob)):
+        damaged = bytearray(blob)
+        damaged[position] ^= 1 << int(generator.integers(8))
+        with pytest.raises(SavedStateError):
+            env.load_state(bytes(damaged))
+    for length in {*range(40), len(blob) - 1, len(blob) // 2}:
+        with pytest.raises(SavedStateError):
+            env.load_state(blob[:length])
+    with pytest.raises(SavedStateError):
+        env.load_state(blob + b"\0")
+    assert env.save_state() == before
+    env.load_state(bytearray(blob))
+    assert env.save_state() == blob
+
+
+def test_a_snapshot_of_another_batch(toys: None) -> None:
+    """Devices are used on their own too, and a snapshot of another size must not be written into one."""
+    device, twin = (Native().open(BatchConfig(spec=DRIFT, n_envs=N)) for _ in range(2))
+    other = Native().open(BatchConfig(spec=DRIFT, n_envs=N + 100))
+    for d in (device, twin, other):
+        d.reset(seed=0)
+    with pytest.raises(SavedStateError, match=r"n_agents = 105.*5"):
+        device.restore(other.snapshot())
+    np.testing.assert_array_equal(device.step([1] * N).obs, twin.step([1] * N).obs)
+
+
+# Specs.
+
+
+@pytest.mark.parametrize("bits", [0, 65, -1])
+def test_fields(bits: int) -> None:
+    with pytest.raises(ArgumentError, match=f"'x' has {bits} bits"):
+        Field("x", bits)
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"observation": DRIFT.observation[:2]}, "takes 3 fields.*lists 2"),
+        ({"action": Field("action", 2)}, r"Discrete\(5\) does not fit 2"),
+        ({"rewards": (0.0,) * 9, "reward": Field("reward", 3)}, "9 rewards do not fit 3"),
+        ({"max_cycles": -2}, "max_cycles is -2"),
+    ],
+)
+def test_specs(changes: dict[str, Any], words: str) -> None:
+    from dataclasses import replace
+
+    with pytest.raises(ArgumentError, match=words):
+        replace(DRIFT, **changes)
+
+
+def test_registering() -> None:
+    with pytest.raises(ArgumentError, match="takes an EnvSpec, not str"):
+        pearl_marl.register("Drift")  # type: ignore[arg-type]
+
+
+def test_registering_twice_warns(toys: None) -> None:
+    with pytest.warns(UserWarning, match="'Drift' was registered before"):
+        pearl_marl.register(DRIFT)
+    assert pearl_marl.get_spec("DRIFT") is DRIFT
+    assert "Drift" in pearl_marl.envs()
+
+
+def test_memory_maps_of_too_many_elements() -> None:
+    with pytest.raises(ArgumentError, match="pe_num is 3"):
+        memory_map(DRIFT, 2, 3, 32)

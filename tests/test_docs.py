@@ -1,0 +1,76 @@
+"""Every example and command of the documentation runs."""
+
+import os
+import re
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+PAGES = sorted([ROOT / "README.md", *ROOT.glob("docs/*.md"), *ROOT.glob("envs/*/README.md")])
+
+
+def blocks(page: Path, language: str) -> list[str]:
+    return re.findall(rf"^```{language}\n(.*?)^```", page.read_text(), re.MULTILINE | re.DOTALL)
+
+
+@pytest.mark.parametrize("page", [p for p in PAGES if blocks(p, "python")], ids=lambda p: p.name)
+def test_python_examples_run(page, tmp_path):
+    """The examples of a page run in order, as one program."""
+    program = tmp_path / "examples.py"
+    program.write_text("\n".join(blocks(page, "python")))
+    command = [sys.executable, program]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr
+
+
+COMMANDS = [
+    (page, command, output)
+    for page in PAGES
+    for block in blocks(page, "console")
+    for command, output in re.findall(r"^\$ (.*)\n((?:(?!\$ ).*\n)*)", block, re.MULTILINE)
+]
+
+
+@pytest.mark.parametrize(("page", "command", "output"), COMMANDS, ids=[c for _, c, _ in COMMANDS])
+def test_commands_run(page, command, output, tmp_path):
+    """A command succeeds; where the page shows its output, it prints that."""
+    program, *arguments = shlex.split(command)
+    assert program == "pearl"
+    pearl = Path(sys.executable).with_name("pearl")
+    environment = {**os.environ, "COLUMNS": "200"}
+    done = subprocess.run(
+        [pearl, *arguments], cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=300
+    )
+    if output:
+        assert done.returncode == 2
+        assert " ".join(done.stderr.split()) == " ".join(output.split())
+    else:
+        assert done.returncode == 0, done.stderr
+
+
+def test_make_targets_of_the_readme_exist():
+    named = re.findall(r"^make (\w+)", (ROOT / "README.md").read_text(), re.MULTILINE)
+    assert named == ["demo", "test"]
+    for target in named:
+        subprocess.run(["make", "--dry-run", target], cwd=ROOT, check=True, capture_output=True)
+
+
+def test_links_lead_somewhere():
+    for page in PAGES:
+        for target in re.findall(r"\]\(([^)#]+)\)", page.read_text()):
+            if not target.startswith("http"):
+                assert (page.parent / target).exists(), f"{page.name} links to {target}"
+
+
+def test_the_demo_learns(tmp_path):
+    """The experiment of `make demo`, at a smaller size."""
+    script = ROOT / "experiments" / "cliff_walking_q_learning.py"
+    arguments = ["--n-agents", "2000", "--steps", "200", "--out", str(tmp_path)]
+    done = subprocess.run([sys.executable, script, *arguments], capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "Optimal return of -13" in done.stdout
+    assert (tmp_path / "learning_curve.png").stat().st_size > 10_000

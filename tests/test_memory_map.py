@@ -1,0 +1,90 @@
+"""The memory map as a property: whatever the sizes, its regions lie side by side and hold their slots."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import pearl_marl
+from pearl_marl.errors import ArgumentError
+from pearl_marl.memory_map import DATA_WIDTHS, Control, Doorbell, MemoryMap, Status, memory_map
+from pearl_marl.spec import word_bits
+
+from .toy import DRIFT, LADDER
+
+SPECS = [pearl_marl.get_spec(name) for name in pearl_marl.envs()] + [DRIFT, LADDER]
+
+
+@st.composite
+def maps(draw: st.DrawFn) -> tuple[pearl_marl.EnvSpec, MemoryMap]:
+    spec = draw(st.sampled_from(SPECS))
+    n_envs = draw(st.one_of(st.integers(1, 200), st.integers(1, 1 << 20)))
+    return spec, memory_map(spec, n_envs, draw(st.integers(1, n_envs)), draw(st.sampled_from(DATA_WIDTHS)))
+
+
+@settings(max_examples=200, deadline=None, derandomize=True)
+@given(maps())
+def test_regions(case: tuple[pearl_marl.EnvSpec, MemoryMap]) -> None:
+    spec, layout = case
+    word = layout.data_wl // 8
+    address = 0
+    for region in layout.regions:
+        assert region.offset == address, f"{region.name} leaves a gap or overlaps"
+        assert region.offset % word == 0
+        assert layout[region.name] is region
+        assert layout.size(region.name) == region.words * word
+        assert layout.end(region.name) == region.offset + layout.size(region.name)
+        needed = region.slot_bits * layout.n_envs
+        assert 8 * layout.size(region.name) >= needed
+        if region.slot_bits:
+            assert 8 * layout.size(region.name) - needed < layout.data_wl, "no more than a word is padding"
+        address = layout.end(region.name)
+    widths = {
+        "initial_states": word_bits(spec.state),
+        "actions": spec.action.bits,
+        "observations": word_bits(spec.observation),
+        "rewards": spec.reward.bits,
+        "ters": 2,
+        "reset_mask": 1,
+    }
+    assert {name: layout[name].slot_bits for name in widths} == widths
+    for name, registers in (("control", Control), ("doorbell", Doorbell), ("status", Status)):
+        assert 8 * layout.size(name) >= 32 * len(registers)
+    assert layout.groups * layout.pe_num >= layout.n_envs > (layout.groups - 1) * layout.pe_num
+
+
+@settings(max_examples=100, deadline=None, derandomize=True)
+@given(maps())
+def test_a_step_is_one_transfer_each_way(case: tuple[pearl_marl.EnvSpec, MemoryMap]) -> None:
+    _, layout = case
+    for (start, length), wanted in (
+        (layout.step_write, {"actions", "doorbell"}),
+        (layout.step_read, {"observations", "rewards", "ters", "status"}),
+    ):
+        inside = {
+            r.name for r in layout.regions if start <= r.offset and layout.end(r.name) <= start + length
+        }
+        assert inside == wanted
+        assert sum(layout.size(name) for name in inside) == length, "nothing else is transferred"
+    # The doorbell starts the step and the status ends it, so they are the last words of their transfer.
+    start, length = layout.step_write
+    assert layout.end("doorbell") == start + length
+    start, length = layout.step_read
+    assert layout.end("status") == start + length
+
+
+@pytest.mark.parametrize(
+    ("arguments", "complaint"),
+    [
+        ((0, 1, 32), "n_envs is 0"),
+        ((-5, 1, 32), "n_envs is -5"),
+        ((8, 0, 32), "pe_num is 0.*1 to n_envs = 8"),
+        ((8, 9, 32), "pe_num is 9.*1 to n_envs = 8"),
+        ((8, 4, 48), "data_wl is 48.*32, 64, 128"),
+        ((8, 4, 16), "data_wl is 16"),
+    ],
+)
+def test_refusals(arguments: tuple[int, int, int], complaint: str) -> None:
+    with pytest.raises(ArgumentError, match=complaint):
+        memory_map(SPECS[0], *arguments)

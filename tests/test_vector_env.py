@@ -1,0 +1,230 @@
+"""The Gymnasium interface beyond what is CliffWalking's: registration, modes, masks, Gymnasium's wrappers."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.vector import AutoresetMode
+from gymnasium.wrappers import vector as wrappers
+
+import pearl_marl
+from pearl_marl.devices import BatchConfig, Reference
+from pearl_marl.errors import ArgumentError, OrderError
+
+from .helpers import SIZE, Case
+
+
+def test_registered_with_gymnasium(case: Case) -> None:
+    env = gymnasium.make_vec(
+        f"Pearl/{case.spec.id}",
+        num_envs=6,
+        vectorization_mode="vector_entry_point",
+        device=case.device(),
+        max_cycles=3,
+    )
+    assert isinstance(env.unwrapped, pearl_marl.PearlVectorEnv)
+    assert env.num_envs == 6
+    assert env.metadata["autoreset_mode"] is AutoresetMode.SAME_STEP
+    ours = case.vector(6, max_cycles=3)
+    np.testing.assert_array_equal(env.reset(seed=1)[0], ours.reset(seed=1)[0])
+    for actions in case.actions(8, 6):
+        for a, b in zip(env.step(actions)[:4], ours.step(actions)[:4], strict=True):
+            np.testing.assert_array_equal(a, b)
+    env.close()
+    assert env.unwrapped.closed
+
+
+def test_gymnasium_chooses_the_vector_entry_point_by_itself() -> None:
+    env = gymnasium.make_vec("Pearl/CliffWalking-v0", num_envs=3, is_slippery=True)
+    assert env.unwrapped.device.config.spec.options == {"is_slippery": True}
+    env.close()
+
+
+@pytest.mark.parametrize("mode", [*AutoresetMode, "SameStep", "NextStep", "Disabled"])
+def test_modes_by_object_and_name(mode: Any) -> None:
+    env = pearl_marl.make_vec("CliffWalking", 2, autoreset_mode=mode)
+    assert env.metadata["autoreset_mode"] is AutoresetMode(mode)
+    env.close()
+
+
+def test_unknown_mode() -> None:
+    with pytest.raises(ArgumentError, match=r"'sometimes'.*NEXT_STEP"):
+        pearl_marl.make_vec("CliffWalking", 2, autoreset_mode="sometimes")
+
+
+def test_spaces_are_batches(case: Case) -> None:
+    env = case.vector(5)
+    assert env.single_observation_space == case.spec.observation_space
+    assert env.single_action_space == case.spec.action_space
+    obs, infos = env.reset(seed=0)
+    assert infos == {}
+    assert env.observation_space.contains(obs)
+    obs, rewards, terminations, truncations, _ = env.step(env.action_space.sample())
+    assert env.observation_space.contains(obs)
+    assert (rewards.dtype, terminations.dtype, truncations.dtype) == (np.float32, bool, bool)
+
+
+@pytest.mark.parametrize("copy", [True, False])
+def test_disabled_mode(case: Case, copy: bool) -> None:
+    """Where an episode ended, its last observation stays until the mask names that sub-environment."""
+    env = case.vector(autoreset_mode="Disabled", max_cycles=7, copy=copy)
+    reference = Reference().open(BatchConfig(spec=case.spec, n_envs=SIZE, max_cycles=7))
+    np.testing.assert_array_equal(env.reset(seed=0)[0], reference.reset(seed=0))
+    resets = 0
+    for actions in case.actions(40):
+        obs, rewards, terminations, truncations, infos = env.step(actions)
+        theirs = reference.step(actions)
+        np.testing.assert_array_equal(obs, theirs.arrivals())
+        np.testing.assert_array_equal(rewards, theirs.rewards)
+        assert "final_obs" not in infos
+        ended = terminations | truncations
+        np.testing.assert_array_equal(ended, theirs.ended)
+        if not ended.any():
+            continue
+        resets += 1
+        with pytest.raises(OrderError, match=f"sub-environment {np.argmax(ended)} has ended"):
+            env.step(actions)
+        if ended.sum() > 1:  # one first, then the rest: the others' last observations are still there
+            first = np.arange(SIZE) == np.argmax(ended)
+            last = obs.copy()
+            obs, _ = env.reset(options={"reset_mask": first})
+            np.testing.assert_array_equal(obs[first], theirs.obs[first])
+            np.testing.assert_array_equal(obs[~first], last[~first])
+            ended &= ~first
+        obs, infos = env.reset(options={"reset_mask": ended})
+        np.testing.assert_array_equal(obs, theirs.obs)
+        assert infos == {}
+    assert resets > 2
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"reset_mask": np.zeros(4, bool)}, "nothing"),
+        ({"reset_mask": np.ones(3, bool)}, r"\(3,\)"),
+        ({"reset_mask": np.ones(4)}, "float64"),
+        ({"mask": np.ones(4, bool)}, "'mask'.*'reset_mask'"),
+    ],
+)
+@pytest.mark.parametrize("mode", AutoresetMode, ids=lambda mode: mode.name)
+def test_refused_masks(mode: AutoresetMode, options: dict[str, Any], words: str, toys: None) -> None:
+    env, twin = (pearl_marl.make_vec("Drift", 4, autoreset_mode=mode) for _ in range(2))
+    env.reset(seed=0)
+    twin.reset(seed=0)
+    with pytest.raises(ArgumentError, match=words):
+        env.reset(options=options)
+    for a, b in zip(env.step([1] * 4), twin.step([1] * 4), strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+def test_a_mask_may_be_a_list(toys: None) -> None:
+    env, twin = (pearl_marl.make_vec("Drift", 2, autoreset_mode="Disabled", max_cycles=1) for _ in range(2))
+    for e in (env, twin):
+        e.reset(seed=0)
+        e.step([1, 1])
+    a, _ = env.reset(options={"reset_mask": [True, False]})
+    b, _ = twin.reset(options={"reset_mask": np.array([True, False])})
+    np.testing.assert_array_equal(a, b)
+
+
+def test_a_mask_before_the_first_reset() -> None:
+    env = pearl_marl.make_vec("CliffWalking", 2, autoreset_mode="Disabled")
+    with pytest.raises(OrderError, match="without a mask first"):
+        env.reset(options={"reset_mask": np.array([True, False])})
+
+
+@pytest.mark.parametrize("n", [50, 43008])
+def test_episode_statistics(toys: None, n: int) -> None:
+    """Gymnasium's own counts of lengths and returns equal sums made by hand."""
+    env = wrappers.RecordEpisodeStatistics(pearl_marl.make_vec("Drift", n), buffer_length=10 * n)
+    env.reset(seed=0)
+    generator = np.random.default_rng(0)
+    length, total = np.zeros(n, int), np.zeros(n)
+    lengths: list[int] = []
+    totals: list[float] = []
+    for _ in range(30):
+        _, rewards, terminations, truncations, infos = env.step(generator.integers(5, size=n))
+        ended = terminations | truncations
+        length += 1
+        total += rewards
+        if ended.any():
+            np.testing.assert_array_equal(infos["_final_obs"], ended)
+            np.testing.assert_array_equal(infos["_episode"], ended)
+            np.testing.assert_array_equal(infos["episode"]["l"][ended], length[ended])
+            np.testing.assert_allclose(infos["episode"]["r"][ended], total[ended], rtol=1e-4, atol=1e-3)
+            lengths += length[ended].tolist()
+            totals += total[ended].tolist()
+            length[ended], total[ended] = 0, 0
+    assert len(lengths) >= 2 * n
+    assert list(env.length_queue) == lengths
+    np.testing.assert_allclose(env.return_queue, totals, rtol=1e-4, atol=1e-3)
+    env.close()
+
+
+@pytest.mark.parametrize("n", [50, 43008])
+def test_wrappers_in_same_step_mode(toys: None, n: int) -> None:
+    plain = pearl_marl.make_vec("Drift", n)
+    scaled = wrappers.TransformReward(pearl_marl.make_vec("Drift", n), lambda r: 2 * r + 1)
+    clipped = wrappers.ClipReward(pearl_marl.make_vec("Drift", n), -1, 1)
+    shifted = wrappers.TransformAction(pearl_marl.make_vec("Drift", n), lambda action: action - 2)
+    normal = wrappers.NormalizeReward(pearl_marl.make_vec("Drift", n))
+    envs = [plain, scaled, clipped, normal, shifted]
+    for env in envs:
+        env.reset(seed=0)
+    generator = np.random.default_rng(0)
+    for _ in range(14):
+        actions = generator.integers(5, size=n)
+        steps = [env.step(actions + 2 * (env is shifted)) for env in envs]
+        obs, rewards, terminations, truncations, infos = steps[0]
+        np.testing.assert_allclose(steps[1][1], 2 * rewards + 1)
+        np.testing.assert_array_equal(steps[2][1], np.clip(rewards, -1, 1))
+        assert np.isfinite(steps[3][1]).all()
+        for step in steps[1:]:
+            np.testing.assert_array_equal(step[0], obs)
+            np.testing.assert_array_equal(step[2], terminations)
+            np.testing.assert_array_equal(step[3], truncations)
+            assert ("final_obs" in step[4]) == ("final_obs" in infos)
+    assert (terminations | truncations).any()
+    for env in envs:
+        env.close()
+
+
+@pytest.mark.parametrize("mode", [AutoresetMode.NEXT_STEP, AutoresetMode.DISABLED], ids=lambda m: m.name)
+def test_flattened_observations(mode: AutoresetMode) -> None:
+    """One-hot. Gymnasium 1.4's own observation wrappers refuse SAME_STEP."""
+    plain, base = (
+        pearl_marl.make_vec("CliffWalking", 20, autoreset_mode=mode, max_cycles=3) for _ in range(2)
+    )
+    flat = wrappers.FlattenObservation(base)
+    np.testing.assert_array_equal(flat.reset(seed=0)[0].argmax(1), plain.reset(seed=0)[0])
+    generator = np.random.default_rng(0)
+    for t in range(7):
+        actions = generator.integers(4, size=20)
+        a, b = plain.step(actions), flat.step(actions)
+        assert b[0].shape == (20, 48)
+        np.testing.assert_array_equal(b[0].argmax(1), a[0])
+        if mode is AutoresetMode.DISABLED and t % 3 == 2:
+            plain.reset(options={"reset_mask": np.ones(20, bool)})
+            flat.reset(options={"reset_mask": np.ones(20, bool)})
+    flat.close()
+
+
+def test_dict_infos_to_list(toys: None) -> None:
+    env = wrappers.DictInfoToList(pearl_marl.make_vec("Drift", 5, max_cycles=2))
+    env.reset(seed=0)
+    env.step([0] * 5)
+    *_, infos = env.step([0] * 5)
+    assert len(infos) == 5
+    assert all("final_obs" in info for info in infos)
+
+
+def test_close_is_idempotent(case: Case) -> None:
+    env = case.vector(3)
+    env.reset(seed=0)
+    env.close()
+    env.close()
+    with pytest.raises(OrderError, match=r"after close\(\)"):
+        env.step([0] * 3)
