@@ -54,8 +54,11 @@ def macros(spec: EnvSpec) -> dict[str, str]:
 
 
 def env_hash(spec: EnvSpec) -> int:
-    """Return 32 bits that name an environment with its options, for the control region."""
-    return zlib.crc32(repr((spec.id, sorted(spec.options.items()))).encode())
+    """Return a number that names an environment with its options, for the control region.
+
+    It has 31 bits, because a parameter given to Yosys as a plain number is a signed one of 32.
+    """
+    return zlib.crc32(repr((spec.id, sorted(spec.options.items()))).encode()) & 0x7FFFFFFF
 
 
 def address_bits(layout: MemoryMap) -> int:

@@ -10,7 +10,7 @@ import cocotb
 import harness
 import numpy as np
 from bench import axi_master, spec_of, start
-from cocotb.triggers import ClockCycles, with_timeout
+from cocotb.triggers import ClockCycles, FallingEdge, with_timeout
 from cocotbext.axi.constants import AxiResp
 from model import ELAPSED, TER, Model, unpack_region
 
@@ -204,6 +204,22 @@ async def a_saved_state_goes_on_where_it_was(dut: Any) -> None:
 
 
 @cocotb.test
+async def status_waits_for_the_last_word(dut: Any) -> None:
+    await start(dut)
+    host = Host(dut)
+    inside = dut.u_backbone
+    banks = (inside.u_observations, inside.u_rewards, inside.u_ters)
+    n = LAYOUT.n_envs
+    await host.ring(Mode.RESET_ALL, np.zeros(n, bool), np.ones(n, np.uint8))
+    done = inside.u_sequencer.busy_o.value == 0
+    for _ in range(cycle_bound() + 20):
+        await FallingEdge(dut.clk_i)
+        done |= inside.u_sequencer.done_o.value == 1
+        assert not (done and any(bank.we.value == 1 for bank in banks)), "a word was written after the status"
+    assert (await host.status())[Status.SEQUENCE] == host.sequence
+
+
+@cocotb.test
 async def what_is_not_allowed_is_refused(dut: Any) -> None:
     await start(dut)
     host = Host(dut)
@@ -220,7 +236,7 @@ async def what_is_not_allowed_is_refused(dut: Any) -> None:
     await host.read(LAYOUT["status"].offset, LAYOUT.size("status") + WORD, AxiResp.DECERR)
     # A doorbell whose sequence is the last one's does not ring.
     await host.write(LAYOUT["doorbell"].offset, struct.pack("<2I", Mode.RESET_ALL, 0))
-    await ClockCycles(dut.clk_i, 5)
+    await ClockCycles(dut.clk_i, cycle_bound() + 5)
     assert dut.irq_o.value == 0
     assert (await host.status())[Status.SEQUENCE] == 0
 
