@@ -45,15 +45,23 @@ def netlist(spec: EnvSpec, layout: MemoryMap, folder: Path) -> Path:
 
 
 @pytest.mark.parametrize(
-    ("env", "options", "size"),
-    [
-        ("CliffWalking", {}, (7, 4, 32)),
-        ("CliffWalking", {"is_slippery": True}, (7, 4, 32)),
-    ],
+    ("env", "options", "size", "idle", "steps"),
+    # As in test_top.py, so that sources and netlist answer the same accesses.
+    [("CliffWalking", {}, (7, 4, 32), 0.3, 8)],
 )
-def test_netlist_equals_the_model(env, options, size, tmp_path: Path) -> None:
+def test_netlist_equals_the_model(env, options, size, idle, steps, tmp_path: Path) -> None:
     spec = spec_of(env, options)
     made = tmp_path / "made"
     made.mkdir()
     design = Design("pearl_top", (netlist(spec, memory_map(spec, *size), made),))
-    run(design, "bench_top", tmp_path, env=env, options=options, size=size, idle=0.2, steps=4, netlist=True)
+    run(
+        design,
+        "bench_top",
+        tmp_path,
+        env=env,
+        options=options,
+        size=size,
+        idle=idle,
+        steps=steps,
+        netlist=True,
+    )
