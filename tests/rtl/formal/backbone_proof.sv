@@ -170,7 +170,10 @@ module backbone_proof
     end
   end
 
-  bind pearl_ram ram_proof #(.ADDR_BITS(ADDR_BITS), .DEPTH(DEPTH)) u_proof (.*);
+  bind pearl_ram ram_proof #(
+      .ADDR_BITS(ADDR_BITS),
+      .DEPTH(DEPTH)
+  ) u_proof (.*);
 
 `ifndef PROPERTY_ONLY
   localparam int unsigned GROUPS = ceil_div(N_ENVS, PE_NUM);

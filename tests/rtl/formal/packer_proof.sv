@@ -21,7 +21,7 @@ module packer_proof #(
 
   logic last, we, done;
   logic [ADDR_BITS-1:0] waddr;
-  logic [DATA_WL-1:0] wdata;
+  logic [  DATA_WL-1:0] wdata;
 
   pearl_packer #(
       .ROW_BITS(ROW_BITS),
