@@ -10,7 +10,7 @@ from harness import HERE, Design, whole
 
 from pearl_marl import hardware, memory_map, toolchain
 from pearl_marl.errors import DeviceError
-from pearl_marl.registry import envs, get_spec
+from pearl_marl.registry import get_spec, names
 
 SIZES = [(43008, 256, 1024), (1000, 16, 64), (7, 4, 32), (1, 1, 32)]
 
@@ -28,7 +28,7 @@ def lint(design: Design, **parameters: int) -> None:
 
 
 @pytest.mark.parametrize("size", SIZES)
-@pytest.mark.parametrize("env", [*envs(), "ShiftAdd"])
+@pytest.mark.parametrize("env", [*names(), "ShiftAdd"])
 def test_lint_is_clean(env: str, size: tuple[int, int, int]) -> None:
     spec = spec_of(env, {})
     if env == "ShiftAdd" or hardware.core_path(spec).is_file():
