@@ -20,8 +20,8 @@ from pathlib import Path
 from typing import Any
 
 from pearl_marl import hardware, toolchain
+from pearl_marl.cache import cache_folder
 from pearl_marl.errors import ArgumentError, DeviceError
-from pearl_marl.kernels import cache_folder
 from pearl_marl.memory_map import MemoryMap, memory_map
 from pearl_marl.spec import EnvSpec
 
@@ -187,7 +187,7 @@ def synthesise(spec: EnvSpec, layout: MemoryMap, family: Family = Family.XC7, *,
     script = _script(spec, layout, family, list(files))
     parts = [script, files, tools, _PLACE if fmax else ""]
     digest = hashlib.sha256(json.dumps(parts).encode()).hexdigest()[:24]
-    folder = cache_folder() / "synthesis"
+    folder = cache_folder("synthesis")
     folder.mkdir(exist_ok=True)
     path = folder / f"{spec.name}_{digest}.json"
     found = _read(path)
