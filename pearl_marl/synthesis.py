@@ -188,7 +188,6 @@ def synthesise(spec: EnvSpec, layout: MemoryMap, family: Family = Family.XC7, *,
     parts = [script, files, tools, _PLACE if fmax else ""]
     digest = hashlib.sha256(json.dumps(parts).encode()).hexdigest()[:24]
     folder = cache_folder("synthesis")
-    folder.mkdir(exist_ok=True)
     path = folder / f"{spec.name}_{digest}.json"
     found = _read(path)
     if found is None:
