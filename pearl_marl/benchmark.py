@@ -22,7 +22,8 @@ import numpy as np
 import numpy.typing as npt
 
 from pearl_marl import slot_memory
-from pearl_marl.devices import BatchConfig, Native
+from pearl_marl.devices import BatchConfig, Native, Rtl
+from pearl_marl.errors import DeviceError
 from pearl_marl.kernels import compile_kernels
 from pearl_marl.parallel_env import parallel_env
 from pearl_marl.spec import EnvSpec
@@ -195,6 +196,14 @@ def _ours(spec: EnvSpec, n: int) -> list[Contender]:
         given = actions.astype(np.int64)
         return lambda: envs.step(given)
 
+    def simulated() -> Callable[[], Any]:
+        try:
+            env = parallel_env(spec.name, n, device=Rtl(), copy=False, **spec.options)
+            env.reset_batch(seed=0)
+        except DeviceError as error:
+            raise UnavailableError(str(error).splitlines()[0]) from None
+        return lambda: env.step_batch(actions)
+
     delivered = "all result arrays, checked actions"
     rows = [
         ("kernel only", "golden step and float32 rewards; no observations, no resets", kernel),
@@ -209,6 +218,7 @@ def _ours(spec: EnvSpec, n: int) -> list[Contender]:
         ("PettingZoo step, array actions", "five dicts, nobody looks inside; one thread", pettingzoo(False)),
         ("PettingZoo step, dict actions", "five dicts, every key read; one thread", pettingzoo(True)),
         ("Gymnasium VectorEnv step", "arrays and infos, int64 actions; one thread", vector),
+        ("step_batch, device='rtl'", "the FPGA design under Verilator, by backdoor; one thread", simulated),
         ("(memory) filling the result arrays", "writing zeros over what a step returns: the floor", fill),
     ]
     return [Contender(name, counts, n, make, ours=True) for name, counts, make in rows]

@@ -16,9 +16,9 @@ import pytest
 from gymnasium.vector import AutoresetMode
 
 from pearl_marl import cache, get_spec, hardware
-from pearl_marl.devices import BatchConfig, Native, Rtl, make_device, model_build, pyverilator_mends
+from pearl_marl.devices import BatchConfig, Lockstep, Native, Rtl, make_device, model_build, pyverilator_mends
 from pearl_marl.devices.rtl import default_data_wl, default_pe_num
-from pearl_marl.errors import ArgumentError, DeviceError
+from pearl_marl.errors import ArgumentError, DeviceError, LockstepError
 from pearl_marl.memory_map import memory_map
 from pearl_marl.spec import Field
 
@@ -251,6 +251,23 @@ def test_a_core_of_another_latency_than_it_states(
     device = opened(Rtl(1, 32))
     with pytest.raises(DeviceError, match="an assertion in the hardware failed"):
         device.step(ACTIONS[0])
+
+
+def test_a_broken_core_is_caught(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """One wrong constant, and lockstep finds where it first shows."""
+    core(tmp_path, monkeypatch, "LAST_COLUMN = 4'd11", "LAST_COLUMN = 4'd2")
+    device = Lockstep(Rtl(), "reference").open(BatchConfig(spec=SPEC, n_envs=7))
+    device.reset(seed=0)
+    right_of_slot_5 = np.array([0, 0, 0, 0, 0, 1, 0], np.uint8)
+    device.step(np.zeros(7, np.uint8))
+    device.step(right_of_slot_5)
+    device.step(right_of_slot_5)
+    with pytest.raises(LockstepError) as caught:
+        device.step(right_of_slot_5)
+    error = caught.value
+    assert (error.step, error.slot, error.field) == (3, 5, "obs")
+    assert (error.device_value, error.reference_value) == (26, 27)
+    assert error.action == 1
 
 
 def test_a_spec_of_other_widths(own_cache: Path) -> None:
