@@ -35,10 +35,16 @@ def test_regions(case: tuple[pearl_marl.EnvSpec, MemoryMap]) -> None:
         assert layout[region.name] is region
         assert layout.size(region.name) == region.words * word
         assert layout.end(region.name) == region.offset + layout.size(region.name)
-        needed = region.slot_bits * layout.n_envs
-        assert 8 * layout.size(region.name) >= needed
         if region.slot_bits:
-            assert 8 * layout.size(region.name) - needed < layout.data_wl, "no more than a word is padding"
+            assert region.rows * region.row_slots >= layout.n_envs
+            words = -(-region.row_slots * region.slot_bits // layout.data_wl)
+            if region.rows == 1 and region.row_slots == layout.n_envs:
+                assert region.row_words in (words, 1 << (words - 1).bit_length())
+            else:
+                assert (region.rows, region.row_slots) == (layout.groups, layout.pe_num)
+                assert region.row_words == 1 << (words - 1).bit_length(), "groups start at a power of two"
+            if region.name in ("reset_mask", "actions", "observations", "rewards", "ters"):
+                assert (region.rows, region.row_words) == (1, words), "no more than a word is padding"
         address = layout.end(region.name)
     widths = {
         "initial_states": word_bits(spec.state),
