@@ -41,12 +41,12 @@ def encode(actions: Any, space: Discrete, target: npt.NDArray[Any], first_slot: 
         array = np.asarray(actions)
     except ValueError:  # a ragged list
         raise _refusal(actions, space, target, first_slot) from None
-    if not (array.flags.writeable and array.flags.aligned):
-        array = array.copy()  # to Numba each of these is another type, and another compilation
-    if array.dtype is target.dtype and array.shape == target.shape and array.flags.c_contiguous:
+    if array.dtype is target.dtype and array.shape == target.shape and array.flags.carray:
         if _largest(array) >= space.n:
             raise _refusal(actions, space, target, first_slot)
         return array
+    if not array.flags.behaved:  # read-only or unaligned: to Numba other types, and so another compilation
+        array = array.copy()
     kind = array.dtype.kind
     if array.shape != target.shape or kind not in "iu":
         raise _refusal(actions, space, target, first_slot)
