@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pearl_marl import slot_memory
-from pearl_marl.devices.base import BatchStep
+from pearl_marl.devices.batch import BatchStep
 from pearl_marl.saved_state import SavedState
 from pearl_marl.spec import EnvSpec
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from pearl_marl.devices.base import BatchStep
+from pearl_marl.devices.batch import BatchStep
 
 
 class EpisodeStatistics:

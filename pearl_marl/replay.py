@@ -20,7 +20,8 @@ import numpy.typing as npt
 from gymnasium.vector import AutoresetMode
 
 from pearl_marl import slot_memory
-from pearl_marl.devices.base import BatchConfig, Device
+from pearl_marl.devices.base import Device
+from pearl_marl.devices.batch import BatchConfig
 from pearl_marl.divergence import Divergence
 from pearl_marl.errors import ArgumentError, LockstepError, PearlError
 from pearl_marl.registry import get_spec

@@ -12,7 +12,8 @@
 
 from __future__ import annotations
 
-from pearl_marl.devices.base import BatchConfig, BatchStep, Device
+from pearl_marl.devices.base import Device
+from pearl_marl.devices.batch import BatchConfig, BatchStep
 from pearl_marl.devices.lockstep import Lockstep
 from pearl_marl.devices.native import Native
 from pearl_marl.devices.reference import Reference

@@ -15,127 +15,18 @@ import os
 import secrets
 from abc import ABC, abstractmethod
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass, replace
-from typing import Any, NamedTuple, Self
+from dataclasses import replace
+from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
-from gymnasium.vector import AutoresetMode
 
 from pearl_marl import rng, slot_memory
 from pearl_marl.actions import encode
+from pearl_marl.devices.batch import Array, BatchConfig, BatchStep
 from pearl_marl.errors import ArgumentError, OrderError
 from pearl_marl.saved_state import SavedState
-from pearl_marl.spec import EnvSpec, check_max_cycles
-
-Array = npt.NDArray[Any]
-
-
-class BatchStep(NamedTuple):
-    """The results of one step, a row a slot.
-
-    Parameters
-    ----------
-    obs
-        Shape ``(n, *observation_space.shape)``, in the space's dtype. In SAME_STEP mode, where a
-        slot ended, the first observation of its new episode.
-    rewards
-        ``float32``, shape ``(n,)``.
-    terminations, truncations
-        ``bool``, shape ``(n,)``. Both may be set: the last step of a time limit can also reach the goal.
-    final_obs
-        Like ``obs``; where a slot ended, the last observation of that episode. Other rows have no meaning.
-    """
-
-    obs: Array
-    rewards: Array
-    terminations: Array
-    truncations: Array
-    final_obs: Array
-
-    @property
-    def ended(self) -> npt.NDArray[np.bool_]:
-        """Which slots' episodes ended in this step, shape ``(n,)``."""
-        return np.logical_or(self.terminations, self.truncations)
-
-    def arrivals(self) -> Array:
-        """Return where the step itself took every slot: ``final_obs`` where it ended, else ``obs``."""
-        ended = self.ended
-        if not ended.any():
-            return self.obs
-        return np.where(ended.reshape(-1, *(1,) * (self.obs.ndim - 1)), self.final_obs, self.obs)
-
-
-@dataclass(frozen=True, kw_only=True)
-class BatchConfig:
-    """What a device is opened for; checked when made.
-
-    Parameters
-    ----------
-    spec
-        The environment.
-    n_envs
-        How many slots.
-    autoreset_mode
-        ``SAME_STEP`` or ``NEXT_STEP``: when a slot that ended begins its next episode.
-    max_cycles
-        The time limit; ``None`` takes the environment's own, 0 is none.
-    initial_states
-        ``"random"``: each episode starts from a draw. ``"stored"``: a slot repeats its first start.
-    first_slot
-        The global number of the first slot: random draws depend on it, and on nothing else of the device.
-    copy
-        Whether results are fresh arrays. If not, the next step overwrites them.
-    """
-
-    spec: EnvSpec
-    n_envs: int
-    autoreset_mode: AutoresetMode = AutoresetMode.SAME_STEP
-    max_cycles: int | None = None
-    initial_states: str = "random"
-    first_slot: int = 0
-    copy: bool = True
-
-    def __post_init__(self) -> None:
-        n, first = self.n_envs, self.first_slot
-        for name, value, least in (("the number of agents", n, 1), ("first_slot", first, 0)):
-            if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < least:
-                raise ArgumentError(f"{name} is {value!r}; it must be an integer of at least {least}")
-        if first + n > 1 << 32:
-            raise ArgumentError(
-                f"slots {first} to {first + n - 1} exceed the 2**32 that random draws can tell apart"
-            )
-        if self.autoreset_mode not in (AutoresetMode.SAME_STEP, AutoresetMode.NEXT_STEP):
-            raise ArgumentError(
-                f"a device resets in SAME_STEP or NEXT_STEP mode, not {self.autoreset_mode!r}"
-            )
-        check_max_cycles(self.max_cycles)
-        if self.initial_states not in ("random", "stored"):
-            raise ArgumentError(
-                f"initial_states is {self.initial_states!r}; possible are 'random' and 'stored'"
-            )
-        if not isinstance(self.copy, bool):
-            raise ArgumentError(f"copy is {self.copy!r}; it must be True or False")
-        # A NumPy integer would wrap around where sizes in bytes are computed from it.
-        object.__setattr__(self, "n_envs", int(n))
-        object.__setattr__(self, "first_slot", int(first))
-
-    @property
-    def limit(self) -> int:
-        """The time limit that holds; 0 for none."""
-        return int((self.spec.max_cycles if self.max_cycles is None else self.max_cycles) or 0)
-
-    def identity(self) -> dict[str, Any]:
-        """Return what a saved state has to agree with, by name."""
-        return {
-            "environment": self.spec.id,
-            "options": dict(self.spec.options),
-            "n_agents": self.n_envs,
-            "autoreset_mode": self.autoreset_mode.value,
-            "max_cycles": self.limit,
-            "initial_states": self.initial_states,
-            "first_slot": self.first_slot,
-        }
+from pearl_marl.spec import EnvSpec
 
 
 class Device(ABC):

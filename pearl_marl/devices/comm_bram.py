@@ -21,7 +21,8 @@ from gymnasium.vector import AutoresetMode
 
 from pearl_marl import hardware, slot_memory
 from pearl_marl.codec import Stream, pack, stream_bytes, unpack
-from pearl_marl.devices.base import Array, BatchConfig, BatchStep, Device
+from pearl_marl.devices.base import Device
+from pearl_marl.devices.batch import Array, BatchConfig, BatchStep
 from pearl_marl.devices.results import ResultArrays
 from pearl_marl.errors import DeviceError
 from pearl_marl.kernels import compile_kernels

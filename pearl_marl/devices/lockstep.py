@@ -9,7 +9,8 @@ from typing import Any, NoReturn, Self, TypeVar
 import numpy.typing as npt
 
 from pearl_marl import devices
-from pearl_marl.devices.base import Array, BatchConfig, BatchStep, Device
+from pearl_marl.devices.base import Device
+from pearl_marl.devices.batch import Array, BatchConfig, BatchStep
 from pearl_marl.divergence import (
     Comparison,
     Divergence,

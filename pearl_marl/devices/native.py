@@ -14,7 +14,8 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 
 from pearl_marl import slot_memory
-from pearl_marl.devices.base import Array, BatchConfig, BatchStep, Device
+from pearl_marl.devices.base import Device
+from pearl_marl.devices.batch import Array, BatchConfig, BatchStep
 from pearl_marl.devices.results import ResultArrays
 from pearl_marl.errors import ArgumentError
 from pearl_marl.kernel_source import BLOCK

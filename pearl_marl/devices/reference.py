@@ -14,7 +14,8 @@ from gymnasium.spaces import Discrete
 from gymnasium.vector import AutoresetMode
 
 from pearl_marl import rng, slot_memory
-from pearl_marl.devices.base import Array, BatchConfig, BatchStep, Device
+from pearl_marl.devices.base import Device
+from pearl_marl.devices.batch import Array, BatchConfig, BatchStep
 from pearl_marl.devices.results import ResultArrays
 from pearl_marl.errors import DeviceError
 from pearl_marl.golden import GoldenFunction, call_reference

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from gymnasium.vector import AutoresetMode
 
-from pearl_marl.devices.base import BatchConfig, BatchStep
+from pearl_marl.devices.batch import BatchConfig, BatchStep
 from pearl_marl.slot_memory import ALIGNMENT, aligned_bytes
 
 MAX_SETS = 8

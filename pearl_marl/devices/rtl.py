@@ -15,7 +15,7 @@ import numpy as np
 
 from pearl_marl.codec import Stream
 from pearl_marl.devices import pyverilator_mends
-from pearl_marl.devices.base import BatchConfig
+from pearl_marl.devices.batch import BatchConfig
 from pearl_marl.devices.comm_bram import CommBram, Transport
 from pearl_marl.devices.model_build import library
 from pearl_marl.errors import ArgumentError, DeviceError
