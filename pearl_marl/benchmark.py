@@ -23,6 +23,7 @@ import numpy.typing as npt
 
 from pearl_marl import slot_memory
 from pearl_marl.devices import BatchConfig, Native, Rtl
+from pearl_marl.devices.base import padded_rewards
 from pearl_marl.errors import DeviceError
 from pearl_marl.kernels import compile_kernels
 from pearl_marl.parallel_env import parallel_env
@@ -154,7 +155,7 @@ def _ours(spec: EnvSpec, n: int) -> list[Contender]:
     def kernel() -> Callable[[], Any]:
         kernels = compile_kernels(spec)
         memory = slot_memory.allocate(spec, n)
-        table = np.array(spec.rewards or (), np.float32)
+        table = padded_rewards(spec, spec.rewards or ())
         rewards, terminations = np.empty(n, np.float32), np.empty(n, np.uint8)
         return lambda: kernels.advance(memory, actions, table, rewards, terminations, 0, n, n)
 

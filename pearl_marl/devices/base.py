@@ -222,7 +222,7 @@ class Device(ABC):
         saved.check(self.config.identity())
         before = self._seed, self._tick, self._table, self._ready
         self._seed, self._tick = saved.seed, saved.tick
-        self._table = _padded(self.config.spec, saved.rewards)
+        self._table = padded_rewards(self.config.spec, saved.rewards)
         self._ready = True
         try:
             return self._write(saved.memory, saved.stored)
@@ -336,11 +336,14 @@ def _reward_table(spec: EnvSpec, table: npt.ArrayLike | None) -> npt.NDArray[np.
         )
     if not np.isfinite(array).all():
         raise ArgumentError(f"rewards are {array.tolist()}; each must be a finite float32")
-    return _padded(spec, array)
+    return padded_rewards(spec, array)
 
 
-def _padded(spec: EnvSpec, table: npt.ArrayLike) -> npt.NDArray[np.float32]:
-    """Return a table with an entry for every word of the reward field: NaN for those that mean nothing."""
+def padded_rewards(spec: EnvSpec, table: npt.ArrayLike) -> npt.NDArray[np.float32]:
+    """Return a table with an entry for every word of the reward field, as the kernels need it.
+
+    Words that mean nothing are worth NaN. Empty where rewards are computed.
+    """
     if spec.rewards is None:
         return np.empty(0, np.float32)
     padded = np.full(1 << spec.reward.bits, np.nan, np.float32)
