@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import platformdirs
+from cocotb_tools.config import libs_dir
 from cocotb_tools.runner import get_results, get_runner
 
 from pearl_marl import hardware, toolchain
@@ -95,6 +96,9 @@ def build(design: Design) -> Path:
                     with contextlib.suppress(OSError):  # another process was faster
                         spare.rename(library)
                     shutil.rmtree(spare, ignore_errors=True)
+                for path in scratch.iterdir():  # all that a run needs is the program
+                    if path.name not in (design.top, "build.log"):
+                        path.unlink() if path.is_file() else shutil.rmtree(path)
                 # Only whole builds get the name that is looked for.
                 scratch.rename(folder)
             except SystemExit as error:
@@ -117,7 +121,13 @@ def run(design: Design, bench: str, tmp_path: Path, **arguments: Any) -> None:
             test_module=bench,
             build_dir=folder,
             test_dir=tmp_path,
-            extra_env={BENCH_VARIABLE: json.dumps(arguments), "PYTHONPATH": str(HERE)},
+            # A build remembers where cocotb was when it was made; another virtual environment that
+            # finds it in the cache keeps its own cocotb elsewhere.
+            extra_env={
+                BENCH_VARIABLE: json.dumps(arguments),
+                "PYTHONPATH": str(HERE),
+                "LD_LIBRARY_PATH": str(libs_dir),
+            },
             log_file=log,
             results_xml=str(tmp_path / "results.xml"),
         )
