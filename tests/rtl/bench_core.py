@@ -14,6 +14,7 @@ import harness
 import numpy as np
 from bench import spec_of, start
 from cocotb.triggers import FallingEdge
+from gymnasium.spaces import Box
 
 from pearl_marl.golden import call_reference
 from pearl_marl.spec import Field, word_bits
@@ -78,16 +79,20 @@ def golden(
 
 def all_cases(generator: np.random.Generator) -> tuple[list[int], np.ndarray, np.ndarray, np.ndarray]:
     """Return states, actions, ``first`` and ``hold`` of every case, or of as many as the limit allows."""
-    bits, limit = word_bits(SPEC.state), ARGUMENTS["limit"]
-    actions = int(SPEC.action_space.n)
-    if actions * 4 << bits <= limit:
+    bits, limit, space = word_bits(SPEC.state), ARGUMENTS["limit"], SPEC.action_space
+    if isinstance(space, Box):
+        scale = 2**SPEC.action.fraction
+        least, most = (round(float(bound[0]) * scale) for bound in (space.low, space.high))
+    else:
+        least, most = 0, int(space.n) - 1
+    if (most - least + 1) * 4 << bits <= limit:
         flags = (False, True)
-        cases = itertools.product(range(1 << bits), range(actions), flags, flags)
+        cases = itertools.product(range(1 << bits), range(least, most + 1), flags, flags)
         states, *rest = zip(*cases, strict=True)
         return (list(states), *map(np.array, rest))
     states = [int.from_bytes(generator.bytes(-(-bits // 8))) >> -bits % 8 for _ in range(limit)]
     first, hold = generator.random((2, limit)) < 0.25
-    return states, generator.integers(actions, size=limit), first, hold
+    return states, generator.integers(least, most, size=limit, endpoint=True), first, hold
 
 
 def edge_draws() -> list[int]:
@@ -112,7 +117,8 @@ async def every_case_equals_the_golden_step(dut: Any) -> None:
         draws[chosen, column] = generator.choice(edges, np.count_nonzero(chosen))
     due = golden(states, actions, first, hold, draws)
     random_words = [sum(d << (32 * i) for i, d in enumerate(row)) for row in draws.tolist()]
-    inputs = list(zip(states, actions.tolist(), first.tolist(), hold.tolist(), random_words, strict=True))
+    action_words = join([actions], (SPEC.action,), count)
+    inputs = list(zip(states, action_words, first.tolist(), hold.tolist(), random_words, strict=True))
     await FallingEdge(dut.clk_i)
     for cycle in range(II * count + LATENCY):
         number, phase = divmod(cycle - LATENCY, II)
