@@ -111,11 +111,14 @@ class Status(IntEnum):
     ``SEQUENCE`` becomes that of the doorbell once every result of its step is in place. ``CYCLES``
     are clock cycles from doorbell to then. Results that were read together with a status belong to
     its ``SEQUENCE``, unless ``ERROR`` says :attr:`StatusError.TORN_READ`.
+
+    ``SEQUENCE`` stands first because words are read in the order of their addresses, and narrow ones
+    some cycles apart: what is read after a new ``SEQUENCE`` is of the same step, or newer.
     """
 
-    ERROR = 0
+    SEQUENCE = 0
     CYCLES = 1
-    SEQUENCE = 2
+    ERROR = 2
 
 
 class StatusError(IntFlag):
