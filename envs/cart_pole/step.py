@@ -18,6 +18,7 @@ changes of a velocity in one step,
 from __future__ import annotations
 
 import math
+
 from pearl_marl.fixed_point import constant, multiply, reciprocal, saturating_add, sine_cosine
 from pearl_marl.golden import Word, i32, u8
 
