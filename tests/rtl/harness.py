@@ -127,6 +127,8 @@ def run(design: Design, bench: str, tmp_path: Path, **arguments: Any) -> None:
                 BENCH_VARIABLE: json.dumps(arguments),
                 "PYTHONPATH": str(HERE),
                 "LD_LIBRARY_PATH": str(libs_dir),
+                # cocotb would have pytest rewrite, and so compile anew, every module that is imported.
+                "COCOTB_REWRITE_ASSERTION_FILES": "bench*.py",
             },
             log_file=log,
             results_xml=str(tmp_path / "results.xml"),
