@@ -263,6 +263,26 @@ def _peers(spec: EnvSpec, n: int) -> list[Contender]:
 
         return make
 
+    def minatar() -> Callable[[], Any]:
+        game = required("MinAtar").partition("MinAtar/")[2].rpartition("-v")[0].lower()
+        if not game:
+            raise UnavailableError(f"MinAtar has no {spec.name}")
+        try:
+            from minatar import Environment
+        except ImportError:
+            raise UnavailableError("not installed: pip install minatar") from None
+        given = actions(sync, np.int64).tolist()
+        envs = [Environment(game, random_seed=i) for i in range(sync)]
+
+        def step() -> None:
+            for env, action in zip(envs, given, strict=True):
+                _, ended = env.act(action)
+                env.state()
+                if ended:
+                    env.reset()
+
+        return step
+
     sync, asynchronous = min(n, GYMNASIUM_SYNC_LIMIT), min(n, GYMNASIUM_ASYNC_LIMIT)
     arrays = "all result arrays"
     return [
@@ -280,4 +300,5 @@ def _peers(spec: EnvSpec, n: int) -> list[Contender]:
             n,
             vectorised("vector_entry_point", n),
         ),
+        Contender("MinAtar", "observations, rewards, ends; Python, one thread", sync, minatar),
     ]
