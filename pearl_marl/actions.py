@@ -2,45 +2,57 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from gymnasium.spaces import Discrete
+from gymnasium.spaces import Box, Discrete
 
 from pearl_marl.cache import compiled
 from pearl_marl.errors import ActionError
+from pearl_marl.spec import EnvSpec
 
 
-def encode(actions: Any, space: Discrete, target: npt.NDArray[Any], first_slot: int = 0) -> npt.NDArray[Any]:
-    """Return actions in the device's width; refuse them all if one is not in ``space``.
+def encode(actions: Any, spec: EnvSpec, target: npt.NDArray[Any], first_slot: int = 0) -> npt.NDArray[Any]:
+    """Return actions as the device's words; refuse them all if one is not in the action space.
 
     Parameters
     ----------
     actions
-        Integers of the shape of ``target``: an array, or what ``numpy.asarray`` makes one of.
-    space
-        A ``Discrete`` from 0.
+        Integers of shape ``(n,)``, or for a ``Box`` numbers of shape ``(n, 1)``: an array, or what
+        ``numpy.asarray`` makes one of. A number goes to the nearest fixed-point word.
+    spec
+        Says the action space and its word.
     target
-        Unsigned integers of shape ``(n,)``, wide enough for ``space``: where actions of another width
-        go. After an error its content is of no meaning.
+        Shape ``(n,)``, dtype ``spec.action.dtype``: where words go that are not in ``actions`` already.
+        After an error its content is of no meaning.
     first_slot
         The global number of the first slot, for the agents' names.
 
     Returns
     -------
-    ``target``, or ``actions`` if they have its dtype already.
+    ``target``, or ``actions`` if they are words already.
 
     Raises
     ------
     ActionError
         Names the first agent whose action is not in ``space``, and the action.
     """
+    space = spec.action_space
     try:
         array = np.asarray(actions)
     except ValueError:  # a ragged list
         raise _refusal(actions, space, target, first_slot) from None
+    if isinstance(space, Box):
+        scale = 2.0**spec.action.fraction
+        if array.shape != (len(target), 1) or array.dtype.kind not in "iuf":
+            raise _refusal(actions, space, target, first_slot)
+        numbers = np.array(array[:, 0], np.float64 if array.dtype.itemsize > 4 else np.float32)
+        if not _fix(numbers, target, float(space.low[0]), float(space.high[0]), scale):
+            raise _refusal(actions, space, target, first_slot)
+        return target
     if array.dtype is target.dtype and array.shape == target.shape and array.flags.carray:
         if _largest(array) >= space.n:
             raise _refusal(actions, space, target, first_slot)
@@ -59,40 +71,63 @@ def encode(actions: Any, space: Discrete, target: npt.NDArray[Any], first_slot: 
     return target
 
 
-def refuse_first(agents: Iterable[str], actions: Iterable[Any], space: Discrete) -> ActionError:
+def refuse_first(agents: Iterable[str], actions: Iterable[Any], space: Discrete | Box) -> ActionError:
     """Return the error for actions that are not all in ``space``; it names the first that is not.
 
     Where all are, their dtype is what was wrong, and the first stands for it.
     """
     pairs = list(zip(agents, actions, strict=True))
     agent, action = next((pair for pair in pairs if why_not(pair[1], space)), pairs[0])
-    why = why_not(action, space) or "is not of an integer dtype"
+    why = why_not(action, space) or "is of the wrong dtype"
     return ActionError(f"{agent}: action {action!r} {why}; {_limits(space)}")
 
 
-def why_not(action: Any, space: Discrete) -> str:
+def why_not(action: Any, space: Discrete | Box) -> str:
     """Return why one action is not in ``space``, in words; empty if it is."""
+    if isinstance(space, Box):
+        try:
+            array = np.asarray(action)
+        except ValueError:
+            return "is no array"
+        if array.dtype.kind not in "iuf" or array.shape != space.shape:
+            return f"is no number in an array of shape {space.shape}"
+        return "" if ((space.low <= array) & (array <= space.high)).all() else "is out of range"
     if isinstance(action, (bool, np.bool_)) or not isinstance(action, (int, np.integer)):
         return "is no integer"
     return "" if 0 <= action < space.n else "is out of range"
 
 
-def _limits(space: Discrete) -> str:
+def random_actions(spec: EnvSpec, rng: np.random.Generator, n: int) -> npt.NDArray[Any]:
+    """Return independent uniform actions for ``n`` slots, in the form in which a step takes them.
+
+    Integers come in the dtype of ``spec.action``, which is the one that costs a step least.
+    """
+    space = spec.action_space
+    if isinstance(space, Box):
+        return rng.uniform(space.low, space.high, (n, 1)).astype(np.float32)
+    return rng.integers(space.n, size=n, dtype=spec.action.dtype)
+
+
+def _limits(space: Discrete | Box) -> str:
+    if isinstance(space, Box):
+        low, high = space.low[0], space.high[0]
+        return f"{space} takes arrays of shape {space.shape} with numbers from {low} to {high}"
     return f"{space} takes integers from 0 to {space.n - 1}"
 
 
 _UNSIGNED: dict[int, np.dtype[Any]] = {size: np.dtype(f"u{size}") for size in (1, 2, 4, 8)}
 
 
-def _refusal(actions: Any, space: Discrete, target: npt.NDArray[Any], first_slot: int) -> ActionError:
+def _refusal(actions: Any, space: Discrete | Box, target: npt.NDArray[Any], first_slot: int) -> ActionError:
     # What was given tells more than the array that NumPy made of it: [0, 1.5] becomes two floats.
     values = actions.tolist() if isinstance(actions, np.ndarray) else actions
     try:
         shape = np.shape(actions)
     except ValueError:  # a ragged list
         shape = (len(actions),)
-    if shape != target.shape:
-        wanted = f"{len(target)} agents take {target.shape}: {_limits(space)}"
+    whole = (*target.shape, *(space.shape or ()))
+    if shape != whole:
+        wanted = f"{len(target)} agents take {whole}: {_limits(space)}"
         return ActionError(f"actions have shape {shape}; {wanted}")
     return refuse_first((f"agent_{first_slot + i}" for i in range(len(target))), values, space)
 
@@ -104,6 +139,17 @@ def _largest(source: Any) -> Any:
     for i in range(source.size):
         largest = max(largest, source[i])
     return largest
+
+
+@compiled
+def _fix(source: Any, target: Any, low: float, high: float, scale: float) -> Any:
+    """Round numbers to fixed point; return whether all are in range, which NaN is not."""
+    inside = True
+    for i in range(source.size):
+        x = np.float64(source[i])
+        inside = bool(inside and low <= x <= high)
+        target[i] = target.dtype.type(math.floor(x * scale + 0.5))
+    return inside
 
 
 @compiled

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from gymnasium.spaces import Space, Tuple
 
 
 class AgentDict(dict[str, Any]):
@@ -103,9 +104,14 @@ for _name in (
     setattr(_UnfilledAgentDict, _name, _filled_first(_name))
 
 
-def scalars(array: npt.NDArray[Any]) -> list[Any]:
-    """Return the rows of an array: NumPy scalars of a flat one, views of another."""
-    return list(array)
+def observations_in(space: Space[Any]) -> Callable[[npt.NDArray[Any]], list[Any]]:
+    """Return the maker of one slot's observation in ``space`` from each row of an array.
+
+    NumPy scalars of a flat array, views of another; a tuple where ``space`` is one.
+    """
+    if isinstance(space, Tuple):
+        return lambda array: [tuple(row) for row in array]
+    return list
 
 
 def python_values(array: npt.NDArray[Any]) -> list[Any]:
@@ -114,13 +120,16 @@ def python_values(array: npt.NDArray[Any]) -> list[Any]:
     return values
 
 
-def ended_infos(final_obs: npt.NDArray[Any]) -> Callable[[npt.NDArray[np.bool_]], list[dict[str, Any]]]:
+def ended_infos(
+    final_obs: npt.NDArray[Any], observations: Callable[[npt.NDArray[Any]], list[Any]]
+) -> Callable[[npt.NDArray[np.bool_]], list[dict[str, Any]]]:
     """Return the maker of an infos dict, whose array tells which agents ended."""
 
     def infos(ended: npt.NDArray[np.bool_]) -> list[dict[str, Any]]:
         result: list[dict[str, Any]] = [{} for _ in range(len(ended))]
-        for slot in np.flatnonzero(ended).tolist():
-            result[slot]["final_obs"] = final_obs[slot]
+        slots = np.flatnonzero(ended)
+        for slot, final in zip(slots.tolist(), observations(final_obs[slots]), strict=True):
+            result[slot]["final_obs"] = final
         return result
 
     return infos

@@ -22,6 +22,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pearl_marl import slot_memory
+from pearl_marl.actions import encode, random_actions
 from pearl_marl.devices import BatchConfig, Native, Rtl
 from pearl_marl.devices.base import padded_rewards
 from pearl_marl.errors import DeviceError
@@ -145,19 +146,16 @@ def contenders(spec: EnvSpec, n: int) -> list[Contender]:
     return [*_ours(spec, n), *_peers(spec, n)]
 
 
-def _random_actions(spec: EnvSpec, n: int, dtype: npt.DTypeLike) -> npt.NDArray[Any]:
-    return np.random.default_rng(0).integers(0, spec.action_space.n, n).astype(dtype)
-
-
 def _ours(spec: EnvSpec, n: int) -> list[Contender]:
-    actions = _random_actions(spec, n, spec.action.dtype)
+    actions = random_actions(spec, np.random.default_rng(0), n)
+    words = encode(actions, spec, np.empty(n, spec.action.dtype))
 
     def kernel() -> Callable[[], Any]:
         kernels = compile_kernels(spec)
         memory = slot_memory.allocate(spec, n)
         table = padded_rewards(spec, spec.rewards or ())
         rewards, terminations = np.empty(n, np.float32), np.empty(n, np.uint8)
-        return lambda: kernels.advance(memory, actions, table, rewards, terminations, 0, n, n)
+        return lambda: kernels.advance(memory, words, table, rewards, terminations, 0, n, n)
 
     def fill() -> Callable[[], Any]:
         config = BatchConfig(spec=spec, n_envs=n, copy=False)
@@ -228,6 +226,9 @@ def _ours(spec: EnvSpec, n: int) -> list[Contender]:
 def _peers(spec: EnvSpec, n: int) -> list[Contender]:
     oracle, options = spec.oracle, dict(spec.options)
 
+    def actions(count: int, dtype: Any) -> npt.NDArray[Any]:
+        return random_actions(spec, np.random.default_rng(0), count).astype(dtype)
+
     def required(package: str) -> str:
         if oracle is None:
             raise UnavailableError(f"{package} has no {spec.name}")
@@ -238,26 +239,49 @@ def _peers(spec: EnvSpec, n: int) -> list[Contender]:
             import envpool
         except ImportError:
             raise UnavailableError("not installed: pip install 'pearl-marl[bench]'") from None
-        name = required("EnvPool")
-        if name not in envpool.list_all_envs():
+        # It may have another version of the same environment than Gymnasium.
+        name = required("EnvPool").rpartition("-v")[0]
+        known = sorted(known for known in envpool.list_all_envs() if known.rpartition("-v")[0] == name)
+        if not known:
             raise UnavailableError(f"EnvPool {metadata.version('envpool')} has no {name}")
         if spec.configure is not None and options != spec.configure().options:
             raise UnavailableError(f"measured with default options only, not {options}")
-        envs = envpool.make(name, env_type="gymnasium", num_envs=n)
+        envs = envpool.make(known[-1], env_type="gymnasium", num_envs=n)
         envs.reset()
-        actions = _random_actions(spec, n, envs.action_space.dtype)
-        return lambda: envs.step(actions)
+        given = actions(n, envs.action_space.dtype)
+        return lambda: envs.step(given)
 
     def vectorised(mode: str, count: int) -> Callable[[], Callable[[], Any]]:
         def make() -> Callable[[], Any]:
-            envs = gymnasium.make_vec(
-                required("Gymnasium"), num_envs=count, vectorization_mode=mode, **options
-            )
+            name = required("Gymnasium")
+            if mode == "vector_entry_point" and gymnasium.spec(name).vector_entry_point is None:
+                raise UnavailableError(f"Gymnasium has no vectorised {name}")
+            envs = gymnasium.make_vec(name, num_envs=count, vectorization_mode=mode, **options)
             envs.reset(seed=0)
-            actions = _random_actions(spec, count, np.int64)
-            return lambda: envs.step(actions)
+            given = actions(count, envs.single_action_space.dtype)
+            return lambda: envs.step(given)
 
         return make
+
+    def minatar() -> Callable[[], Any]:
+        game = required("MinAtar").partition("MinAtar/")[2].rpartition("-v")[0].lower()
+        if not game:
+            raise UnavailableError(f"MinAtar has no {spec.name}")
+        try:
+            from minatar import Environment
+        except ImportError:
+            raise UnavailableError("not installed: pip install minatar") from None
+        given = actions(sync, np.int64).tolist()
+        envs = [Environment(game, random_seed=i) for i in range(sync)]
+
+        def step() -> None:
+            for env, action in zip(envs, given, strict=True):
+                _, ended = env.act(action)
+                env.state()
+                if ended:
+                    env.reset()
+
+        return step
 
     sync, asynchronous = min(n, GYMNASIUM_SYNC_LIMIT), min(n, GYMNASIUM_ASYNC_LIMIT)
     arrays = "all result arrays"
@@ -270,4 +294,11 @@ def _peers(spec: EnvSpec, n: int) -> list[Contender]:
             asynchronous,
             vectorised("async", asynchronous),
         ),
+        Contender(
+            "Gymnasium's own vectorisation",
+            f"{arrays}; NumPy, one thread",
+            n,
+            vectorised("vector_entry_point", n),
+        ),
+        Contender("MinAtar", "observations, rewards, ends; Python, one thread", sync, minatar),
     ]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from typing import Any, NamedTuple, Self
@@ -18,7 +19,7 @@ Array = npt.NDArray[Any]
 
 
 class Words(NamedTuple):
-    """One word of every slot, from both devices; ``where`` it has a meaning, or ``None`` for everywhere."""
+    """A word, or an array of them, of every slot from both devices, and ``where`` it has a meaning."""
 
     field: str
     device: Array
@@ -68,7 +69,7 @@ class Divergence:
     slots: int
     differences: tuple[Difference, ...]
     state_before: dict[str, int] | None
-    action: int | None
+    action: float | None
 
     @property
     def field(self) -> str:
@@ -130,6 +131,10 @@ def observation_words(
     if device.shape != reference.shape or reference.ndim == 1:
         yield Words(name, device, reference, where)
         return
+    if spec.unpack is not None:
+        yield Words(name, device, reference, where)
+        return
+    device, reference = (array.reshape(len(array), -1) for array in (device, reference))
     for k, f in enumerate(spec.observation):
         yield Words(f"{name}.{f.name}", device[:, k], reference[:, k], where)
 
@@ -170,7 +175,7 @@ class Comparison:
         return bool(self._differing)
 
     def add(self, words: Words) -> None:
-        """Compare one word of every slot."""
+        """Compare every slot's word, or array of words."""
         field, ours, theirs, where = words
         if ours.dtype != theirs.dtype or ours.shape != theirs.shape:
             unequal = np.arange(len(theirs)) == 0
@@ -181,11 +186,15 @@ class Comparison:
             bits = f"u{theirs.dtype.itemsize}"
             unequal = ours.view(bits) != theirs.view(bits)
             if where is not None:
-                unequal &= where
-        self.words += len(unequal) if where is None else int(np.count_nonzero(where))
-        if unequal.any():
+                unequal &= where.reshape(-1, *(1,) * (unequal.ndim - 1))
+        slots = len(unequal) if where is None else int(np.count_nonzero(where))
+        self.words += slots * math.prod(unequal.shape[1:])
+        for element in np.argwhere(unequal.any(0)).tolist():
+            place = f"[{', '.join(map(str, element))}]" if element else ""
+            at: Any = (slice(None), *element)
             # Copies: a device may write its next results where these are.
-            self._differing.append((words._replace(device=ours.copy(), reference=theirs.copy()), unequal))
+            apart = Words(f"{words.field}{place}", ours[at].copy(), theirs[at].copy())
+            self._differing.append((apart, unequal[at]))
 
     def first(self) -> tuple[int, int, tuple[Difference, ...]]:
         """Return the first slot that differs, how many do, and what differs there."""

@@ -45,12 +45,20 @@ def sources(spec: EnvSpec) -> list[Path]:
 def macros(spec: EnvSpec) -> dict[str, str]:
     """Return the macros that name the core and set its parameters.
 
-    An option of the environment is the core's parameter of the same name in capitals.
+    The parameters are ``spec.core_parameters``, or the environment's options under their names in capitals.
     """
     core = core_path(spec).stem
     defined = {"PEARL_CORE": core, "PEARL_CORE_PKG": core.removesuffix("_pe") + "_pkg"}
-    options = ",".join(f".{name.upper()}({int(value)})" for name, value in spec.options.items())
+    given = spec.core_parameters
+    if given is None:
+        given = {name.upper(): int(value) for name, value in spec.options.items()}
+    options = ",".join(f".{name}({_literal(value)})" for name, value in given.items())
     return {**defined, "PEARL_CORE_OPTIONS": options} if options else defined
+
+
+def _literal(value: int) -> str:
+    # A number without a size is a signed one of 32 bits.
+    return str(value) if -(1 << 31) <= value < 1 << 31 else f"{value.bit_length()}'d{value}"
 
 
 def env_hash(spec: EnvSpec) -> int:

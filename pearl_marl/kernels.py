@@ -25,7 +25,7 @@ from pearl_marl import rng
 from pearl_marl.cache import cache_folder
 from pearl_marl.golden import GoldenFunction
 from pearl_marl.kernel_source import kernel_source
-from pearl_marl.spec import EnvSpec, Golden
+from pearl_marl.spec import EnvSpec
 
 
 class Kernels(NamedTuple):
@@ -37,6 +37,8 @@ class Kernels(NamedTuple):
     ``step(memory, stored, actions, table, observations, rewards, terminations, truncations,
     final_observations, seed_0, seed_1, tick, first_slot, lo, hi, n, limit, next_step, use_stored)``
         steps that range. ``final_observations`` are written for a block in which a slot ended.
+    ``deliver(*words, observations)``
+        turns the words of observations, an array a field, into the observations themselves.
     ``advance(memory, actions, table, rewards, terminations, lo, hi, n)``
         does the golden step and the rewards alone, for benchmarks.
 
@@ -46,6 +48,7 @@ class Kernels(NamedTuple):
 
     reset: Callable[..., None]
     step: Callable[..., None]
+    deliver: Callable[..., None]
     advance: Callable[..., None]
     path: Path
 
@@ -56,11 +59,11 @@ def compile_kernels(spec: EnvSpec) -> Kernels:
     digest = hashlib.sha256(source.encode())
     for version in (numba.__version__, llvmlite.__version__, np.__version__):
         digest.update(version.encode())
-    for function in (*spec.golden, rng.key, rng.draw):
+    for function in _functions(spec).values():
         digest.update(_fingerprint(function))
     name = f"{spec.name}_{digest.hexdigest()[:16]}"
     if name not in _loaded:
-        _loaded[name] = _load(name, source, spec.golden)
+        _loaded[name] = _load(name, source, _functions(spec))
     return _loaded[name]
 
 
@@ -68,7 +71,20 @@ _loaded: dict[str, Kernels] = {}
 """By name, which is a hash of all that a kernel depends on."""
 
 
-def _load(name: str, source: str, golden: Golden) -> Kernels:
+def _functions(spec: EnvSpec) -> dict[str, GoldenFunction]:
+    """Return the functions that a kernel's source calls, by the names it has for them."""
+    initial, step, observe = spec.golden
+    functions: dict[str, GoldenFunction] = {
+        "initial": initial,
+        "golden_step": step,
+        "observe": observe,
+        "key": rng.key,
+        "draw": rng.draw,
+    }
+    return functions if spec.unpack is None else {**functions, "unpack": spec.unpack}
+
+
+def _load(name: str, source: str, functions: dict[str, GoldenFunction]) -> Kernels:
     path = cache_folder("kernels") / f"{name}.py"
     if not path.exists():
         # Written beside and renamed, so that another process never reads half a file.
@@ -76,7 +92,6 @@ def _load(name: str, source: str, golden: Golden) -> Kernels:
             file.write(source)
         os.replace(file.name, path)
     compiled: dict[types.FunctionType, Any] = {}
-    functions = [_compiled(f, compiled) for f in (*golden, rng.key, rng.draw)]
     # Numba's cache finds a function again by its module's name, so the module has to be a real one.
     module = types.ModuleType(f"pearl_marl_kernel_{name}")
     module.__file__ = str(path)
@@ -85,10 +100,10 @@ def _load(name: str, source: str, golden: Golden) -> Kernels:
         np=np,
         u32=np.uint32,
         kernel=numba.njit(nogil=True, cache=True, error_model="numpy"),
-        **dict(zip(("initial", "golden_step", "observe", "key", "draw"), functions, strict=True)),
+        **{called: _compiled(function, compiled) for called, function in functions.items()},
     )
     exec(compile(source, str(path), "exec"), vars(module))
-    return Kernels(module.reset, module.step, module.advance, path)
+    return Kernels(module.reset, module.step, module.deliver, module.advance, path)
 
 
 def _compiled(function: Any, done: dict[types.FunctionType, Any]) -> Any:

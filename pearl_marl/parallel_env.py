@@ -18,7 +18,7 @@ from pettingzoo.utils.conversions import parallel_to_aec_wrapper
 from pettingzoo.utils.wrappers import OrderEnforcingWrapper
 
 from pearl_marl.actions import refuse_first, why_not
-from pearl_marl.agent_dict import AgentDict, ended_infos, python_values, scalars
+from pearl_marl.agent_dict import AgentDict, ended_infos, observations_in, python_values
 from pearl_marl.devices import BatchConfig, BatchStep, Device, make_device
 from pearl_marl.errors import ActionError, ArgumentError, OrderError
 from pearl_marl.registry import get_spec
@@ -71,7 +71,11 @@ class PearlParallelEnv(pettingzoo.ParallelEnv):  # type: ignore[misc]
         }
         # Copies, or seeding one environment's spaces would seed another's.
         self._observation_space, self._action_space = deepcopy((spec.observation_space, spec.action_space))
+        self._observations = observations_in(spec.observation_space)
         self._known = frozenset(self.possible_agents)
+        self._action_shape = spec.action_space.shape or ()
+        self._action_kinds = "iuf" if isinstance(spec.action_space, Box) else "iu"
+        self._idle = spec.action_space.low[0] if isinstance(spec.action_space, Box) else 0
         self._autoreset = autoreset
         self._live = np.ones(config.n_envs, np.bool_)
         self._renderer: OracleRenderer | None = None
@@ -112,8 +116,9 @@ class PearlParallelEnv(pettingzoo.ParallelEnv):  # type: ignore[misc]
         """
         obs = self.reset_batch(seed)
         nobody = np.zeros(len(obs), np.bool_)
-        return AgentDict(self._agents, obs, scalars), AgentDict(
-            self.possible_agents, nobody, ended_infos(obs)
+        return (
+            AgentDict(self._agents, obs, self._observations),
+            AgentDict(self.possible_agents, nobody, ended_infos(obs, self._observations)),
         )
 
     def reset_batch(self, seed: int | None = None) -> Array:
@@ -129,13 +134,13 @@ class PearlParallelEnv(pettingzoo.ParallelEnv):  # type: ignore[misc]
         Parameters
         ----------
         actions
-            An integer for each of ``agents`` by name, or an array of shape ``(n_agents,)`` for all
-            of ``possible_agents``; there, what it says for agents that have left is ignored.
+            An action for each of ``agents`` by name, or an array of shape ``(n_agents, *action_space.shape)``
+            for all of ``possible_agents``; there, what it says for agents that have left is ignored.
 
         Returns
         -------
-        Observations (NumPy scalars, or arrays), rewards (``float``), terminations and truncations
-        (``bool``) and infos, each a dict by agent; all empty for ``{}`` once no agent is left.
+        Observations (NumPy scalars, tuples of them, or arrays), rewards (``float``), terminations and
+        truncations (``bool``) and infos, each a dict by agent; all empty for ``{}`` once no agent is left.
 
         Raises
         ------
@@ -162,11 +167,11 @@ class PearlParallelEnv(pettingzoo.ParallelEnv):  # type: ignore[misc]
                     a[live] for a in (obs, rewards, terminations, truncations)
                 )
         return (
-            AgentDict(agents, obs, scalars),
+            AgentDict(agents, obs, self._observations),
             AgentDict(agents, rewards, python_values),
             AgentDict(agents, terminations, python_values),
             AgentDict(agents, truncations, python_values),
-            AgentDict(agents, ended, ended_infos(final_obs)),
+            AgentDict(agents, ended, ended_infos(final_obs, self._observations)),
         )
 
     def step_batch(self, actions: npt.ArrayLike) -> BatchStep:
@@ -175,7 +180,7 @@ class PearlParallelEnv(pettingzoo.ParallelEnv):  # type: ignore[misc]
         Parameters
         ----------
         actions
-            Integers of shape ``(n_agents,)``; fastest in the dtype of ``spec.action``.
+            Shape ``(n_agents, *action_space.shape)``; integers cost least in the dtype of ``spec.action``.
 
         Returns
         -------
@@ -288,17 +293,20 @@ class PearlParallelEnv(pettingzoo.ParallelEnv):  # type: ignore[misc]
             self.render()
 
     def _without_left(self, actions: npt.ArrayLike) -> npt.ArrayLike:
-        """Return actions with 0 where an agent has left: nobody looks at what was there."""
+        """Return actions with a possible one where an agent has left: nobody looks at what was there."""
         try:
             array = np.asarray(actions)
         except ValueError:  # a ragged list, for the device to refuse
             return actions
-        if array.shape != self._live.shape or array.dtype.kind not in "iu":
+        if (
+            array.shape != (len(self._live), *self._action_shape)
+            or array.dtype.kind not in self._action_kinds
+        ):
             return actions
-        return np.where(self._live, array, 0)
+        return np.where(self._live.reshape(-1, *(1,) * len(self._action_shape)), array, self._idle)
 
     def _action_array(self, actions: Mapping[str, Any]) -> Array:
-        """Return the actions of a dict as an array over all slots, 0 where an agent has left."""
+        """Return a dict's actions as an array over all slots, with a possible one where an agent has left."""
         try:
             values = [actions[agent] for agent in self.agents]
         except KeyError as missing:
@@ -314,11 +322,11 @@ class PearlParallelEnv(pettingzoo.ParallelEnv):  # type: ignore[misc]
             array = np.array(values)
         except ValueError:  # some are sequences
             array = np.empty(0)
-        if array.shape != (len(values),) or array.dtype.kind not in "iu":
+        if array.shape != (len(values), *self._action_shape) or array.dtype.kind not in self._action_kinds:
             raise refuse_first(self.agents, values, self.spec.action_space)
         if len(values) == len(self._live):
             return array
-        whole = np.zeros(len(self._live), array.dtype)
+        whole = np.full((len(self._live), *self._action_shape), self._idle, array.dtype)
         whole[self._live] = array
         return whole
 

@@ -44,7 +44,7 @@ class Replay:
     before
         The state before the call (of a ``restore``, the one restored); ``None`` before the first reset.
     actions
-        Of a step.
+        The words of a step.
     seed, mask
         Of a reset.
     """
@@ -69,7 +69,7 @@ class Replay:
             if self.before is not None:
                 lockstep.restore(self.before)
             if self.actions is not None:
-                lockstep.step(self.actions)
+                lockstep.step_words(self.actions)
             elif self.divergence.call == "reset":
                 lockstep.reset(self.seed, self.mask)
             lockstep.snapshot()

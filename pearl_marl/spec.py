@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import difflib
 import inspect
+import math
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, SupportsInt
 
 import numpy as np
 import numpy.typing as npt
 from gymnasium import Env, Space
-from gymnasium.spaces import Box, Discrete
+from gymnasium.spaces import Box, Discrete, Tuple
 
 from pearl_marl.errors import ArgumentError
 from pearl_marl.golden import GoldenFunction
@@ -51,17 +52,19 @@ class Field:
         width = max(8, 1 << (self.bits - 1).bit_length())
         return np.dtype(f"{'int' if self.signed else 'uint'}{width}")
 
+    def value(self, word: SupportsInt) -> float:
+        """Return what a word stands for; an ``int`` where there is no fraction."""
+        return int(word) * 2.0**-self.fraction if self.fraction else int(word)
+
     @property
     def low(self) -> float:
         """The least value; an ``int`` where there is no fraction."""
-        word = -(1 << (self.bits - 1)) if self.signed else 0
-        return word * 2.0**-self.fraction if self.fraction else word
+        return self.value(-(1 << (self.bits - 1)) if self.signed else 0)
 
     @property
     def high(self) -> float:
         """The greatest value; an ``int`` where there is no fraction."""
-        word = (1 << (self.bits - self.signed)) - 1
-        return word * 2.0**-self.fraction if self.fraction else word
+        return self.value((1 << (self.bits - self.signed)) - 1)
 
 
 def word_bits(fields: Sequence[Field]) -> int:
@@ -114,17 +117,27 @@ class EnvSpec:
         The field of a reward: a category code if ``rewards`` is a table, the value itself if not.
     rewards
         The reward of each category, or ``None``.
-    observation_space, action_space
-        One agent's spaces, equal to the oracle's. Observations are delivered in the space's dtype:
-        a ``Discrete`` takes one field, a ``Box`` of shape ``(k,)`` takes ``k``.
+    observation_space
+        One agent's, equal to the oracle's. A ``Discrete`` takes one field, a ``Tuple`` of them one each,
+        a ``Box`` one an element. Observations are delivered in the space's dtype.
+    action_space
+        One agent's, equal to the oracle's: a ``Discrete`` from 0, or a ``float32`` ``Box`` of shape ``(1,)``
+        whose action becomes the fixed-point word of the field ``action``.
     golden
         The dynamics.
+    unpack
+        For a ``Box`` whose elements are not the observation's fields: ``unpack(*observation, row)`` writes
+        the observation of one slot into ``row``, a flat array (of 0 and 1 in ``uint8`` where the space's
+        dtype is ``bool``). Numba compiles it.
     reset_draws, step_draws
         How many 32-bit random draws ``golden.initial`` and ``golden.step`` take.
     max_cycles
         Steps after which an episode is truncated; ``None`` for no limit.
     options, configure
         The keyword arguments that this spec was made with, and the function that takes them.
+    core_parameters
+        The parameters of the hardware core, integers by name. ``None`` where they are the options themselves,
+        each under its name in capitals.
     oracle
         The Gymnasium id of the environment that this one is held against, if it is one of theirs.
     pose
@@ -144,13 +157,15 @@ class EnvSpec:
     reward: Field
     rewards: tuple[float, ...] | None
     observation_space: Space[Any]
-    action_space: Discrete
+    action_space: Discrete | Box
     golden: Golden
+    unpack: GoldenFunction | None = None
     reset_draws: int = 0
     step_draws: int = 0
     max_cycles: int | None = None
     options: Mapping[str, Any] = field(default_factory=dict)
     configure: Callable[..., EnvSpec] | None = None
+    core_parameters: Mapping[str, int] | None = None
     oracle: str | None = None
     pose: Callable[[Env[Any, Any], tuple[int, ...]], None] | None = None
     render_modes: tuple[str, ...] = ()
@@ -159,23 +174,19 @@ class EnvSpec:
 
     def __post_init__(self) -> None:
         space = self.observation_space
-        if isinstance(space, Discrete):
-            fields_needed = 1
-        elif isinstance(space, Box) and len(space.shape) == 1:
-            fields_needed = space.shape[0]
-        else:
-            raise ArgumentError(f"{self.name}: observation space {space} is neither Discrete nor a flat Box")
-        if len(self.observation) != fields_needed:
+        parts = space.spaces if isinstance(space, Tuple) else (space,)
+        if not isinstance(space, Box) and not all(isinstance(part, Discrete) for part in parts):
             raise ArgumentError(
-                f"{self.name}: observation space {space} takes {fields_needed} fields, "
+                f"{self.name}: observation space {space} is no Discrete, Tuple of them or Box"
+            )
+        if self.unpack is not None and not isinstance(space, Box):
+            raise ArgumentError(f"{self.name}: unpack() makes a Box, and the observation space is {space}")
+        if self.unpack is None and len(self.observation) != self.observation_size:
+            raise ArgumentError(
+                f"{self.name}: observation space {space} takes {self.observation_size} fields, "
                 f"the spec lists {len(self.observation)}"
             )
-        if not isinstance(self.action_space, Discrete) or self.action_space.start != 0:
-            raise ArgumentError(f"{self.name}: action space {self.action_space} is not a Discrete from 0")
-        if self.action_space.n > 1 << self.action.bits:
-            raise ArgumentError(
-                f"{self.name}: {self.action_space} does not fit {self.action.bits} action bits"
-            )
+        self._check_action()
         if not re.fullmatch(r"[A-Za-z][A-Za-z0-9]*", self.name):
             raise ArgumentError(f"name {self.name!r}: it takes letters and digits, a letter first")
         if self.rewards is not None and self.reward.bits > 16:
@@ -185,6 +196,37 @@ class EnvSpec:
                 f"{self.name}: {len(self.rewards)} rewards do not fit {self.reward.bits} reward bits"
             )
         check_max_cycles(self.max_cycles)
+
+    def _check_action(self) -> None:
+        space, word = self.action_space, self.action
+        if isinstance(space, Box):
+            if space.shape != (1,) or space.dtype != np.float32 or not space.is_bounded():
+                raise ArgumentError(f"{self.name}: {space} is no bounded float32 Box of shape (1,)")
+            fits = word.low <= float(space.low[0]) and float(space.high[0]) <= word.high
+        elif isinstance(space, Discrete) and space.start == 0:
+            fits = bool(space.n <= 1 << word.bits)
+        else:
+            raise ArgumentError(f"{self.name}: action space {space} is not a Discrete from 0, nor a Box")
+        if not fits:
+            raise ArgumentError(f"{self.name}: {space} does not fit {word.bits} action bits")
+
+    @property
+    def observation_shape(self) -> tuple[int, ...]:
+        """The shape of one slot's row in a batch of observations."""
+        space = self.observation_space
+        return (len(space.spaces),) if isinstance(space, Tuple) else space.shape or ()
+
+    @property
+    def observation_size(self) -> int:
+        """How many elements such a row has."""
+        return math.prod(self.observation_shape)
+
+    @property
+    def observation_dtype(self) -> np.dtype[Any]:
+        """The dtype of a batch of observations."""
+        return np.dtype(
+            np.int64 if isinstance(self.observation_space, Tuple) else self.observation_space.dtype
+        )
 
     @property
     def id(self) -> str:

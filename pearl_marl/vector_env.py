@@ -8,10 +8,11 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from gymnasium.spaces import Space
+from gymnasium.spaces import Space, Tuple
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
+from pearl_marl.agent_dict import observations_in
 from pearl_marl.devices import BatchConfig, Device, make_device
 from pearl_marl.errors import ArgumentError, OrderError
 from pearl_marl.registry import get_spec
@@ -56,6 +57,7 @@ class PearlVectorEnv(VectorEnv[Any, Any, Any]):
         self.single_action_space: Space[Any] = deepcopy(spec.action_space)
         self.observation_space = batch_space(spec.observation_space, self.num_envs)
         self.action_space = batch_space(spec.action_space, self.num_envs)
+        self._observations = observations_in(spec.observation_space)
         self._mode = autoreset_mode
         # DISABLED mode only: who waits for a reset, and what everyone saw last.
         self._waiting = np.zeros(self.num_envs, np.bool_)
@@ -63,7 +65,7 @@ class PearlVectorEnv(VectorEnv[Any, Any, Any]):
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Array, dict[str, Any]]:
+    ) -> tuple[Array | tuple[Array, ...], dict[str, Any]]:
         """Begin new episodes.
 
         Parameters
@@ -95,15 +97,15 @@ class PearlVectorEnv(VectorEnv[Any, Any, Any]):
                 self._waiting &= ~mask
                 obs[~mask] = self._seen[~mask]
             self._seen = obs.copy()
-        return obs, {}
+        return self._batched(obs), {}
 
-    def step(self, actions: Any) -> tuple[Array, Array, Array, Array, dict[str, Any]]:
+    def step(self, actions: Any) -> tuple[Array | tuple[Array, ...], Array, Array, Array, dict[str, Any]]:
         """Step every sub-environment once.
 
         Parameters
         ----------
         actions
-            Integers of shape ``(num_envs,)``.
+            Of shape ``(num_envs, *single_action_space.shape)``.
 
         Returns
         -------
@@ -131,10 +133,15 @@ class PearlVectorEnv(VectorEnv[Any, Any, Any]):
         elif self._mode is AutoresetMode.SAME_STEP and (ended := result.ended).any():
             # One object an element, as Gymnasium has it, so that wrappers can replace each by another shape.
             final = np.full(self.num_envs, None, object)
-            for slot in np.flatnonzero(ended).tolist():
-                final[slot] = final_obs[slot]
+            slots = np.flatnonzero(ended)
+            for slot, observation in zip(slots.tolist(), self._observations(final_obs[slots]), strict=True):
+                final[slot] = observation
             infos = {"final_obs": final, "_final_obs": ended, "final_info": {}, "_final_info": ended.copy()}
-        return obs, rewards, terminations, truncations, infos
+        return self._batched(obs), rewards, terminations, truncations, infos
+
+    def _batched(self, obs: Array) -> Array | tuple[Array, ...]:
+        """Return observations as Gymnasium batches them: those of a ``Tuple`` space as a tuple of arrays."""
+        return tuple(obs.T) if isinstance(self.single_observation_space, Tuple) else obs
 
     def close_extras(self, **kwargs: Any) -> None:
         """Release the device."""

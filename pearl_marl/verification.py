@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium.vector import AutoresetMode
 
+from pearl_marl.actions import random_actions
 from pearl_marl.devices import BatchConfig, Lockstep
 from pearl_marl.errors import LockstepError
 from pearl_marl.spec import EnvSpec
@@ -125,8 +126,9 @@ def sticky_actions(spec: EnvSpec, n: int, steps: int, seed: int) -> Iterator[npt
     """
     rng = np.random.default_rng(seed)
     changes = 0.5 ** (np.arange(n) % 5)
-    actions = rng.integers(spec.action_space.n, size=n).astype(spec.action.dtype)
+    actions = random_actions(spec, rng, n)
     for _ in range(steps):
         yield actions
-        drawn = rng.integers(spec.action_space.n, size=n).astype(spec.action.dtype)
-        actions = np.where(rng.random(n) < changes, drawn, actions)
+        drawn = random_actions(spec, rng, n)
+        change = (rng.random(n) < changes).reshape(-1, *(1,) * (drawn.ndim - 1))
+        actions = np.where(change, drawn, actions)

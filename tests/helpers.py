@@ -7,9 +7,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from gymnasium.spaces import Discrete
 
 import pearl_marl
 from pearl_marl import hardware, toolchain
+from pearl_marl.actions import random_actions
 from pearl_marl.devices import BatchConfig, BatchStep, Device, Lockstep, Native, Reference, Rtl
 from pearl_marl.errors import DeviceError
 from pearl_marl.spec import EnvSpec
@@ -76,10 +78,19 @@ class Case:
         return self._closing(pearl_marl.make_vec(self.env_id, num_envs, **arguments))
 
     def actions(self, steps: int = STEPS, n: int = SIZE, seed: int = 0) -> Array:
-        """Return random actions, shape ``(steps, n)``; those of fewer slots are the first columns."""
-        generator = np.random.default_rng(seed)
-        rows = generator.integers(self.spec.action_space.n, size=(n, steps), dtype=np.uint8)
-        return np.ascontiguousarray(rows.T)
+        """Return random actions, a batch a step; those of fewer slots are the first columns."""
+        flat = random_actions(self.spec, np.random.default_rng(seed), n * steps)
+        return np.ascontiguousarray(flat.reshape(n, steps, *flat.shape[1:]).swapaxes(0, 1))
+
+    def habits(self, steps: int = STEPS, n: int = SIZE) -> Array:
+        """Return actions that favour one for each slot, so that episodes of many lengths end."""
+        space, actions = self.spec.action_space, self.actions(steps, n)
+        if isinstance(space, Discrete):
+            habit = (np.arange(n) % space.n).astype(actions.dtype)
+        else:
+            habit = np.linspace(space.low, space.high, n, dtype=actions.dtype)
+        chosen = np.random.default_rng(1).random((steps, n)) < 0.5
+        return np.where(chosen.reshape(steps, n, *(1,) * (actions.ndim - 2)), habit, actions)
 
     def close(self) -> None:
         for thing in self._open:

@@ -10,10 +10,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from gymnasium.spaces import Box, Discrete, Tuple
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pearl_marl.agent_dict import AgentDict, ended_infos, python_values, scalars
+from pearl_marl.agent_dict import AgentDict, ended_infos, observations_in, python_values
 
 
 def pair(n: int) -> tuple[AgentDict, dict[str, Any]]:
@@ -224,10 +225,13 @@ def test_nothing_is_filled_before_it_is_needed() -> None:
 
 def test_kinds_of_values() -> None:
     flat, square = np.arange(3), np.arange(6.0).reshape(3, 2)
+    scalars, rows = observations_in(Discrete(3)), observations_in(Box(0, 5, (2,)))
     assert [type(v) for v in scalars(flat)] == [np.int64] * 3
-    assert np.shares_memory(scalars(square)[1], square)
+    assert np.shares_memory(rows(square)[1], square)
+    pairs = observations_in(Tuple((Discrete(5), Discrete(6))))
+    assert pairs(square.astype(int)) == [(0, 1), (2, 3), (4, 5)]
     assert [type(v) for v in python_values(np.array([True, False]))] == [bool, bool]
-    infos = ended_infos(square)(np.array([False, True, False]))
+    infos = ended_infos(square, rows)(np.array([False, True, False]))
     assert infos[0] == infos[2] == {}
     assert infos[0] is not infos[2], "a wrapper may write into each of them"
     np.testing.assert_array_equal(infos[1]["final_obs"], square[1])

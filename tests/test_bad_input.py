@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from gymnasium.spaces import Box, Discrete, MultiBinary
 from gymnasium.vector import AutoresetMode
 
 import pearl_marl
@@ -419,6 +420,11 @@ def test_fields(bits: int) -> None:
     [
         ({"observation": DRIFT.observation[:2]}, "takes 3 fields.*lists 2"),
         ({"action": Field("action", 2)}, r"Discrete\(5\) does not fit 2"),
+        ({"unpack": print, "observation_space": Discrete(4)}, "unpack.. makes a Box"),
+        ({"action_space": Box(-2, 2, (2,))}, r"no bounded float32 Box of shape \(1,\)"),
+        ({"action_space": Box(-8, 8, (1,))}, "does not fit 3 action bits"),
+        ({"action_space": Discrete(3, start=1)}, "not a Discrete from 0"),
+        ({"observation_space": MultiBinary(3)}, "no Discrete, Tuple of them or Box"),
         ({"rewards": (0.0,) * 9, "reward": Field("reward", 3)}, "9 rewards do not fit 3"),
         ({"max_cycles": -2}, "max_cycles is -2"),
     ],

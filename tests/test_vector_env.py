@@ -17,6 +17,11 @@ from pearl_marl.errors import ArgumentError, OrderError
 from .helpers import SIZE, Case
 
 
+def packed(obs: Any) -> np.ndarray:
+    """Return observations as a device has them, those of a ``Tuple`` space side by side."""
+    return np.stack(obs, 1) if isinstance(obs, tuple) else obs
+
+
 def test_registered_with_gymnasium(case: Case) -> None:
     env = gymnasium.make_vec(
         f"Pearl/{case.spec.id}",
@@ -72,12 +77,12 @@ def test_disabled_mode(case: Case, copy: bool) -> None:
     """Where an episode ended, its last observation stays until the mask names that sub-environment."""
     env = case.vector(autoreset_mode="Disabled", max_cycles=7, copy=copy)
     reference = Reference().open(BatchConfig(spec=case.spec, n_envs=SIZE, max_cycles=7))
-    np.testing.assert_array_equal(env.reset(seed=0)[0], reference.reset(seed=0))
+    np.testing.assert_array_equal(packed(env.reset(seed=0)[0]), reference.reset(seed=0))
     resets = 0
     for actions in case.actions(40):
         obs, rewards, terminations, truncations, infos = env.step(actions)
         theirs = reference.step(actions)
-        np.testing.assert_array_equal(obs, theirs.arrivals())
+        np.testing.assert_array_equal(packed(obs), theirs.arrivals())
         np.testing.assert_array_equal(rewards, theirs.rewards)
         assert "final_obs" not in infos
         ended = terminations | truncations
@@ -89,13 +94,13 @@ def test_disabled_mode(case: Case, copy: bool) -> None:
             env.step(actions)
         if ended.sum() > 1:  # one first, then the rest: the others' last observations are still there
             first = np.arange(SIZE) == np.argmax(ended)
-            last = obs.copy()
-            obs, _ = env.reset(options={"reset_mask": first})
+            last = packed(obs).copy()
+            obs = packed(env.reset(options={"reset_mask": first})[0])
             np.testing.assert_array_equal(obs[first], theirs.obs[first])
             np.testing.assert_array_equal(obs[~first], last[~first])
             ended &= ~first
         obs, infos = env.reset(options={"reset_mask": ended})
-        np.testing.assert_array_equal(obs, theirs.obs)
+        np.testing.assert_array_equal(packed(obs), theirs.obs)
         assert infos == {}
     assert resets > 2
 

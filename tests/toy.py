@@ -1,11 +1,14 @@
-"""Two environments that do what CliffWalking does not, so that the contract is tested beyond it.
+"""Three environments that do what CliffWalking does not, so that the contract is tested beyond it.
 
 ``Drift``
     Four state fields of different widths, one of them signed with fraction bits and one wider than
     32 bits; random starts (two draws), a draw in every step, a ``Box`` observation with a fraction,
     rewards that are computed rather than looked up, a time limit of its own, and options.
 ``Ladder``
-    One state field, a reward table too long for a chain of blends, a random start, no time limit.
+    One state field, a ``Tuple`` observation, a reward table too long for a chain of blends, a random
+    start, no time limit.
+``Slide``
+    A ``Box`` of actions, and a picture for an observation that is unpacked from a narrow word.
 """
 
 from __future__ import annotations
@@ -13,7 +16,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from gymnasium.spaces import Box, Discrete
+from gymnasium.spaces import Box, Discrete, Tuple
 
 from pearl_marl import EnvSpec
 from pearl_marl.golden import Word, i16, i32, u8, u32, u64, uniform_below
@@ -94,8 +97,8 @@ def ladder_step(rung: Word, action: Word) -> tuple[Word, ...]:
     return rung, u8(u8(rung * u8(3)) & u8(15)), u8(rung == 9)
 
 
-def ladder_observe(rung: Word) -> Word:
-    return rung
+def ladder_observe(rung: Word) -> tuple[Word, ...]:
+    return rung, u8(rung & u8(1))
 
 
 DRIFT = configure_drift()
@@ -106,13 +109,50 @@ LADDER = EnvSpec(
     summary="Climb nine rungs",
     state=(Field("rung", 4),),
     action=Field("action", 1),
-    observation=(Field("rung", 4),),
+    observation=(Field("rung", 4), Field("odd", 1)),
     reward=Field("reward", 4),
     rewards=tuple(1.5 * k - 4.25 for k in range(16)),
-    observation_space=Discrete(10),
+    observation_space=Tuple((Discrete(10), Discrete(2))),
     action_space=Discrete(2),
     golden=Golden(ladder_initial, ladder_step, ladder_observe),
     reset_draws=1,
 )
 
-TOYS = (DRIFT, LADDER)
+
+def slide_initial(draw: Word) -> Word:
+    return i16(uniform_below(draw, 256))
+
+
+def slide_step(place: Word, action: Word) -> tuple[Word, ...]:
+    # Three places to either side, which the edges do not stop: 0 to 1023 go round.
+    moved = i16(i16(place + i16(action)) & i16(1023))
+    return moved, i16(moved - place), u8(moved >= 1000)
+
+
+def slide_observe(place: Word) -> tuple[Word, ...]:
+    return u8(place >> i16(7)), u8(place & i16(127))
+
+
+def slide_unpack(row: Word, column: Word, picture: Word) -> None:
+    for k in range(24):
+        picture[k] = k == 3 * row + column % 3
+
+
+SLIDE = EnvSpec(
+    name="Slide",
+    version=1,
+    summary="Push a thing along",
+    state=(Field("place", 11, signed=True),),
+    action=Field("push", 10, signed=True, fraction=6),
+    observation=(Field("row", 3), Field("column", 7)),
+    reward=Field("reward", 11, signed=True, fraction=6),
+    rewards=None,
+    observation_space=Box(0, 1, (4, 2, 3), np.bool_),
+    action_space=Box(-1.5, 3, (1,), np.float32),
+    golden=Golden(slide_initial, slide_step, slide_observe),
+    unpack=slide_unpack,
+    reset_draws=1,
+    max_cycles=9,
+)
+
+TOYS = (DRIFT, LADDER, SLIDE)

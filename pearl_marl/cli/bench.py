@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import datetime
+from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+from rich import box
 from rich.markup import escape
 from rich.table import Table
 
@@ -13,7 +15,6 @@ from pearl_marl.benchmark import Contender, contenders, machine, measure
 from pearl_marl.cli.common import (
     Agents,
     AsJson,
-    EnvName,
     Options,
     Out,
     console,
@@ -24,6 +25,9 @@ from pearl_marl.cli.common import (
     spec_of,
     write_json,
 )
+from pearl_marl.errors import ArgumentError
+from pearl_marl.registry import names
+from pearl_marl.spec import EnvSpec
 
 Rounds = Annotated[
     int, typer.Option("--rounds", min=1, help="How often each contender is timed; the median counts.")
@@ -31,8 +35,24 @@ Rounds = Annotated[
 Seconds = Annotated[float, typer.Option("--seconds", min=0.0, help="About how long one timing lasts.")]
 
 
+OURS = {"kernel only": "kernel", "step_batch": "step_batch"}
+ENVPOOL = "EnvPool, sync"
+OTHERS = {
+    "Gymnasium SyncVectorEnv": "Sync",
+    "Gymnasium's own vectorisation": "NumPy",
+    "MinAtar": "MinAtar",
+}
+"""The contenders of ``--all``, by name, with the words for them in its table."""
+
+AnyEnv = Annotated[
+    str | None, typer.Argument(metavar="[ENV]", help="An environment of `pearl envs`; else CliffWalking.")
+]
+Every = Annotated[bool, typer.Option("--all", help="Every environment in turn, with fewer contenders.")]
+
+
 def command(
-    env_id: EnvName = "CliffWalking",
+    env_id: AnyEnv = None,
+    every: Every = False,
     n_agents: Agents = 43008,
     rounds: Rounds = 7,
     seconds: Seconds = 0.2,
@@ -41,24 +61,15 @@ def command(
     as_json: AsJson = False,
 ) -> None:
     """Measure steps per second against Gymnasium's vector environments and EnvPool."""
-    spec = spec_of(env_id, option)
+    if every:
+        if env_id is not None or option:
+            raise ArgumentError("--all takes every environment as it is: leave out ENV and --option")
+        _every(n_agents, rounds, seconds, out, as_json)
+        return
+    spec = spec_of(env_id or "CliffWalking", option)
     rows = contenders(spec, n_agents)
     small = [c for c in contenders(spec, 1) if c.ours and c.name in ("kernel only", "step_batch, copy=False")]
-    everyone = rows + small
-    for _ in progress(
-        measure(everyone, rounds, seconds), len(everyone) * (rounds + 1), f"{spec.name}, {n_agents:,} agents"
-    ):
-        pass
-    facts = machine()
-    result = {
-        "environment": spec.id,
-        "options": dict(spec.options),
-        "date": datetime.date.today().isoformat(),
-        "machine": facts,
-        "rounds": rounds,
-        "contenders": [c.row() for c in rows],
-        "one_agent": [c.row() for c in small],
-    }
+    result = _measured(spec, n_agents, rows, small, rounds, seconds)
     if out is not None:
         write_json(out, f"bench_{spec.name}_{n_agents}.json", result)
     if as_json:
@@ -70,6 +81,64 @@ def command(
         f"One agent: step_batch takes {duration(batch)}, of which the call of a kernel {duration(kernel)}; "
         f"so {duration(batch - kernel)} are checks and bookkeeping."
     )
+    _print_machine(result["machine"])
+
+
+def _every(n_agents: int, rounds: int, seconds: float, out: Path | None, as_json: bool) -> None:
+    table = Table(title=f"Agent-steps per second, {n_agents:,} agents", box=box.SIMPLE, padding=(0, 1, 0, 0))
+    table.add_column("environment", no_wrap=True)
+    for heading in (*OURS.values(), "EnvPool", "x", "best other", "x"):
+        table.add_column(heading, justify="right", no_wrap=True)
+    results = []
+    for name in names():
+        spec = spec_of(name, None)
+        rows = [c for c in contenders(spec, n_agents) if c.name in (*OURS, ENVPOOL, *OTHERS)]
+        results.append(_measured(spec, n_agents, rows, [], rounds, seconds))
+        rates = {c.name: c.n / c.seconds_per_step for c in rows if c.unavailable is None}
+        figures = [rate(rates[contender]) for contender in OURS]
+        best = max(
+            (contender for contender in OTHERS if contender in rates), key=rates.__getitem__, default=""
+        )
+        for peer, label in ((ENVPOOL, ""), (best, f" [dim]{OTHERS.get(best)}[/]")):
+            if peer in rates:
+                figures += [rate(rates[peer]) + label, rate(rates["step_batch"] / rates[peer])]
+            else:
+                figures += ["-", "-"]
+        table.add_row(spec.name, *figures)
+    if out is not None:
+        write_json(out, f"bench_all_{n_agents}.json", results)
+    if as_json:
+        print_json(results)
+        return
+    console.print(table)
+    console.print(
+        "x is step_batch over that peer; Sync and NumPy are Gymnasium's SyncVectorEnv and its own vectorised "
+        "form. What each counts: `pearl bench ENV`.",
+        style="dim",
+    )
+    _print_machine(results[0]["machine"])
+
+
+def _measured(
+    spec: EnvSpec, n: int, rows: list[Contender], small: list[Contender], rounds: int, seconds: float
+) -> dict[str, Any]:
+    """Time contenders, those of ``small`` for one agent; return all that a figure needs with it."""
+    everyone = rows + small
+    turns = len(everyone) * (rounds + 1)
+    for _ in progress(measure(everyone, rounds, seconds), turns, f"{spec.name}, {n:,} agents"):
+        pass
+    return {
+        "environment": spec.id,
+        "options": dict(spec.options),
+        "date": datetime.date.today().isoformat(),
+        "machine": machine(),
+        "rounds": rounds,
+        "contenders": [c.row() for c in rows],
+        "one_agent": [c.row() for c in small],
+    }
+
+
+def _print_machine(facts: dict[str, Any]) -> None:
     console.print(
         f"{facts['processor']}, {facts['cores']} cores; {_versions(facts)}", style="dim", highlight=False
     )

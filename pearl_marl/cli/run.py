@@ -12,6 +12,7 @@ import numpy.typing as npt
 import typer
 from rich.table import Table
 
+from pearl_marl.actions import random_actions
 from pearl_marl.benchmark import machine
 from pearl_marl.cli.common import (
     Agents,
@@ -120,7 +121,7 @@ def command(
 def _random(env: PearlParallelEnv, n: int, steps: int, seed: int) -> Iterator[npt.NDArray[Any]]:
     rng = np.random.default_rng(seed)
     for _ in range(steps):
-        yield rng.integers(0, env.spec.action_space.n, n, dtype=env.spec.action.dtype)
+        yield random_actions(env.spec, rng, n)
 
 
 def _given(path: Path, n: int, steps: int) -> Iterator[npt.NDArray[Any]]:

@@ -127,7 +127,7 @@ class Device(ABC):
         Parameters
         ----------
         actions
-            Integers of shape ``(n,)``, each in the action space.
+            Of shape ``(n, *action_space.shape)``, each in the action space.
 
         Raises
         ------
@@ -138,16 +138,18 @@ class Device(ABC):
         """
         if not self._ready or self._pending is not None:
             self._check_idle("step", ready=True)
-        config = self.config
-        result = self._step(encode(actions, config.spec.action_space, self._actions, config.first_slot))
+        return self.step_words(encode(actions, self.config.spec, self._actions, self.config.first_slot))
+
+    def step_words(self, words: Array) -> BatchStep:
+        """Step every slot once by its action's word, shape ``(n,)`` in ``spec.action.dtype``; unchecked."""
+        result = self._step(words)
         self._tick += 1
         return result
 
     def send(self, actions: npt.ArrayLike) -> None:
         """Start a step and return at once; :meth:`recv` has its results. Raises as :meth:`step` does."""
         self._check_idle("send", ready=True)
-        config = self.config
-        encoded = encode(actions, config.spec.action_space, self._actions, config.first_slot)
+        encoded = encode(actions, self.config.spec, self._actions, self.config.first_slot)
         if encoded is not self._actions:
             self._actions[:] = encoded  # the caller may change his before the step is done
         if self._worker is None or self._worker_pid != os.getpid():  # threads do not survive a fork

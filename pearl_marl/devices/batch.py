@@ -21,8 +21,8 @@ class BatchStep(NamedTuple):
     Parameters
     ----------
     obs
-        Shape ``(n, *observation_space.shape)``, in the space's dtype. In SAME_STEP mode, where a
-        slot ended, the first observation of its new episode.
+        Shape ``(n, *spec.observation_shape)``, in the space's dtype (of a ``Tuple`` space a column for each
+        of its spaces). In SAME_STEP mode, where a slot ended, the first observation of its new episode.
     rewards
         ``float32``, shape ``(n,)``.
     terminations, truncations

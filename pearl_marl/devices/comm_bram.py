@@ -16,7 +16,6 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 
 import numpy as np
-from gymnasium.spaces import Discrete
 from gymnasium.vector import AutoresetMode
 
 from pearl_marl import hardware, slot_memory
@@ -206,14 +205,16 @@ class CommBram(Device):
         spec, results = self.config.spec, self._results.take()
         obs, ters = results.obs, self._ters
         offset, stride = 0, word_bits(spec.observation)
-        for k, (field, words) in enumerate(zip(spec.observation, self._obs_words, strict=True)):
+        for field, words in zip(spec.observation, self._obs_words, strict=True):
             unpack(self._obs_stream, field.bits, words, stride, offset)
             offset += field.bits
-            _deliver(words, field, obs if isinstance(spec.observation_space, Discrete) else obs[:, k])
+        self._kernels.deliver(*self._obs_words, obs)
 
         unpack(self._reward_stream, spec.reward.bits, self._reward_words, spec.reward.bits)
         if spec.rewards is None:
-            _deliver(self._reward_words, spec.reward, results.rewards)
+            # In the arithmetic of the native device's kernel.
+            scale = np.float32(2.0**-spec.reward.fraction)
+            np.multiply(self._reward_words, scale, out=results.rewards, dtype=np.float32, casting="unsafe")
         else:
             np.take(self._table, self._reward_words, out=results.rewards, mode="clip")
 
@@ -358,11 +359,3 @@ def check_identity(name: str, transport: Transport, spec: EnvSpec, layout: Memor
                 f"it takes hardware built for {spec.id} with options {dict(spec.options)}, {layout.n_envs} "
                 f"slots, pe_num {layout.pe_num} and data_wl {layout.data_wl}"
             )
-
-
-def _deliver(words: Array, field: Field, out: Array) -> None:
-    """Give words their values, in the arithmetic of the native device's kernel."""
-    if field.fraction:
-        np.multiply(words, out.dtype.type(2.0**-field.fraction), out=out, dtype=out.dtype, casting="unsafe")
-    else:
-        np.copyto(out, words, casting="unsafe")

@@ -156,7 +156,7 @@ class Lockstep(Device):
         return ours
 
     def _step(self, actions: Array) -> BatchStep:
-        ours, theirs = self._both(lambda device: device.step(actions))
+        ours, theirs = self._both(lambda device: device.step_words(actions))
         self._taken.append(actions.copy())
         found = Comparison()
         for words in result_words(self.config.spec, ours, theirs):
@@ -229,7 +229,7 @@ class Lockstep(Device):
                 before = self.reference.snapshot()
             if i == len(taken) - undo:
                 break
-            self.reference.step(actions)
+            self.reference.step_words(actions)
         self._continue_from(self.reference.snapshot())
         if not taken:
             raise self._error("snapshot", found, since, tick=since.tick)
@@ -244,7 +244,7 @@ class Lockstep(Device):
             self._both(lambda device: device.restore(since))
         for i, actions in enumerate(taken):
             for device in (self.device, self.reference):
-                device.step(actions)
+                device.step_words(actions)
             found = Comparison()
             self._add_states(found)
             if found:
@@ -271,7 +271,7 @@ class Lockstep(Device):
             slots=count,
             differences=differences,
             state_before=None if before is None else state_of(spec, n, before, i),
-            action=None if actions is None else int(actions[i]),
+            action=None if actions is None else spec.action.value(actions[i]),
         )
         return LockstepError(
             divergence, Replay(config=self.config, divergence=divergence, before=before, **arguments)

@@ -10,7 +10,6 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from gymnasium.spaces import Discrete
 from gymnasium.vector import AutoresetMode
 
 from pearl_marl import rng, slot_memory
@@ -19,6 +18,7 @@ from pearl_marl.devices.batch import Array, BatchConfig, BatchStep
 from pearl_marl.devices.results import ResultArrays
 from pearl_marl.errors import DeviceError
 from pearl_marl.golden import GoldenFunction, call_reference
+from pearl_marl.kernels import compile_kernels
 from pearl_marl.spec import Field
 
 _TERMINATED = Field("terminated", 1)
@@ -144,13 +144,17 @@ class Reference(Device):
 
     def _observe(self, state: list[Array]) -> Array:
         spec = self.config.spec
-        dtype: Any = spec.observation_space.dtype
+        dtype: Any = spec.observation_dtype
         words = self._words(spec.golden.observe, state, spec.observation)
+        if spec.unpack is not None:  # a loop over single elements, which only Numba can run
+            obs = np.empty((len(self._slots), *spec.observation_shape), dtype)
+            compile_kernels(spec).deliver(*words, obs)
+            return obs
         values = [
             word.astype(dtype) * dtype.type(2.0**-f.fraction) if f.fraction else word.astype(dtype)
             for word, f in zip(words, spec.observation, strict=True)
         ]
-        return values[0] if isinstance(spec.observation_space, Discrete) else np.stack(values, 1)
+        return np.stack(values, -1).reshape(len(self._slots), *spec.observation_shape)
 
     def _reward_values(self, words: Array) -> Array:
         if self.config.spec.rewards is not None:

@@ -19,8 +19,8 @@ class _Set:
     """One allocation and the five arrays in it; knows whether anybody else refers to them."""
 
     def __init__(self, config: BatchConfig) -> None:
-        n, space = config.n_envs, config.spec.observation_space
-        observation: tuple[tuple[int, ...], Any] = (n, *(space.shape or ())), space.dtype
+        n, spec = config.n_envs, config.spec
+        observation: tuple[tuple[int, ...], Any] = (n, *spec.observation_shape), spec.observation_dtype
         pieces = [observation, ((n,), np.float32), ((n,), np.bool_), ((n,), np.bool_), observation]
         lengths = [int(np.prod(shape)) * np.dtype(dtype).itemsize for shape, dtype in pieces]
         starts = np.cumsum([0] + [-(-length // ALIGNMENT) * ALIGNMENT for length in lengths])

@@ -42,20 +42,26 @@ _ANSWERS = {
 }
 
 
-def default_pe_num(n_envs: int) -> int:
-    """Return the processing elements to simulate with.
+def default_pe_num(spec: EnvSpec, n_envs: int) -> int:
+    """Return how many processing elements a design has if nobody says.
 
-    The smallest power of two that takes the slots in :data:`DEFAULT_GROUPS` groups, but
-    :data:`MAX_DEFAULT_PE_NUM` at most.
+    The smallest power of two that takes the slots in :data:`DEFAULT_GROUPS` groups; but no more than
+    the widest word can feed or drain in a cycle, and no more than :data:`MAX_DEFAULT_PE_NUM`.
     """
     least = -(-n_envs // DEFAULT_GROUPS)
-    return min(MAX_DEFAULT_PE_NUM, 1 << (least - 1).bit_length())
+    fed = max(1, DATA_WIDTHS[-1] // _widest(spec))
+    return min(MAX_DEFAULT_PE_NUM, 1 << (fed.bit_length() - 1), 1 << (least - 1).bit_length())
 
 
 def default_data_wl(spec: EnvSpec, pe_num: int) -> int:
     """Return the narrowest word that keeps up with a group of slots a cycle, or the widest there is."""
-    bits = pe_num * max(spec.action.bits, word_bits(spec.observation), spec.reward.bits)
+    bits = pe_num * _widest(spec)
     return next((width for width in DATA_WIDTHS if width >= bits), DATA_WIDTHS[-1])
+
+
+def _widest(spec: EnvSpec) -> int:
+    # Observations, rewards and terminations have a bank each, so the widest stream sets the pace.
+    return max(spec.action.bits, word_bits(spec.observation), spec.reward.bits)
 
 
 class Rtl(CommBram):
@@ -112,7 +118,7 @@ class Rtl(CommBram):
 
     def _connect(self, config: BatchConfig) -> tuple[Transport, MemoryMap]:
         spec, n = config.spec, int(config.n_envs)
-        pe_num = default_pe_num(n) if self._pe_num is None else int(self._pe_num)
+        pe_num = default_pe_num(spec, n) if self._pe_num is None else int(self._pe_num)
         data_wl = default_data_wl(spec, pe_num) if self._data_wl is None else int(self._data_wl)
         layout = memory_map(spec, n, pe_num, data_wl)
         built = library(spec, layout, traced=self._trace is not None)

@@ -11,13 +11,6 @@ from pearl_marl.errors import ActionError, OrderError
 from ..helpers import SIZE, Case
 
 
-def habits(case: Case, steps: int) -> np.ndarray:
-    """Return actions that end episodes of different slots at different times."""
-    return np.where(
-        case.actions(steps, seed=1) % 2, np.arange(SIZE) % case.spec.action_space.n, case.actions(steps)
-    )
-
-
 @pytest.mark.parametrize("as_dict", [True, False])
 @pytest.mark.parametrize("limit", [None, 9])
 def test_against_the_reference(case: Case, limit: int | None, as_dict: bool) -> None:
@@ -29,13 +22,13 @@ def test_against_the_reference(case: Case, limit: int | None, as_dict: bool) -> 
         np.testing.assert_array_equal(list(obs.values()), reference.reset(seed=seed))
         assert env.agents == env.possible_agents
         live = np.ones(SIZE, bool)
-        for actions in habits(case, 60):
+        for actions in case.habits(60):
             here = [f"agent_{i}" for i in np.flatnonzero(live)]
             assert env.agents == here
             given = {agent: actions[int(agent[6:])] for agent in here} if as_dict else actions
             results = env.step(given)
-            # The slots of agents that left run on with action 0 or another: they begin again, unseen.
-            theirs = reference.step(np.where(live, actions, 0) if as_dict else actions)
+            # The slots of agents that left run on with any action: they begin again, unseen.
+            theirs = reference.step(actions)
             last = np.where(
                 theirs.ended.reshape(-1, *(1,) * (theirs.obs.ndim - 1)), theirs.final_obs, theirs.obs
             )
@@ -64,8 +57,9 @@ def test_array_actions_of_agents_that_left_are_ignored(case: Case) -> None:
         e.reset(seed=3)
     for actions in case.actions(300):
         live = np.isin(env.possible_agents, env.agents)
-        odd = np.where(live, actions.astype(np.int64), -7)
-        for a, b in zip(env.step(odd), twin.step(np.where(live, actions, 0)), strict=True):
+        odd = actions.astype(np.int64 if actions.dtype.kind == "u" else np.float64)
+        odd[~live], actions[~live] = -7, 0
+        for a, b in zip(env.step(odd), twin.step(actions), strict=True):
             assert a.keys() == b.keys()
             for agent in a:
                 np.testing.assert_equal(a[agent], b[agent])
@@ -77,7 +71,7 @@ def test_array_actions_of_agents_that_left_are_ignored(case: Case) -> None:
 def test_autoreset_keeps_everyone(case: Case) -> None:
     env = case.parallel(max_cycles=3)
     env.reset(seed=0)
-    for actions in habits(case, 10):
+    for actions in case.habits(10):
         env.step(actions)
         assert env.agents == env.possible_agents
 
@@ -88,7 +82,7 @@ def test_max_cycles_can_be_assigned(case: Case) -> None:
     env.max_cycles = 4
     assert env.max_cycles == 4
     env.reset(seed=0)
-    ends = [env.step_batch(np.zeros(3, np.uint8)).truncations for _ in range(4)]
+    ends = [env.step_batch(actions).truncations for actions in case.actions(4, 3)]
     assert ends[3].any()
     assert not np.any(ends[:3])
     env.max_cycles = None

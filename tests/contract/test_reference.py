@@ -6,20 +6,14 @@ import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode
 
+from pearl_marl.actions import encode, random_actions
 from pearl_marl.devices import Device, Reference
 from pearl_marl.golden import call_reference
 
-from ..helpers import SIZE, STEPS, Case, assert_same_step
+from ..helpers import SIZE, Case, assert_same_step
 
 MODES = (AutoresetMode.SAME_STEP, AutoresetMode.NEXT_STEP)
 LIMITS = (0, None, 5)
-
-
-def biased(case: Case, steps: int = STEPS, n: int = SIZE) -> np.ndarray:
-    """Return actions that favour each slot's own habits, so that episodes of many lengths end."""
-    actions = case.actions(steps, n)
-    habit = np.arange(n, dtype=np.uint8) % case.spec.action_space.n
-    return np.where(case.actions(steps, n, seed=1) % 2, habit, actions)
 
 
 def reference_for(case: Case, **config: object) -> Device:
@@ -39,7 +33,7 @@ def test_every_field_of_every_step(
     reference = reference_for(case, **options)
     np.testing.assert_array_equal(device.reset(seed=11), reference.reset(seed=11))
     ends = 0
-    for t, actions in enumerate(biased(case)):
+    for t, actions in enumerate(case.habits()):
         ours, theirs = device.step(actions), reference.step(actions)
         assert_same_step(ours, theirs, f"step {t}")
         np.testing.assert_array_equal(device.state(), reference.state(), f"state after step {t}")
@@ -54,7 +48,7 @@ def test_resets_masks_and_limits_between_steps(case: Case, mode: AutoresetMode) 
     reference = reference_for(case, autoreset_mode=mode, max_cycles=0)
     np.testing.assert_array_equal(device.reset(seed=2**70 + 5), reference.reset(seed=2**70 + 5))
     generator = np.random.default_rng(5)
-    for t, actions in enumerate(biased(case, 60)):
+    for t, actions in enumerate(case.habits(60)):
         assert_same_step(device.step(actions), reference.step(actions), f"step {t}")
         if t % 7 == 3:
             mask = generator.random(SIZE) < 0.3
@@ -74,7 +68,7 @@ def test_stored_starts_survive_masks_and_are_renewed_by_a_full_reset(case: Case)
     reference = reference_for(case, **options)
     first = device.reset(seed=1)
     np.testing.assert_array_equal(first, reference.reset(seed=1))
-    for t, actions in enumerate(biased(case, 13)):
+    for t, actions in enumerate(case.habits(13)):
         ours = device.step(actions)
         assert_same_step(ours, reference.step(actions), f"step {t}")
         np.testing.assert_array_equal(ours.obs[ours.ended], first[ours.ended])
@@ -83,7 +77,7 @@ def test_stored_starts_survive_masks_and_are_renewed_by_a_full_reset(case: Case)
     np.testing.assert_array_equal(after[mask], first[mask])
     np.testing.assert_array_equal(after, reference.reset(mask=mask))
     np.testing.assert_array_equal(device.reset(), reference.reset())
-    for t, actions in enumerate(biased(case, 13)):
+    for t, actions in enumerate(case.habits(13)):
         assert_same_step(device.step(actions), reference.step(actions), f"step {t} after reset()")
 
 
@@ -121,6 +115,6 @@ def test_golden_functions_mean_the_same_on_scalars_and_arrays(case: Case) -> Non
 
     state = run(spec.golden.initial, draws(spec.reset_draws))
     for _ in range(20):
-        actions = generator.integers(spec.action_space.n, size=n).astype(spec.action.dtype)
+        actions = encode(random_actions(spec, generator, n), spec, np.empty(n, spec.action.dtype))
         *state, _reward, _terminated = run(spec.golden.step, [*state, actions, *draws(spec.step_draws)])
         run(spec.golden.observe, state)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from gymnasium.spaces import Discrete
+from gymnasium.spaces import Box, Discrete, Tuple
 
 from pearl_marl import get_spec
 from pearl_marl.errors import ActionError
@@ -14,6 +14,8 @@ from ..helpers import SIZE, STEPS, Case
 
 def contains_all(space: object, observations: np.ndarray) -> bool:
     """Check every row, as ``space.contains`` would one by one."""
+    if isinstance(space, Tuple):
+        return all(map(contains_all, space.spaces, observations.T))
     if isinstance(space, Discrete):
         return bool(((observations >= space.start) & (observations < space.start + space.n)).all())
     return bool(((observations >= space.low) & (observations <= space.high)).all())
@@ -52,18 +54,21 @@ def test_two_environments_share_no_space(case: Case) -> None:
 def test_shapes_dtypes_and_ranges_of_batches(case: Case, copy: bool) -> None:
     env = case.parallel(copy=copy, max_cycles=7)
     space = case.spec.observation_space
+    shape, dtype = space.shape, space.dtype
+    if isinstance(space, Tuple):
+        shape, dtype = (len(space.spaces),), np.int64
     obs = env.reset_batch(seed=4)
-    assert obs.shape == (SIZE, *space.shape)
-    assert obs.dtype == space.dtype
+    assert obs.shape == (SIZE, *shape)
+    assert obs.dtype == dtype
     assert contains_all(space, obs)
     for actions in case.actions():
         step = env.step_batch(actions)
         for array in (step.obs, step.final_obs):
-            assert array.shape == (SIZE, *space.shape)
-            assert array.dtype == space.dtype
-        for array, dtype in ((step.rewards, np.float32), (step.terminations, bool), (step.truncations, bool)):
-            assert array.shape == (SIZE,)
+            assert array.shape == (SIZE, *shape)
             assert array.dtype == dtype
+        for array, kind in ((step.rewards, np.float32), (step.terminations, bool), (step.truncations, bool)):
+            assert array.shape == (SIZE,)
+            assert array.dtype == kind
         np.testing.assert_array_equal(step.ended, step.terminations | step.truncations)
         assert contains_all(space, step.obs)
         assert contains_all(space, step.final_obs[step.ended])
@@ -103,7 +108,7 @@ def test_dicts_hold_what_the_arrays_hold(case: Case) -> None:
     by_array.reset(seed=2)
     np.testing.assert_array_equal(batched.reset_batch(seed=2), list(first_obs.values()))
     for actions in case.actions():
-        from_dict = by_dict.step(dict(zip(by_dict.agents, actions.tolist(), strict=True)))
+        from_dict = by_dict.step(dict(zip(by_dict.agents, actions, strict=True)))
         from_array = by_array.step(actions)
         step = batched.step_batch(actions)
         for a, b, array in zip(from_dict[:4], from_array[:4], step[:4], strict=True):
@@ -120,6 +125,8 @@ def test_dicts_hold_what_the_arrays_hold(case: Case) -> None:
 
 @pytest.mark.parametrize("dtype", ["int8", "uint8", "int16", "uint32", "int32", "int64", ">i4", "uint64"])
 def test_any_integer_dtype_of_actions(case: Case, dtype: str) -> None:
+    if not isinstance(case.spec.action_space, Discrete):
+        pytest.skip(f"the actions of {case.env_id} are no integers")
     plain, other = case.open(), case.open()
     plain.reset(seed=0)
     other.reset(seed=0)
@@ -154,10 +161,34 @@ def test_spaces_equal_the_oracles(case: Case) -> None:
 
 def test_the_least_and_the_greatest_action(case: Case) -> None:
     """Both ends of the space are taken, and the number after each is not."""
-    n = int(case.spec.action_space.n)
+    space = case.spec.action_space
     device = case.open(3)
     device.reset(seed=0)
-    device.step([0, n - 1, 0])
-    for outside in (-1, n):
-        with pytest.raises(ActionError, match=f"agent_2: action {outside} is out of range"):
-            device.step([0, n - 1, outside])
+    if isinstance(space, Box):
+        least, most = space.low, space.high
+        beyond = [np.nextafter(least, -np.inf), np.nextafter(most, np.inf), np.float32([np.nan])]
+    else:
+        least, most = 0, int(space.n) - 1
+        beyond = [-1, most + 1]
+    device.step([least, most, least])
+    for outside in beyond:
+        with pytest.raises(ActionError, match=r"agent_2: action .* is out of range"):
+            device.step([least, most, outside])
+
+
+def test_numbers_as_actions(case: Case) -> None:
+    """Integers and floats of any width are the same number, and so the same word."""
+    if not isinstance(case.spec.action_space, Box):
+        pytest.skip(f"the actions of {case.env_id} are integers")
+    actions = np.round(case.actions(1)[0])
+    device = case.open()
+    steps = []
+    for dtype in ("float32", ">f8", "int64"):
+        device.reset(seed=0)
+        steps.append(device.step(actions.astype(dtype)))
+    for other in steps[1:]:
+        np.testing.assert_array_equal(steps[0].obs, other.obs)
+        np.testing.assert_array_equal(steps[0].rewards, other.rewards)
+    for wrong in (actions[:, 0], actions[:-1], actions.astype(bool), actions.tolist()[1:]):
+        with pytest.raises(ActionError):
+            device.step(wrong)

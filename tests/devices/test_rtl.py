@@ -66,7 +66,7 @@ def test_device_by_name() -> None:
 
 @pytest.mark.parametrize("n", [1, 7, 16, 17, 1000, 1024, 1025, 43008, 10**6])
 def test_default_parameters_are_legal(n: int) -> None:
-    pe_num = default_pe_num(n)
+    pe_num = default_pe_num(SPEC, n)
     memory_map(SPEC, n, pe_num, default_data_wl(SPEC, pe_num))
     assert pe_num == 128 or -(-n // pe_num) <= 16
 
