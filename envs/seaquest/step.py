@@ -60,6 +60,15 @@ def select16(flag: Word, a: Word, b: Word) -> Word:
     return u16(u16(a & mask) | u16(b & u16(~mask)))
 
 
+def is_zero(word: Word) -> Word:
+    """Return 1 where a byte below 128 is 0.
+
+    By arithmetic, for words that are also counted down: ``word == 0`` beside ``word - 1`` becomes one
+    operation with a carry to LLVM, and a loop with such an operation in it stays scalar.
+    """
+    return u8(u8(u8(u8(word) + u8(127)) >> u8(7)) ^ u8(1))
+
+
 def spread(bit: Word) -> Word:
     """Return a plane of this bit in every place."""
     return u32(u32(0) - u32(bit))
@@ -258,7 +267,7 @@ def make_step(sticky_below: int, ramping: bool) -> GoldenFunction:
         spawn_interval = u8(u8(SLOWEST_SPAWN) - select(u8(ramp >= LAST_RAMP), u8(LAST_RAMP), ramp))
 
         # An enemy appears above the topmost place, unless its row has one that swims the other way.
-        due = u8(enemy_timer == 0)
+        due = is_zero(enemy_timer)
         rightward = u32(draw_0 >> u32(31))
         row = u8(u32(draw_0 >> u32(28)) & u32(7))
         same_row = in_row(enemy_row_0, enemy_row_1, enemy_row_2, u8(row + u8(1)))
@@ -284,7 +293,7 @@ def make_step(sticky_below: int, ramping: bool) -> GoldenFunction:
 
         # A diver appears; when that is, the older place is empty.
         divers_move = u8(u32(u32(DIVERS_MOVE) >> u32(diver_timer)) & u32(1))
-        due = u8(diver_timer == 0)
+        due = is_zero(diver_timer)
         rightward = u16(draw_1 >> u32(31))
         column = u16(u16(LAST_COLUMN) & u16(rightward - u16(1)))
         row = u16(u32(draw_1 >> u32(28)) & u32(7))
@@ -369,8 +378,9 @@ def make_step(sticky_below: int, ramping: bool) -> GoldenFunction:
         fire = u32(armed & u32(~waits))
         low = lowest(fire)
         high = u32(fire ^ low)
-        fired, twice = u32(any_of(fire)), u32(any_of(high))
+        twice = u32(any_of(high))
         newer = u32(high | taken_if(u32(twice ^ u32(1)), low))
+        fired = u32(any_of(newer))
         # Counting down from 0 gives 15, of which 10 is kept.
         one, two, four = enemy_fire_0, enemy_fire_1, enemy_fire_2
         enemy_fire_0 = u32(u32(~one) & waits)
@@ -401,7 +411,7 @@ def make_step(sticky_below: int, ramping: bool) -> GoldenFunction:
         terminated = u8(any_of(met) | any_of(shot))
 
         # Oxygen and the surface.
-        submerged = u8(y > 0)
+        submerged = u8(is_zero(y) ^ u8(1))
         terminated = u8(terminated | u8(oxygen == 0))
         surfaces = u8(u8(submerged ^ u8(1)) & u8(surfaced ^ u8(1)))
         terminated = u8(terminated | u8(surfaces & u8(divers == 0)))
