@@ -14,6 +14,9 @@ from pearl_marl.errors import DeviceError
 from pearl_marl.memory_map import MemoryMap
 from pearl_marl.spec import EnvSpec, word_bits
 
+_PACKAGES_OF_CORES = ("pearl_pkg", "pearl_fixed_pkg")
+"""The packages that a core may use, and that have to be read before it."""
+
 
 def core_path(spec: EnvSpec) -> Path:
     """Return the core's file: ``<name>_pe.sv`` in the folder ``<name>`` that holds the golden step.
@@ -33,32 +36,42 @@ def core_path(spec: EnvSpec) -> Path:
 def backbone_paths() -> list[Path]:
     """Return the files of the backbone; packages come first, as the tools demand."""
     folder = Path(str(resources.files("pearl_marl.rtl")))
-    packages = [folder / "pearl_pkg.sv", folder / "pearl_core_pkg.sv"]
+    packages = [folder / f"{name}.sv" for name in (*_PACKAGES_OF_CORES, "pearl_core_pkg")]
     return packages + sorted(path for path in folder.glob("*.sv") if path not in packages)
 
 
 def sources(spec: EnvSpec) -> list[Path]:
     """Return every file of a design, in the order in which they have to be read."""
-    return [core_path(spec), *backbone_paths()]
+    paths = backbone_paths()
+    before = len(_PACKAGES_OF_CORES)
+    return [*paths[:before], core_path(spec), *paths[before:]]
 
 
 def macros(spec: EnvSpec) -> dict[str, str]:
-    """Return the macros that name the core and set its parameters.
-
-    The parameters are ``spec.core_parameters``, or the environment's options under their names in capitals.
-    """
+    """Return the macros that name the core and set its parameters."""
     core = core_path(spec).stem
     defined = {"PEARL_CORE": core, "PEARL_CORE_PKG": core.removesuffix("_pe") + "_pkg"}
+    given = ",".join(f".{name}({literal})" for name, literal in core_parameters(spec).items())
+    return {**defined, "PEARL_CORE_OPTIONS": given} if given else defined
+
+
+def core_parameters(spec: EnvSpec) -> dict[str, str]:
+    """Return the core's parameters by name, as SystemVerilog literals.
+
+    They are ``spec.core_parameters``, or the environment's options under their names in capitals.
+    """
     given = spec.core_parameters
     if given is None:
         given = {name.upper(): int(value) for name, value in spec.options.items()}
-    options = ",".join(f".{name}({_literal(value)})" for name, value in given.items())
-    return {**defined, "PEARL_CORE_OPTIONS": options} if options else defined
+    return {name: _literal(value) for name, value in given.items()}
 
 
 def _literal(value: int) -> str:
-    # A number without a size is a signed one of 32 bits.
-    return str(value) if -(1 << 31) <= value < 1 << 31 else f"{value.bit_length()}'d{value}"
+    # A number without a size is a signed one of 32 bits. Sizes are powers of two, because tools warn of
+    # a literal narrower than its parameter.
+    if -(1 << 31) <= value < 1 << 31:
+        return str(value)
+    return f"{max(32, 1 << (value.bit_length() - 1).bit_length())}'d{value}"
 
 
 def env_hash(spec: EnvSpec) -> int:

@@ -1,4 +1,8 @@
-"""A core against its golden functions."""
+"""A core against its golden functions.
+
+Every state word, reachable or not, with every action, started or not and held or not, if these are few
+enough; as many of them by chance if not.
+"""
 
 from __future__ import annotations
 
@@ -10,81 +14,128 @@ import harness
 import numpy as np
 from bench import spec_of, start
 from cocotb.triggers import FallingEdge
+from gymnasium.spaces import Box
 
 from pearl_marl.golden import call_reference
-from pearl_marl.spec import Field
+from pearl_marl.spec import Field, word_bits
 
 ARGUMENTS = harness.arguments()
 SPEC = spec_of(ARGUMENTS["env"], ARGUMENTS["options"])
 LATENCY, II = ARGUMENTS["latency"], ARGUMENTS["ii"]
 DRAWS = SPEC.reset_draws + SPEC.step_draws
-# Where a draw's third changes, and where its other uses do.
-EDGE_DRAWS = (0, 0x55555555, 0x55555556, 0xAAAAAAAA, 0xAAAAAAAB, 0xFFFFFFFF, 0x12345678)
 
 
-def split(word: int, fields: tuple[Field, ...]) -> list[Any]:
-    values = []
+def split(words: list[int], fields: tuple[Field, ...]) -> list[np.ndarray]:
+    """Return an array a field of many words."""
+    columns, offset = [], 0
     for field in fields:
-        values.append(field.dtype.type(word & ((1 << field.bits) - 1)))
-        word >>= field.bits
-    return values
-
-
-def join(values: Any, fields: tuple[Field, ...]) -> int:
-    word, offset = 0, 0
-    for value, field in zip(values, fields, strict=True):
-        word |= (int(value) & ((1 << field.bits) - 1)) << offset
+        pieces = np.array([(word >> offset) & ((1 << field.bits) - 1) for word in words], np.uint64)
+        if field.signed:  # the sign goes up to the top and comes back down
+            spare = np.uint64(64 - field.bits)
+            pieces = (pieces << spare).view(np.int64) >> spare.astype(np.int64)
+        columns.append(pieces.astype(field.dtype))
         offset += field.bits
-    return word
+    return columns
 
 
-def golden(state: int, action: int, first: bool, hold: bool, draws: tuple[int, ...]) -> dict[str, int]:
-    words = [np.uint32(draw) for draw in draws]
-    origin = split(state, SPEC.state)
-    if first:
-        drawn = call_reference(SPEC.golden.initial, words[: SPEC.reset_draws])
-        origin = [f.dtype.type(w) for w, f in zip(drawn, SPEC.state, strict=True)]
-    act = SPEC.action.dtype.type(action)
+def join(columns: Any, fields: tuple[Field, ...], count: int) -> list[int]:
+    """Return many words, made of an array (or a constant) a field."""
+    words, offset = [0] * count, 0
+    for column, field in zip(columns, fields, strict=True):
+        pieces = np.broadcast_to(np.asarray(column), count).tolist()
+        words = [
+            word | (piece & ((1 << field.bits) - 1)) << offset
+            for word, piece in zip(words, pieces, strict=True)
+        ]
+        offset += field.bits
+    return words
+
+
+def golden(
+    states: list[int], actions: np.ndarray, first: np.ndarray, hold: np.ndarray, draws: np.ndarray
+) -> dict[str, list[int]]:
+    """Return what every case has to give, by port."""
+    n = len(states)
+    words = [np.ascontiguousarray(draws[:, d]) for d in range(DRAWS)]
+    drawn = call_reference(SPEC.golden.initial, words[: SPEC.reset_draws])
+    origin = [
+        np.where(first, new, old).astype(field.dtype)
+        for new, old, field in zip(drawn, split(states, SPEC.state), SPEC.state, strict=True)
+    ]
+    act = actions.astype(SPEC.action.dtype)
     *moved, reward, terminated = call_reference(SPEC.golden.step, [*origin, act, *words[SPEC.reset_draws :]])
-    after = origin if hold else moved
+    after = [
+        np.where(hold, old, new).astype(field.dtype)
+        for old, new, field in zip(origin, moved, SPEC.state, strict=True)
+    ]
     observed = call_reference(SPEC.golden.observe, after)
-    results = {"state_o": join(after, SPEC.state), "obs_o": join(observed, SPEC.observation)}
-    # The backbone masks reward and end of a slot that is held.
-    return results if hold else {**results, "reward_o": int(reward), "terminated_o": int(terminated)}
+    return {
+        "state_o": join(after, SPEC.state, n),
+        "obs_o": join(observed, SPEC.observation, n),
+        "reward_o": join([reward], (SPEC.reward,), n),
+        "terminated_o": join([terminated], (Field("terminated", 1),), n),
+    }
+
+
+def all_cases(generator: np.random.Generator) -> tuple[list[int], np.ndarray, np.ndarray, np.ndarray]:
+    """Return states, actions, ``first`` and ``hold`` of every case, or of as many as the limit allows."""
+    bits, limit, space = word_bits(SPEC.state), ARGUMENTS["limit"], SPEC.action_space
+    if isinstance(space, Box):
+        scale = 2**SPEC.action.fraction
+        least, most = (round(float(bound[0]) * scale) for bound in (space.low, space.high))
+    else:
+        least, most = 0, int(space.n) - 1
+    if (most - least + 1) * 4 << bits <= limit:
+        flags = (False, True)
+        cases = itertools.product(range(1 << bits), range(least, most + 1), flags, flags)
+        states, *rest = zip(*cases, strict=True)
+        return (list(states), *map(np.array, rest))
+    states = [int.from_bytes(generator.bytes(-(-bits // 8))) >> -bits % 8 for _ in range(limit)]
+    first, hold = generator.random((2, limit)) < 0.25
+    return states, generator.integers(least, most, size=limit, endpoint=True), first, hold
+
+
+def edge_draws() -> list[int]:
+    """Return draws at which something may change: thirds, ends, and the core's own thresholds."""
+    values = {0, 0x55555555, 0x55555556, 0xAAAAAAAA, 0xAAAAAAAB, 0xFFFFFFFF, 0x12345678}
+    for threshold in (SPEC.core_parameters or {}).values():
+        values |= {value for value in range(threshold - 1, threshold + 2) if 0 <= value < 1 << 32}
+    return sorted(values)
 
 
 @cocotb.test
 async def every_case_equals_the_golden_step(dut: Any) -> None:
     await start(dut, valid_i=0, first_i=0, hold_i=0, state_i=0, action_i=0, rng_i=0)
-    bits = sum(f.bits for f in SPEC.state)
-    draws = np.random.default_rng(13).integers(0, 1 << 32, (4096, max(1, DRAWS)))
-    cases = [
-        (state, action, first, hold)
-        for state in range(0, 1 << bits, ARGUMENTS["stride"])
-        for action in range(SPEC.action_space.n)
-        for first, hold in itertools.product((False, True), repeat=2)
-    ]
-    due: list[dict[str, int]] = []
+    generator = np.random.default_rng(13)
+    states, actions, first, hold = all_cases(generator)
+    count = len(states)
+    draws = generator.integers(1 << 32, size=(count, max(1, DRAWS)), dtype=np.uint32)
+    # In about half of the cases the last draw is an edge, in some the first.
+    edges = np.array(edge_draws(), np.uint32)
+    for column, share in ((-1, 0.5), (0, 0.2)):
+        chosen = generator.random(count) < share
+        draws[chosen, column] = generator.choice(edges, np.count_nonzero(chosen))
+    due = golden(states, actions, first, hold, draws)
+    random_words = [sum(d << (32 * i) for i, d in enumerate(row)) for row in draws.tolist()]
+    action_words = join([actions], (SPEC.action,), count)
+    inputs = list(zip(states, action_words, first.tolist(), hold.tolist(), random_words, strict=True))
     await FallingEdge(dut.clk_i)
-    for cycle in range(II * len(cases) + LATENCY):
+    for cycle in range(II * count + LATENCY):
+        number, phase = divmod(cycle - LATENCY, II)
         if cycle >= LATENCY:
-            arrived = (cycle - LATENCY) % II == 0 and (cycle - LATENCY) // II < len(cases)
+            arrived = phase == 0 and number < count
             assert dut.valid_o.value == int(arrived)
             if arrived:
-                for port, value in due[(cycle - LATENCY) // II].items():
-                    found = int(getattr(dut, port).value)
-                    assert found == value, f"{port} of {cases[(cycle - LATENCY) // II]}: {found}, not {value}"
-        send = cycle % II == 0 and cycle // II < len(cases)
+                # The backbone masks reward and end of a slot that is held.
+                for port in ("state_o", "obs_o") if hold[number] else due:
+                    found, expected = int(getattr(dut, port).value), due[port][number]
+                    assert found == expected, f"{port} of {inputs[number]}: {found}, not {expected}"
+        number, phase = divmod(cycle, II)
+        send = phase == 0 and number < count
         dut.valid_i.value = int(send)
         if send:
-            number = cycle // II
-            state, action, first, hold = cases[number]
-            drawn = [int(d) for d in draws[number % len(draws)]]
-            # Each case once in a while meets an edge of the draws' range, too.
-            if number % 2:
-                drawn[-1] = EDGE_DRAWS[number // 2 % len(EDGE_DRAWS)]
+            state, action, first_i, hold_i, rng_i = inputs[number]
             dut.state_i.value, dut.action_i.value = state, action
-            dut.first_i.value, dut.hold_i.value = int(first), int(hold)
-            dut.rng_i.value = sum(d << (32 * i) for i, d in enumerate(drawn))
-            due.append(golden(state, action, first, hold, tuple(drawn[:DRAWS])))
+            dut.first_i.value, dut.hold_i.value = int(first_i), int(hold_i)
+            dut.rng_i.value = rng_i
         await FallingEdge(dut.clk_i)

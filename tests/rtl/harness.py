@@ -36,7 +36,7 @@ class Design:
 
     top: str
     sources: tuple[Path, ...]
-    parameters: Mapping[str, int] = field(default_factory=dict)
+    parameters: Mapping[str, int | str] = field(default_factory=dict)
     macros: Mapping[str, str] = field(default_factory=dict)
 
     def digest(self) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import pytest
 from bench import spec_of
@@ -36,6 +37,19 @@ def test_lint_is_clean(env: str, size: tuple[int, int, int]) -> None:
 
 
 @pytest.mark.parametrize(
+    ("env", "options"),
+    [
+        ("CliffWalking", {"is_slippery": True}),
+        ("FrozenLake", {"map_name": "8x8", "success_rate": 0}),
+        ("FrozenLake", {"desc": ["SFSF", "GHSF"], "is_slippery": False}),
+    ],
+)
+def test_lint_is_clean_with_options(env: str, options: dict[str, Any]) -> None:
+    spec = spec_of(env, options)
+    lint(whole(spec, memory_map.memory_map(spec, 7, 4, 32)))
+
+
+@pytest.mark.parametrize(
     ("parameters", "sentence"),
     [
         ({"N_ENVS": 0, "PE_NUM": 1}, "there must be at least 1 slot"),
@@ -54,7 +68,8 @@ def test_illegal_parameters_are_refused(parameters: dict[str, int], sentence: st
 
 
 def test_formatter_has_nothing_to_change() -> None:
-    files = [*hardware.backbone_paths(), *HERE.rglob("*.sv"), hardware.core_path(get_spec("CliffWalking"))]
+    cores = [hardware.core_path(get_spec(name)) for name in names()]
+    files = [*hardware.backbone_paths(), *HERE.rglob("*.sv"), *cores]
     for file in files:
         formatted = toolchain.run(["verible-verilog-format", "--column_limit=110", str(file)])
         assert formatted == file.read_text(), f"{file.name} is not as verible-verilog-format leaves it"

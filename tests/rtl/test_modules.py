@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import pytest
 from bench import spec_of
@@ -53,6 +54,18 @@ def test_row_memory(rows: int, row: int, word: int, tmp_path: Path) -> None:
     run(design, "bench_row_memory", tmp_path, rows=rows, row=row, word=word)
 
 
+@pytest.mark.parametrize(("shift", "addend"), [(1, 0), (30, 0), (30, -(1 << 31)), (32, 86699678), (62, 0)])
+def test_fixed_multiply(shift: int, addend: int, tmp_path: Path) -> None:
+    parameters = {"SHIFT": shift, "ADDEND": addend}
+    design = module("pearl_fixed_multiply", **parameters)
+    run(design, "bench_fixed", tmp_path, top=design.top, latency=3, **parameters)
+
+
+@pytest.mark.parametrize(("top", "latency"), [("pearl_sine_cosine", 17), ("pearl_reciprocal", 19)])
+def test_fixed_point(top: str, latency: int, tmp_path: Path) -> None:
+    run(module(top), "bench_fixed", tmp_path, top=top, latency=latency)
+
+
 @pytest.mark.parametrize("depth", [2, 8])
 def test_fifo(depth: int, tmp_path: Path) -> None:
     run(module("pearl_fifo", DEPTH=depth), "bench_fifo", tmp_path, depth=depth)
@@ -71,17 +84,23 @@ def test_axi_slave(word: int, tmp_path: Path) -> None:
         run(design, "bench_axi_slave", folder, word=word, idle=idle)
 
 
+LAKE = {"desc": ["SFHSFGSF", "GHSFFFFH", "FSHFHSFF"]}
+
+
 @pytest.mark.parametrize(
-    ("env", "options", "latency", "ii", "stride"),
+    ("env", "options", "latency", "ii"),
     [
-        ("CliffWalking", {"is_slippery": False}, 2, 1, 1),
-        ("CliffWalking", {"is_slippery": True}, 2, 1, 1),
-        ("ShiftAdd", {}, 4, 4, 7),
+        ("CliffWalking", {"is_slippery": False}, 2, 1),
+        ("CliffWalking", {"is_slippery": True}, 2, 1),
+        ("FrozenLake", {}, 3, 1),
+        ("FrozenLake", {"map_name": "8x8", "success_rate": 0.8}, 3, 1),
+        ("FrozenLake", {**LAKE, "is_slippery": False}, 3, 1),
+        ("FrozenLake", {**LAKE, "success_rate": 0}, 3, 1),
+        ("ShiftAdd", {}, 4, 4),
     ],
 )
-def test_core(env: str, options: dict[str, bool], latency: int, ii: int, stride: int, tmp_path: Path) -> None:
+def test_core(env: str, options: dict[str, Any], latency: int, ii: int, tmp_path: Path) -> None:
     spec = spec_of(env, options)
     path = hardware.core_path(spec)
-    parameters = {name.upper(): int(value) for name, value in options.items()}
-    design = Design(path.stem, (path,), parameters)
-    run(design, "bench_core", tmp_path, env=env, options=options, latency=latency, ii=ii, stride=stride)
+    design = Design(path.stem, (path,), hardware.core_parameters(spec))
+    run(design, "bench_core", tmp_path, env=env, options=options, latency=latency, ii=ii, limit=25_000)

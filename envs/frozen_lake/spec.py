@@ -1,0 +1,184 @@
+"""The spec of FrozenLake: its maps, its arguments and what the platform has to know."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from numbers import Real
+from typing import Any
+
+import numpy as np
+from gymnasium import Env
+from gymnasium.spaces import Discrete
+
+from pearl_marl.errors import ArgumentError
+from pearl_marl.spec import EnvSpec, Field, Golden, Grid
+
+from .step import SIDE, make_initial, make_observe, make_step, make_step_slippery
+
+MAPS = {
+    "4x4": ("SFFF", "FHFH", "FFFH", "HFFG"),
+    "8x8": (
+        "SFFFFFFF",
+        "FFFFFFFF",
+        "FFFHFFFF",
+        "FFFFFHFF",
+        "FFFHFFFF",
+        "FHHFFFHF",
+        "FHFFHFHF",
+        "FFFHFFFG",
+    ),
+}
+"""Gymnasium's, by ``map_name``."""
+
+
+def configure(
+    desc: Sequence[str] | None = None,
+    map_name: str = "4x4",
+    is_slippery: bool = True,
+    success_rate: float = 1 / 3,
+    reward_schedule: Sequence[float] = (1, 0, 0),
+) -> EnvSpec:
+    """Return the spec under Gymnasium's keyword arguments.
+
+    Parameters
+    ----------
+    desc
+        A map of one's own, which takes precedence over ``map_name``: strings of equal length, up to
+        eight of up to eight letters, of ``S`` (start), ``F`` (frozen), ``H`` (hole) and ``G`` (goal).
+        An episode starts in one of the ``S``, all alike.
+    map_name
+        ``"4x4"`` or ``"8x8"``.
+    is_slippery
+        Whether the ice turns actions.
+    success_rate
+        How often it does not, 0 to 1. It turns them left and right equally often.
+    reward_schedule
+        The rewards for reaching a goal, a hole and anything else.
+    """
+    if desc is not None:
+        lake = _checked(desc)
+    elif isinstance(map_name, str) and map_name in MAPS:
+        lake = MAPS[map_name]
+    else:
+        raise ArgumentError(
+            f"map_name is {map_name!r}; it must be {' or '.join(map(repr, MAPS))}, or give a map of your own "
+            "as desc (gymnasium.envs.toy_text.frozen_lake.generate_random_map makes random ones)"
+        )
+    if not isinstance(is_slippery, bool):
+        raise ArgumentError(f"is_slippery is {is_slippery!r}; it must be True or False")
+    if not _is_number(success_rate) or not 0 <= success_rate <= 1:
+        raise ArgumentError(f"success_rate is {success_rate!r}; it must be a probability, 0 to 1")
+    if (
+        isinstance(reward_schedule, str)
+        or not isinstance(reward_schedule, (Sequence, np.ndarray))
+        or len(reward_schedule) != 3
+        or not all(map(_is_number, reward_schedule))
+    ):
+        raise ArgumentError(
+            f"reward_schedule is {reward_schedule!r}; it must be three finite numbers: goal, hole, frozen"
+        )
+    # Gymnasium registers this map under an id of its own, with a time limit of its own.
+    eight = desc is None and map_name == "8x8"
+    rows, columns = len(lake), len(lake[0])
+    starts, holes, goals = (_mask(lake, letter) for letter in "SHG")
+    # A draw below the first number turns the action back, one from the second on turns it on.
+    back = round((1 - success_rate) / 2 * 2**32)
+    turns = (back, min(2**32 - back, 2**32 - 1))
+    slips = is_slippery and success_rate < 1
+    return EnvSpec(
+        name="FrozenLake",
+        version=0,
+        summary="Cross a slippery lake to the goal without falling through a hole",
+        state=(Field("row", 3), Field("column", 3)),
+        action=Field("action", 2),
+        observation=(Field("cell", 6),),
+        reward=Field("reward", 2),
+        rewards=tuple(map(float, reward_schedule)),
+        observation_space=Discrete(rows * columns),
+        action_space=Discrete(4),
+        golden=Golden(
+            make_initial([divmod(cell, SIDE) for cell in range(SIDE * SIDE) if starts >> cell & 1]),
+            make_step_slippery(rows, columns, holes, goals, *turns)
+            if slips
+            else make_step(rows, columns, holes, goals),
+            make_observe(columns),
+        ),
+        reset_draws=int(starts.bit_count() > 1),
+        step_draws=int(slips),
+        max_cycles=200 if eight else 100,
+        options={
+            "desc": None if desc is None else list(lake),
+            "map_name": map_name,
+            "is_slippery": is_slippery,
+            "success_rate": float(success_rate),
+            "reward_schedule": list(map(float, reward_schedule)),
+        },
+        configure=configure,
+        core_parameters={
+            "ROWS": rows,
+            "COLUMNS": columns,
+            "STARTS": starts,
+            "HOLES": holes,
+            "GOALS": goals,
+            "IS_SLIPPERY": int(slips),
+            "TURNS_BACK": turns[0],
+            "TURNS_ON": turns[1],
+        },
+        oracle="FrozenLake8x8-v1" if eight else "FrozenLake-v1",
+        pose=pose,
+        render_modes=("human", "rgb_array", "ansi"),
+        grid=Grid(rows, columns, cell=np.asarray),
+    )
+
+
+def pose(oracle: Env[Any, Any], state: tuple[int, ...]) -> None:
+    """Put Gymnasium's FrozenLake into ``(row, column)``, for rendering."""
+    row, column = state
+    oracle.s = oracle.ncol * row + column  # type: ignore[attr-defined]
+    oracle.lastaction = None  # type: ignore[attr-defined]
+
+
+def _checked(desc: Sequence[str]) -> tuple[str, ...]:
+    """Return a map of the user's, or say what is wrong with it."""
+    if isinstance(desc, str) or not isinstance(desc, Sequence) or not all(isinstance(r, str) for r in desc):
+        raise ArgumentError(f"desc is {desc!r}; it must be a list of strings, a row each")
+    lake = tuple(map(str, desc))
+    # Gymnasium takes no lake that is one cell wide.
+    if not 1 <= len(lake) <= SIDE or not all(2 <= len(line) <= SIDE for line in lake):
+        sizes = ", ".join(map(str, sorted({len(line) for line in lake}))) or "no"
+        raise ArgumentError(
+            f"desc has {len(lake)} rows of {sizes} cells; possible are 1 to {SIDE} rows of 2 to {SIDE}"
+        )
+    for row, line in enumerate(lake):
+        if len(line) != len(lake[0]):
+            raise ArgumentError(
+                f"row {row} of desc has {len(line)} cells, row 0 has {len(lake[0])}; make them equally long"
+            )
+        for letter in line:
+            if letter not in "SFHG":
+                raise ArgumentError(
+                    f"row {row} of desc has the letter {letter!r}; possible are S (start), F (frozen), "
+                    "H (hole) and G (goal)"
+                )
+    if not any("S" in line for line in lake):
+        raise ArgumentError("desc has no S; put one where episodes are to start")
+    return lake
+
+
+def _is_number(value: object) -> bool:
+    """Tell whether something is a finite real number."""
+    return isinstance(value, Real) and not isinstance(value, bool) and math.isfinite(value)
+
+
+def _mask(lake: Sequence[str], letter: str) -> int:
+    """Return the cells of a letter as bits ``8 * row + column``."""
+    return sum(
+        1 << SIDE * row + column
+        for row, line in enumerate(lake)
+        for column, here in enumerate(line)
+        if here == letter
+    )
+
+
+SPEC = configure()

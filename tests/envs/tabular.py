@@ -1,0 +1,89 @@
+"""What the tests of environments with a transition table ``P`` share."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from pearl_marl import EnvSpec, slot_memory
+from pearl_marl.devices import BatchConfig, Native
+from pearl_marl.devices.batch import BatchStep
+
+Array = npt.NDArray[Any]
+
+
+class Table(NamedTuple):
+    """Gymnasium's ``P`` as arrays ``(states, actions, outcomes)``, padded with impossible outcomes."""
+
+    probability: Array
+    state: Array
+    reward: Array
+    terminated: Array
+
+
+def table_of(oracle: Any) -> Table:
+    rows = [[oracle.P[s][a] for a in sorted(oracle.P[s])] for s in sorted(oracle.P)]
+    most = max(len(outcomes) for row in rows for outcomes in row)
+    padded = [
+        [outcomes + [(0.0, 0, 0.0, False)] * (most - len(outcomes)) for outcomes in row] for row in rows
+    ]
+    probability, state, reward, terminated = np.moveaxis(np.array(padded, float), -1, 0)
+    return Table(probability, state.astype(int), reward, terminated.astype(bool))
+
+
+def native_step(spec: EnvSpec, fields: list[Array], actions: Array, seed: int = 0) -> BatchStep:
+    """Put slots into the states whose fields are given, and step them once on the CPU."""
+    n = len(actions)
+    device = Native().open(BatchConfig(spec=spec, n_envs=n))
+    device.reset(seed=seed)
+    snapshot = device.snapshot()
+    columns = slot_memory.views(spec, n, snapshot.memory)
+    for k, values in enumerate(fields):
+        columns[f"state_{k}"][:] = values
+    device.restore(snapshot)
+    step = device.step(actions)
+    device.close()
+    return step
+
+
+def first_observations(spec: EnvSpec, n: int, seed: int) -> Array:
+    device = Native().open(BatchConfig(spec=spec, n_envs=n))
+    observations = device.reset(seed=seed)
+    device.close()
+    return observations
+
+
+def first_episodes(spec: EnvSpec, n: int, seed: int, policy: Any) -> tuple[Array, Array]:
+    """Return length and return of the first episode of ``n`` slots; ``policy(obs, generator)`` acts."""
+    device = Native().open(BatchConfig(spec=spec, n_envs=n, copy=False))
+    observations = device.reset(seed=seed)
+    generator = np.random.default_rng(seed + 1)
+    lengths, returns, running = np.zeros(n, int), np.zeros(n), np.ones(n, bool)
+    while running.any():
+        step = device.step(policy(observations, generator))
+        lengths += running
+        returns += np.where(running, step.rewards, 0)
+        running &= ~step.ended
+        observations = step.obs
+    device.close()
+    return lengths, returns
+
+
+def table_episodes(oracle: Any, n: int, seed: int, policy: Any, limit: int) -> tuple[Array, Array]:
+    """Return the same of the oracle, whose ``step`` does nothing but draw from ``P``, all at once."""
+    table = table_of(oracle)
+    cumulated = table.probability.cumsum(axis=2)
+    generator = np.random.default_rng(seed)
+    states = generator.choice(len(cumulated), size=n, p=oracle.initial_state_distrib)
+    lengths, returns, running = np.zeros(n, int), np.zeros(n), np.ones(n, bool)
+    while running.any():
+        actions = policy(states, generator)
+        drawn = generator.random(n)[:, None]
+        which = (states, actions, (cumulated[states, actions] > drawn).argmax(axis=1))
+        lengths += running
+        returns += np.where(running, table.reward[which], 0)
+        running &= ~table.terminated[which] & (lengths < limit)
+        states = table.state[which]
+    return lengths, returns
