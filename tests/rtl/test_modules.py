@@ -69,6 +69,47 @@ def test_axi_slave(word: int, tmp_path: Path) -> None:
     run(design, "bench_axi_slave", tmp_path, word=word)
 
 
+@pytest.mark.parametrize(("word", "words"), [(32, 3), (128, 1)])
+def test_port(word: int, words: int, tmp_path: Path) -> None:
+    run(module("port_map", DATA_WL=word, REGION_WORDS=words), "bench_port", tmp_path, word=word, words=words)
+
+
+@pytest.mark.parametrize("word", [32, 64, 128, 1024])
+def test_registers(word: int, tmp_path: Path) -> None:
+    design = module("pearl_registers", DATA_WL=word, ENV_HASH=0x1234)
+    run(design, "bench_registers", tmp_path, word=word)
+
+
+def test_sequencer(tmp_path: Path) -> None:
+    run(module("pearl_sequencer"), "bench_sequencer", tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("groups", "pe_num", "word", "ii", "obs", "reward"),
+    [
+        (10, 4, 32, 1, 6, 1),  # the core is the limit
+        (10, 16, 32, 1, 6, 1),  # the observations' packer is
+        (7, 8, 32, 1, 3, 13),  # the rewards' is
+        (9, 4, 64, 4, 13, 5),  # a core that takes four cycles
+        (1, 1, 1024, 1, 6, 1),
+    ],
+)
+def test_group_reader(
+    groups: int, pe_num: int, word: int, ii: int, obs: int, reward: int, tmp_path: Path
+) -> None:
+    design = module(
+        "pearl_group_reader",
+        GROUPS=groups,
+        PE_NUM=pe_num,
+        DATA_WL=word,
+        II=ii,
+        OBS_BITS=obs,
+        REWARD_BITS=reward,
+    )
+    sizes = {"groups": groups, "pe_num": pe_num, "word": word, "ii": ii, "obs": obs, "reward": reward}
+    run(design, "bench_group_reader", tmp_path, **sizes)
+
+
 LAKE = {"desc": ["SFHSFGSF", "GHSFFFFH", "FSHFHSFF"]}
 
 
