@@ -122,11 +122,18 @@ LAKE = {"desc": ["SFHSFGSF", "GHSFFFFH", "FSHFHSFF"]}
         ("FrozenLake", {"map_name": "8x8", "success_rate": 0.8}, 3, 1),
         ("FrozenLake", {**LAKE, "is_slippery": False}, 3, 1),
         ("FrozenLake", {**LAKE, "success_rate": 0}, 3, 1),
+        ("CartPole", {}, 56, 1),
+        ("CartPole", {"sutton_barto_reward": True}, 56, 1),
+        ("Pendulum", {}, 43, 1),
+        ("Pendulum", {"g": -3.7}, 43, 1),
+        ("MountainCar", {}, 29, 1),
+        ("MountainCar", {"goal_velocity": 0.01}, 29, 1),
         ("ShiftAdd", {}, 4, 4),
     ],
 )
 def test_core(env: str, options: dict[str, Any], latency: int, ii: int, tmp_path: Path) -> None:
     spec = spec_of(env, options)
     path = hardware.core_path(spec)
-    design = Design(path.stem, (path,), hardware.core_parameters(spec))
+    sources = (*module(path.stem).sources, path)
+    design = Design(path.stem, sources, hardware.core_parameters(spec))
     run(design, "bench_core", tmp_path, env=env, options=options, latency=latency, ii=ii, limit=25_000)
