@@ -96,6 +96,8 @@ LAKE = {"desc": ["SFHSFGSF", "GHSFFFFH", "FSHFHSFF"]}
         ("FrozenLake", {"map_name": "8x8", "success_rate": 0.8}, 3, 1),
         ("FrozenLake", {**LAKE, "is_slippery": False}, 3, 1),
         ("FrozenLake", {**LAKE, "success_rate": 0}, 3, 1),
+        ("Seaquest", {}, 9, 1),
+        ("Seaquest", {"sticky_action_prob": 0.9, "difficulty_ramping": False}, 9, 1),
         ("ShiftAdd", {}, 4, 4),
     ],
 )
