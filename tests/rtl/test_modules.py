@@ -128,6 +128,8 @@ LAKE = {"desc": ["SFHSFGSF", "GHSFFFFH", "FSHFHSFF"]}
         ("Pendulum", {"g": -3.7}, 43, 1),
         ("MountainCar", {}, 29, 1),
         ("MountainCar", {"goal_velocity": 0.01}, 29, 1),
+        ("Seaquest", {}, 9, 1),
+        ("Seaquest", {"sticky_action_prob": 0.9, "difficulty_ramping": False}, 9, 1),
         ("ShiftAdd", {}, 4, 4),
     ],
 )
