@@ -151,8 +151,10 @@ def run(design: Design, bench: str, tmp_path: Path, **arguments: Any) -> None:
     if folder := os.environ.get(COVERAGE_VARIABLE):
         with tempfile.NamedTemporaryFile(dir=folder, suffix=".dat", delete=False) as kept:
             kept.write((tmp_path / "coverage.dat").read_bytes())
-    count, _ = get_results(results)
+    count, failed = get_results(results)
     assert count > 0, f"no test of {bench} ran"
+    # The runner fails by itself under pytest only.
+    assert failed == 0, f"{failed} tests of {bench} failed"
 
 
 def arguments() -> Any:
