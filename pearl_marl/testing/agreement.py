@@ -9,12 +9,8 @@ import pytest
 from gymnasium.vector import AutoresetMode
 
 from pearl_marl.devices import Device, Lockstep, Reference
-from pearl_marl.testing.case import SIZE, STEPS, Case, assert_same_step
+from pearl_marl.testing.case import SIZE, STEPS, Case, assert_same_step, by_mode
 from pearl_marl.verification import runs, verify
-
-MODES = (AutoresetMode.SAME_STEP, AutoresetMode.NEXT_STEP)
-
-by_mode = pytest.mark.parametrize("mode", MODES, ids=lambda mode: str(mode.name))
 
 
 def reference_for(case: Case, **config: Any) -> Device:
