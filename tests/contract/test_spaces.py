@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 from gymnasium.spaces import Box, Discrete, Tuple
@@ -33,9 +35,8 @@ def test_agents_and_spaces(case: Case, autoreset: bool) -> None:
         assert all(space(agent) is space("agent_0") for agent in env.possible_agents)
     assert env.observation_space("agent_0") == case.spec.observation_space
     assert env.action_space("agent_0") == case.spec.action_space
-    assert env.metadata["name"] == f"{case.spec.name.lower()}_v{case.spec.version}".replace(
-        "cliffwalking", "cliff_walking"
-    )
+    words = re.findall("[A-Z][a-z0-9]*", case.spec.name)
+    assert env.metadata["name"] == f"{'_'.join(words).lower()}_v{case.spec.version}"
     assert env.metadata["is_parallelizable"] is True
     assert env.render_mode is None
 
