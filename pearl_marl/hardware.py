@@ -14,6 +14,9 @@ from pearl_marl.errors import DeviceError
 from pearl_marl.memory_map import MemoryMap
 from pearl_marl.spec import EnvSpec, word_bits
 
+_PACKAGES_OF_CORES = ("pearl_pkg", "pearl_fixed_pkg")
+"""The packages that a core may use, and that have to be read before it."""
+
 
 def core_path(spec: EnvSpec) -> Path:
     """Return the core's file: ``<name>_pe.sv`` in the folder ``<name>`` that holds the golden step.
@@ -33,13 +36,15 @@ def core_path(spec: EnvSpec) -> Path:
 def backbone_paths() -> list[Path]:
     """Return the files of the backbone; packages come first, as the tools demand."""
     folder = Path(str(resources.files("pearl_marl.rtl")))
-    packages = [folder / "pearl_pkg.sv", folder / "pearl_core_pkg.sv"]
+    packages = [folder / f"{name}.sv" for name in (*_PACKAGES_OF_CORES, "pearl_core_pkg")]
     return packages + sorted(path for path in folder.glob("*.sv") if path not in packages)
 
 
 def sources(spec: EnvSpec) -> list[Path]:
     """Return every file of a design, in the order in which they have to be read."""
-    return [core_path(spec), *backbone_paths()]
+    paths = backbone_paths()
+    before = len(_PACKAGES_OF_CORES)
+    return [*paths[:before], core_path(spec), *paths[before:]]
 
 
 def macros(spec: EnvSpec) -> dict[str, str]:

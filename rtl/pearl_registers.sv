@@ -147,7 +147,9 @@ module pearl_registers
     MAGIC
   });
   assign doorbell = DOORBELL_BITS'({sequence_q, mode_word_q});
-  assign status = STATUS_BITS'({finished_q, cycles_q, 32'(error_q)});
+  // A reader that finds a new sequence number in the first word has yet to read the other two, so
+  // they cannot be those of the step before, however narrow its words are.
+  assign status = STATUS_BITS'({32'(error_q), cycles_q, finished_q});
 
   // Read one cycle after the address, like the memories.
   logic [INDEX_BITS-1:0] index_q;

@@ -35,7 +35,7 @@ Rounds = Annotated[
 Seconds = Annotated[float, typer.Option("--seconds", min=0.0, help="About how long one timing lasts.")]
 
 
-OURS = {"kernel only": "kernel", "step_batch": "step_batch", "Gymnasium VectorEnv step": "VectorEnv"}
+OURS = {"kernel only": "kernel", "step_batch": "step_batch"}
 ENVPOOL = "EnvPool, sync"
 OTHERS = {
     "Gymnasium SyncVectorEnv": "Sync",
@@ -101,7 +101,7 @@ def _every(n_agents: int, rounds: int, seconds: float, out: Path | None, as_json
         )
         for peer, label in ((ENVPOOL, ""), (best, f" [dim]{OTHERS.get(best)}[/]")):
             if peer in rates:
-                figures += [rate(rates[peer]) + label, f"{rates['step_batch'] / rates[peer]:,.0f}"]
+                figures += [rate(rates[peer]) + label, rate(rates["step_batch"] / rates[peer])]
             else:
                 figures += ["-", "-"]
         table.add_row(spec.name, *figures)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from pathlib import Path
 from typing import Annotated, Any
 
 import typer
@@ -10,19 +11,18 @@ from rich.table import Table
 
 from pearl_marl.cli.common import (
     AsJson,
-    EnvName,
     Options,
     Out,
     console,
-    env_options,
     error_console,
     print_json,
     progress,
+    spec_of,
     write_json,
 )
 from pearl_marl.errors import ArgumentError
-from pearl_marl.memory_map import memory_map
-from pearl_marl.registry import get_spec
+from pearl_marl.memory_map import default_map, memory_map
+from pearl_marl.registry import get_spec, names
 from pearl_marl.synthesis import (
     FMAX_DEVICE,
     PARTS,
@@ -38,8 +38,16 @@ Sizes = Annotated[
     list[str],
     typer.Option("--n-envs", metavar="N[,N...]", help="Slots; may be repeated, for a table of growth."),
 ]
-PeNum = Annotated[int, typer.Option("--pe-num", help="Processing elements.")]
-DataWl = Annotated[int, typer.Option("--data-wl", help="Bits of a word of the address space.")]
+SomeEnv = Annotated[str | None, typer.Argument(metavar="[ENV]", help="An environment of `pearl envs`.")]
+Every = Annotated[bool, typer.Option("--all", help="Every environment in turn, at the first size.")]
+PeNum = Annotated[
+    int | None,
+    typer.Option("--pe-num", help="Processing elements; by default as many as the words can feed."),
+]
+DataWl = Annotated[
+    int | None,
+    typer.Option("--data-wl", help="Bits of a word; by default enough for a group of slots a cycle."),
+]
 PartFamily = Annotated[Family, typer.Option("--part", help="The family of FPGA to synthesise for.")]
 Fmax = Annotated[
     bool, typer.Option("--fmax", help="Also place and route each size on an ECP5, for its clock rate.")
@@ -54,10 +62,11 @@ Confirm = Annotated[
 
 
 def command(
-    env_id: EnvName,
+    env_id: SomeEnv = None,
+    every: Every = False,
     n_envs: Sizes = ["1024"],  # noqa: B006 - Typer copies it
-    pe_num: PeNum = 16,
-    data_wl: DataWl = 64,
+    pe_num: PeNum = None,
+    data_wl: DataWl = None,
     part: PartFamily = Family.XC7,
     option: Options = None,
     fmax: Fmax = False,
@@ -70,8 +79,20 @@ def command(
 
     The exit status is 1 if a large memory did not become block RAM.
     """
-    spec = get_spec(env_id).with_options(**env_options(option))
-    layouts = [memory_map(spec, n, pe_num, data_wl) for n in _numbers(n_envs)]
+    if every:
+        if env_id is not None or option or fmax or fit is not None:
+            raise ArgumentError(
+                "--all takes every environment as it is: leave out ENV, --option, --fmax, --fit"
+            )
+        _every(_numbers(n_envs)[0], pe_num, data_wl, part, out, as_json)
+        return
+    if env_id is None:
+        raise ArgumentError("name an environment of `pearl envs`, or give --all")
+    spec = spec_of(env_id, option)
+    layouts = [default_map(spec, n, pe_num, data_wl) for n in _numbers(n_envs)]
+    # One design grows: what is chosen for the fewest slots holds for all.
+    pe_num, data_wl = layouts[0].pe_num, layouts[0].data_wl
+    layouts = [memory_map(spec, layout.n_envs, pe_num, data_wl) for layout in layouts]
     if fit is not None and fit not in PARTS:
         raise ArgumentError(f"there is no part {fit!r}; possible are {', '.join(PARTS)}")
     if fit is not None and part is not Family.XC7:
@@ -118,6 +139,31 @@ def command(
         )
     if misplaced:
         sys.exit(1)
+
+
+def _every(
+    n_envs: int, pe_num: int | None, data_wl: int | None, part: Family, out: Path | None, as_json: bool
+) -> None:
+    specs = [get_spec(name) for name in names()]
+    layouts = [default_map(spec, n_envs, pe_num, data_wl) for spec in specs]
+    work = progress(zip(specs, layouts, strict=True), len(specs), f"{n_envs:,} slots")
+    usages = [synthesise(spec, layout, part) for spec, layout in work]
+    result = [
+        {"environment": spec.id, "family": str(part), **usage.as_json()}
+        for spec, usage in zip(specs, usages, strict=True)
+    ]
+    if out is not None:
+        write_json(out, f"synth_all_{part}_{n_envs}.json", result)
+    if as_json:
+        print_json(result)
+        return
+    table = Table(title=f"{n_envs:,} slots, {part}")
+    for heading in ("environment", "PEs", "word", "LUT", "FF", "BRAM36", "DSP"):
+        table.add_column(heading, justify="left" if heading == "environment" else "right", no_wrap=True)
+    for spec, usage in zip(specs, usages, strict=True):
+        figures = (usage.pe_num, usage.data_wl, usage.lut, usage.ff)
+        table.add_row(spec.name, *(f"{figure:,}" for figure in figures), f"{usage.bram36:g}", f"{usage.dsp}")
+    console.print(table)
 
 
 def _numbers(texts: list[str]) -> list[int]:

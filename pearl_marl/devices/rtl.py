@@ -19,18 +19,9 @@ from pearl_marl.devices.batch import BatchConfig
 from pearl_marl.devices.comm_bram import CommBram, Transport
 from pearl_marl.devices.model_build import library
 from pearl_marl.errors import ArgumentError, DeviceError
-from pearl_marl.memory_map import DATA_WIDTHS, MemoryMap, memory_map
-from pearl_marl.spec import EnvSpec, word_bits
+from pearl_marl.memory_map import MemoryMap, default_map
 
 PATHS = ("backdoor", "axi")
-
-MAX_DEFAULT_PE_NUM = 128
-"""More processing elements take fewer cycles, but each cycle takes longer to simulate, and the model
-longer to compile: 43,008 slots of CliffWalking step fastest with 128, 7 % slower with 64, 40 % with 256."""
-
-DEFAULT_GROUPS = 16
-"""With this many groups, a step's constant dozen of cycles no longer matters; so few slots make do
-with a small model, which compiles quickly."""
 
 # What simulation.cpp answers.
 _ANSWERS = {
@@ -42,28 +33,6 @@ _ANSWERS = {
 }
 
 
-def default_pe_num(spec: EnvSpec, n_envs: int) -> int:
-    """Return how many processing elements a design has if nobody says.
-
-    The smallest power of two that takes the slots in :data:`DEFAULT_GROUPS` groups; but no more than
-    the widest word can feed or drain in a cycle, and no more than :data:`MAX_DEFAULT_PE_NUM`.
-    """
-    least = -(-n_envs // DEFAULT_GROUPS)
-    fed = max(1, DATA_WIDTHS[-1] // _widest(spec))
-    return min(MAX_DEFAULT_PE_NUM, 1 << (fed.bit_length() - 1), 1 << (least - 1).bit_length())
-
-
-def default_data_wl(spec: EnvSpec, pe_num: int) -> int:
-    """Return the narrowest word that keeps up with a group of slots a cycle, or the widest there is."""
-    bits = pe_num * _widest(spec)
-    return next((width for width in DATA_WIDTHS if width >= bits), DATA_WIDTHS[-1])
-
-
-def _widest(spec: EnvSpec) -> int:
-    # Observations, rewards and terminations have a bank each, so the widest stream sets the pace.
-    return max(spec.action.bits, word_bits(spec.observation), spec.reward.bits)
-
-
 class Rtl(CommBram):
     """The simulated hardware.
 
@@ -73,9 +42,10 @@ class Rtl(CommBram):
     Parameters
     ----------
     pe_num
-        Processing elements, 1 to the number of slots; by default :func:`default_pe_num`.
+        Processing elements, 1 to the number of slots; by default those of
+        :func:`pearl_marl.memory_map.default_map`.
     data_wl
-        Bits of a word, a power of two from 32 to 1024; by default :func:`default_data_wl`.
+        Bits of a word, a power of two from 32 to 1024; likewise.
     path
         ``"backdoor"`` moves the bytes of a step straight into and out of the simulated memories,
         ``"axi"`` every one of them over the AXI port. The results are the same.
@@ -118,9 +88,8 @@ class Rtl(CommBram):
 
     def _connect(self, config: BatchConfig) -> tuple[Transport, MemoryMap]:
         spec, n = config.spec, int(config.n_envs)
-        pe_num = default_pe_num(spec, n) if self._pe_num is None else int(self._pe_num)
-        data_wl = default_data_wl(spec, pe_num) if self._data_wl is None else int(self._data_wl)
-        layout = memory_map(spec, n, pe_num, data_wl)
+        pe_num, data_wl = (None if value is None else int(value) for value in (self._pe_num, self._data_wl))
+        layout = default_map(spec, n, pe_num, data_wl)
         built = library(spec, layout, traced=self._trace is not None)
         self._simulation = Simulation(built, layout, self._path == "backdoor", self._trace)
         return self._simulation, layout

@@ -17,9 +17,8 @@ from gymnasium.vector import AutoresetMode
 
 from pearl_marl import cache, get_spec, hardware
 from pearl_marl.devices import BatchConfig, Lockstep, Native, Rtl, make_device, model_build, pyverilator_mends
-from pearl_marl.devices.rtl import default_data_wl, default_pe_num
 from pearl_marl.errors import ArgumentError, DeviceError, LockstepError
-from pearl_marl.memory_map import memory_map
+from pearl_marl.memory_map import default_map, memory_map
 from pearl_marl.spec import Field
 
 from ..helpers import assert_same_step, assert_same_trajectory, trajectory
@@ -66,9 +65,9 @@ def test_device_by_name() -> None:
 
 @pytest.mark.parametrize("n", [1, 7, 16, 17, 1000, 1024, 1025, 43008, 10**6])
 def test_default_parameters_are_legal(n: int) -> None:
-    pe_num = default_pe_num(SPEC, n)
-    memory_map(SPEC, n, pe_num, default_data_wl(SPEC, pe_num))
-    assert pe_num == 128 or -(-n // pe_num) <= 16
+    layout = default_map(SPEC, n)
+    assert layout.pe_num == 128 or layout.groups <= 16
+    assert layout.data_wl == 1024 or layout.pe_num * 6 <= layout.data_wl
 
 
 @pytest.mark.parametrize(

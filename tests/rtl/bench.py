@@ -17,11 +17,16 @@ async def start(dut: Any, **idle: int) -> None:
     for name, value in idle.items():
         getattr(dut, name).value = value
     if hasattr(dut, "rst_ni"):
-        dut.rst_ni.value = 0
-        # Long enough to flush the pipeline.
-        await ClockCycles(dut.clk_i, 20)
-        dut.rst_ni.value = 1
+        await reset(dut)
     await ClockCycles(dut.clk_i, 2)
+
+
+async def reset(dut: Any) -> None:
+    """Go through a reset that is long enough to flush the pipeline."""
+    dut.rst_ni.value = 0
+    await ClockCycles(dut.clk_i, 20)
+    dut.rst_ni.value = 1
+    await ClockCycles(dut.clk_i, 1)
 
 
 def spec_of(name: str, options: dict[str, Any]) -> Any:

@@ -9,7 +9,7 @@ from typing import Any
 import cocotb
 import harness
 import numpy as np
-from bench import axi_master, spec_of, start
+from bench import axi_master, reset, spec_of, start
 from cocotb.triggers import ClockCycles, FallingEdge, with_timeout
 from cocotbext.axi.constants import AxiResp
 from model import ELAPSED, TER, Model, unpack_region
@@ -77,8 +77,8 @@ class Host:
         words[Doorbell.MODE], words[Doorbell.SEQUENCE] = mode, self.sequence
         return struct.pack("<2I", *words)
 
-    async def status(self) -> list[int]:
-        data = await self.read(LAYOUT["status"].offset, 4 * len(Status))
+    async def status(self, **kind: Any) -> list[int]:
+        data = await self.read(LAYOUT["status"].offset, 4 * len(Status), **kind)
         return list(struct.unpack("<3I", data))
 
     async def ring(self, mode: Mode, mask: Any, actions: Any) -> None:
@@ -88,10 +88,10 @@ class Host:
         data += model.bytes_of("actions", (SPEC.action,), [actions])
         await self.write(LAYOUT["reset_mask"].offset, data + self.doorbell(mode))
 
-    async def finish(self) -> list[int]:
+    async def finish(self, **kind: Any) -> list[int]:
         """Poll until the step is done; return its status."""
         for _ in range(1000):
-            status = await self.status()
+            status = await self.status(**kind)
             if status[Status.SEQUENCE] == self.sequence:
                 assert self.dut.irq_o.value == 1
                 return status
@@ -218,6 +218,26 @@ async def status_waits_for_the_last_word(dut: Any) -> None:
         done |= inside.u_sequencer.done_o.value == 1
         assert not (done and any(bank.we.value == 1 for bank in banks)), "a word was written after the status"
     assert (await host.status())[Status.SEQUENCE] == host.sequence
+
+
+# Nothing here depends on how many groups there are, and many take many polls.
+@cocotb.test(skip=LAYOUT.groups > 10)
+async def a_status_is_of_one_step(dut: Any) -> None:
+    """Whenever polling starts, and however narrow its beats, cycles come with their sequence number."""
+    await start(dut)
+    host = Host(dut)
+    n = LAYOUT.n_envs
+    nobody, actions = np.zeros(n, bool), np.zeros(n, np.uint8)
+    for beat in {2, WORD.bit_length() - 1}:
+        # Longer than a poll takes, so that the step ends between any two of its words.
+        for delay in range(20):
+            # After a reset the cycles of the last step are 0, and not those of a step.
+            await reset(dut)
+            await host.ring(Mode.RESET_ALL, nobody, actions)
+            await ClockCycles(dut.clk_i, delay + 1)
+            status = await host.finish(size=beat)
+            assert status == await host.status()
+            assert status[Status.CYCLES] >= LAYOUT.groups
 
 
 @cocotb.test

@@ -54,6 +54,18 @@ def test_row_memory(rows: int, row: int, word: int, tmp_path: Path) -> None:
     run(design, "bench_row_memory", tmp_path, rows=rows, row=row, word=word)
 
 
+@pytest.mark.parametrize(("shift", "addend"), [(1, 0), (30, 0), (30, -(1 << 31)), (32, 86699678), (62, 0)])
+def test_fixed_multiply(shift: int, addend: int, tmp_path: Path) -> None:
+    parameters = {"SHIFT": shift, "ADDEND": addend}
+    design = module("pearl_fixed_multiply", **parameters)
+    run(design, "bench_fixed", tmp_path, top=design.top, latency=3, **parameters)
+
+
+@pytest.mark.parametrize(("top", "latency"), [("pearl_sine_cosine", 17), ("pearl_reciprocal", 19)])
+def test_fixed_point(top: str, latency: int, tmp_path: Path) -> None:
+    run(module(top), "bench_fixed", tmp_path, top=top, latency=latency)
+
+
 @pytest.mark.parametrize("depth", [2, 8])
 def test_fifo(depth: int, tmp_path: Path) -> None:
     run(module("pearl_fifo", DEPTH=depth), "bench_fifo", tmp_path, depth=depth)

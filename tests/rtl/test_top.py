@@ -17,7 +17,7 @@ from pearl_marl.memory_map import memory_map
         # Ratios of row to word: a whole number of rows to a word, of words to a row, neither; a last
         # group that is full, and one that is not; one group only; one slot only.
         ("CliffWalking", {}, (1, 1, 32), 0.0, 4),
-        ("CliffWalking", {}, (7, 4, 32), 0.3, 8),
+        ("CliffWalking", {}, (7, 4, 32), 0.2, 8),
         ("CliffWalking", {"is_slippery": True}, (60, 7, 32), 0.0, 6),
         ("CliffWalking", {}, (1000, 16, 64), 0.0, 4),
         ("CliffWalking", {"is_slippery": True}, (1024, 16, 128), 0.0, 3),

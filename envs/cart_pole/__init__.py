@@ -1,0 +1,1 @@
+"""CartPole: balance a pole on a cart, in fixed point. Read ``step.py`` first, then ``spec.py``."""
