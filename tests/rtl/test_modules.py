@@ -96,6 +96,9 @@ LAKE = {"desc": ["SFHSFGSF", "GHSFFFFH", "FSHFHSFF"]}
         ("FrozenLake", {"map_name": "8x8", "success_rate": 0.8}, 3, 1),
         ("FrozenLake", {**LAKE, "is_slippery": False}, 3, 1),
         ("FrozenLake", {**LAKE, "success_rate": 0}, 3, 1),
+        ("Taxi", {}, 5, 1),
+        ("Taxi", {"fickle_passenger": True, "fickle_probability": 0.5}, 5, 1),
+        ("Taxi", {"fickle_passenger": True, "is_rainy": True}, 5, 1),
         ("ShiftAdd", {}, 4, 4),
     ],
 )
