@@ -130,6 +130,9 @@ LAKE = {"desc": ["SFHSFGSF", "GHSFFFFH", "FSHFHSFF"]}
         ("MountainCar", {"goal_velocity": 0.01}, 29, 1),
         ("Seaquest", {}, 9, 1),
         ("Seaquest", {"sticky_action_prob": 0.9, "difficulty_ramping": False}, 9, 1),
+        ("Taxi", {}, 5, 1),
+        ("Taxi", {"fickle_passenger": True, "fickle_probability": 0.5}, 5, 1),
+        ("Taxi", {"fickle_passenger": True, "is_rainy": True}, 5, 1),
         ("ShiftAdd", {}, 4, 4),
     ],
 )
