@@ -12,13 +12,18 @@ from pathlib import Path
 from typing import Any
 from unittest import mock
 
+import numpy as np
 import pytest
 
 import pearl_marl
 from pearl_marl import cli, hardware, toolchain
-from pearl_marl.errors import ArgumentError
+from pearl_marl.devices import BatchConfig, Lockstep
+from pearl_marl.errors import ArgumentError, LockstepError
 from pearl_marl.memory_map import memory_map
 from pearl_marl.registry import _specs
+from pearl_marl.testing import trajectory
+
+from .devices.broken import Flips
 
 ROOT = Path(__file__).parents[1]
 LONG = "AutonomousWarehouseRobot"
@@ -47,8 +52,12 @@ def registry(tmp_path: Path) -> Iterator[None]:
     """Forget what a test registers and imports from its folder."""
     with mock.patch.dict(_specs()):
         yield
+    forget(tmp_path)
+
+
+def forget(folder: Path) -> None:
     for name, module in list(sys.modules.items()):
-        if str(getattr(module, "__file__", None)).startswith(str(tmp_path)):
+        if str(getattr(module, "__file__", None)).startswith(str(folder)):
             del sys.modules[name]
 
 
@@ -108,6 +117,29 @@ def test_a_name_with_its_module(pearl: Any, tmp_path: Path, monkeypatch: pytest.
     assert "TwoRooms" in pearl_marl.envs()
     assert len(pearl_marl.make_vec("two_rooms:TwoRooms", 3).reset(seed=0)[0]) == 3
     assert pearl("run", "two_rooms:TwoRooms", "--n-agents", 5, "--steps", 5)[0] == 0
+
+
+@pytest.mark.usefixtures("registry")
+def test_replays_find_the_environments_package(
+    pearl: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pearl("new", "TwoRooms")
+    monkeypatch.syspath_prepend(tmp_path / "two_rooms")
+    spec = pearl_marl.get_spec("two_rooms:TwoRooms")
+    broken = Flips("rewards", tick=2, slot=3)
+    lockstep = Lockstep(broken, "reference").open(BatchConfig(spec=spec, n_envs=5))
+    lockstep.reset(seed=0)
+    with pytest.raises(LockstepError) as caught:
+        trajectory(lockstep, np.zeros((3, 5), np.uint8))
+    file = tmp_path / "divergence.json"
+    caught.value.replay.write(file)
+    forget(tmp_path)
+    _specs().pop("tworooms")
+    status, out, err = pearl("verify", file)
+    assert (status, "The divergence is gone" in out) == (2, False), out + err  # of the device, there is none
+    status, out, err = pearl("verify", file, "--device", "native")
+    assert status == 0, err
+    assert "The divergence is gone" in out
 
 
 @pytest.mark.usefixtures("registry")

@@ -27,7 +27,7 @@ module my_environment_pe
   import my_environment_pkg::*;
 #(
     // Of eight steps, how many the robot stays where it is: the option `slip`.
-    parameter int unsigned SLIP = 1
+    parameter int SLIP = 1
 ) (
     input logic               clk_i,
     input logic               rst_ni,
@@ -62,7 +62,7 @@ module my_environment_pe
   logic unused_rng;
 
   assign from_d = first_i ? state_t'{cell_number: FIRST_START + {1'b0, rng_i[0][31:29]}} : state_i;
-  assign moves_d = !hold_i & {29'b0, rng_i[1][31:29]} >= SLIP;
+  assign moves_d = !hold_i & int'(rng_i[1][31:29]) >= SLIP;
   assign unused_rng = ^{rng_i[0][28:0], rng_i[1][28:0]};
 
   always_ff @(posedge clk_i) begin
