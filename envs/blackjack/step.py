@@ -66,17 +66,20 @@ def make_step(natural_pays: bool, natural_wins: bool) -> GoldenFunction:
         hit = u8(action)
         hit_mask = u8(u8(0) - hit)
 
-        dealer, dealer_ace = _add(*_add(u8(0), u8(0), showing), hidden)
+        least = u8(showing + hidden)  # of the dealer's hand, its aces counting 1
+        has_ace = u8(u8(showing == 1) | u8(hidden == 1))
         # No card beats a natural of the dealer's, and it takes none.
-        wins_outright = u8(u8(natural & u8(wins)) & u8(dealer != 21))
+        wins_outright = u8(u8(natural & u8(wins)) & u8(_total(least, has_ace) != 21))
         for k in range(MOST_DRAWN):
             number = u64(number * u64(RANKS))
             card = _value(u64(number >> u64(FRACTION)))
             number = u64(number & u64((1 << FRACTION) - 1))
-            if k == 0:  # of the loop's counter: this is no choice on data
+            if k == 0:  # no choice on data: the compiler unrolls the loop
                 player, ace = _add(player, ace, u8(card & hit_mask))
-            dealer, dealer_ace = _add(dealer, dealer_ace, u8(card & u8(u8(0) - u8(dealer < STANDS_ON))))
+            card = u8(card & u8(u8(0) - u8(_total(least, has_ace) < STANDS_ON)))
+            least, has_ace = u8(least + card), u8(has_ace | u8(card == 1))
 
+        dealer = _total(least, has_ace)
         bust = u8(player > 21)
         dealer = u8(dealer & u8(u8(0) - u8(dealer <= 21)))
         won = u8(u8(player > dealer) | wins_outright)
@@ -103,8 +106,14 @@ def _value(rank: Word) -> Word:
     return u8(u8(u8(rank & u8(~over)) | u8(u8(9) & over)) + u8(1))
 
 
+def _total(least: Word, has_ace: Word) -> Word:
+    """Return the total of a hand that comes to ``least`` if all aces count 1."""
+    return u8(least + u8(u8(10) & u8(u8(0) - u8(has_ace & u8(least <= 11)))))
+
+
 def _add(total: Word, ace: Word, card: Word) -> tuple[Word, Word]:
     """Add a card to a hand, or none where ``card`` is 0; return its total and whether an ace counts 11."""
-    least = u8(u8(total - u8(ace * u8(10))) + card)
-    ace = u8(u8(ace | u8(card == 1)) & u8(least <= 11))
-    return u8(least + u8(ace * u8(10))), ace
+    # The five bits matter for hands that nobody holds: hardware wraps around there.
+    least = u8(u8(u8(total - u8(u8(10) & u8(u8(0) - ace))) + card) & u8(31))
+    has_ace = u8(ace | u8(card == 1))
+    return _total(least, has_ace), u8(has_ace & u8(least <= 11))

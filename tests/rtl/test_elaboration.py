@@ -46,6 +46,7 @@ def test_lint_is_clean(env: str, size: tuple[int, int, int]) -> None:
         ("CliffWalking", {"is_slippery": True}),
         ("FrozenLake", {"map_name": "8x8", "success_rate": 0}),
         ("FrozenLake", {"desc": ["SFSF", "GHSF"], "success_rate": 1}),
+        ("Blackjack", {"sab": False, "natural": True}),
         ("Taxi", {"is_rainy": True}),
         ("Taxi", {"fickle_passenger": True}),
         ("Taxi", {"is_rainy": True, "rainy_probability": 0, "fickle_passenger": True}),

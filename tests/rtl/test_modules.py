@@ -133,6 +133,8 @@ LAKE = {"desc": ["SFHSFGSF", "GHSFFFFH", "FSHFHSFF"]}
         ("Taxi", {}, 5, 1),
         ("Taxi", {"fickle_passenger": True, "fickle_probability": 0.5}, 5, 1),
         ("Taxi", {"fickle_passenger": True, "is_rainy": True}, 5, 1),
+        ("Blackjack", {}, 17, 1),
+        ("Blackjack", {"sab": False, "natural": True}, 17, 1),
         ("ShiftAdd", {}, 4, 4),
     ],
 )
