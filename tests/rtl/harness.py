@@ -57,18 +57,30 @@ def _digest(*parts: Any) -> str:
 
 
 def module(top: str, **parameters: int) -> Design:
-    """A module of the backbone, or a bench's own top, that contains no core, and the files it needs.
+    """A module of the backbone, or a bench's own top, that contains no core, and the files it needs."""
+    own = HERE / f"{top}.sv"
+    return Design(top, _with_needed(top, [own] if own.exists() else []), parameters)
+
+
+def core(spec: EnvSpec) -> Design:
+    """An environment's core alone, and the files it needs."""
+    path = hardware.core_path(spec)
+    return Design(path.stem, _with_needed(path.stem, [path]), hardware.core_parameters(spec))
+
+
+def _with_needed(top: str, last: list[Path]) -> tuple[Path, ...]:
+    """Return the file of ``top`` and those of the modules in it; ``last`` are those beside the backbone's.
 
     Not every file there is, so that a change of one module leaves the builds of others in the cache.
     """
-    files = {path.stem: path for path in (*hardware.backbone_paths(), HERE / f"{top}.sv") if path.exists()}
+    files = {path.stem: path for path in (*hardware.backbone_paths(), *last)}
     needed, waiting = set(), [top]
     while waiting:
         name = waiting.pop()
         needed.add(name)
         mentioned = re.findall(r"\bpearl_\w+", re.sub("//.*", "", files[name].read_text()))
         waiting += [other for other in mentioned if other in files and other not in needed]
-    return Design(top, tuple(path for name, path in files.items() if name in needed), parameters)
+    return tuple(path for name, path in files.items() if name in needed)
 
 
 def whole(spec: EnvSpec, layout: MemoryMap, top: str = "pearl_top") -> Design:

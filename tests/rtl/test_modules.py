@@ -7,9 +7,7 @@ from typing import Any
 
 import pytest
 from bench import spec_of
-from harness import Design, module, run
-
-from pearl_marl import hardware
+from harness import core, module, run
 
 # Row and word: equal, dividing either way, sharing a factor, sharing none; wider and narrower rows.
 RATIOS = [(32, 32), (8, 32), (96, 32), (64, 128), (48, 32), (24, 32), (42, 32), (7, 32), (99, 64), (1, 32)]
@@ -139,8 +137,13 @@ LAKE = {"desc": ["SFHSFGSF", "GHSFFFFH", "FSHFHSFF"]}
     ],
 )
 def test_core(env: str, options: dict[str, Any], latency: int, ii: int, tmp_path: Path) -> None:
-    spec = spec_of(env, options)
-    path = hardware.core_path(spec)
-    sources = (*module(path.stem).sources, path)
-    design = Design(path.stem, sources, hardware.core_parameters(spec))
-    run(design, "bench_core", tmp_path, env=env, options=options, latency=latency, ii=ii, limit=25_000)
+    run(
+        core(spec_of(env, options)),
+        "bench_core",
+        tmp_path,
+        env=env,
+        options=options,
+        latency=latency,
+        ii=ii,
+        limit=25_000,
+    )
