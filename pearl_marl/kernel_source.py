@@ -111,7 +111,7 @@ def step(
         for i in range(flag_words.size):
             any_ended |= flag_words[i]
         if any_ended and not next_step:
-            F = final[b : b + m]
+            F = final$BLOCK_ROWS
             for i in range(m):
                 $copy_observation
             $start_over
@@ -195,8 +195,12 @@ def kernel_source(spec: EnvSpec) -> str:
         *(f"    {line}" for line in choose([f"{new_state} = initial({_list('draw_{}[i]', reset_draws)})"])),
     ]
 
-    flat = not spec.observation_shape
     rows = _rows(spec)
+    size = spec.observation_size
+
+    def element(array: str, k: int) -> str:
+        # A constant stride: LLVM does not vectorise over one that it only knows at run time.
+        return f"{array}[{f'{size} * i + {k}' if size > 1 else 'i'}]"
 
     def deliver(target: str, word: str) -> list[str]:
         if spec.unpack is not None:
@@ -207,12 +211,12 @@ def kernel_source(spec: EnvSpec) -> str:
         for k, f in enumerate(spec.observation):
             scale = f" * np.{dtype}({2.0**-f.fraction!r})" if f.fraction else ""
             value = f"np.{dtype}(np.{f.dtype}({word.format(k)})){scale}"
-            lines.append(f"{target}[i{'' if flat else f', {k}'}] = {value}")
+            lines.append(f"{element(target, k)} = {value}")
         return lines
 
     observe_slot = [f"{_list('o{}', observed)} = observe({state})", *deliver("O", "o{}")]
     observe = ["for i in range(m):", *_indented(observe_slot)]
-    copy = ["F[i] = O[i]"] if flat else [f"F[i, {k}] = O[i, {k}]" for k in observed]
+    copy = [f"{element('F', k)} = {element('O', k)}" for k in observed]
     observe_ended = observe
     if spec.unpack is not None:
         # Observations so large that those of the other slots cost more than a branch.
@@ -239,6 +243,7 @@ def kernel_source(spec: EnvSpec) -> str:
         *(f"{c.name} = memory{span(c)}" for c in columns),
     ]
     state_views = [f"S{k} = state_{k}[b : b + m]" for k in fields]
+    block_rows = f"[{size} * b : {size} * (b + m)]" if spec.unpack is None and size > 1 else "[b : b + m]"
     parts = {
         "views": [*views, *(f"stored_{k} = stored{span(columns[k])}" for k in fields)],
         "views_of_state": views[: 1 + len(spec.state)],
@@ -247,7 +252,7 @@ def kernel_source(spec: EnvSpec) -> str:
             *state_views,
             "E = elapsed[b : b + m]",
             "N = ended[b : b + m]",
-            "O = observed[b : b + m]",
+            f"O = observed{block_rows}",
         ],
         "reset_scratch": [f"draw_{d} = np.empty({BLOCK}, np.uint32)" for d in reset_draws],
         "step_scratch": [f"draw_{d} = np.empty({BLOCK}, np.uint32)" for d in step_draws],
@@ -276,6 +281,7 @@ def kernel_source(spec: EnvSpec) -> str:
         "REWARD_DTYPE": str(spec.reward.dtype),
         "OBSERVED": rows.format("observations"),
         "FINAL": rows.format("final_observations"),
+        "BLOCK_ROWS": block_rows,
         "words": _list("words_{}", observed),
     }
     text = re.sub(r"\$([A-Z_]+|words)", lambda match: words[match[1]], TEMPLATE)
@@ -288,10 +294,12 @@ def kernel_source(spec: EnvSpec) -> str:
 
 
 def _rows(spec: EnvSpec) -> str:
-    """Return the expression that makes a flat row a slot of an array of observations."""
+    """Return the expression that makes an array of observations flat, or for ``unpack`` a row a slot."""
     rows = "{0}"
     if spec.observation_dtype == np.bool_:
         rows += ".view(np.uint8)"
+    if spec.unpack is None:
+        return rows + ".reshape({0}.size)"
     if len(spec.observation_shape) > 1:
         rows += f".reshape(({{0}}.shape[0], {spec.observation_size}))"
     return rows

