@@ -71,7 +71,7 @@ class GoldenContract:
 
         In ``NEXT_STEP`` mode it steps from ended states too, though nobody sees where to.
         """
-        n, steps = 256, 120
+        n, steps = 256, 80
         device = Reference().open(BatchConfig(spec=spec, n_envs=n, autoreset_mode=mode))
         assert contains_all(spec.observation_space, device.reset(seed=1))
         for actions in sticky_actions(spec, n, steps, seed=2):
