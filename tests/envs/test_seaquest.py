@@ -147,12 +147,16 @@ def bobbing(match: Match, generator: np.random.Generator) -> Array:
     return np.where(generator.random(match.n) < 0.1, generator.integers(6, size=match.n), up_and_down)
 
 
-@pytest.mark.parametrize("policy", [at_random, careful])
 @pytest.mark.parametrize(
-    ("n", "steps", "episodes"),
-    [(24, 100, 20), pytest.param(64, 1200, 1000, marks=pytest.mark.slow)],
+    ("policy", "n", "steps", "episodes"),
+    [
+        (at_random, 24, 100, 50),
+        (careful, 24, 100, 15),
+        pytest.param(at_random, 64, 1200, 2000, marks=pytest.mark.slow),
+        pytest.param(careful, 64, 1200, 400, marks=pytest.mark.slow),
+    ],
 )
-def test_whole_episodes(n: int, steps: int, episodes: int, policy: Policy) -> None:
+def test_whole_episodes(policy: Policy, n: int, steps: int, episodes: int) -> None:
     generator, match = np.random.default_rng(1), Match(n)
     for _ in range(steps):
         match.step(policy(match, generator), *draw_some(generator, n))
