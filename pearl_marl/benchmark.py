@@ -6,6 +6,7 @@ does so for all of them, and the median round is quoted.
 
 from __future__ import annotations
 
+import importlib
 import os
 import platform
 import statistics
@@ -254,8 +255,11 @@ def _peers(spec: EnvSpec, n: int) -> list[Contender]:
     def vectorised(mode: str, count: int) -> Callable[[], Callable[[], Any]]:
         def make() -> Callable[[], Any]:
             name = required("Gymnasium")
-            if mode == "vector_entry_point" and gymnasium.spec(name).vector_entry_point is None:
-                raise UnavailableError(f"Gymnasium has no vectorised {name}")
+            module, _, env_id = name.rpartition(":")
+            if module:  # registers it
+                importlib.import_module(module)
+            if mode == "vector_entry_point" and gymnasium.spec(env_id).vector_entry_point is None:
+                raise UnavailableError(f"Gymnasium has no vectorised {env_id}")
             envs = gymnasium.make_vec(name, num_envs=count, vectorization_mode=mode, **options)
             envs.reset(seed=0)
             given = actions(count, envs.single_action_space.dtype)
