@@ -12,6 +12,7 @@ from gymnasium.spaces import Box, Discrete
 
 from pearl_marl.cache import compiled
 from pearl_marl.errors import ActionError
+from pearl_marl.golden import uniform_below
 from pearl_marl.spec import EnvSpec
 
 
@@ -106,6 +107,15 @@ def random_actions(spec: EnvSpec, rng: np.random.Generator, n: int) -> npt.NDArr
     if isinstance(space, Box):
         return rng.uniform(space.low, space.high, (n, 1)).astype(np.float32)
     return rng.integers(space.n, size=n, dtype=spec.action.dtype)
+
+
+def random_numbers(space: Discrete | Box, draws: npt.NDArray[np.uint32]) -> npt.NDArray[Any]:
+    """Return an action for each uniform ``u32``, shape ``(n, *space.shape)``, in ``space.dtype``."""
+    if isinstance(space, Box):
+        share = (draws / 2.0**32).reshape(-1, *(1,) * len(space.shape))
+        return (space.low + share * (space.high - space.low)).astype(space.dtype)
+    numbers: npt.NDArray[Any] = uniform_below(draws, space.n).astype(np.int64) + space.start
+    return numbers
 
 
 def _limits(space: Discrete | Box) -> str:

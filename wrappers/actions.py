@@ -1,0 +1,195 @@
+"""Wrappers that change actions, each as SuperSuit's of the same name unless it says otherwise."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from gymnasium.spaces import Box, Discrete, Space
+
+from pearl_marl.actions import random_numbers
+from pearl_marl.devices import BatchStep
+from pearl_marl.errors import ArgumentError
+
+from .base import Array, Batch, Env, Mask, Transform, wrap
+
+
+class _Mapped(Transform):
+    """Actions through a function of whole batches."""
+
+    action_kinds = "iuf"
+
+    def __init__(
+        self, batch: Batch, observation_space: Space[Any], action_space: Any, change: Callable[[Array], Array]
+    ) -> None:
+        super().__init__(batch, observation_space, action_space)
+        self._change = change
+
+    def actions(self, actions: Array) -> Array:
+        return self._change(actions)
+
+
+def action_lambda_v1(
+    env: Env,
+    change_action_fn: Callable[[Array, Any], Array],
+    change_space_fn: Callable[[Any], Discrete | Box],
+) -> Any:
+    """Change actions by a function of the whole batch.
+
+    Parameters
+    ----------
+    env
+        The environment.
+    change_action_fn
+        Takes actions of shape ``(n, ...)`` and one slot's space inside; returns as many rows for there.
+    change_space_fn
+        Takes one slot's space inside and returns the one to show.
+    """
+
+    def make(batch: Batch, space: Space[Any], action_space: Any) -> Transform:
+        def change(actions: Array) -> Array:
+            return np.asarray(change_action_fn(actions, action_space))
+
+        return _Mapped(batch, space, change_space_fn(action_space), change)
+
+    return wrap(env, make)
+
+
+def clip_actions_v0(env: Env) -> Any:
+    """Move actions beyond the bounds of their ``Box`` to the bounds."""
+
+    def make(batch: Batch, space: Space[Any], action_space: Any) -> Transform:
+        limits = _box(action_space, "clip_actions_v0")
+        return _Mapped(batch, space, limits, lambda actions: np.clip(actions, limits.low, limits.high))
+
+    return wrap(env, make)
+
+
+def scale_actions_v0(env: Env, scale: float) -> Any:
+    """Multiply actions in a ``Box`` by ``scale``.
+
+    As in SuperSuit the bounds shown are those inside times ``scale`` too, so it is for policies whose
+    actions are ``scale`` times too small: put :func:`clip_actions_v0` inside to catch larger ones.
+    """
+
+    def make(batch: Batch, space: Space[Any], action_space: Any) -> Transform:
+        old = _box(action_space, "scale_actions_v0")
+        if not np.isfinite(scale) or scale <= 0:
+            raise ArgumentError(f"scale is {scale!r}; it must be a positive number")
+        new = Box(old.low * scale, old.high * scale, dtype=np.float32)
+        return _Mapped(batch, space, new, lambda actions: actions * np.float32(scale))
+
+    return wrap(env, make)
+
+
+def pad_action_space_v0(env: Env) -> Any:
+    """Pad action spaces to the largest agent's. Here all are alike, so this returns ``env`` as it is."""
+    return env
+
+
+class _NoNans(Transform):
+    """Something else in place of actions that are not a number."""
+
+    action_kinds = "iuf"
+
+    def actions(self, actions: Array) -> Array:
+        if actions.dtype.kind != "f" or not (nan := np.isnan(actions)).any():
+            return actions
+        rows = nan.reshape(len(nan), -1).any(1)
+        given = actions.copy()
+        given[rows] = self.instead(given)[rows]
+        if isinstance(self.action_space, Discrete):
+            whole = given.astype(np.int64)
+            # Other fractions stay, for the environment to refuse.
+            return whole if np.array_equal(whole, given) else given
+        return given
+
+    def instead(self, actions: Array) -> Array:
+        raise NotImplementedError
+
+
+class _NanNoop(_NoNans):
+    def __init__(self, batch: Batch, space: Space[Any], action_space: Any, action: Any) -> None:
+        super().__init__(batch, space, action_space)
+        self._action = np.asarray(action)
+
+    def instead(self, actions: Array) -> Array:
+        return np.broadcast_to(self._action.astype(actions.dtype), actions.shape)
+
+
+class _NanRandom(_NoNans):
+    def instead(self, actions: Array) -> Array:
+        return random_numbers(self.action_space, self.draws(0)).astype(actions.dtype)
+
+
+def nan_noop_v0(env: Env, no_op_action: Any) -> Any:
+    """Take ``no_op_action`` where an action is not a number."""
+
+    def make(batch: Batch, space: Space[Any], action_space: Any) -> Transform:
+        if no_op_action not in action_space:
+            raise ArgumentError(f"no_op_action is {no_op_action!r}, which is not in {action_space}")
+        return _NanNoop(batch, space, action_space, no_op_action)
+
+    return wrap(env, make)
+
+
+def nan_zeros_v0(env: Env) -> Any:
+    """Take zero where an action is not a number."""
+    return wrap(
+        env, lambda batch, space, actions: _NanNoop(batch, space, actions, np.zeros(actions.shape or ()))
+    )
+
+
+def nan_random_v0(env: Env) -> Any:
+    """Take a random action where one is not a number, drawn for each agent and step from the seed."""
+    return wrap(env, _NanRandom)
+
+
+class _Sticky(Transform):
+    """Now and then the action of the step before; never in the first step of an episode."""
+
+    def __init__(self, batch: Batch, space: Space[Any], action_space: Any, probability: float) -> None:
+        super().__init__(batch, space, action_space)
+        self._below = round(probability * 2**32)
+        dtype = np.float64 if isinstance(action_space, Box) else np.int64
+        self._taken = np.zeros((self.n, *(action_space.shape or ())), dtype)
+        self._may_stick = np.zeros(self.n, np.bool_)
+        self.memory = {"taken": self._taken, "may_stick": self._may_stick}
+        self._given: Array = self._taken
+
+    def actions(self, actions: Array) -> Array:
+        if actions.shape != self._taken.shape:
+            return actions  # for the environment to refuse
+        sticks = self._may_stick & (self.draws(0) < self._below)
+        self._given = np.where(sticks.reshape(-1, *(1,) * (actions.ndim - 1)), self._taken, actions)
+        return self._given
+
+    def results(self, step: BatchStep) -> BatchStep:
+        # Only now is it sure that the environment took them.
+        self._taken[...] = self._given
+        self._may_stick[:] = True
+        return super().results(step)
+
+    def episode_began(self, began: Mask) -> None:
+        self._may_stick[began] = False
+
+
+def sticky_actions_v0(env: Env, repeat_action_probability: float) -> Any:
+    """Repeat an agent's last action with a probability, drawn for each agent and step from the seed.
+
+    SuperSuit draws the same for every agent if there is a seed.
+    """
+    if not 0 <= repeat_action_probability < 1:
+        raise ArgumentError(
+            f"repeat_action_probability is {repeat_action_probability!r}; it must be in [0, 1)"
+        )
+    return wrap(
+        env, lambda batch, space, actions: _Sticky(batch, space, actions, float(repeat_action_probability))
+    )
+
+
+def _box(space: Any, name: str) -> Box:
+    if not isinstance(space, Box):
+        raise ArgumentError(f"{name} takes actions in a Box, not {space}")
+    return space
