@@ -58,9 +58,14 @@ def multiply(a: Word, b: Word, shift: int) -> Word:
     return i32(i64(i64(product + i64(1 << (shift - 1))) >> i64(shift)))
 
 
-def saturating_add(a: Word, b: Word, low: int = -(1 << 31), high: int = (1 << 31) - 1) -> Word:
-    """Return ``a + b`` of two ``i32``, or the nearest of ``low .. high``: by default, of all ``i32``."""
-    return i32(np.minimum(np.maximum(i64(i64(a) + i64(b)), i64(low)), i64(high)))
+def clip(x: Word, low: int, high: int) -> Word:
+    """Return the nearest of ``low .. high``, which are words, to an ``i64``; an ``i32``."""
+    return i32(np.minimum(np.maximum(i64(x), i64(low)), i64(high)))
+
+
+def saturating_add(a: Word, b: Word) -> Word:
+    """Return the nearest ``i32`` to the sum of two."""
+    return clip(i64(i64(a) + i64(b)), -(1 << 31), (1 << 31) - 1)
 
 
 def sine_cosine(turns: Word) -> tuple[Word, Word]:
@@ -73,7 +78,7 @@ def sine_cosine(turns: Word) -> tuple[Word, Word]:
 
     Returns
     -------
-    Two ``i32`` of -1 to 1, each within 3e-9 of the truth. Zeros and ones are exact.
+    Two ``i32`` of -1 to 1, each within 4e-9 of the truth. Zeros and ones are exact.
     """
     turned = u32(u32(turns) + u32(1 << 29))  # by an eighth, so that quadrants begin where they are cut
     quadrant = i32(turned >> u32(30))

@@ -1,6 +1,8 @@
 // Everything but the bus: the memories and registers behind one memory port, and the pipeline that
 // takes all slots through one step when the doorbell rings.
 //
+// pearl_top has checked the parameters that the bus shares; those that only the backbone has, it
+// checks itself.
 // Reset has to last LATENCY + 4 cycles (the core's LATENCY): what is in the pipeline is flushed, not
 // reset, so that its delays can be shift-register LUTs.
 module pearl_backbone
@@ -72,15 +74,6 @@ module pearl_backbone
   localparam int unsigned STATE_COLUMNS_LOG2 = $clog2(ceil_div(PE_NUM * SLOT_BITS, DATA_WL));
   localparam int unsigned ELAPSED_COLUMNS_LOG2 = $clog2(ceil_div(PE_NUM * ELAPSED_BITS, DATA_WL));
 
-  if (N_ENVS < 1) begin : gen_illegal_n_envs
-    $error("N_ENVS is %0d; there must be at least 1 slot", N_ENVS);
-  end
-  if (PE_NUM < 1 || PE_NUM > N_ENVS) begin : gen_illegal_pe_num
-    $error("PE_NUM is %0d; possible are 1 to N_ENVS = %0d", PE_NUM, N_ENVS);
-  end
-  if (DATA_WL < 32 || DATA_WL > 1024 || DATA_WL != 2 ** $clog2(DATA_WL)) begin : gen_illegal_data_wl
-    $error("DATA_WL is %0d; possible are the powers of two from 32 to 1024", DATA_WL);
-  end
   if (LATENCY < 1 || II < 1) begin : gen_illegal_timing
     $error("the core states LATENCY %0d and II %0d; both must be at least 1", LATENCY, II);
   end

@@ -14,12 +14,16 @@ module pearl_delay #(
     assign unused_clk = clk_i;
     assign d_o = d_i;
   end else begin : gen_stages
-    logic [STAGES-1:0][WIDTH-1:0] stages_q;
-    always_ff @(posedge clk_i) begin
-      stages_q[0] <= d_i;
-      for (int unsigned i = 1; i < STAGES; i++) stages_q[i] <= stages_q[i-1];
+    // A signal a stage: of one array of them all, Verilator makes several times as much code.
+    for (genvar i = 0; i < STAGES; i++) begin : gen_stage
+      logic [WIDTH-1:0] value_q;
+      if (i == 0) begin : gen_first
+        always_ff @(posedge clk_i) value_q <= d_i;
+      end else begin : gen_next
+        always_ff @(posedge clk_i) value_q <= gen_stage[i-1].value_q;
+      end
     end
-    assign d_o = stages_q[STAGES-1];
+    assign d_o = gen_stage[STAGES-1].value_q;
   end
 
 endmodule

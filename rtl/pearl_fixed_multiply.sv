@@ -26,26 +26,28 @@ module pearl_fixed_multiply
 
   localparam logic signed [63:0] OFFSET = (64'(ADDEND) << SHIFT) + (64'sd1 << (SHIFT - 1));
 
+  fixed_t a_q, b_q, product_q;
   // Upper halves are signed, lower halves are not: 17 bits hold either.
-  logic signed [16:0] a_high_q, a_low_q, b_high_q, b_low_q;
+  logic signed [16:0] a_high, a_low, b_high, b_low;
   logic signed [33:0] high_q, middle_0_q, middle_1_q, low_q;
-  logic signed [63:0] sum_d;
-  fixed_t product_q;
+  logic signed [63:0] sum;
 
-  assign sum_d = {high_q[31:0], low_q[31:0]} + (64'(middle_0_q) <<< 16) + (64'(middle_1_q) <<< 16) + OFFSET;
+  assign a_high = {a_q[31], a_q[31:16]};
+  assign a_low = {1'b0, a_q[15:0]};
+  assign b_high = {b_q[31], b_q[31:16]};
+  assign b_low = {1'b0, b_q[15:0]};
+  assign sum = {high_q[31:0], low_q[31:0]} + (64'(middle_0_q) <<< 16) + (64'(middle_1_q) <<< 16) + OFFSET;
 
   always_ff @(posedge clk_i) begin
-    a_high_q   <= {a_i[31], a_i[31:16]};
-    a_low_q    <= {1'b0, a_i[15:0]};
-    b_high_q   <= {b_i[31], b_i[31:16]};
-    b_low_q    <= {1'b0, b_i[15:0]};
+    a_q        <= a_i;
+    b_q        <= b_i;
 
-    high_q     <= a_high_q * b_high_q;
-    middle_0_q <= a_high_q * b_low_q;
-    middle_1_q <= a_low_q * b_high_q;
-    low_q      <= a_low_q * b_low_q;
+    high_q     <= a_high * b_high;
+    middle_0_q <= a_high * b_low;
+    middle_1_q <= a_low * b_high;
+    low_q      <= a_low * b_low;
 
-    product_q  <= 32'(sum_d >>> SHIFT);
+    product_q  <= 32'(sum >>> SHIFT);
   end
 
   assign product_o = product_q;

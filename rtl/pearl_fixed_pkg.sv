@@ -1,6 +1,9 @@
 // Fixed-point arithmetic for cores: the number and the latencies of the modules that reckon with it.
 package pearl_fixed_pkg;
 
+  // No core uses all of it.
+  // verilator lint_off UNUSEDPARAM
+
   // A word of pearl_marl/fixed_point.py. Where its binary point stands, its user knows.
   typedef logic signed [31:0] fixed_t;
 
@@ -15,6 +18,8 @@ package pearl_fixed_pkg;
 
   localparam fixed_t MAXIMUM = 32'sh7fffffff;
   localparam fixed_t MINIMUM = 32'sh80000000;
+
+  // verilator lint_on UNUSEDPARAM
 
   // The nearest word to a sum (`saturating_add` of fixed_point.py).
   function automatic fixed_t saturate(logic signed [32:0] sum);

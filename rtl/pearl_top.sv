@@ -69,15 +69,33 @@ module pearl_top #(
     input  logic                 s_axi_rready
 );
 
-  localparam int unsigned WORD_ADDR_BITS = ADDR_BITS - $clog2(STRB_BITS);
+  localparam bit LEGAL_N_ENVS = N_ENVS >= 1;
+  localparam bit LEGAL_PE_NUM = PE_NUM >= 1 && PE_NUM <= N_ENVS;
+  localparam bit LEGAL_DATA_WL = DATA_WL >= 32 && DATA_WL <= 1024 && DATA_WL == 2 ** $clog2(DATA_WL);
+  if (!LEGAL_N_ENVS) begin : gen_illegal_n_envs
+    $error("N_ENVS is %0d; there must be at least 1 slot", N_ENVS);
+  end
+  if (!LEGAL_PE_NUM) begin : gen_illegal_pe_num
+    $error("PE_NUM is %0d; possible are 1 to N_ENVS = %0d", PE_NUM, N_ENVS);
+  end
+  if (!LEGAL_DATA_WL) begin : gen_illegal_data_wl
+    $error("DATA_WL is %0d; possible are the powers of two from 32 to 1024", DATA_WL);
+  end
+
+  // Below, an illegal value is replaced: a tool would stop at what follows from it, a negative width
+  // or a division by zero, before it comes to the sentence that says why.
+  localparam int unsigned SLOTS = LEGAL_N_ENVS ? N_ENVS : 1;
+  localparam int unsigned PES = LEGAL_PE_NUM ? PE_NUM : 1;
+  localparam int unsigned WORD_BITS = LEGAL_DATA_WL ? DATA_WL : 32;
+  localparam int unsigned WORD_ADDR_BITS = ADDR_BITS - $clog2(WORD_BITS / 8);
 
   logic req, we, rvalid;
   logic [WORD_ADDR_BITS-1:0] addr;
-  logic [DATA_WL-1:0] wdata, rdata;
+  logic [WORD_BITS-1:0] wdata, rdata;
   pearl_pkg::resp_e resp;
 
   pearl_axi_slave #(
-      .DATA_WL  (DATA_WL),
+      .DATA_WL  (WORD_BITS),
       .ADDR_BITS(ADDR_BITS),
       .ID_BITS  (ID_BITS)
   ) u_axi_slave (
@@ -92,9 +110,9 @@ module pearl_top #(
   );
 
   pearl_backbone #(
-      .N_ENVS(N_ENVS),
-      .PE_NUM(PE_NUM),
-      .DATA_WL(DATA_WL),
+      .N_ENVS(SLOTS),
+      .PE_NUM(PES),
+      .DATA_WL(WORD_BITS),
       .STATE_BITS(STATE_BITS),
       .ACTION_BITS(ACTION_BITS),
       .OBS_BITS(OBS_BITS),

@@ -1,4 +1,4 @@
-"""The registry x device parametrisation, and the toy environments that it includes."""
+"""Slow tests, and the toy environments."""
 
 from __future__ import annotations
 
@@ -14,7 +14,6 @@ os.environ.setdefault("SDL_VIDEODRIVER", "dummy")
 import pearl_marl
 from pearl_marl import registry
 
-from .helpers import DEVICES, ENVIRONMENTS, Case
 from .toy import TOYS
 
 
@@ -40,21 +39,3 @@ def toys() -> Iterator[None]:
         for spec in TOYS:
             pearl_marl.register(spec)
         yield
-
-
-@pytest.fixture(params=DEVICES)
-def device_name(request: pytest.FixtureRequest) -> str:
-    return request.param
-
-
-@pytest.fixture(params=ENVIRONMENTS)
-def env_id(request: pytest.FixtureRequest) -> str:
-    return request.param
-
-
-@pytest.fixture
-def case(toys: None, env_id: str, device_name: str) -> Iterator[Case]:
-    """One environment of the registry (or toy) on one device."""
-    case = Case(env_id, device_name)
-    yield case
-    case.close()

@@ -1,4 +1,4 @@
-"""The Gymnasium interface beyond what is CliffWalking's: registration, modes, masks, Gymnasium's wrappers."""
+"""The Gymnasium interface beyond the contract: modes, refused masks, Gymnasium's wrappers."""
 
 from __future__ import annotations
 
@@ -11,35 +11,7 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.wrappers import vector as wrappers
 
 import pearl_marl
-from pearl_marl.devices import BatchConfig, Reference
 from pearl_marl.errors import ArgumentError, OrderError
-
-from .helpers import SIZE, Case
-
-
-def packed(obs: Any) -> np.ndarray:
-    """Return observations as a device has them, those of a ``Tuple`` space side by side."""
-    return np.stack(obs, 1) if isinstance(obs, tuple) else obs
-
-
-def test_registered_with_gymnasium(case: Case) -> None:
-    env = gymnasium.make_vec(
-        f"Pearl/{case.spec.id}",
-        num_envs=6,
-        vectorization_mode="vector_entry_point",
-        device=case.device(),
-        max_cycles=3,
-    )
-    assert isinstance(env.unwrapped, pearl_marl.PearlVectorEnv)
-    assert env.num_envs == 6
-    assert env.metadata["autoreset_mode"] is AutoresetMode.SAME_STEP
-    ours = case.vector(6, max_cycles=3)
-    np.testing.assert_array_equal(env.reset(seed=1)[0], ours.reset(seed=1)[0])
-    for actions in case.actions(8, 6):
-        for a, b in zip(env.step(actions)[:4], ours.step(actions)[:4], strict=True):
-            np.testing.assert_array_equal(a, b)
-    env.close()
-    assert env.unwrapped.closed
 
 
 def test_gymnasium_chooses_the_vector_entry_point_by_itself() -> None:
@@ -58,51 +30,6 @@ def test_modes_by_object_and_name(mode: Any) -> None:
 def test_unknown_mode() -> None:
     with pytest.raises(ArgumentError, match=r"'sometimes'.*'NextStep'"):
         pearl_marl.make_vec("CliffWalking", 2, autoreset_mode="sometimes")
-
-
-def test_spaces_are_batches(case: Case) -> None:
-    env = case.vector(5)
-    assert env.single_observation_space == case.spec.observation_space
-    assert env.single_action_space == case.spec.action_space
-    obs, infos = env.reset(seed=0)
-    assert infos == {}
-    assert env.observation_space.contains(obs)
-    obs, rewards, terminations, truncations, _ = env.step(env.action_space.sample())
-    assert env.observation_space.contains(obs)
-    assert (rewards.dtype, terminations.dtype, truncations.dtype) == (np.float32, bool, bool)
-
-
-@pytest.mark.parametrize("copy", [True, False])
-def test_disabled_mode(case: Case, copy: bool) -> None:
-    """Where an episode ended, its last observation stays until the mask names that sub-environment."""
-    env = case.vector(autoreset_mode="Disabled", max_cycles=7, copy=copy)
-    reference = Reference().open(BatchConfig(spec=case.spec, n_envs=SIZE, max_cycles=7))
-    np.testing.assert_array_equal(packed(env.reset(seed=0)[0]), reference.reset(seed=0))
-    resets = 0
-    for actions in case.actions(40):
-        obs, rewards, terminations, truncations, infos = env.step(actions)
-        theirs = reference.step(actions)
-        np.testing.assert_array_equal(packed(obs), theirs.arrivals())
-        np.testing.assert_array_equal(rewards, theirs.rewards)
-        assert "final_obs" not in infos
-        ended = terminations | truncations
-        np.testing.assert_array_equal(ended, theirs.ended)
-        if not ended.any():
-            continue
-        resets += 1
-        with pytest.raises(OrderError, match=f"sub-environment {np.argmax(ended)} has ended"):
-            env.step(actions)
-        if ended.sum() > 1:  # one first, then the rest: the others' last observations are still there
-            first = np.arange(SIZE) == np.argmax(ended)
-            last = packed(obs).copy()
-            obs = packed(env.reset(options={"reset_mask": first})[0])
-            np.testing.assert_array_equal(obs[first], theirs.obs[first])
-            np.testing.assert_array_equal(obs[~first], last[~first])
-            ended &= ~first
-        obs, infos = env.reset(options={"reset_mask": ended})
-        np.testing.assert_array_equal(packed(obs), theirs.obs)
-        assert infos == {}
-    assert resets > 2
 
 
 @pytest.mark.parametrize(
@@ -224,12 +151,3 @@ def test_dict_infos_to_list(toys: None) -> None:
     *_, infos = env.step([0] * 5)
     assert len(infos) == 5
     assert all("final_obs" in info for info in infos)
-
-
-def test_close_is_idempotent(case: Case) -> None:
-    env = case.vector(3)
-    env.reset(seed=0)
-    env.close()
-    env.close()
-    with pytest.raises(OrderError, match=r"after close\(\)"):
-        env.step([0] * 3)

@@ -81,7 +81,7 @@ def step(x: Word, v: Word, angle: Word, w: Word, action: Word) -> tuple[Word, ..
     The one category, 0, is that of every step, the last one too.
     """
     x, v, angle, w, terminated = advance(x, v, angle, w, action)
-    return x, v, angle, w, u8(terminated & u8(0)), terminated
+    return x, v, angle, w, u8(0), terminated
 
 
 def step_sutton_barto(x: Word, v: Word, angle: Word, w: Word, action: Word) -> tuple[Word, ...]:

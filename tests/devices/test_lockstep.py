@@ -16,8 +16,8 @@ from pearl_marl.devices import BatchConfig, Device, Lockstep, Native, Reference
 from pearl_marl.errors import ArgumentError, DeviceError, LockstepError, OrderError
 from pearl_marl.golden import u8
 from pearl_marl.replay import Replay
+from pearl_marl.testing import Case, assert_same_trajectory, trajectory
 
-from ..helpers import Case, assert_same_trajectory, trajectory
 from ..toy import DRIFT
 from .broken import Elsewhere, Flips, FlipsStart, Forgets, OtherWidth
 

@@ -13,8 +13,7 @@ import pytest
 import pearl_marl
 from pearl_marl.devices import BatchConfig, Native, native
 from pearl_marl.errors import ActionError, OrderError
-
-from ..helpers import assert_same_trajectory, trajectory
+from pearl_marl.testing import assert_same_trajectory, trajectory
 
 SPEC = pearl_marl.get_spec("CliffWalking")
 N = 5000

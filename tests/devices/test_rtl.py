@@ -20,8 +20,8 @@ from pearl_marl.devices import BatchConfig, Lockstep, Native, Rtl, make_device, 
 from pearl_marl.errors import ArgumentError, DeviceError, LockstepError
 from pearl_marl.memory_map import default_map, memory_map
 from pearl_marl.spec import Field
+from pearl_marl.testing import assert_same_step, assert_same_trajectory, trajectory
 
-from ..helpers import assert_same_step, assert_same_trajectory, trajectory
 from ..rtl.shift_add import SPEC as SHIFT_ADD
 from ..toy import LADDER
 

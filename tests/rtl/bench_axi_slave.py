@@ -12,8 +12,8 @@ from cocotb.triggers import Combine, FallingEdge, RisingEdge, with_timeout
 from cocotbext.axi import AxiMaster
 from cocotbext.axi.constants import AxiResp
 
-ARGUMENTS = harness.arguments()
-WORD = ARGUMENTS["word"] // 8
+WORD = harness.arguments()["word"] // 8
+IDLES = (0.0, 0.4)
 WORDS, READ_ONLY = 64, 8
 SIZE, WRITABLE = WORDS * WORD, (WORDS - READ_ONLY) * WORD
 FIXED, INCR, WRAP = range(3)
@@ -25,10 +25,11 @@ async def clear(axi: AxiMaster) -> bytearray:
 
 
 @cocotb.test
-async def memory_is_memory_to_any_burst(dut: Any) -> None:
+@cocotb.parametrize(idle=IDLES)
+async def memory_is_memory_to_any_burst(dut: Any, idle: float) -> None:
     await start(dut)
     source = random.Random(8)
-    axi = axi_master(dut, source, ARGUMENTS["idle"])
+    axi = axi_master(dut, source, idle)
     truth = await clear(axi)
     for _ in range(60):
         begin = source.randrange(WRITABLE)
@@ -47,10 +48,11 @@ async def memory_is_memory_to_any_burst(dut: Any) -> None:
 
 
 @cocotb.test
-async def reads_and_writes_at_once_all_end(dut: Any) -> None:
+@cocotb.parametrize(idle=IDLES)
+async def reads_and_writes_at_once_all_end(dut: Any, idle: float) -> None:
     await start(dut)
     source = random.Random(9)
-    axi = axi_master(dut, source, ARGUMENTS["idle"])
+    axi = axi_master(dut, source, idle)
     await clear(axi)
     half = WRITABLE // 2
 
@@ -67,10 +69,11 @@ async def reads_and_writes_at_once_all_end(dut: Any) -> None:
 
 
 @cocotb.test
-async def errors_are_told_and_change_nothing(dut: Any) -> None:
+@cocotb.parametrize(idle=IDLES)
+async def errors_are_told_and_change_nothing(dut: Any, idle: float) -> None:
     await start(dut)
     source = random.Random(10)
-    axi = axi_master(dut, source, ARGUMENTS["idle"])
+    axi = axi_master(dut, source, idle)
     await clear(axi)
     before = (await axi.read(WRITABLE, SIZE - WRITABLE)).data
     for length in (1, WORD, 3 * WORD):
@@ -86,7 +89,7 @@ async def errors_are_told_and_change_nothing(dut: Any) -> None:
     assert (await axi.write(0, bytes(WORD))).resp == AxiResp.OKAY
 
 
-@cocotb.test(skip=ARGUMENTS["idle"] > 0)
+@cocotb.test
 async def whole_words_stream(dut: Any) -> None:
     await start(dut)
     axi = axi_master(dut, random.Random(11), 0)

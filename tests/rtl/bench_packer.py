@@ -10,11 +10,12 @@ import harness
 from bench import start
 from cocotb.triggers import FallingEdge
 
-ROW, WORD, ROWS, WORDS, IDLE = (harness.arguments()[k] for k in ("row", "word", "rows", "words", "idle"))
+ROW, WORD, ROWS, WORDS = (harness.arguments()[k] for k in ("row", "word", "rows", "words"))
 
 
 @cocotb.test
-async def words_are_the_stream(dut: Any) -> None:
+@cocotb.parametrize(idle=[0.0, 0.4])
+async def words_are_the_stream(dut: Any, idle: float) -> None:
     await start(dut, start_i=0, valid_i=0, last_i=0, row_i=0)
     source = random.Random(3)
     for _ in range(3):
@@ -29,7 +30,7 @@ async def words_are_the_stream(dut: Any) -> None:
         while dut.done_o.value == 0:
             cycles += 1
             assert cycles < 40 + 8 * (ROWS + WORDS), f"stuck after {sent} rows and {len(written)} words"
-            send = sent < ROWS and dut.room.value == 1 and source.random() >= IDLE
+            send = sent < ROWS and dut.room.value == 1 and source.random() >= idle
             dut.valid_i.value = int(send)
             dut.last_i.value = int(send and sent == ROWS - 1)
             dut.row_i.value = rows[sent] if send else source.getrandbits(ROW)
@@ -41,5 +42,5 @@ async def words_are_the_stream(dut: Any) -> None:
         dut.valid_i.value = 0
         assert sent == ROWS
         assert written == expected
-        if not IDLE:
+        if not idle:
             assert cycles <= max(ROWS, WORDS) + 3

@@ -10,11 +10,12 @@ import harness
 from bench import start
 from cocotb.triggers import FallingEdge
 
-ROW, WORD, ROWS, WORDS, IDLE = (harness.arguments()[k] for k in ("row", "word", "rows", "words", "idle"))
+ROW, WORD, ROWS, WORDS = (harness.arguments()[k] for k in ("row", "word", "rows", "words"))
 
 
 @cocotb.test
-async def rows_are_the_stream(dut: Any) -> None:
+@cocotb.parametrize(idle=[0.0, 0.4])
+async def rows_are_the_stream(dut: Any, idle: float) -> None:
     await start(dut, start_i=0, take_i=0, rdata_i=0)
     source = random.Random(4)
     for repeat in range(3):
@@ -34,7 +35,7 @@ async def rows_are_the_stream(dut: Any) -> None:
             cycles += 1
             assert cycles < 40 + 8 * (ROWS + WORDS), f"stuck after {len(taken)} rows"
             dut.rdata_i.value = source.getrandbits(WORD) if arriving is None else words[arriving]
-            take = dut.valid_o.value == 1 and source.random() >= IDLE
+            take = dut.valid_o.value == 1 and source.random() >= idle
             dut.take_i.value = int(take)
             if take:
                 taken.append(int(dut.row_o.value))
@@ -43,5 +44,5 @@ async def rows_are_the_stream(dut: Any) -> None:
             await FallingEdge(dut.clk_i)
         dut.take_i.value = 0
         assert taken == expected[:wanted]
-        if not IDLE and repeat != 1:
+        if not idle and repeat != 1:
             assert cycles <= max(ROWS, WORDS) + 4

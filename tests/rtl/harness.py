@@ -7,6 +7,7 @@ import fcntl
 import hashlib
 import json
 import os
+import re
 import shutil
 import tempfile
 import time
@@ -50,12 +51,18 @@ def _digest(*parts: Any) -> str:
 
 
 def module(top: str, **parameters: int) -> Design:
-    """A module of the backbone, or a bench's own top, that contains no core."""
-    own = HERE / f"{top}.sv"
-    core_free = [path for path in hardware.backbone_paths() if "PEARL_CORE" not in path.read_text()]
-    users = {"pearl_pe_array.sv", "pearl_backbone.sv", "pearl_top.sv"}
-    files = [path for path in core_free if path.name not in users]
-    return Design(top, (*files, *([own] if own.exists() else [])), parameters)
+    """A module of the backbone, or a bench's own top, that contains no core, and the files it needs.
+
+    Not every file there is, so that a change of one module leaves the builds of others in the cache.
+    """
+    files = {path.stem: path for path in (*hardware.backbone_paths(), HERE / f"{top}.sv") if path.exists()}
+    needed, waiting = set(), [top]
+    while waiting:
+        name = waiting.pop()
+        needed.add(name)
+        mentioned = re.findall(r"\bpearl_\w+", re.sub("//.*", "", files[name].read_text()))
+        waiting += [other for other in mentioned if other in files and other not in needed]
+    return Design(top, tuple(path for name, path in files.items() if name in needed), parameters)
 
 
 def whole(spec: EnvSpec, layout: MemoryMap, top: str = "pearl_top") -> Design:
@@ -127,6 +134,8 @@ def run(design: Design, bench: str, tmp_path: Path, **arguments: Any) -> None:
                 BENCH_VARIABLE: json.dumps(arguments),
                 "PYTHONPATH": str(HERE),
                 "LD_LIBRARY_PATH": str(libs_dir),
+                # cocotb would have pytest rewrite, and so compile anew, every module that is imported.
+                "COCOTB_REWRITE_ASSERTION_FILES": "bench*.py",
             },
             log_file=log,
             results_xml=str(tmp_path / "results.xml"),

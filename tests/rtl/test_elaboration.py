@@ -53,7 +53,10 @@ def test_lint_is_clean_with_options(env: str, options: dict[str, Any]) -> None:
     ("parameters", "sentence"),
     [
         ({"N_ENVS": 0, "PE_NUM": 1}, "there must be at least 1 slot"),
+        ({"N_ENVS": 0, "PE_NUM": 0}, "there must be at least 1 slot"),
+        ({"PE_NUM": 0}, "PE_NUM is 0; possible are 1 to N_ENVS = 7"),
         ({"PE_NUM": 8}, "possible are 1 to N_ENVS = 7"),
+        ({"DATA_WL": 0}, "powers of two from 32 to 1024"),
         ({"DATA_WL": 16}, "powers of two from 32 to 1024"),
         ({"DATA_WL": 96}, "powers of two from 32 to 1024"),
         ({"OBS_BITS": 7}, "7 observation and 1 reward bits, the core 6, 2, 6 and 1"),

@@ -33,19 +33,7 @@ def test_packing(top: str, rows: int, row: int, word: int, tmp_path: Path) -> No
     # A last row that is all padding but for its first bit is the shortest stream of so many rows.
     words = -(-((rows - 1) * row + 1) // word)
     design = module(top, ROW_BITS=row, DATA_WL=word, WORDS=words)
-    for idle in (0.0, 0.4):
-        folder = tmp_path / str(idle)
-        folder.mkdir()
-        run(
-            design,
-            top.replace("pearl", "bench"),
-            folder,
-            row=row,
-            word=word,
-            rows=rows,
-            words=words,
-            idle=idle,
-        )
+    run(design, top.replace("pearl", "bench"), tmp_path, row=row, word=word, rows=rows, words=words)
 
 
 @pytest.mark.parametrize(("rows", "row", "word"), [(1, 6, 32), (5, 32, 32), (4, 72, 32), (3, 160, 64)])
@@ -78,10 +66,7 @@ def test_axi_address(tmp_path: Path) -> None:
 @pytest.mark.parametrize("word", [32, 256, 1024])
 def test_axi_slave(word: int, tmp_path: Path) -> None:
     design = module("axi_memory", DATA_WL=word, ADDR_BITS=14)
-    for idle in (0.0, 0.4):
-        folder = tmp_path / str(idle)
-        folder.mkdir()
-        run(design, "bench_axi_slave", folder, word=word, idle=idle)
+    run(design, "bench_axi_slave", tmp_path, word=word)
 
 
 LAKE = {"desc": ["SFHSFGSF", "GHSFFFFH", "FSHFHSFF"]}

@@ -1,0 +1,1 @@
+"""MountainCar: rock a weak car up a hill, in fixed point. Read ``step.py`` first, then ``spec.py``."""

@@ -1,0 +1,62 @@
+"""The spec of MountainCar: what the platform has to know besides the dynamics in ``step.py``."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from gymnasium import Env
+from gymnasium.spaces import Box, Discrete
+
+from pearl_marl.errors import ArgumentError
+from pearl_marl.spec import EnvSpec, Field, Golden
+
+from .step import FRACTION, goal_word, initial, observe, step
+
+STATE = tuple(Field(name, 32, signed=True, fraction=FRACTION) for name in ("position", "velocity"))
+LOW, HIGH = np.array([-1.2, -0.07], np.float32), np.array([0.6, 0.07], np.float32)
+
+
+def pose(oracle: Env[Any, Any], state: tuple[float, ...]) -> None:
+    """Put Gymnasium's MountainCar into a state, for rendering."""
+    oracle.state = state  # type: ignore[attr-defined]
+
+
+def configure(goal_velocity: float = 0) -> EnvSpec:
+    """Return the spec under Gymnasium's keyword arguments.
+
+    Parameters
+    ----------
+    goal_velocity
+        The least velocity, per step, with which the goal counts as reached, -1 to 1. The car
+        never exceeds 0.07.
+    """
+    number = isinstance(goal_velocity, (int, float, np.integer, np.floating))
+    if not number or isinstance(goal_velocity, bool) or not -1 <= goal_velocity <= 1:
+        raise ArgumentError(f"goal_velocity is {goal_velocity!r}; it must be a number from -1 to 1")
+    goal = goal_word(float(goal_velocity))
+    return EnvSpec(
+        name="MountainCar",
+        version=0,
+        summary="Drive an underpowered car up a hill by rocking",
+        state=STATE,
+        action=Field("action", 2),
+        observation=STATE,
+        reward=Field("reward", 1),
+        rewards=(-1.0,),
+        observation_space=Box(LOW, HIGH, dtype=np.float32),
+        action_space=Discrete(3),
+        golden=Golden(initial, step(goal), observe),
+        reset_draws=1,
+        max_cycles=200,
+        options={"goal_velocity": float(goal_velocity)},
+        configure=configure,
+        core_parameters={"GOAL_VELOCITY": goal},
+        oracle="MountainCar-v0",
+        pose=pose,
+        render_modes=("human", "rgb_array"),
+        render_fps=30,
+    )
+
+
+SPEC = configure()

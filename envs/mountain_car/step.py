@@ -1,0 +1,58 @@
+"""The golden step of MountainCar, in fixed point.
+
+Follows https://gymnasium.farama.org/environments/classic_control/mountain_car/ (MountainCar-v0),
+which follows Andrew Moore's thesis, *Efficient memory-based learning for robot control*, 1990.
+
+Position and velocity (per step) have 30 fraction bits, so one is added to the other as it is.
+"""
+
+from __future__ import annotations
+
+import math
+
+from pearl_marl.fixed_point import clip, constant, multiply, sine_cosine
+from pearl_marl.golden import GoldenFunction, Word, i32, i64, u8
+
+FRACTION = 30
+
+LEFT_END, RIGHT_END = constant(-1.2, FRACTION), constant(0.6, FRACTION)
+GOAL = constant(0.5, FRACTION)
+MAX_SPEED = constant(0.07, FRACTION)
+FORCE = constant(0.001, FRACTION)
+GRAVITY = constant(0.0025, 39)
+TURNS = constant(2**2 * 3 / (2 * math.pi), 30)  # 3 times the position, in turns with 32 fraction bits
+MIDDLE, START = constant(-0.5, FRACTION), 2 * math.floor(0.1 * 2**FRACTION)
+
+
+def goal_word(goal_velocity: float) -> int:
+    """Return the least velocity word that is not below ``goal_velocity``."""
+    return math.ceil(goal_velocity * 2.0**FRACTION)
+
+
+def initial(draw: Word) -> tuple[Word, Word]:
+    """Return the state of a new episode: a position uniform between -0.6 and -0.4, at rest."""
+    # As a signed number a draw is from -1/2 to 1/2.
+    return i32(i32(MIDDLE) + multiply(i32(draw), i32(START), 32)), i32(0)
+
+
+def step(goal: int) -> GoldenFunction:
+    """Make the step under a velocity that the goal demands: see :func:`goal_word`."""
+
+    def step(position: Word, velocity: Word, action: Word) -> tuple[Word, Word, Word, Word]:
+        """Push left (0), not at all (1) or right (2); return state, category (one, 0) and end."""
+        _, cosine = sine_cosine(multiply(position, i32(TURNS), 30))
+        push = i32(i32(i32(action) - i32(1)) * i32(FORCE))
+        change = i64(i64(push) - i64(multiply(cosine, i32(GRAVITY), 39)))
+        velocity = clip(i64(i64(velocity) + change), -MAX_SPEED, MAX_SPEED)
+        position = clip(i64(i64(position) + i64(velocity)), LEFT_END, RIGHT_END)
+        stopped = u8(u8(position == LEFT_END) & u8(velocity < 0))
+        velocity = i32(velocity & i32(i32(stopped) - i32(1)))
+        terminated = u8(u8(position >= GOAL) & u8(velocity >= goal))
+        return position, velocity, u8(0), terminated
+
+    return step
+
+
+def observe(position: Word, velocity: Word) -> tuple[Word, Word]:
+    """Return the observation: the state."""
+    return position, velocity

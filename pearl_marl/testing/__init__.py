@@ -1,0 +1,63 @@
+"""What every environment must do on every device, as tests that any package can run.
+
+A test module of yours runs all of it with
+
+>>> from pearl_marl.testing import ContractSuite
+>>> class TestMyEnvironment(ContractSuite):
+...     environments = ("my_package:MyEnvironment",)
+...     devices = ("native", "rtl")
+
+This repository's own ``tests/contract`` does the same, for its environments and its devices. The
+package needs pytest: ``pip install 'pearl-marl[testing]'``.
+"""
+
+try:
+    import pytest
+except ModuleNotFoundError as error:
+    raise ModuleNotFoundError(
+        "pearl_marl.testing needs pytest; install it with: pip install 'pearl-marl[testing]'", name=error.name
+    ) from None
+
+# Before the modules are imported: pytest then shows the values in a failed assertion of theirs.
+pytest.register_assert_rewrite(
+    *(
+        f"{__name__}.{module}"
+        for module in (
+            "agreement",
+            "buffers",
+            "case",
+            "determinism",
+            "golden_functions",
+            "interfaces",
+            "lifetimes",
+            "saved_states",
+            "spaces",
+        )
+    )
+)
+
+from pearl_marl.testing.case import (  # noqa: E402
+    HALF,
+    SIZE,
+    STEPS,
+    Case,
+    assert_same_step,
+    assert_same_trajectory,
+    make_device,
+    rows,
+    trajectory,
+)
+from pearl_marl.testing.suite import ContractSuite  # noqa: E402
+
+__all__ = [
+    "HALF",
+    "SIZE",
+    "STEPS",
+    "Case",
+    "ContractSuite",
+    "assert_same_step",
+    "assert_same_trajectory",
+    "make_device",
+    "rows",
+    "trajectory",
+]

@@ -1,0 +1,107 @@
+"""What a step returned stays as it was (``copy=True``), or is written over by the next (``copy=False``)."""
+
+from __future__ import annotations
+
+from copy import deepcopy
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pearl_marl.testing.case import Array, Case, assert_same_dicts
+
+
+def assert_same_results(ours: Any, theirs: Any) -> None:
+    """Compare what any interface's ``reset`` or ``step`` returned."""
+    if isinstance(ours, np.ndarray):
+        np.testing.assert_array_equal(ours, theirs)
+        return
+    for a, b in zip(ours, theirs, strict=True):
+        if not isinstance(a, dict):
+            np.testing.assert_array_equal(a, b)
+        elif a and next(iter(a)).startswith("agent_"):
+            assert_same_dicts([a], [b])
+        else:  # Gymnasium's infos, an array a key
+            assert a.keys() == b.keys()
+            for key in a:
+                np.testing.assert_equal(b[key], a[key])
+
+
+class BuffersContract:
+    """Tests of whose memory results are."""
+
+    @pytest.mark.parametrize("interface", ["device", "parallel", "vector"])
+    def test_results_survive_all_later_steps(self, case: Case, interface: str) -> None:
+        """Whatever has been returned, however long ago."""
+        env = getattr(case, "open" if interface == "device" else interface)(max_cycles=6)
+        held, copies = [], []
+
+        def hold(result: Any) -> None:
+            held.append(result)
+            copies.append(deepcopy(result))
+
+        hold(env.reset(seed=0))
+        for t, actions in enumerate(case.actions(30)):
+            hold(env.step(actions))
+            if t % 11 == 10:
+                hold(env.reset())
+        for before, after in zip(copies, held, strict=True):
+            assert_same_results(before, after)
+
+    def test_a_view_of_a_result_keeps_it_too(self, case: Case) -> None:
+        """The arrays are used again once nobody refers to them; a slice of one refers to it."""
+        device = case.open(max_cycles=3)
+        device.reset(seed=0)
+        views: list[tuple[Any, ...]] = []
+        copies: list[tuple[Array, ...]] = []
+        for actions in case.actions(30):
+            step: Any = device.step(actions)
+            views.append((step.obs[3:9], step.rewards[::2], memoryview(step.terminations)))
+            copies.append(tuple(np.array(view) for view in views[-1]))
+            del step
+        for view, copy in zip(views, copies, strict=True):
+            for a, b in zip(view, copy, strict=True):
+                np.testing.assert_array_equal(np.asarray(a), b)
+
+    def test_unread_dicts_keep_their_step(self, case: Case) -> None:
+        """The dicts are filled on first use, which may be long after the step."""
+        env, other = case.parallel(max_cycles=4), case.parallel(max_cycles=4)
+        env.reset(seed=0)
+        other.reset(seed=0)
+        unread = [env.step(actions) for actions in case.actions(25)]
+        for results, actions in zip(unread, case.actions(25), strict=True):
+            assert_same_dicts(results, [dict(result) for result in other.step(actions)])
+
+    def test_without_copies_the_arrays_are_the_same_ones(self, case: Case) -> None:
+        """They hold what the last step gave."""
+        device = case.open(copy=False)
+        copying = case.open()
+        device.reset(seed=0)
+        copying.reset(seed=0)
+        first = device.step(case.actions()[0])
+        copying.step(case.actions()[0])
+        for actions in case.actions()[1:]:
+            again, fresh = device.step(actions), copying.step(actions)
+            for name in ("obs", "rewards", "terminations", "truncations", "final_obs"):
+                assert getattr(again, name) is getattr(first, name)
+            np.testing.assert_array_equal(again.obs, fresh.obs)
+            np.testing.assert_array_equal(again.rewards, fresh.rewards)
+
+    def test_results_do_not_pile_up_memory(self, case: Case) -> None:
+        """Dropped results are written again: the addresses repeat."""
+        device = case.open()
+        device.reset(seed=0)
+        addresses = {device.step(actions).obs.__array_interface__["data"][0] for actions in case.actions(40)}
+        assert len(addresses) <= 4
+
+    def test_results_are_writable(self, case: Case) -> None:
+        """And what is written there does not reach the device (SB3 and wrappers write into rewards)."""
+        written, twin = case.open(), case.open()
+        written.reset(seed=0)
+        twin.reset(seed=0)
+        for actions in case.actions(10):
+            step = written.step(actions)
+            expected = twin.step(actions)
+            np.testing.assert_array_equal(step.obs, expected.obs)
+            for array in step[:4]:
+                array[:] = 1

@@ -1,0 +1,188 @@
+"""One environment on one device, the sizes that it is tested at, and comparisons of what it returns."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from gymnasium.spaces import Discrete
+
+from pearl_marl import devices, hardware, toolchain
+from pearl_marl.actions import random_actions
+from pearl_marl.devices import BatchConfig, BatchStep, Device, Lockstep, Rtl
+from pearl_marl.errors import DeviceError
+from pearl_marl.parallel_env import PearlParallelEnv, parallel_env
+from pearl_marl.registry import get_spec
+from pearl_marl.spec import EnvSpec
+from pearl_marl.vector_env import PearlVectorEnv, make_vec
+
+Array = npt.NDArray[Any]
+
+SIZE, STEPS = 70, 40
+"""What a test uses where size is not its subject: just over a cache line of slots."""
+
+HALF = SIZE // 2
+"""And where it needs a second size, or few agents. A simulated device is compiled for its size, so there
+are no others on it."""
+
+SIZES = {"native": (1, 7, SIZE, 1000, 43008), "rtl": (HALF, SIZE)}
+"""The sizes that must begin with one another; not so many where slots are slow to step."""
+
+SPLITS = {"native": (1, HALF, 64), "rtl": (HALF,)}
+"""Where a batch of :data:`SIZE` slots is cut in two."""
+
+
+def make_device(name: str, spec: EnvSpec, n: int = SIZE, **options: Any) -> Device:
+    """Return a fresh device; skip the test, and say why, where this machine or environment has none.
+
+    Parameters
+    ----------
+    name
+        A device's name, or ``"lockstep"`` for the native device in lockstep with the reference.
+    spec, n
+        What it is for, and for how many slots.
+    **options
+        The device's own arguments.
+    """
+    if name == "lockstep":
+        return Lockstep("native", "reference", **options)
+    if name == "rtl":
+        try:
+            hardware.core_path(spec)
+            for program in ("verilator", "g++", "make", "perl"):
+                toolchain.find(program)
+        except DeviceError as error:
+            pytest.skip(str(error))
+        # Few processing elements, as wide cores take long to compile. Three leave a last group that is
+        # not full, one takes slot after slot.
+        return Rtl(**{"pe_num": 3 if n > HALF else 1, **options})
+    device = devices.make_device(name)
+    return type(device)(**options) if options else device
+
+
+class Case:
+    """One environment on one device; closes what it made.
+
+    Parameters
+    ----------
+    env_id
+        The environment, as :func:`pearl_marl.get_spec` takes it.
+    device_name
+        The device, as :func:`make_device` takes it.
+
+    Attributes
+    ----------
+    spec
+        The environment's spec.
+    """
+
+    def __init__(self, env_id: str, device_name: str) -> None:
+        self.env_id, self.device_name = env_id, device_name
+        self.spec = get_spec(env_id)
+        self._open: list[Any] = []
+
+    @property
+    def sizes(self) -> tuple[int, ...]:
+        """The sizes of :data:`SIZES` for this device."""
+        return SIZES.get(self.device_name, (1, SIZE, 1000))
+
+    @property
+    def splits(self) -> tuple[int, ...]:
+        """The places of :data:`SPLITS` for this device."""
+        return SPLITS.get(self.device_name, (HALF,))
+
+    def device(self, n: int = SIZE, **options: Any) -> Device:
+        """Return a fresh device for ``n`` slots, not open yet."""
+        return make_device(self.device_name, self.spec, n, **options)
+
+    def open(
+        self, n_envs: int = SIZE, rewards: Any = None, device: Device | None = None, **config: Any
+    ) -> Device:
+        """Return an open device; ``config`` are arguments of :class:`BatchConfig`."""
+        config = {"spec": self.spec, **config}
+        opened = (device or self.device(n_envs)).open(BatchConfig(n_envs=n_envs, **config), rewards)
+        self._open.append(opened)
+        return opened
+
+    def parallel(self, n_agents: int = SIZE, **arguments: Any) -> PearlParallelEnv:
+        """Return a new environment in PettingZoo's form."""
+        arguments = {"device": self.device(n_agents), **arguments}
+        env = parallel_env(self.env_id, n_agents, **arguments)
+        self._open.append(env)
+        return env
+
+    def vector(self, num_envs: int = SIZE, **arguments: Any) -> PearlVectorEnv:
+        """Return a new environment in Gymnasium's form."""
+        arguments = {"device": self.device(num_envs), **arguments}
+        env = make_vec(self.env_id, num_envs, **arguments)
+        self._open.append(env)
+        return env
+
+    def actions(self, steps: int = STEPS, n: int = SIZE, seed: int = 0) -> Array:
+        """Return random actions, a batch a step; those of fewer slots are the first columns."""
+        flat = random_actions(self.spec, np.random.default_rng(seed), n * steps)
+        return np.ascontiguousarray(flat.reshape(n, steps, *flat.shape[1:]).swapaxes(0, 1))
+
+    def habits(self, steps: int = STEPS, n: int = SIZE) -> Array:
+        """Return actions that favour one for each slot, so that episodes of many lengths end."""
+        space, actions = self.spec.action_space, self.actions(steps, n)
+        habit: Array
+        if isinstance(space, Discrete):
+            habit = (np.arange(n) % space.n).astype(actions.dtype)
+        else:
+            habit = np.linspace(space.low, space.high, n, dtype=actions.dtype)
+        chosen = np.random.default_rng(1).random((steps, n)) < 0.5
+        return np.where(chosen.reshape(steps, n, *(1,) * (actions.ndim - 2)), habit, actions)
+
+    def close(self) -> None:
+        """Close all that was made here."""
+        for thing in self._open:
+            thing.close()
+
+
+def trajectory(device: Any, actions: Array) -> list[BatchStep]:
+    """Step through all rows of ``actions``. Works on a device and on an environment with ``step_batch``."""
+    step: Callable[[Array], BatchStep] = getattr(device, "step_batch", None) or device.step
+    return [step(row) for row in actions]
+
+
+def assert_same_step(ours: BatchStep, theirs: BatchStep, where: str = "") -> None:
+    """Compare everything that has a meaning, dtypes included."""
+    ended = theirs.terminations | theirs.truncations
+    for name in ("obs", "rewards", "terminations", "truncations"):
+        mine, other = getattr(ours, name), getattr(theirs, name)
+        assert mine.dtype == other.dtype, f"{where} {name}"
+        np.testing.assert_array_equal(mine, other, f"{where} {name}")
+    np.testing.assert_array_equal(ours.final_obs[ended], theirs.final_obs[ended], f"{where} final_obs")
+
+
+def assert_same_trajectory(first: list[BatchStep], second: list[BatchStep]) -> None:
+    """Compare two trajectories bit for bit, where their arrays have a meaning."""
+    assert len(first) == len(second)
+    for t, (a, b) in enumerate(zip(first, second, strict=True)):
+        assert_same_step(a, b, f"step {t}")
+
+
+def assert_same_dicts(ours: Any, theirs: Any) -> None:
+    """Compare the five dicts of two steps: the same agents, with the same values."""
+    for mine, other in zip(ours, theirs, strict=True):
+        assert mine.keys() == other.keys()
+        for agent, value in mine.items():
+            if isinstance(value, dict):
+                assert value.keys() == other[agent].keys()
+                assert all(np.array_equal(value[key], other[agent][key]) for key in value), agent
+            else:
+                assert np.array_equal(value, other[agent]), agent
+
+
+def rows(results: list[BatchStep], start: int, stop: int) -> list[BatchStep]:
+    """Return the part of a trajectory that belongs to slots ``start .. stop - 1``."""
+    return [BatchStep(*(array[start:stop] for array in step)) for step in results]
+
+
+def names_of(n: int) -> list[str]:
+    """Return the names of the first ``n`` agents."""
+    return [f"agent_{i}" for i in range(n)]

@@ -1,0 +1,94 @@
+"""Strict PettingZoo lifetimes: an agent that ended sees its last observation, leaves, and stays away."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pearl_marl.devices import BatchConfig, Reference
+from pearl_marl.errors import ActionError, OrderError
+from pearl_marl.testing.case import HALF, SIZE, Case, assert_same_dicts, names_of
+
+
+class LifetimesContract:
+    """Tests of agents that come and go."""
+
+    @pytest.mark.parametrize("as_dict", [True, False], ids=["dict", "array"])
+    @pytest.mark.parametrize("limit", [None, 9])
+    def test_lifetimes_against_the_reference(self, case: Case, limit: int | None, as_dict: bool) -> None:
+        """Exactly those agents act, and are answered, that have not ended yet."""
+        env = case.parallel(autoreset=False, max_cycles=limit)
+        config = BatchConfig(spec=case.spec, n_envs=SIZE, max_cycles=limit)
+        reference = Reference().open(config)
+        for seed in (1, None):
+            obs, _ = env.reset(seed=seed)
+            np.testing.assert_array_equal(list(obs.values()), reference.reset(seed=seed))
+            assert env.agents == env.possible_agents
+            live = np.ones(SIZE, bool)
+            for actions in case.habits(60):
+                here = [f"agent_{i}" for i in np.flatnonzero(live)]
+                assert env.agents == here
+                given = {agent: actions[int(agent[6:])] for agent in here} if as_dict else actions
+                results: Any = env.step(given)
+                # The slots of agents that left run on with any action: they begin again, unseen.
+                theirs = reference.step(actions)
+                expected = (theirs.arrivals(), theirs.rewards, theirs.terminations, theirs.truncations)
+                for result, array in zip(results, expected, strict=False):
+                    assert list(result) == here, "exactly the agents that acted"
+                    np.testing.assert_array_equal(np.array(list(result.values())), array[live])
+                    np.testing.assert_array_equal(result.array, array[live])
+                assert results[4] == {agent: {} for agent in here}
+                live &= ~theirs.ended
+                if not live.any():
+                    break
+            if limit:
+                assert not env.agents
+                assert env.step({}) == ({}, {}, {}, {}, {}), "PettingZoo's convention"
+                with pytest.raises(OrderError, match="every episode has ended"):
+                    env.step(actions)
+                with pytest.raises(ActionError, match=r"agent_0.*its episode has ended"):
+                    env.step({"agent_0": 0})
+
+    def test_array_actions_of_agents_that_left_are_ignored(self, case: Case) -> None:
+        """Their rows may hold anything: a policy over all slots has no use for looking who is there."""
+        env, twin = (case.parallel(autoreset=False, max_cycles=0) for _ in range(2))
+        for e in (env, twin):
+            e.reset(seed=3)
+        for t, actions in enumerate(case.actions(300)):
+            live = np.isin(env.possible_agents, env.agents)
+            odd = actions.astype(np.int64 if actions.dtype.kind == "u" else np.float64)
+            odd[~live], actions[~live] = -7, 0
+            ours: Any = env.step(odd)
+            theirs: Any = twin.step(actions)
+            assert env.agents == twin.agents
+            for a, b in zip(ours[:4], theirs[:4], strict=True):
+                np.testing.assert_array_equal(a.array, b.array)
+            if not live.all() and t % 20 == 0:
+                assert_same_dicts(ours, theirs)
+            if env.num_agents < SIZE // 2:
+                return
+        if env.num_agents == SIZE:
+            pytest.skip(f"no episode of {case.spec.name} ended in 300 steps of random actions")
+
+    def test_autoreset_keeps_everyone(self, case: Case) -> None:
+        """The default: whoever ends begins again."""
+        env = case.parallel(max_cycles=3)
+        env.reset(seed=0)
+        for actions in case.habits(10):
+            env.step(actions)
+            assert env.agents == env.possible_agents
+
+    def test_max_cycles_can_be_assigned(self, case: Case) -> None:
+        """As PettingZoo's own test does, before the first reset and later."""
+        env = case.parallel(HALF)
+        env.max_cycles = 4
+        assert env.max_cycles == 4
+        env.reset(seed=0)
+        assert env.agents == names_of(HALF)
+        ends = [env.step_batch(actions).truncations for actions in case.actions(4, HALF)]
+        assert ends[3].any()
+        assert not np.any(ends[:3])
+        env.max_cycles = None
+        assert env.max_cycles == (case.spec.max_cycles or 0)
