@@ -21,6 +21,8 @@ from pearl_marl.errors import ArgumentError, OrderError, SavedStateError
 from pearl_marl.parallel_interface import ParallelInterface
 from pearl_marl.vector_interface import VectorInterface
 
+from .recycling import Recycler
+
 Array = npt.NDArray[Any]
 Mask = npt.NDArray[np.bool_]
 Slots = npt.NDArray[np.intp]
@@ -67,6 +69,8 @@ class Transform:
         The kinds of dtype that actions may have.
     memory
         Arrays that a saved state has to hold, by name. They are only ever written into, never replaced.
+    new
+        Makes arrays for results, ``new.empty(shape, dtype)`` and ``new.copy(array)``: see :class:`Recycler`.
     """
 
     keeps_history = False
@@ -80,6 +84,7 @@ class Transform:
         if inside is not None and inside.action_space is action_space:
             self.action_kinds = inside.action_kinds
         self.memory: dict[str, Array] = {}
+        self.new = Recycler()
         # NEXT_STEP mode only: who spends the next step resetting.
         self._resetting = np.zeros(self.n, np.bool_)
         self._seed: tuple[int, int] | None = None
@@ -135,10 +140,10 @@ class Transform:
         else:
             began = np.flatnonzero(ended)
             if self.keeps_history:
-                self.push(step.arrivals())
+                self.push(self.arrivals(step))
                 obs = final_obs = self.show()
                 if began.size:
-                    final_obs = obs.copy()
+                    final_obs = self.new.copy(obs)
                     self.begin(step.obs, began)
                     obs[began] = self.show(began)
             else:
@@ -147,6 +152,15 @@ class Transform:
         if began.size:
             self.episode_began(began)
         return BatchStep(obs, rewards, step.terminations, step.truncations, final_obs)
+
+    def arrivals(self, step: BatchStep) -> Array:
+        """Return where a step took every slot: see :meth:`BatchStep.arrivals`."""
+        slots = np.flatnonzero(step.ended)
+        if not slots.size:
+            return step.obs
+        obs = self.new.copy(step.obs)
+        obs[slots] = step.final_obs[slots]
+        return obs
 
     def actions(self, actions: Array) -> Array:
         """Return the actions to take instead. They may yet be refused: nothing is to change here."""

@@ -238,7 +238,7 @@ def pad_observations_v0(env: Env) -> Any:
 
 
 class _Window(Transform):
-    """The frames of the last steps, one after the other in turn, each of some shape a slot."""
+    """The frames of the last steps; before an episode's first, zeros or the first itself."""
 
     keeps_history = True
 
@@ -250,37 +250,39 @@ class _Window(Transform):
         frames: int,
         one: tuple[int, ...],
         dtype: npt.DTypeLike,
+        repeat: bool,
     ) -> None:
         super().__init__(batch, space, action_space)
-        self._frames = frames
-        self._everyone = np.arange(self.n)
-        self._window = np.zeros((frames, self.n, *one), dtype)
-        # How many steps each slot's episode is old, the reset included, up to the number of frames.
-        self._age = np.zeros(self.n, np.int64)
-        self._turn = np.zeros((), np.int64)
-        self.memory = {"window": self._window, "age": self._age, "turn": self._turn}
+        self._frames, self._repeat = frames, repeat
+        # The newest is at `turn`, and the next comes in place of the oldest.
+        self._window, self._turn = np.zeros((frames, self.n, *one), dtype), np.zeros((), np.int64)
+        self.memory = {"window": self._window, "turn": self._turn}
 
     def push(self, obs: Array) -> None:
         self._turn[...] = (self._turn + 1) % self._frames
-        newest = self._window[self._turn]
+        newest = self._frame(0)
         newest[...] = obs.reshape(newest.shape)
-        np.add(self._age, 1, out=self._age, where=self._age < self._frames)
 
     def begin(self, obs: Array, slots: Slots) -> None:
-        newest = self._window[self._turn]
-        newest[slots] = obs[slots].reshape(len(slots), *newest.shape[1:])
-        self._age[slots] = 1
+        newest = self._frame(0)
+        first = obs[slots].reshape(len(slots), *newest.shape[1:])
+        self._window[:, slots] = first if self._repeat else 0
+        newest[slots] = first
 
     def show(self, slots: Slots | None = None) -> Array:
-        chosen = self._everyone if slots is None else slots
-        shape = len(chosen), *(self.observation_space.shape or ())
-        out = np.empty(shape, self._window.dtype)
-        self.write(chosen, out)
+        ages = range(self._frames - 1, -1, -1)
+        frames = [self._frame(age) if slots is None else self._frame(age)[slots] for age in ages]
+        out = self.new.empty((len(frames[0]), *(self.observation_space.shape or ())), self._window.dtype)
+        self.write(frames, out)
         return out
 
-    def write(self, slots: Slots, out: Array) -> None:
-        """Write what to show the slots."""
+    def write(self, frames: list[Array], out: Array) -> None:
+        """Write what to show of some slots' frames, oldest first."""
         raise NotImplementedError
+
+    def _frame(self, age: int) -> Array:
+        frame: Array = self._window[(int(self._turn) - age) % self._frames]
+        return frame
 
 
 class _FrameStack(_Window):
@@ -298,15 +300,16 @@ class _FrameStack(_Window):
         rows = int(np.prod(low.shape[:axis]))
         low, high = (np.concatenate([bound] * size, axis) for bound in (low, high))
         new: Space[Any] = Box(low, high, dtype=old.dtype.type)
-        width = int(np.prod(old.shape)) // rows
         new = new if repeat else with_zeros(new)
-        super().__init__(batch, new, action_space, size, (rows, width), old.dtype)
-        self._repeat = repeat
+        width = int(np.prod(old.shape)) // rows
+        super().__init__(batch, new, action_space, size, (rows, width), old.dtype, repeat)
 
-    def write(self, slots: Slots, out: Array) -> None:
-        _, _, rows, width = self._window.shape
-        stacks = out.reshape(len(slots), rows, self._frames * width)
-        kernels.stacked(self._window, self._age, int(self._turn), slots, self._repeat, stacks)
+    def write(self, frames: list[Array], out: Array) -> None:
+        # A row of a frame moves as one thing, whatever it consists of.
+        row = np.dtype((np.void, frames[0].shape[2] * out.itemsize))
+        stacks = out.reshape(len(out), -1, len(frames) * frames[0].shape[2]).view(row)
+        for place, frame in enumerate(frames):
+            stacks[:, :, place] = frame.view(row)[:, :, 0]
 
 
 class _NumberStack(_Window):
@@ -316,12 +319,14 @@ class _NumberStack(_Window):
         n = int(space.n)
         if space.start != 0 or n**size >= 1 << 63:
             raise ArgumentError(f"{size} frames of {space} are more than 63 bits tell apart")
-        super().__init__(batch, Discrete(n**size), action_space, size, (), np.int64)
-        self._n_values, self._repeat = n, repeat
+        super().__init__(batch, Discrete(n**size), action_space, size, (), np.int64, repeat)
+        self._n_values = n
 
-    def write(self, slots: Slots, out: Array) -> None:
-        turn = int(self._turn)
-        kernels.numbered(self._window, self._age, turn, slots, self._repeat, self._n_values, out)
+    def write(self, frames: list[Array], out: Array) -> None:
+        out[:] = 0
+        for frame in frames:
+            out *= self._n_values
+            out += frame
 
 
 def frame_stack_v1(env: Env, stack_size: int = 4, stack_dim: int = -1) -> Any:
@@ -359,23 +364,27 @@ def _frame_stack(env: Env, size: int, axis: int, repeat: bool) -> Any:
 
 
 class _Delay(_Window):
-    def write(self, slots: Slots, out: Array) -> None:
-        kernels.delayed(self._window, self._age, int(self._turn), slots, out.reshape(len(slots), -1))
+    def write(self, frames: list[Array], out: Array) -> None:
+        out[...] = frames[0].reshape(out.shape)
 
 
 class _Maximum(_Window):
-    def write(self, slots: Slots, out: Array) -> None:
-        kernels.largest(self._window, self._age, int(self._turn), slots, out.reshape(len(slots), -1))
+    def write(self, frames: list[Array], out: Array) -> None:
+        out[...] = frames[0].reshape(out.shape)
+        for frame in frames[1:]:
+            np.maximum(out, frame.reshape(out.shape), out=out)
 
 
-def _window(env: Env, name: str, kind: type[_Window], frames: int) -> Any:
+def _window(env: Env, name: str, kind: type[_Window], frames: int, repeat: bool) -> Any:
     """Wrap an environment in a window that shows observations of the shape they have inside."""
 
     def make(batch: Batch, space: Space[Any], action_space: Any) -> Transform:
         if not isinstance(space, (Box, Discrete)):
             raise ArgumentError(f"{name} takes observations in a Box or Discrete, not {space}")
-        shown = with_zeros(space) if kind is _Delay else space
-        return kind(batch, shown, action_space, frames, (int(np.prod(space.shape or ())),), space.dtype)
+        one = (int(np.prod(space.shape or ())),)
+        return kind(
+            batch, space if repeat else with_zeros(space), action_space, frames, one, space.dtype, repeat
+        )
 
     return wrap(env, make)
 
@@ -384,11 +393,11 @@ def delay_observations_v0(env: Env, delay: int) -> Any:
     """Show what was to be seen ``delay`` steps ago; zeros before."""
     if isinstance(delay, bool) or not isinstance(delay, int) or delay < 0:
         raise ArgumentError(f"delay is {delay!r}; it must be an integer of at least 0")
-    return _window(env, "delay_observations_v0", _Delay, delay + 1)
+    return _window(env, "delay_observations_v0", _Delay, delay + 1, repeat=False)
 
 
 def max_observation_v0(env: Env, memory: int) -> Any:
     """Show the greatest value of each element in the last ``memory`` steps of the episode."""
     if isinstance(memory, bool) or not isinstance(memory, int) or memory < 1:
         raise ArgumentError(f"memory is {memory!r}; it must be a positive integer")
-    return _window(env, "max_observation_v0", _Maximum, memory)
+    return _window(env, "max_observation_v0", _Maximum, memory, repeat=True)
