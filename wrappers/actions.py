@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from gymnasium.spaces import Box, Discrete, Space
 
-from pearl_marl.actions import random_numbers, refusal
+from pearl_marl.actions import random_numbers, refusal, refuse_first
 from pearl_marl.devices import BatchStep
 from pearl_marl.errors import ArgumentError
 
@@ -112,9 +112,14 @@ class _NoNans(Transform):
         if slots.size:
             actions = actions.copy()
             actions[slots] = self.instead(slots)
-        if isinstance(self.action_space, Discrete) and (actions % 1 == 0).all():
-            return actions.astype(np.int64)  # other fractions stay, for the environment to refuse
-        return actions
+        if not isinstance(self.action_space, Discrete):
+            return actions
+        with np.errstate(invalid="ignore"):  # infinity's fraction is no number
+            broken = np.flatnonzero(actions % 1 != 0)
+        if broken.size:
+            first = int(broken[0])
+            raise refuse_first([f"agent_{first}"], [actions[first].item()], self.action_space)
+        return actions.astype(np.int64)
 
     def instead(self, slots: Slots) -> Array:
         """Return actions for these slots."""

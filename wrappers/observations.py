@@ -156,30 +156,24 @@ def resize_v1(env: Env, x_size: int, y_size: int, linear_interp: bool = True) ->
         if isinstance(size, bool) or not isinstance(size, int) or size < 1:
             raise ArgumentError(f"{name} is {size!r}; it must be a positive integer")
 
-    def weights(old: int, new: int) -> Array:
-        """Return which old pixels make up each new one, shape ``(new, old)``."""
-        result = np.zeros((new, old), np.float32)
-        if linear_interp:
-            # As tinyscaler has it, which SuperSuit resizes with: the outermost pixels' centres are the
-            # picture's edges, and a new pixel shows what is at its centre.
-            at = (np.arange(new) + 0.5) * (old - 1) / new
-            low = at.astype(int)
-            share = (at - low).astype(np.float32)
-            np.add.at(result, (np.arange(new), low), 1 - share)
-            np.add.at(result, (np.arange(new), np.minimum(low + 1, old - 1)), share)
-        else:
-            result[np.arange(new), ((np.arange(new) + 0.5) * old / new).astype(int)] = 1
-        return result
+    def nearest(old: int, new: int) -> Slots:
+        return ((np.arange(new) + 0.5) * old / new).astype(np.intp)
+
+    def mixed(obs: Array, axis: int, new: int) -> Array:
+        # As tinyscaler has it, with which SuperSuit resizes: the centres of the outermost pixels are the
+        # edges of the picture, and a new pixel shows what is at its centre.
+        at = (np.arange(new) + 0.5) * (obs.shape[axis] - 1) / new
+        low = at.astype(np.intp)
+        share = (at - low).astype(np.float32).reshape(-1, *(1,) * (obs.ndim - axis - 1))
+        one, other = obs.take(low, axis), obs.take(np.minimum(low + 1, obs.shape[axis] - 1), axis)
+        return one + (other - one) * share
 
     def change(obs: Array) -> Array:
         if obs.ndim not in (3, 4):
             raise ArgumentError(f"resize_v1 takes pictures of 2 or 3 axes, not {obs.shape[1:]}")
-        rows, columns = weights(obs.shape[1], y_size), weights(obs.shape[2], x_size)
-        mixed = np.tensordot(obs.astype(np.float32), columns, (2, 1))  # columns go last
-        mixed = np.moveaxis(np.tensordot(mixed, rows, (1, 1)), -1, 1)  # and rows back to their place
-        if obs.ndim == 4:
-            mixed = np.moveaxis(mixed, 3, 2)
-        return mixed.astype(obs.dtype)
+        if not linear_interp:
+            return obs[:, nearest(obs.shape[1], y_size)][:, :, nearest(obs.shape[2], x_size)]
+        return mixed(mixed(obs.astype(np.float32), 2, x_size), 1, y_size).astype(obs.dtype)
 
     return _mapped(env, "resize_v1", change)
 
