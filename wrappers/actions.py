@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 from gymnasium.spaces import Box, Discrete, Space
 
-from pearl_marl.actions import random_numbers, refusal, refuse_first
+from pearl_marl.actions import random_numbers
 from pearl_marl.devices import BatchStep
 from pearl_marl.errors import ArgumentError
 
-from .base import Array, Batch, Env, Slots, Transform, wrap
+from .base import Array, Batch, Env, Mask, Slots, Transform, wrap
 
 
 class _Mapped(Transform):
@@ -26,6 +26,14 @@ class _Mapped(Transform):
 
     def actions(self, actions: Array) -> Array:
         return self._change(actions)
+
+
+class _Checked(_Mapped):
+    """Refuses what is not in the space shown, which the environment inside would not know of."""
+
+    def actions(self, actions: Array) -> Array:
+        self.check(actions)
+        return super().actions(actions)
 
 
 def action_lambda_v1(
@@ -47,31 +55,29 @@ def action_lambda_v1(
 
     def make(batch: Batch, space: Space[Any], inside: Any) -> Transform:
         shown = change_space_fn(inside)
-        low: Any
-        high: Any
-        if isinstance(shown, Discrete):
-            low, high = shown.start, shown.start + shown.n - 1
-        elif isinstance(shown, Box):
-            low, high = shown.low, shown.high
-        else:
+        if not isinstance(shown, (Discrete, Box)):
             raise ArgumentError(f"change_space_fn made {shown}; possible are Discrete and Box")
 
-        def change(actions: Array) -> Array:
-            if not ((low <= actions) & (actions <= high)).all():
-                raise refusal(actions, shown, len(actions))
-            return np.asarray(change_action_fn(actions, inside))
-
-        return _Mapped(batch, space, shown, change)
+        return _Checked(batch, space, shown, lambda actions: np.asarray(change_action_fn(actions, inside)))
 
     return wrap(env, make)
+
+
+class _Clip(Transform):
+    def actions(self, actions: Array) -> Array:
+        limits: Any = self.action_space
+        clipped: Array = np.clip(actions, limits.low, limits.high)
+        return clipped
+
+    def possible(self, actions: Array) -> Mask:
+        return ~_nan_slots(actions) | super().possible(actions)
 
 
 def clip_actions_v0(env: Env) -> Any:
     """Move actions beyond the bounds of their ``Box`` to the bounds."""
 
     def make(batch: Batch, space: Space[Any], action_space: Any) -> Transform:
-        limits = _box(action_space, "clip_actions_v0")
-        return _Mapped(batch, space, limits, lambda actions: np.clip(actions, limits.low, limits.high))
+        return _Clip(batch, space, _box(action_space, "clip_actions_v0"))
 
     return wrap(env, make)
 
@@ -108,18 +114,17 @@ class _NoNans(Transform):
     def actions(self, actions: Array) -> Array:
         if actions.dtype.kind != "f":
             return actions
-        slots = np.flatnonzero(np.isnan(actions).reshape(self.n, -1).any(1))
+        slots = np.flatnonzero(_nan_slots(actions))
         if slots.size:
             actions = actions.copy()
             actions[slots] = self.instead(slots)
         if not isinstance(self.action_space, Discrete):
             return actions
-        with np.errstate(invalid="ignore"):  # infinity's fraction is no number
-            broken = np.flatnonzero(actions % 1 != 0)
-        if broken.size:
-            first = int(broken[0])
-            raise refuse_first([f"agent_{first}"], [actions[first].item()], self.action_space)
+        self.check(actions)
         return actions.astype(np.int64)
+
+    def possible(self, actions: Array) -> Mask:
+        return _nan_slots(actions) | super().possible(actions)
 
     def instead(self, slots: Slots) -> Array:
         """Return actions for these slots."""
@@ -169,13 +174,14 @@ class _Sticky(Transform):
     def __init__(self, batch: Batch, space: Space[Any], action_space: Any, probability: float) -> None:
         super().__init__(batch, space, action_space)
         self._below = round(probability * 2**32)
-        dtype = np.float64 if isinstance(action_space, Box) else np.int64
+        dtype = np.float64 if "f" in self.action_kinds else np.int64
         self._taken = np.zeros((self.n, *(action_space.shape or ())), dtype)
         self._may_stick = np.zeros(self.n, np.bool_)
         self.memory = {"taken": self._taken, "may_stick": self._may_stick}
         self._given: Array = self._taken
 
     def actions(self, actions: Array) -> Array:
+        self.check(actions)  # or whether a bad one is refused would be left to chance
         sticks = np.flatnonzero(self._may_stick & (self.draws() < self._below))
         self._given = actions.astype(self._taken.dtype)
         self._given[sticks] = self._taken[sticks]
@@ -203,6 +209,14 @@ def sticky_actions_v0(env: Env, repeat_action_probability: float) -> Any:
     return wrap(
         env, lambda batch, space, actions: _Sticky(batch, space, actions, float(repeat_action_probability))
     )
+
+
+def _nan_slots(actions: Array) -> Mask:
+    """Return whose actions are not a number, or have an element that is not."""
+    if actions.dtype.kind != "f":
+        return np.zeros(len(actions), np.bool_)
+    nan: Any = np.isnan(actions).reshape(len(actions), -1).any(1)
+    return np.asarray(nan)
 
 
 def _box(space: Any, name: str) -> Box:

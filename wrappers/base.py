@@ -15,7 +15,7 @@ from gymnasium.spaces import Box, Discrete, Space
 from gymnasium.vector import AutoresetMode
 
 from pearl_marl import rng
-from pearl_marl.actions import refusal
+from pearl_marl.actions import refusal, refuse_first
 from pearl_marl.devices import BatchStep
 from pearl_marl.errors import ArgumentError, OrderError, SavedStateError
 from pearl_marl.parallel_interface import ParallelInterface
@@ -79,10 +79,13 @@ class Transform:
     def __init__(self, batch: Batch, observation_space: Space[Any], action_space: Discrete | Box) -> None:
         self.batch, self.n = batch, batch._n
         self.observation_space, self.action_space = observation_space, action_space
-        inside = getattr(batch, "transform", None)
+        inside: Transform | None = getattr(batch, "transform", None)
+        # Whom to ask about actions that are handed through.
+        self._taker = inside if inside is not None and inside.action_space is action_space else None
         self.action_kinds = "iu" if isinstance(action_space, Discrete) else "iuf"
-        if inside is not None and inside.action_space is action_space:
-            self.action_kinds = inside.action_kinds
+        if self._taker is not None:
+            self.action_kinds = self._taker.action_kinds
+        self._idle: Any = action_space.start if isinstance(action_space, Discrete) else action_space.low
         self.memory: dict[str, Array] = {}
         self.new = Recycler()
         # NEXT_STEP mode only: who spends the next step resetting.
@@ -112,7 +115,7 @@ class Transform:
         return self.results(result)
 
     def given(self, actions: npt.ArrayLike) -> Array:
-        """Return actions as an array; refuse them if its shape or dtype is not that of actions."""
+        """Return actions as an array; refuse them if it has not the shape and kind of dtype of actions."""
         if self._seed is None:
             raise OrderError("step() before reset(): call reset() of the outermost wrapper first")
         try:
@@ -122,7 +125,29 @@ class Transform:
         shape = self.n, *(self.action_space.shape or ())
         if array.shape != shape or array.dtype.kind not in self.action_kinds:
             raise refusal(actions, self.action_space, self.n)
+        live = self.batch._live
+        if not live.all():  # whatever an array says for those that left, it is ignored
+            here = live.reshape(-1, *(1,) * (array.ndim - 1))
+            array = np.where(here, array, self._idle)
         return array
+
+    def possible(self, actions: Array) -> Mask:
+        """Return which slots' actions can be taken, be it that a wrapper inside mends them."""
+        if self._taker is not None:
+            return self._taker.possible(actions)
+        space = self.action_space
+        if isinstance(space, Box):
+            within: Any = (space.low <= actions) & (actions <= space.high)
+            return np.asarray(within.reshape(self.n, -1).all(1))
+        result: Mask = (space.start <= actions) & (actions < space.start + space.n)
+        return result if actions.dtype.kind in "iu" else result & (actions == np.floor(actions))
+
+    def check(self, actions: Array) -> None:
+        """Refuse actions that are not possible; for transforms that may not hand them on."""
+        possible = self.possible(actions)
+        if not possible.all():
+            first = int(np.argmin(possible))
+            raise refuse_first([f"agent_{first}"], [actions[first].tolist()], self.action_space)
 
     def results(self, step: BatchStep) -> BatchStep:
         """Change the results of a step."""
@@ -241,6 +266,8 @@ class WrappedParallelEnv(ParallelInterface):
 
     def step_batch(self, actions: npt.ArrayLike) -> BatchStep:
         """See :meth:`ParallelInterface.step_batch`."""
+        if not self.env._ready:
+            self.env.step_batch(actions)  # says why that is impossible
         return self.transform.step(actions)
 
     def save_state(self) -> bytes:

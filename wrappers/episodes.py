@@ -62,11 +62,13 @@ def frame_skip_v0(env: Env, num_frames: int | tuple[int, int]) -> Any:
     num_frames
         How often, or the least and the most: then a number for all agents is drawn in every step.
     """
-    low, high = num_frames if isinstance(num_frames, tuple) else (num_frames, num_frames)
-    if not all(isinstance(k, int) and not isinstance(k, bool) for k in (low, high)) or not 1 <= low <= high:
+    counts = num_frames if isinstance(num_frames, tuple) else (num_frames, num_frames)
+    whole = all(isinstance(count, int) and not isinstance(count, bool) for count in counts)
+    if not whole or len(counts) != 2 or not 1 <= counts[0] <= counts[1]:
         raise ArgumentError(
             f"num_frames is {num_frames!r}; it must be a positive integer, or the least and the most of them"
         )
+    low, high = counts
     return wrap(env, lambda batch, space, actions: _FrameSkip(batch, space, actions, low, high))
 
 

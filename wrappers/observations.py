@@ -166,14 +166,15 @@ def resize_v1(env: Env, x_size: int, y_size: int, linear_interp: bool = True) ->
         low = at.astype(np.intp)
         share = (at - low).astype(np.float32).reshape(-1, *(1,) * (obs.ndim - axis - 1))
         one, other = obs.take(low, axis), obs.take(np.minimum(low + 1, obs.shape[axis] - 1), axis)
-        return one + (other - one) * share
+        return np.asarray(one + (other - one) * share)
 
     def change(obs: Array) -> Array:
         if obs.ndim not in (3, 4):
             raise ArgumentError(f"resize_v1 takes pictures of 2 or 3 axes, not {obs.shape[1:]}")
         if not linear_interp:
             return obs[:, nearest(obs.shape[1], y_size)][:, :, nearest(obs.shape[2], x_size)]
-        return mixed(mixed(obs.astype(np.float32), 2, x_size), 1, y_size).astype(obs.dtype)
+        result: Array = mixed(mixed(obs.astype(np.float32), 2, x_size), 1, y_size).astype(obs.dtype)
+        return result
 
     return _mapped(env, "resize_v1", change)
 
