@@ -215,7 +215,10 @@ class Transform:
         """Forget what else belongs to these slots' last episodes."""
 
     def draws(self, index: int = 0) -> npt.NDArray[np.uint32]:
-        """Return a random ``u32`` a slot for this step; depends on seed, slot, step and wrapper only."""
+        """Return a random ``u32`` a slot for this step; depends on seed, slot, step and wrapper only.
+
+        ``index``, below 256, tells apart what is drawn for different purposes.
+        """
         assert self._seed is not None
         # Far from the draws of any environment, and other ones for every wrapper around it.
         return rng.draws(self._seed, np.arange(self.n), self._tick, 1 << 31 | self._depth << 8 | index)
@@ -362,9 +365,6 @@ class WrappedVectorEnv(VectorInterface):
 
     def __getattr__(self, name: str) -> Any:
         return _inside(self, name)
-
-    def __del__(self) -> None:
-        """Leave the environment inside open: others may hold it."""
 
     def reset_batch(self, seed: int | None = None, mask: npt.ArrayLike | None = None) -> Array:
         """See :class:`VectorInterface`."""

@@ -34,7 +34,7 @@ class _FrameSkip(Transform):
             count += int(uniform_below(self.draws()[:1], self._high - count + 1)[0])
         step = self.batch.step_batch(actions)
         self._tick += 1
-        rewards, terminations, truncations, final_obs = (array.copy() for array in step[1:])
+        rewards, terminations, truncations, final_obs = (self.new.copy(array) for array in step[1:])
         over, started = step.ended, False
         for _ in range(1, count):
             if over.all() or not self.batch._live.any():  # where agents leave, nobody may be left to step
@@ -100,7 +100,7 @@ class _BlackDeath(Transform):
         self._terminated |= step.terminations & alive
         self._truncated |= step.truncations & alive
         self.present[...] = self.batch._live.any()
-        obs, rewards = step.arrivals().copy(), step.rewards.copy()
+        obs, rewards = self.new.copy(self.arrivals(step)), step.rewards.copy()
         obs[~alive] = 0
         rewards[~alive] = 0
         over = ~self.present

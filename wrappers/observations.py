@@ -13,6 +13,7 @@ from pearl_marl.errors import ArgumentError
 
 from . import kernels
 from .base import Array, Batch, Env, Slots, Transform, box, with_zeros, wrap
+from .recycling import Recycler
 
 
 class _Mapped(Transform):
@@ -109,17 +110,18 @@ def normalize_obs_v0(env: Env, env_min: float = 0.0, env_max: float = 1.0) -> An
             raise ArgumentError(f"normalize_obs_v0 takes floats, not {old.dtype}: put dtype_v0 inside it")
         if not old.is_bounded():
             raise ArgumentError(f"normalize_obs_v0 takes finite bounds; {old} has others")
+        new = Recycler()
         low, size = old.low.ravel(), (old.high - old.low).ravel()
         new_size, new_low = old.dtype.type(env_max - env_min), old.dtype.type(env_min)
 
         def change(obs: Array) -> Array:
-            out = np.empty(obs.shape, old.dtype)
+            out = new.empty(obs.shape, old.dtype)
             rows = obs.reshape(len(obs), -1), out.reshape(len(obs), -1)
             kernels.rescaled(rows[0], low, size, new_size, new_low, rows[1])
             return out
 
-        new = Box(env_min, env_max, old.shape, old.dtype.type)
-        return _Mapped(batch, new, action_space, change)
+        shown = Box(env_min, env_max, old.shape, old.dtype.type)
+        return _Mapped(batch, shown, action_space, change)
 
     return wrap(env, make)
 
@@ -202,19 +204,20 @@ def agent_indicator_v0(env: Env, type_only: bool = False) -> Any:
             agents = np.arange(n)
             if int(space.n) * n >= 1 << 63:
                 raise ArgumentError(f"{space} times {n} agents does not fit 63 bits")
-            new: Space[Any] = Discrete(int(space.n) * n, start=int(space.start) * n)
-            return _Mapped(batch, new, action_space, lambda obs: obs * n + agents)
+            shown = Discrete(int(space.n) * n, start=int(space.start) * n)
+            return _Mapped(batch, shown, action_space, lambda obs: obs * n + agents)
         old: Box = box(space, "agent_indicator_v0")
         if not 1 <= len(old.shape) <= 3:
             raise ArgumentError(f"agent_indicator_v0 takes vectors and pictures, not shape {old.shape}")
         # A picture without channels gets an axis for them.
         one: tuple[int, ...] = (*old.shape, 1) if len(old.shape) == 2 else old.shape
         kind = old.dtype if old.dtype.kind == "f" else np.dtype(np.float32)
+        new = Recycler()
         numbers = (np.arange(n) / max(n - 1, 1)).astype(kind)
         rows, width = int(np.prod(one[:-1])), one[-1]
 
         def change(obs: Array) -> Array:
-            out = np.empty((n, *one[:-1], width + 1), kind)
+            out = new.empty((n, *one[:-1], width + 1), kind)
             kernels.appended(obs.reshape(n, rows, width), numbers, out.reshape(n, rows, width + 1))
             return out
 

@@ -81,7 +81,7 @@ class _NormalisedObservation(_Normalised):
         return super().results(step)
 
     def observe(self, obs: Array) -> Array:
-        out = np.empty(obs.shape, np.float32)
+        out = self.new.empty(obs.shape, np.float32)
         rows = obs.reshape(self.n, -1), out.reshape(self.n, -1)
         kernels.standardised(rows[0], self._mean, self.deviation(), rows[1])
         return out

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 from gymnasium.spaces import Box, Discrete
-from pettingzoo.test import parallel_api_test
+from pettingzoo.test import api_test, parallel_api_test
+from pettingzoo.utils.conversions import parallel_to_aec
 
 import pearl_marl
 from pearl_marl import wrappers
@@ -145,6 +146,7 @@ class TestStacks:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             parallel_api_test(env, num_cycles=60)
+            api_test(parallel_to_aec(env), num_cycles=60)
 
 
 class TestSavedStates:

@@ -373,3 +373,44 @@ def test_sticky_actions_let_those_through_that_are_clipped_inside() -> None:
         env.step_batch(np.full((N, 1), 4.0 + t))
     with pytest.raises(ActionError, match="agent_3"):
         env.step_batch([[1.0]] * 3 + [[np.nan]] * 9)
+
+
+def test_sticky_actions_do_not_remember_what_was_refused_inside() -> None:
+    """The environment takes none of the actions, though this wrapper found them possible."""
+    env, twin = (
+        wrappers.sticky_actions_v0(
+            wrappers.action_lambda_v1(pearl_marl.parallel_env("Drift", N), lambda a, s: a * 3, lambda s: s),
+            0.5,
+        )
+        for _ in range(2)
+    )
+    for e in (env, twin):
+        e.reset(seed=0)
+        e.step_batch([0] * N)
+    for t in range(10):
+        with pytest.raises(ActionError, match="action 12"):
+            env.step_batch([4] * N)
+        act = [t % 2] * N
+        for mine, other in zip(env.step_batch(act), twin.step_batch(act), strict=True):
+            np.testing.assert_array_equal(mine, other)
+
+
+@pytest.mark.parametrize(
+    "wrap",
+    [
+        lambda env: wrappers.sticky_actions_v0(env, 0.5),
+        lambda env: wrappers.action_lambda_v1(env, lambda a, s: np.arange(5)[a], lambda s: s),
+        lambda env: wrappers.nan_noop_v0(env, 1),
+    ],
+)
+def test_actions_of_agents_that_left_are_ignored(wrap: Any) -> None:
+    env, twin = (wrap(pearl_marl.parallel_env("Drift", N, autoreset=False)) for _ in range(2))
+    env.reset(seed=0)
+    twin.reset(seed=0)
+    for act in actions("Drift"):
+        given = act.astype(np.int64)
+        given[~env.unwrapped._live] = 99
+        mine, other = env.step(given), twin.step({agent: act[int(agent[6:])] for agent in twin.agents})
+        np.testing.assert_equal([dict(part) for part in mine], [dict(part) for part in other])
+        if not env.agents:
+            return
