@@ -270,7 +270,9 @@ class _Window(Transform):
     def show(self, slots: Slots | None = None) -> Array:
         ages = range(self._frames - 1, -1, -1)
         frames = [self._frame(age) if slots is None else self._frame(age)[slots] for age in ages]
-        out = self.new.empty((len(frames[0]), *(self.observation_space.shape or ())), self._window.dtype)
+        shape = len(frames[0]), *(self.observation_space.shape or ())
+        empty = self.new.empty if slots is None else np.empty
+        out = empty(shape, self._window.dtype)
         self.write(frames, out)
         return out
 

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-MAX_BLOCKS = 8
-"""How many blocks of a size are kept. Whoever holds on to more results gets fresh memory for them."""
+MAX_BLOCKS = 12
+"""How many blocks are kept. Whoever holds on to more results gets fresh memory for them."""
 
 
 class _Block:
@@ -26,23 +26,23 @@ class _Block:
 class Recycler:
     """Makes arrays that are the user's to keep, out of memory that nobody keeps.
 
-    As :class:`pearl_marl.devices.results.ResultArrays`, for arrays of any shape: the system clears every
-    page of fresh memory, which for a step's observations takes longer than to compute them.
+    As :class:`pearl_marl.devices.results.ResultArrays`, for arrays of a few large shapes: the system clears
+    every page of fresh memory, which for a step's observations takes longer than to compute them.
     """
 
     def __init__(self) -> None:
-        self._blocks: dict[int, list[_Block]] = {}
+        self._blocks: list[_Block] = []
 
     def empty(self, shape: tuple[int, ...], dtype: npt.DTypeLike) -> npt.NDArray[Any]:
         """Return an array as ``numpy.empty`` does."""
         dtype = np.dtype(dtype)
         size = math.prod(shape) * dtype.itemsize
-        blocks = self._blocks.setdefault(size, [])
-        block = next((block for block in blocks if not block.shared()), None)
-        if block is None:
+        for block in self._blocks:
+            if block.memory.size == size and not block.shared():
+                break
+        else:
             block = _Block(size)
-            if len(blocks) < MAX_BLOCKS:
-                blocks.append(block)
+            self._blocks = [*self._blocks[1 - MAX_BLOCKS :], block]
         return block.memory.view(dtype).reshape(shape)
 
     def copy(self, array: npt.NDArray[Any]) -> npt.NDArray[Any]:
