@@ -184,7 +184,7 @@ class Transform:
         if not slots.size:
             return step.obs
         obs = self.new.copy(step.obs)
-        obs[slots] = step.final_obs[slots]
+        obs[slots] = step.final_obs.take(slots, 0)
         return obs
 
     def actions(self, actions: Array) -> Array:

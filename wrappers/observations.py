@@ -263,26 +263,29 @@ class _Window(Transform):
 
     def begin(self, obs: Array, slots: Slots) -> None:
         newest = self._frame(0)
-        first = obs[slots].reshape(len(slots), *newest.shape[1:])
-        self._window[:, slots] = first if self._repeat else 0
+        first = obs.take(slots, 0).reshape(len(slots), *newest.shape[1:])
+        for frame in self._window:
+            frame[slots] = first if self._repeat else 0
         newest[slots] = first
 
     def show(self, slots: Slots | None = None) -> Array:
-        ages = range(self._frames - 1, -1, -1)
-        frames = [self._frame(age) if slots is None else self._frame(age)[slots] for age in ages]
-        shape = len(frames[0]), *(self.observation_space.shape or ())
-        empty = self.new.empty if slots is None else np.empty
-        out = empty(shape, self._window.dtype)
-        self.write(frames, out)
+        shape = self.n if slots is None else len(slots), *(self.observation_space.shape or ())
+        out = (
+            self.new.empty(shape, self._window.dtype)
+            if slots is None
+            else np.empty(shape, self._window.dtype)
+        )
+        self.write(out, slots)
         return out
 
-    def write(self, frames: list[Array], out: Array) -> None:
-        """Write what to show of some slots' frames, oldest first."""
+    def write(self, out: Array, slots: Slots | None) -> None:
+        """Write what to show the slots (all, if ``None``) of their frames."""
         raise NotImplementedError
 
-    def _frame(self, age: int) -> Array:
+    def _frame(self, age: int, slots: Slots | None = None) -> Array:
+        """Return the frame of so many steps ago."""
         frame: Array = self._window[(int(self._turn) - age) % self._frames]
-        return frame
+        return frame if slots is None else frame.take(slots, 0)
 
 
 class _FrameStack(_Window):
@@ -304,12 +307,13 @@ class _FrameStack(_Window):
         width = int(np.prod(old.shape)) // rows
         super().__init__(batch, new, action_space, size, (rows, width), old.dtype, repeat)
 
-    def write(self, frames: list[Array], out: Array) -> None:
+    def write(self, out: Array, slots: Slots | None) -> None:
         # A row of a frame moves as one thing, whatever it consists of.
-        row = np.dtype((np.void, frames[0].shape[2] * out.itemsize))
-        stacks = out.reshape(len(out), -1, len(frames) * frames[0].shape[2]).view(row)
-        for place, frame in enumerate(frames):
-            stacks[:, :, place] = frame.view(row)[:, :, 0]
+        width = self._window.shape[3]
+        row = np.dtype((np.void, width * out.itemsize))
+        stacks = out.reshape(len(out), -1, self._frames * width).view(row)
+        for age in range(self._frames):
+            stacks[:, :, self._frames - 1 - age] = self._frame(age, slots).view(row)[:, :, 0]
 
 
 class _NumberStack(_Window):
@@ -322,11 +326,11 @@ class _NumberStack(_Window):
         super().__init__(batch, Discrete(n**size), action_space, size, (), np.int64, repeat)
         self._n_values = n
 
-    def write(self, frames: list[Array], out: Array) -> None:
+    def write(self, out: Array, slots: Slots | None) -> None:
         out[:] = 0
-        for frame in frames:
+        for age in range(self._frames - 1, -1, -1):
             out *= self._n_values
-            out += frame
+            out += self._frame(age, slots)
 
 
 def frame_stack_v1(env: Env, stack_size: int = 4, stack_dim: int = -1) -> Any:
@@ -364,15 +368,15 @@ def _frame_stack(env: Env, size: int, axis: int, repeat: bool) -> Any:
 
 
 class _Delay(_Window):
-    def write(self, frames: list[Array], out: Array) -> None:
-        out[...] = frames[0].reshape(out.shape)
+    def write(self, out: Array, slots: Slots | None) -> None:
+        out[...] = self._frame(self._frames - 1, slots).reshape(out.shape)
 
 
 class _Maximum(_Window):
-    def write(self, frames: list[Array], out: Array) -> None:
-        out[...] = frames[0].reshape(out.shape)
-        for frame in frames[1:]:
-            np.maximum(out, frame.reshape(out.shape), out=out)
+    def write(self, out: Array, slots: Slots | None) -> None:
+        out[...] = self._frame(0, slots).reshape(out.shape)
+        for age in range(1, self._frames):
+            np.maximum(out, self._frame(age, slots).reshape(out.shape), out=out)
 
 
 def _window(env: Env, name: str, kind: type[_Window], frames: int, repeat: bool) -> Any:
