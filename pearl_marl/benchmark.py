@@ -272,7 +272,9 @@ def _peers(spec: EnvSpec, n: int) -> list[Contender]:
         except ImportError:
             raise UnavailableError("not installed: pip install minatar") from None
         given = actions(sync, np.int64).tolist()
-        envs = [Environment(game, random_seed=i) for i in range(sync)]
+        envs = [Environment(game, **options) for _ in range(sync)]
+        for i, env in enumerate(envs):
+            env.seed(i)
 
         def step() -> None:
             for env, action in zip(envs, given, strict=True):

@@ -19,11 +19,11 @@ ONE = 1 << FRACTION
 # cos(pi/4 y) = 1 + C_2 y**2 + ... + C_8 y**8. Least squares over 4,000 Chebyshev nodes, which is
 # within a few per cent of minimax, times 2**30: 1.3e-9 and 0.1e-9 off.
 S_1, S_3, S_5, S_7 = 843314845, -86699678, 2673479, -38523
-C_2, C_4, C_6, C_8 = -331168968, 17023454, -349977, 3792
+C_2, C_4, C_6, C_8 = -331168968, 17023455, -349977, 3792
 
 # A first 1 / (1 + y), y in 0 .. 1, is (98 - 80 y + 32 y**2) / 99: the parabola of least relative
 # error, which is the third Chebyshev polynomial's 1/99.
-R_0, R_1, R_2 = 1062895843, -867670076, 347068030
+R_0, R_1, R_2 = 1062895947, -867670161, 347068064
 
 
 def constant(value: float, fraction: int) -> int:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import functools
 import inspect
-import re
 from copy import deepcopy
 from dataclasses import replace
 from typing import Any
@@ -24,6 +23,7 @@ from pearl_marl.registry import get_spec
 from pearl_marl.rendering import OracleRenderer, check_render_mode
 from pearl_marl.saved_state import SavedState
 from pearl_marl.slot_memory import state_dtype
+from pearl_marl.spec import snake_case
 
 Array = npt.NDArray[Any]
 
@@ -66,7 +66,7 @@ class PearlParallelEnv(ParallelInterface):
         self.agents: list[str] = []
         self._agents: tuple[str, ...] = ()
         self.metadata = {
-            "name": f"{re.sub(r'(?<=[a-z0-9])(?=[A-Z])', '_', spec.name).lower()}_v{spec.version}",
+            "name": f"{snake_case(spec.name)}_v{spec.version}",
             "render_modes": list(spec.render_modes),
             "render_fps": spec.render_fps,
             "is_parallelizable": True,

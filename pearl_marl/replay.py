@@ -24,7 +24,7 @@ from pearl_marl.devices.base import Device
 from pearl_marl.devices.batch import BatchConfig
 from pearl_marl.divergence import Divergence
 from pearl_marl.errors import ArgumentError, LockstepError, PearlError
-from pearl_marl.registry import get_spec
+from pearl_marl.registry import get_spec, names
 from pearl_marl.saved_state import SavedState
 
 _FORMAT = "pearl verify replay"
@@ -107,6 +107,8 @@ class Replay:
             "version": _VERSION,
             "divergence": self.divergence.as_json(),
             "batch": self.config.identity(),
+            # Importing it registers the environment, where that is of another package.
+            "module": self.config.spec.golden.step.__module__,
             "before": None if self.before is None else _packed(self.before.to_bytes()),
             "actions": None if self.actions is None else _packed(self.actions.tobytes()),
             "seed": self.seed,
@@ -144,7 +146,9 @@ class Replay:
     @classmethod
     def _from_json(cls, value: dict[str, Any]) -> Replay:
         batch = value["batch"]
-        spec = get_spec(batch["environment"].rpartition("-v")[0]).with_options(**batch["options"])
+        name, module = batch["environment"].rpartition("-v")[0], value.get("module")
+        known = name in names() or module is None
+        spec = get_spec(name if known else f"{module}:{name}").with_options(**batch["options"])
         if spec.id != batch["environment"]:
             raise ArgumentError(f"it is of {batch['environment']}; here is {spec.id}")
         config = BatchConfig(

@@ -67,6 +67,11 @@ class Field:
         return self.value((1 << (self.bits - self.signed)) - 1)
 
 
+def snake_case(name: str) -> str:
+    """Return the name of an environment's folder: ``"cliff_walking"`` for ``"CliffWalking"``."""
+    return re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", name).lower()
+
+
 def word_bits(fields: Sequence[Field]) -> int:
     """Return the width in bits of the word made of ``fields`` side by side."""
     return sum(f.bits for f in fields)

@@ -1,8 +1,8 @@
 // Everything but the bus: the memories and registers behind one memory port, and the pipeline that
 // takes all slots through one step when the doorbell rings.
 //
-// pearl_top has checked the parameters that the bus shares; those that only the backbone has, it
-// checks itself.
+// pearl_top checks the sizes. Whether widths and offsets belong to them and to the core is checked
+// here.
 // Reset has to last LATENCY + 4 cycles (the core's LATENCY): what is in the pipeline is flushed, not
 // reset, so that its delays can be shift-register LUTs.
 module pearl_backbone

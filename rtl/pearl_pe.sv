@@ -67,7 +67,6 @@ module pearl_pe
   // The counter is read, raised and written in the core's last cycle, which spares the pipeline
   // from carrying it along.
   logic first_late, hold_late, hold_q, truncated_q;
-  logic [ELAPSED_BITS-1:0] elapsed_before;
   pearl_delay #(
       .WIDTH (2),
       .STAGES(LATENCY - 1)
@@ -76,12 +75,14 @@ module pearl_pe
       .d_i({first, hold}),
       .d_o({first_late, hold_late})
   );
-  assign elapsed_before = first_late ? '0 : elapsed_i;
-  assign elapsed_o = hold_late ? '0 : elapsed_before + 1'b1;
+  // The first step of an episode overrules the sum and the comparison instead of clearing what they
+  // start from: a mask in front of them would cost a LUT a bit more. Who is held is at a first step.
+  assign elapsed_o = first_late ? ELAPSED_BITS'(!hold_late) : elapsed_i + 1'b1;
 
   always_ff @(posedge clk_i) begin
     hold_q <= hold_late;
-    truncated_q <= !hold_late && max_cycles_i != '0 && elapsed_before >= max_cycles_i - 1'b1;
+    truncated_q <= !hold_late && max_cycles_i != '0 &&
+        (first_late ? max_cycles_i == 1 : elapsed_i >= max_cycles_i - 1'b1);
   end
 
   assign reward_o = hold_q ? '0 : reward;

@@ -18,10 +18,10 @@ module pearl_ram
     output logic [    WIDTH-1:0] rdata_o
 );
 
+  // An address has a bit even where there is one word only.
+  localparam int unsigned WORDS = DEPTH > 1 ? DEPTH : 2;
   // Public, because a simulation's host may move whole memories at once instead of word by word.
-  logic [WIDTH-1:0]
-      mem[2**ADDR_BITS > DEPTH && DEPTH > 1 ? DEPTH : 2**ADDR_BITS]
-/* verilator public_flat_rw */;
+  logic [WIDTH-1:0] mem[WORDS]  /* verilator public_flat_rw */;
   logic [WIDTH-1:0] rdata_q;
 
   always_ff @(posedge clk_i) begin

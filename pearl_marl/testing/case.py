@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 from gymnasium.spaces import Discrete
+from gymnasium.vector import AutoresetMode
 
 from pearl_marl import devices, hardware, toolchain
 from pearl_marl.actions import random_actions
@@ -33,6 +34,11 @@ SIZES = {"native": (1, 7, SIZE, 1000, 43008), "rtl": (HALF, SIZE)}
 
 SPLITS = {"native": (1, HALF, 64), "rtl": (HALF,)}
 """Where a batch of :data:`SIZE` slots is cut in two."""
+
+by_mode = pytest.mark.parametrize(
+    "mode", [AutoresetMode.SAME_STEP, AutoresetMode.NEXT_STEP], ids=lambda mode: str(mode.name)
+)
+"""For tests of both modes of a device."""
 
 
 def make_device(name: str, spec: EnvSpec, n: int = SIZE, **options: Any) -> Device:

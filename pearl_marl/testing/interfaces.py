@@ -154,7 +154,7 @@ class InterfacesContract:
         reference = Reference().open(BatchConfig(spec=case.spec, n_envs=SIZE, max_cycles=7))
         np.testing.assert_array_equal(packed(env.reset(seed=0)[0]), reference.reset(seed=0))
         resets = 0
-        for actions in case.actions(40):
+        for actions in case.actions(25):
             obs, rewards, terminations, truncations, infos = env.step(actions)
             theirs = reference.step(actions)
             np.testing.assert_array_equal(packed(obs), theirs.arrivals())

@@ -15,6 +15,7 @@ from pearl_marl.testing.case import (
     Case,
     assert_same_dicts,
     assert_same_trajectory,
+    by_mode,
     rows,
     trajectory,
 )
@@ -63,21 +64,17 @@ class SavedStatesContract:
         fresh.load_state(env.save_state())
         assert_same_trajectory(trajectory(env, case.actions(9)), trajectory(fresh, case.actions(9)))
 
-    @pytest.mark.parametrize(
-        "autoreset_mode",
-        [AutoresetMode.SAME_STEP, AutoresetMode.NEXT_STEP],
-        ids=lambda mode: str(mode.name),
-    )
-    def test_a_snapshot_is_of_its_moment(self, case: Case, autoreset_mode: AutoresetMode) -> None:
+    @by_mode
+    def test_a_snapshot_is_of_its_moment(self, case: Case, mode: AutoresetMode) -> None:
         """It must not change with the device that it was taken from."""
-        device = case.open(autoreset_mode=autoreset_mode, max_cycles=5)
+        device = case.open(autoreset_mode=mode, max_cycles=5)
         device.reset(seed=0)
         trajectory(device, case.actions(8))
         snapshot = device.snapshot()
         expected = trajectory(device, case.actions(20, seed=1))
         device.restore(snapshot)
         assert_same_trajectory(trajectory(device, case.actions(20, seed=1)), expected)
-        other = case.open(autoreset_mode=autoreset_mode, max_cycles=5)
+        other = case.open(autoreset_mode=mode, max_cycles=5)
         other.restore(snapshot)
         assert_same_trajectory(trajectory(other, case.actions(20, seed=1)), expected)
 

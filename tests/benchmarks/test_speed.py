@@ -11,14 +11,14 @@ import pytest
 
 import pearl_marl
 from pearl_marl import slot_memory
+from pearl_marl.actions import encode, random_actions
+from pearl_marl.devices.base import padded_rewards
 from pearl_marl.kernels import compile_kernels
-
-from ..helpers import ENVIRONMENTS
 
 N = 43008
 
 
-@pytest.fixture(params=[name for name in ENVIRONMENTS if name in pearl_marl.envs()])
+@pytest.fixture(params=pearl_marl.envs())
 def env(request: pytest.FixtureRequest) -> Any:
     env = pearl_marl.parallel_env(request.param, N, copy=False)
     env.reset(seed=0)
@@ -27,16 +27,15 @@ def env(request: pytest.FixtureRequest) -> Any:
 
 
 def actions_of(env: Any, n: int = N) -> np.ndarray:
-    generator = np.random.default_rng(0)
-    return generator.integers(env.spec.action_space.n, size=n).astype(env.spec.action.dtype)
+    return random_actions(env.spec, np.random.default_rng(0), n)
 
 
 def test_kernel_only(env: Any, benchmark: Any) -> None:
     spec = env.spec
     arguments = (
         slot_memory.allocate(spec, N),
-        actions_of(env),
-        np.array(spec.rewards or (), np.float32),
+        encode(actions_of(env), spec, np.empty(N, spec.action.dtype)),
+        padded_rewards(spec, spec.rewards or ()),
         np.zeros(N, np.float32),
         np.zeros(N, np.uint8),
     )

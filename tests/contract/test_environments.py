@@ -7,15 +7,14 @@ from __future__ import annotations
 
 import pytest
 
+import pearl_marl
 from pearl_marl.testing import Case, ContractSuite, assert_same_trajectory, rows, trajectory
 
-from ..helpers import ENVIRONMENTS
 from ..toy import TOYS
 
 
-@pytest.mark.usefixtures("toys")
 class TestEnvironments(ContractSuite):
-    environments = ENVIRONMENTS
+    environments = tuple(pearl_marl.envs())
     devices = ("native", "rtl")
 
     @pytest.mark.slow
@@ -31,10 +30,19 @@ class TestEnvironments(ContractSuite):
 
 
 @pytest.mark.usefixtures("toys")
-class TestSlowDevices(ContractSuite):
-    """The devices that compare: every environment is held against them above, and is nothing new to them.
+class TestToys(ContractSuite):
+    """What the environments are in every respect that matters to a device, in a few small ones."""
 
-    What the interfaces do with them is shown by environments that have one of everything.
+    environments = tuple(spec.name for spec in TOYS)
+    devices = ("native",)
+
+
+@pytest.mark.usefixtures("toys")
+class TestSlowDevices(ContractSuite):
+    """The devices that compare. Above, every environment is compared with them.
+
+    What is left to show is that they are devices as the others are, and for that the toys, which have
+    one of everything, do as well as all environments.
     """
 
     environments = ("CliffWalking", *(spec.name for spec in TOYS))

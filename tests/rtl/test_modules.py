@@ -7,9 +7,7 @@ from typing import Any
 
 import pytest
 from bench import spec_of
-from harness import Design, module, run
-
-from pearl_marl import hardware
+from harness import core, module, run
 
 # Row and word: equal, dividing either way, sharing a factor, sharing none; wider and narrower rows.
 RATIOS = [(32, 32), (8, 32), (96, 32), (64, 128), (48, 32), (24, 32), (42, 32), (7, 32), (99, 64), (1, 32)]
@@ -69,6 +67,47 @@ def test_axi_slave(word: int, tmp_path: Path) -> None:
     run(design, "bench_axi_slave", tmp_path, word=word)
 
 
+@pytest.mark.parametrize(("word", "words"), [(32, 3), (128, 1)])
+def test_port(word: int, words: int, tmp_path: Path) -> None:
+    run(module("port_map", DATA_WL=word, REGION_WORDS=words), "bench_port", tmp_path, word=word, words=words)
+
+
+@pytest.mark.parametrize("word", [32, 64, 128, 1024])
+def test_registers(word: int, tmp_path: Path) -> None:
+    design = module("pearl_registers", DATA_WL=word, ENV_HASH=0x1234)
+    run(design, "bench_registers", tmp_path, word=word)
+
+
+def test_sequencer(tmp_path: Path) -> None:
+    run(module("pearl_sequencer"), "bench_sequencer", tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("groups", "pe_num", "word", "ii", "obs", "reward"),
+    [
+        (10, 4, 32, 1, 6, 1),  # the core is the limit
+        (10, 16, 32, 1, 6, 1),  # the observations' packer is
+        (7, 8, 32, 1, 3, 13),  # the rewards' is
+        (9, 4, 64, 4, 13, 5),  # a core that takes four cycles
+        (1, 1, 1024, 1, 6, 1),
+    ],
+)
+def test_group_reader(
+    groups: int, pe_num: int, word: int, ii: int, obs: int, reward: int, tmp_path: Path
+) -> None:
+    design = module(
+        "pearl_group_reader",
+        GROUPS=groups,
+        PE_NUM=pe_num,
+        DATA_WL=word,
+        II=ii,
+        OBS_BITS=obs,
+        REWARD_BITS=reward,
+    )
+    sizes = {"groups": groups, "pe_num": pe_num, "word": word, "ii": ii, "obs": obs, "reward": reward}
+    run(design, "bench_group_reader", tmp_path, **sizes)
+
+
 LAKE = {"desc": ["SFHSFGSF", "GHSFFFFH", "FSHFHSFF"]}
 
 
@@ -81,11 +120,30 @@ LAKE = {"desc": ["SFHSFGSF", "GHSFFFFH", "FSHFHSFF"]}
         ("FrozenLake", {"map_name": "8x8", "success_rate": 0.8}, 3, 1),
         ("FrozenLake", {**LAKE, "is_slippery": False}, 3, 1),
         ("FrozenLake", {**LAKE, "success_rate": 0}, 3, 1),
+        ("CartPole", {}, 56, 1),
+        ("CartPole", {"sutton_barto_reward": True}, 56, 1),
+        ("Pendulum", {}, 43, 1),
+        ("Pendulum", {"g": -3.7}, 43, 1),
+        ("MountainCar", {}, 29, 1),
+        ("MountainCar", {"goal_velocity": 0.01}, 29, 1),
+        ("Seaquest", {}, 9, 1),
+        ("Seaquest", {"sticky_action_prob": 0.9, "difficulty_ramping": False}, 9, 1),
+        ("Taxi", {}, 5, 1),
+        ("Taxi", {"fickle_passenger": True, "fickle_probability": 0.5}, 5, 1),
+        ("Taxi", {"fickle_passenger": True, "is_rainy": True}, 5, 1),
+        ("Blackjack", {}, 17, 1),
+        ("Blackjack", {"sab": False, "natural": True}, 17, 1),
         ("ShiftAdd", {}, 4, 4),
     ],
 )
 def test_core(env: str, options: dict[str, Any], latency: int, ii: int, tmp_path: Path) -> None:
-    spec = spec_of(env, options)
-    path = hardware.core_path(spec)
-    design = Design(path.stem, (path,), hardware.core_parameters(spec))
-    run(design, "bench_core", tmp_path, env=env, options=options, latency=latency, ii=ii, limit=25_000)
+    run(
+        core(spec_of(env, options)),
+        "bench_core",
+        tmp_path,
+        env=env,
+        options=options,
+        latency=latency,
+        ii=ii,
+        limit=25_000,
+    )

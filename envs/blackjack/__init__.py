@@ -1,0 +1,1 @@
+"""Blackjack: get closer to 21 than the dealer, but not beyond."""

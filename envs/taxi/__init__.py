@@ -1,0 +1,1 @@
+"""Taxi: fetch a passenger and drive him where he wants to go."""

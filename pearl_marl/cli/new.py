@@ -1,0 +1,88 @@
+"""``pearl new``: an environment in a package of its own, to start from."""
+
+from __future__ import annotations
+
+import importlib.util
+import keyword
+import re
+from importlib import resources
+from importlib.resources.abc import Traversable
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.markup import escape
+
+from pearl_marl import hardware
+from pearl_marl.cli.common import console, out_folder
+from pearl_marl.errors import ArgumentError
+from pearl_marl.registry import names
+from pearl_marl.spec import snake_case
+
+TEMPLATE = "MyEnvironment"
+
+NewName = Annotated[str, typer.Argument(metavar="NAME", help="Of the environment, as in FrozenLake.")]
+Where = Annotated[Path, typer.Option("--out", metavar="DIR", help="Where to make the package's folder.")]
+
+
+def command(name: NewName, out: Where = Path()) -> None:
+    """Write a package with a small environment of that name: golden step, core, tests, all working."""
+    folder = _checked(name, out)
+    out_folder(out)
+    words = {
+        TEMPLATE: name,
+        snake_case(TEMPLATE): snake_case(name),
+        snake_case(TEMPLATE).replace("_", "-"): snake_case(name).replace("_", "-"),
+    }
+    written = sorted(_copy(resources.files("pearl_marl") / "templates" / "environment", folder, words))
+    console.print(f"Wrote {folder}:", highlight=False, soft_wrap=True, markup=False)
+    for path in written:
+        console.print(f"  {path.relative_to(folder)}", highlight=False, soft_wrap=True, markup=False)
+    console.print(
+        f"It works as it is: [bold]cd {escape(str(folder))}[/], [bold]pip install -e '.\\[test]'[/], "
+        f"[bold]pytest[/], [bold]pearl verify {snake_case(name)}:{name} --device rtl[/].",
+        highlight=False,
+        soft_wrap=True,
+    )
+
+
+def _checked(name: str, out: Path) -> Path:
+    """Return the folder to make for an environment; refuse a name that cannot be one's, or is taken."""
+    if not re.fullmatch(r"[A-Z][A-Za-z0-9]*", name):
+        raise ArgumentError(
+            f"name {name!r}: it takes letters and digits, a capital letter first, as in FrozenLake"
+        )
+    snake = snake_case(name)
+    taken = next((other for other in names() if snake_case(other) == snake), None)
+    if taken is not None:
+        raise ArgumentError(f"there is an environment {taken!r} already; choose another name")
+    folder = out / snake
+    if folder.exists():
+        raise ArgumentError(f"{folder} exists already; choose another name, or another folder with --out")
+    found = importlib.util.find_spec(snake)
+    if keyword.iskeyword(snake) or (found is not None and found.origin is not None):  # None is a mere folder
+        raise ArgumentError(
+            f"name {name!r}: its package would be called {snake!r}, which Python has a meaning for already"
+        )
+    modules = {path.stem for path in hardware.backbone_paths()}
+    if {f"{snake}_pe", f"{snake}_pkg"} & modules:
+        raise ArgumentError(f"name {name!r}: the backbone has a module of its core's name, {snake}_pe")
+    return folder
+
+
+def _copy(source: Traversable, target: Path, words: dict[str, str]) -> list[Path]:
+    """Copy a folder, with ``words`` replaced in the names and contents of its files; return the files."""
+    written = []
+    target.mkdir()
+    for item in source.iterdir():
+        path = target / _replaced(item.name, words)
+        if item.is_file():
+            path.write_text(_replaced(item.read_text(), words))
+            written.append(path)
+        elif not item.name.startswith((".", "_")):  # caches of pip and of linters
+            written += _copy(item, path, words)
+    return written
+
+
+def _replaced(text: str, words: dict[str, str]) -> str:
+    return re.sub("|".join(words), lambda match: words[match[0]], text)

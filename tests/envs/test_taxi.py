@@ -1,0 +1,370 @@
+"""Taxi against Gymnasium's ``Taxi-v4``: exactly where it can be, by statistics where not."""
+
+from __future__ import annotations
+
+import itertools
+from functools import cache
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+from scipy import stats
+
+import pearl_marl
+from pearl_marl import rng
+from pearl_marl.errors import ArgumentError
+from pearl_marl.golden import call_reference, u8, u32
+from pearl_marl.rendering import HeatMap
+
+from .tabular import first_episodes, first_observations, native_step, table_episodes, table_of
+
+STATES, ACTIONS = 500, 6
+DRY, RAINY = {}, {"is_rainy": True}
+FICKLE, BOTH = {"fickle_passenger": True}, {"is_rainy": True, "fickle_passenger": True}
+STORM = {"is_rainy": True, "rainy_probability": 0.25, "fickle_passenger": True, "fickle_probability": 0.9}
+PAIRS = np.array(list(itertools.product(range(STATES), range(ACTIONS)))).T
+
+
+def oracle(**options: Any) -> Any:
+    return gymnasium.make("Taxi-v4", **options).unwrapped
+
+
+def spec(**options: Any) -> pearl_marl.EnvSpec:
+    return pearl_marl.get_spec("Taxi").with_options(**options)
+
+
+def decode(states: np.ndarray) -> list[np.ndarray]:
+    """Return row, column, passenger and destination of Gymnasium's states."""
+    return [u8(states // 100), u8(states // 20 % 5), u8(states // 4 % 5), u8(states % 4)]
+
+
+def draw_of(ours: pearl_marl.EnvSpec, outcome: int, third: int) -> tuple[int, int]:
+    """Return the least and the greatest draw of a slip (0 none, 1 left, 2 right) and a new destination."""
+    assert ours.core_parameters is not None
+    edges = [0, 2**32, 2**32, 2**32]
+    if ours.core_parameters["IS_RAINY"]:
+        edges[1:3] = ours.core_parameters["FORWARD_BELOW"], ours.core_parameters["LEFT_BELOW"]
+    low, after = (third * 2**32 + edge for edge in edges[outcome : outcome + 2])
+    return -(-low // 3), (after - 1) // 3
+
+
+@pytest.mark.parametrize("options", [DRY, RAINY, FICKLE, BOTH, STORM], ids=str)
+def test_golden_step(options: dict[str, Any]) -> None:
+    """Every state, action and slip against ``P``, with a passenger who is not fickle (or not yet aboard)."""
+    table, ours = table_of(oracle(**options)), spec(**options)
+    states, actions = PAIRS
+    outcomes = table.probability.shape[2]
+    assert outcomes == (3 if ours.options["is_rainy"] else 1)
+    for k in range(outcomes):
+        # Serving has one outcome, whatever the rain.
+        row_of = np.where(actions < 4, k, 0)
+        share = sum(len(range(*draw_of(ours, k, third))) + 1 for third in range(3)) / 2**32
+        assert abs(share - table.probability[0, 0, k]) < 2**-31 if ours.step_draws else share == 1
+        for third, end in itertools.product(range(3), range(2)):
+            drawn = [np.full(len(states), draw_of(ours, k, third)[end], np.uint32)][: ours.step_draws]
+            words = [*decode(states), np.zeros(len(states), np.uint8), u8(actions)]
+            *moved, code, terminated = call_reference(ours.golden.step, [*words, *drawn])
+            (observed,) = call_reference(ours.golden.observe, moved)
+            np.testing.assert_array_equal(observed, table.state[states, actions, row_of])
+            assert ours.rewards is not None
+            np.testing.assert_array_equal(np.array(ours.rewards)[code], table.reward[states, actions, row_of])
+            np.testing.assert_array_equal(terminated, table.terminated[states, actions, row_of])
+            assert not np.any(moved[4])
+
+
+class Injected:
+    """Stands in for the oracle's generator: the slip and the new destination are given."""
+
+    def __init__(self) -> None:
+        self.number, self.third = 0.0, 0
+
+    def random(self) -> float:
+        return self.number
+
+    def choice(self, destinations: list[int]) -> int:
+        return destinations[self.third]
+
+
+@pytest.mark.parametrize("options", [FICKLE, BOTH], ids=str)
+def test_golden_step_of_the_fickle(options: dict[str, Any]) -> None:
+    """Every state of a fickle passenger, action, slip and choice, against the oracle's own ``step``."""
+    gym, ours = oracle(**options), spec(**options)
+    gym.reset(seed=0)
+    gym._np_random = injected = Injected()
+    numbers = (0.1, 0.85, 0.95) if ours.options["is_rainy"] else (0.1,)
+    states, actions = PAIRS
+    changed = 0
+    for (k, number), third in itertools.product(enumerate(numbers), range(3)):
+        injected.number, injected.third = number, third
+        words = [*decode(states), np.ones(len(states), np.uint8), u8(actions)]
+        draws = np.full(len(states), draw_of(ours, k, third)[0], np.uint32)
+        *moved, code, terminated = call_reference(ours.golden.step, [*words, draws])
+        (observed,) = call_reference(ours.golden.observe, moved)
+        assert ours.rewards is not None
+        got = zip(observed.tolist(), np.array(ours.rewards)[code], terminated, moved[4], strict=True)
+        for state, action, mine in zip(states.tolist(), actions.tolist(), got, strict=True):
+            gym.s, gym.fickle_step = state, True
+            new, reward, ended, _, _ = gym.step(action)
+            assert mine == (new, reward, ended, gym.fickle_step), (state, action, k, third)
+            changed += not gym.fickle_step
+    assert changed > 800
+
+
+def test_scalars_do_what_arrays_do() -> None:
+    generator = np.random.default_rng(0)
+    ours, n = spec(**BOTH).golden, 2000
+    limits = (8, 8, 8, 4, 2, 6, 2**32)
+    columns = [generator.integers(limit, size=n) for limit in limits]
+    cases = [*map(u8, columns[:-1]), u32(columns[-1])]
+    whole = call_reference(ours.step, cases)
+    starts = call_reference(ours.initial, cases[-1:])
+    for i in range(n):
+        one = [column[i] for column in cases]
+        assert call_reference(ours.step, one) == tuple(result[i] for result in whole)
+        assert call_reference(ours.initial, one[-1:]) == tuple(result[i] for result in starts)
+
+
+def test_every_legal_start_has_its_share_of_the_draws() -> None:
+    """The 300 starts are cut out of the draws in order, each as wide as the next, to a draw."""
+    firsts = np.array([-(-i * 2**32 // 300) for i in range(300)])
+    lasts = np.array([-(-(i + 1) * 2**32 // 300) - 1 for i in range(300)])
+    ours = spec().golden
+    seen = [
+        call_reference(ours.observe, call_reference(ours.initial, [u32(draws)]))[0]
+        for draws in (firsts, lasts)
+    ]
+    np.testing.assert_array_equal(*seen)
+    np.testing.assert_array_equal(np.sort(seen[0]), np.flatnonzero(oracle().initial_state_distrib))
+
+
+def test_the_fickle_have_their_share_of_every_start() -> None:
+    ours = spec(**FICKLE)
+    for i in range(300):
+        low, high = -(-i * 2**32 // 300), -(-(i + 1) * 2**32 // 300)
+        flags = call_reference(ours.golden.initial, [np.arange(low, high, 4099, dtype=np.uint32)])[4]
+        # They are the first of each start's draws, so their number is known to a draw.
+        assert np.all(np.diff(flags.astype(int)) <= 0)
+        assert abs(flags.mean() - 0.3) < 4099 * 300 / 2**32
+    for options, share in ((FICKLE | {"fickle_probability": 0}, 0), (DRY, 0), (STORM, 0.9)):
+        drawn = call_reference(spec(**options).golden.initial, [np.arange(0, 2**32, 9973, dtype=np.uint32)])[
+            4
+        ]
+        assert drawn.mean() == pytest.approx(share, abs=1e-4)
+
+
+def test_distribution_of_starts() -> None:
+    probability = oracle().initial_state_distrib
+    legal = np.flatnonzero(probability)
+    n = 60_000
+    seen = np.bincount(first_observations(spec(), n, seed=2), minlength=STATES)
+    assert seen[legal].sum() == n
+    p = stats.chisquare(seen[legal], n * probability[legal]).pvalue
+    print(f"starts: p = {p:.3f}")
+    assert p > 0.001
+
+
+def test_distribution_of_the_fickle() -> None:
+    """Their share, and that neither row nor destination tells who is."""
+    n = 60_000
+    env = pearl_marl.parallel_env("Taxi", n, fickle_passenger=True)
+    env.reset_batch(seed=8)
+    row, _, _, destination, fickle = env.state().T.astype(int)
+    p_share = stats.binomtest(int(fickle.sum()), n, 0.3).pvalue
+    p_values = [p_share] + [
+        stats.chi2_contingency(stats.contingency.crosstab(part, fickle).count).pvalue
+        for part in (row, destination)
+    ]
+    print("the fickle, share and independence of row and destination: p =", np.round(p_values, 3))
+    assert min(p_values) > 0.001
+    env.close()
+
+
+@pytest.mark.parametrize("options", [DRY, BOTH], ids=str)
+def test_native_step(options: dict[str, Any]) -> None:
+    """Every pair many times over, with draws that are known, so that each slot's outcome is exact."""
+    ours, table = spec(**options), table_of(oracle(**options))
+    states, actions = np.tile(PAIRS, 7)[:, : 9 * 2048 + 77]
+    fickle = np.arange(len(states)) // len(PAIRS.T) % 2 * int(ours.options["fickle_passenger"])
+    outcomes = np.zeros(len(states), int)
+    new = table.state[states, actions, 0]
+    if ours.step_draws:
+        tripled = 3 * rng.draws(rng.seed_words(5), np.arange(len(states)), 0, 1).astype(object)
+        third, rest = (tripled >> 32).astype(int), (tripled % 2**32).astype(int)
+        assert ours.core_parameters is not None
+        outcomes = sum(
+            (rest >= ours.core_parameters[name]).astype(int) for name in ("FORWARD_BELOW", "LEFT_BELOW")
+        )
+        outcomes[actions >= 4] = 0
+        new = table.state[states, actions, outcomes]
+        changes = (fickle == 1) & (states // 4 % 5 == 4) & (new // 20 != states // 20)
+        assert changes.sum() > 500
+        other = third + (third >= states % 4)
+        new = np.where(changes, new // 4 * 4 + other, new)
+    step = native_step(ours, [*decode(states), fickle], u8(actions), seed=5)
+    np.testing.assert_array_equal(step.arrivals(), new)
+    np.testing.assert_array_equal(step.rewards, table.reward[states, actions, outcomes])
+    np.testing.assert_array_equal(step.terminations, table.terminated[states, actions, outcomes])
+
+
+@pytest.mark.parametrize("options", [RAINY, STORM], ids=str)
+def test_slip_frequencies(options: dict[str, Any]) -> None:
+    """From the middle of the town every direction is free, and every slip leads elsewhere."""
+    table, n, middle = table_of(oracle(**options)), 30_000, 12 * 20 + 1
+    for action in range(4):
+        fields = [*decode(np.full(n, middle)), np.zeros(n, np.uint8)]
+        arrived = native_step(spec(**options), fields, np.full(n, action, np.uint8), seed=action).arrivals()
+        seen = np.bincount(arrived, minlength=STATES)[table.state[middle, action]]
+        assert seen.sum() == n
+        p = stats.chisquare(seen, n * table.probability[middle, action]).pvalue
+        print(f"{options}, action {action}: p = {p:.3f}")
+        assert p > 0.001
+
+
+@pytest.mark.parametrize("destination", range(4))
+def test_new_destinations(destination: int) -> None:
+    """The other three, each as likely, whichever way the taxi slips."""
+    n, middle = 30_000, 12 * 20 + 16 + destination
+    fields = [*decode(np.full(n, middle)), np.ones(n, np.uint8)]
+    arrived = native_step(spec(**BOTH), fields, np.zeros(n, np.uint8), seed=destination).arrivals()
+    others = [k for k in range(4) if k != destination]
+    counts = stats.contingency.crosstab(arrived // 20, arrived % 4)
+    np.testing.assert_array_equal(counts.elements[1], others)
+    p_values = (
+        stats.chisquare(counts.count.sum(axis=0)).pvalue,
+        stats.chi2_contingency(counts.count).pvalue,
+    )
+    print("new destinations, share and independence of the slip: p =", np.round(p_values, 3))
+    assert min(p_values) > 0.001
+
+
+@cache
+def good_actions() -> np.ndarray:
+    """Return an action that is best in dry weather for each state, by value iteration on ``P``."""
+    table = table_of(oracle())
+    best = np.zeros(STATES)
+    for _ in range(40):
+        values = table.reward[..., 0] + np.where(table.terminated[..., 0], 0, best[table.state[..., 0]])
+        best = values.max(axis=1)
+    return values.argmax(axis=1)
+
+
+def policy(share: float) -> Any:
+    """Return a policy that takes a good action with this probability, and any otherwise."""
+
+    def act(observations: np.ndarray, generator: np.random.Generator) -> np.ndarray:
+        n = len(observations)
+        anything = generator.integers(ACTIONS, size=n)
+        return u8(np.where(generator.random(n) < share, good_actions()[observations], anything))
+
+    return act
+
+
+def assert_same_distribution(ours: Any, theirs: Any, what: str) -> None:
+    """Compare lengths and returns by Kolmogorov and Smirnov."""
+    for name, mine, other in zip(("lengths", "returns"), ours, theirs, strict=True):
+        p = stats.ks_2samp(mine, other).pvalue
+        print(f"{what}, {name}: means {mine.mean():.3f} and {other.mean():.3f}, p = {p:.3f}")
+        assert p > 0.001
+
+
+@pytest.mark.parametrize("options", [DRY, RAINY], ids=str)
+@pytest.mark.parametrize(
+    "share", [0.6, pytest.param(0.0, marks=pytest.mark.slow)], ids=["mostly good", "uniform"]
+)
+def test_episodes_of_a_random_policy(options: dict[str, Any], share: float) -> None:
+    """20,000 episodes of each: lengths and returns have one distribution."""
+    ours = first_episodes(spec(**options), 20_000, 1, policy(share))
+    theirs = table_episodes(oracle(**options), 20_000, 2, policy(share), limit=200)
+    assert (ours[0] == 200).any() if share == 0 else (ours[0] < 200).mean() > 0.9
+    assert_same_distribution(ours, theirs, f"{options}, {share}")
+
+
+@pytest.mark.slow
+def test_episodes_with_fickle_passengers() -> None:
+    """The same, but the oracle's own ``step`` has to do it, one slot after the other."""
+    eager = {"fickle_passenger": True, "fickle_probability": 0.9}
+    env, generator, n = gymnasium.make("Taxi-v4", **eager), np.random.default_rng(5), 20_000
+    lengths, returns = np.zeros(n, int), np.zeros(n)
+    env.reset(seed=3)
+    act = policy(0.9)
+    for i in range(n):
+        observation, _ = env.reset()
+        ended = False
+        while not ended:
+            action = int(act(np.array([observation]), generator)[0])
+            observation, reward, terminated, truncated, _ = env.step(action)
+            lengths[i] += 1
+            returns[i] += float(reward)
+            ended = terminated or truncated
+    ours = first_episodes(spec(**eager), n, 1, policy(0.9))
+    assert_same_distribution(ours, (lengths, returns), "fickle")
+    steadfast = first_episodes(spec(**{**eager, "fickle_passenger": False}), n, 1, policy(0.9))
+    assert stats.ks_2samp(steadfast[0], lengths).pvalue < 1e-6, "this test cannot tell the fickle"
+
+
+@pytest.mark.parametrize("mode", ["ansi", "rgb_array"])
+def test_pictures_are_gymnasiums(mode: str) -> None:
+    pytest.importorskip("pygame", reason="Gymnasium draws with pygame")
+    env = pearl_marl.parallel_env("Taxi", 2, render_mode=mode)
+    gym = gymnasium.make("Taxi-v4", render_mode=mode)
+    obs, _ = env.reset(seed=0)
+    gym.reset(seed=0)
+    pictures = set()
+    for _ in range(14):
+        action = good_actions()[obs["agent_1"]]
+        obs, *_ = env.step([3, action])
+        gym.unwrapped.s = int(obs["agent_1"])
+        picture = env.render("agent_1")
+        np.testing.assert_array_equal(picture, gym.render())
+        pictures.add(np.asarray(picture).tobytes())
+    assert len(pictures) >= 8
+    env.close()
+    gym.close()
+
+
+def test_heat_map_counts_the_taxis() -> None:
+    env = pearl_marl.parallel_env("Taxi", 200)
+    env.reset_batch(seed=0)
+    heat = HeatMap(env.spec)
+    for _ in range(4):
+        env.step_batch(np.zeros(200, int))
+    heat.add(env.step_batch(np.zeros(200, int)))
+    assert heat.counts[:4].sum() == 0
+    np.testing.assert_array_equal(heat.counts[4], np.bincount(env.state()[:, 1].astype(int), minlength=5))
+    env.close()
+
+
+def test_options_and_limit() -> None:
+    gym = gymnasium.make("Taxi-v4")
+    assert gym.spec is not None
+    assert spec().max_cycles == gym.spec.max_episode_steps == 200
+    assert spec().options == {
+        "is_rainy": False,
+        "fickle_passenger": False,
+        "rainy_probability": 0.8,
+        "fickle_probability": 0.3,
+    }
+    # What is certain takes no draw.
+    for options in (DRY, RAINY | {"rainy_probability": 1}, FICKLE | {"fickle_probability": 0}):
+        assert spec(**options).step_draws == 0
+    for options in (RAINY, FICKLE, BOTH):
+        assert spec(**options).step_draws == 1
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"is_rainy": 1}, "is_rainy is 1; it must be True or False"),
+        ({"fickle_passenger": "no"}, "fickle_passenger is 'no'; it must be True or False"),
+        ({"rainy_probability": 1.5}, "rainy_probability is 1.5; it must be a probability, 0 to 1"),
+        ({"rainy_probability": True}, "rainy_probability is True"),
+        ({"fickle_probability": -1}, "fickle_probability is -1"),
+        ({"fickle_probability": float("nan")}, "fickle_probability is nan"),
+        ({"fickle_probability": None}, "fickle_probability is None"),
+        ({"rainy": True}, "unknown argument 'rainy', did you mean 'is_rainy'"),
+    ],
+)
+def test_refused_arguments(options: dict[str, Any], words: str) -> None:
+    with pytest.raises(ArgumentError, match=words):
+        pearl_marl.parallel_env("Taxi", 2, **options)

@@ -1,0 +1,95 @@
+"""pearl_registers against a model of its words, under random writes, ends of steps and errors."""
+
+from __future__ import annotations
+
+import random
+from typing import Any
+
+import cocotb
+import harness
+from bench import start
+from cocotb.triggers import FallingEdge, ReadOnly
+
+from pearl_marl.memory_map import MAGIC, PROTOCOL_VERSION, Control, Doorbell, Mode, Status, StatusError
+
+WORD = harness.arguments()["word"]
+IDENTITY = [MAGIC, PROTOCOL_VERSION, 0x1234, 7, 4, WORD, 6, 9]
+PER_WORD = WORD // 32
+
+
+def words_of(data: int) -> list[int]:
+    return [data >> (32 * i) & 0xFFFFFFFF for i in range(PER_WORD)]
+
+
+@cocotb.test
+async def words_equal_the_model(dut: Any) -> None:
+    flags = ("done_i", "busy_write_i", "busy_doorbell_i", "torn_i", "untorn_i")
+    inputs = ("index_i", "control_we_i", "doorbell_we_i", "wdata_i", "cycles_i", *flags)
+    await start(dut, **dict.fromkeys(inputs, 0))
+    source = random.Random(16)
+    control, doorbell, status = [*IDENTITY, *[0] * 8], [0, 0], [0, 0, 0]
+    rung, stale = 0, False
+    for _ in range(3000):
+        await FallingEdge(dut.clk_i)
+        kind = source.choice(("control", "doorbell", "again", "none"))
+        # A second write of a doorbell is one of the same words.
+        data = sum(word << (32 * i) for i, word in enumerate(doorbell)) if kind == "again" else 0
+        if kind != "again":
+            edges = (0, 1, 0xFFFFFFFF, source.getrandbits(32))
+            data = sum(source.choice(edges) << (32 * i) for i in range(PER_WORD))
+        data &= (1 << WORD) - 1
+        size = len(Control) if kind == "control" else len(Doorbell)
+        index = 0 if kind == "again" and PER_WORD > 1 else source.randrange(-(-size // PER_WORD))
+        event = source.choice((*flags, *["none"] * 5))
+        cycles = source.getrandbits(32)
+        dut.index_i.value, dut.wdata_i.value, dut.cycles_i.value = index, data, cycles
+        dut.control_we_i.value = int(kind == "control")
+        dut.doorbell_we_i.value = int(kind in ("doorbell", "again"))
+        for flag in flags:
+            getattr(dut, flag).value = int(flag == event)
+        await ReadOnly()
+
+        written = dict(zip(range(index * PER_WORD, (index + 1) * PER_WORD), words_of(data), strict=True))
+        rings = kind in ("doorbell", "again") and written.get(Doorbell.SEQUENCE, rung) != rung
+        assert dut.ring_o.value == int(rings)
+        tick = control[Control.TICK_LOW] | control[Control.TICK_HIGH] << 32
+        assert int(dut.tick_o.value) == tick
+        assert int(dut.seed_o.value) == control[Control.SEED_0] | control[Control.SEED_1] << 32
+        assert int(dut.first_slot_o.value) == control[Control.FIRST_SLOT]
+        assert int(dut.max_cycles_o.value) == control[Control.MAX_CYCLES]
+        assert int(dut.mode_o.value) == doorbell[Doorbell.MODE] % (1 << len(Mode))
+        assert dut.keys_stale_o.value == int(stale)
+
+        stale = kind == "control" or event == "done_i"
+        if event == "done_i":
+            status[Status.SEQUENCE], status[Status.CYCLES] = rung, cycles
+            tick = (tick + 1) % (1 << 64)
+            control[Control.TICK_LOW], control[Control.TICK_HIGH] = tick & 0xFFFFFFFF, tick >> 32
+        if kind == "control":
+            for word in range(Control.SEED_0, Control.RESERVED_0):
+                control[word] = written.get(word, control[word])
+        elif kind != "none":
+            doorbell = [written.get(word, doorbell[word]) for word in Doorbell]
+        if rings:
+            rung = doorbell[Doorbell.SEQUENCE]
+            status[Status.ERROR] &= ~(StatusError.BUSY_WRITE | StatusError.BUSY_DOORBELL)
+        for flag, bit in (
+            ("busy_write_i", StatusError.BUSY_WRITE),
+            ("busy_doorbell_i", StatusError.BUSY_DOORBELL),
+            ("torn_i", StatusError.TORN_READ),
+        ):
+            status[Status.ERROR] |= bit if event == flag else 0
+        if event == "untorn_i":
+            status[Status.ERROR] &= ~StatusError.TORN_READ
+
+        # What is read one cycle later is what the registers hold then.
+        await FallingEdge(dut.clk_i)
+        for name in ("control_we_i", "doorbell_we_i", *flags):
+            getattr(dut, name).value = 0
+        if event == "done_i" or kind == "control":
+            assert dut.keys_stale_o.value == 1
+            stale = False
+        for port, words in (("control_o", control), ("doorbell_o", doorbell), ("status_o", status)):
+            padded = [*words, *[0] * (len(control) + PER_WORD)]
+            found = words_of(int(getattr(dut, port).value))
+            assert found == padded[index * PER_WORD : (index + 1) * PER_WORD], port

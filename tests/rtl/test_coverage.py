@@ -1,0 +1,31 @@
+"""The report of coverage tells what a bench reaches and what it does not."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import harness
+import pytest
+import rtl_coverage
+from harness import module, run
+
+
+def test_one_module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    data, bench = tmp_path / "data", tmp_path / "bench"
+    data.mkdir()
+    bench.mkdir()
+    monkeypatch.setenv(harness.COVERAGE_VARIABLE, str(data))
+    run(module("pearl_fifo", DEPTH=8), "bench_fifo", bench, depth=8)
+    (file,) = data.iterdir()
+    text = file.read_text()
+    fifo = rtl_coverage.merge([file])["pearl_fifo"]
+    assert min(fifo.lines.values()) > 0
+    assert sum(count > 0 for count in fifo.toggles.values()) > 0.9 * len(fifo.toggles)
+    # Two runs add up, and a run that reached nothing takes nothing away.
+    nothing = data / "nothing.dat"
+    nothing.write_text("\n".join(line.rpartition(" ")[0] + " 0" for line in text.splitlines()))
+    assert rtl_coverage.merge([file, nothing])["pearl_fifo"] == fifo
+    missed = rtl_coverage.report(rtl_coverage.merge([nothing]))
+    assert f"| `pearl_fifo` | 0 / {len(fifo.lines)} | 0 / {len(fifo.toggles)} |" in missed
+    assert "- pearl_fifo, line 28: " in missed
+    assert "toggles of data_i (line 12): 0 of 64" in missed
