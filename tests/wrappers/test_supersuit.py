@@ -122,6 +122,7 @@ GRID = "CliffWalking"
             ("delay, 0", ("Drift",), lambda lib, e: lib.delay_observations_v0(e, 0)),
             ("delay, pictures", ("Slide",), lambda lib, e: lib.delay_observations_v0(e, 2)),
             ("max_observation", ("Drift",), lambda lib, e: lib.max_observation_v0(e, 3)),
+            ("max_observation, CartPole", ("CartPole",), lambda lib, e: lib.max_observation_v0(e, 3)),
             ("max_observation, Discrete", (GRID,), lambda lib, e: lib.max_observation_v0(e, 3)),
             ("max_observation, pictures", ("Slide",), lambda lib, e: lib.max_observation_v0(e, 2)),
             (
@@ -135,6 +136,8 @@ GRID = "CliffWalking"
             ("pad_observations", ("Drift",), lambda lib, e: lib.pad_observations_v0(e)),
             ("pad_action_space", ("Drift",), lambda lib, e: lib.pad_action_space_v0(e)),
             ("clip_actions", ("Slide",), lambda lib, e: lib.clip_actions_v0(e)),
+            ("clip_actions, Pendulum", ("Pendulum",), lambda lib, e: lib.clip_actions_v0(e)),
+            ("normalize_obs, Pendulum", ("Pendulum",), lambda lib, e: lib.normalize_obs_v0(e)),
             # Actions as large as the space shown allows have to be clipped inside.
             (
                 "scale_actions",
