@@ -4,22 +4,21 @@ from __future__ import annotations
 
 import functools
 import inspect
-from collections.abc import Mapping
 from copy import deepcopy
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import pettingzoo
-from gymnasium.spaces import Box, Space
+from gymnasium.spaces import Box
+from gymnasium.vector import AutoresetMode
 from pettingzoo.utils.conversions import parallel_to_aec_wrapper
 from pettingzoo.utils.wrappers import OrderEnforcingWrapper
 
 from pearl_marl.actions import refuse_first, why_not
-from pearl_marl.agent_dict import AgentDict, ended_infos, observations_in, python_values
 from pearl_marl.devices import BatchConfig, BatchStep, Device, make_device
-from pearl_marl.errors import ActionError, ArgumentError, OrderError
+from pearl_marl.errors import ArgumentError, OrderError
+from pearl_marl.parallel_interface import ParallelInterface
 from pearl_marl.registry import get_spec
 from pearl_marl.rendering import OracleRenderer, check_render_mode
 from pearl_marl.saved_state import SavedState
@@ -29,7 +28,7 @@ from pearl_marl.spec import snake_case
 Array = npt.NDArray[Any]
 
 
-class PearlParallelEnv(pettingzoo.ParallelEnv):  # type: ignore[misc]
+class PearlParallelEnv(ParallelInterface):
     """Many slots of one environment as the agents of a PettingZoo ``ParallelEnv``.
 
     Make one with :func:`parallel_env`. The five results of :meth:`step` are dicts that are filled
@@ -50,6 +49,9 @@ class PearlParallelEnv(pettingzoo.ParallelEnv):  # type: ignore[misc]
         The :class:`pearl_marl.spec.EnvSpec`.
     device
         The :class:`pearl_marl.devices.Device` that steps the slots.
+    np_random
+        A ``numpy.random.Generator`` from the seed of :meth:`reset`, for other packages' wrappers: nothing
+        here draws from it.
     """
 
     def __init__(
@@ -70,24 +72,13 @@ class PearlParallelEnv(pettingzoo.ParallelEnv):  # type: ignore[misc]
             "is_parallelizable": True,
         }
         # Copies, or seeding one environment's spaces would seed another's.
-        self._observation_space, self._action_space = deepcopy((spec.observation_space, spec.action_space))
-        self._observations = observations_in(spec.observation_space)
+        self._set_spaces(deepcopy(spec.observation_space), deepcopy(spec.action_space))
         self._known = frozenset(self.possible_agents)
-        self._action_shape = spec.action_space.shape or ()
-        self._action_kinds = "iuf" if isinstance(spec.action_space, Box) else "iu"
-        self._idle = spec.action_space.low[0] if isinstance(spec.action_space, Box) else 0
         self._autoreset = autoreset
         self._live = np.ones(config.n_envs, np.bool_)
+        self.np_random = np.random.default_rng()
         self._renderer: OracleRenderer | None = None
         self._rendered_slot = 0
-
-    def observation_space(self, agent: str) -> Space[Any]:
-        """Return the observation space, one object for all agents."""
-        return self._observation_space
-
-    def action_space(self, agent: str) -> Space[Any]:
-        """Return the action space, one object for all agents."""
-        return self._action_space
 
     @property
     def max_cycles(self) -> int:
@@ -98,101 +89,39 @@ class PearlParallelEnv(pettingzoo.ParallelEnv):  # type: ignore[misc]
     def max_cycles(self, value: int | None) -> None:
         self.device.set_max_cycles(value)
 
-    def reset(
-        self, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[dict[str, Any], dict[str, Any]]:
-        """Begin an episode for every agent.
-
-        Parameters
-        ----------
-        seed
-            A non-negative integer. ``None`` goes on with the random numbers in use.
-        options
-            Accepted as PettingZoo asks, and not used.
-
-        Returns
-        -------
-        Observations and infos, dicts by agent; the infos are empty.
-        """
-        obs = self.reset_batch(seed)
-        nobody = np.zeros(len(obs), np.bool_)
-        return (
-            AgentDict(self._agents, obs, self._observations),
-            AgentDict(self.possible_agents, nobody, ended_infos(obs, self._observations)),
-        )
-
     def reset_batch(self, seed: int | None = None) -> Array:
         """Begin an episode for every agent; return observations of shape ``(n_agents, ...)``."""
         obs = self.device.reset(seed)
+        if seed is not None:
+            self.np_random = np.random.default_rng(seed)
         self._set_live(np.ones(len(obs), np.bool_))
         self._render_for_human()
         return obs
 
-    def step(self, actions: Mapping[str, Any] | npt.ArrayLike) -> tuple[dict[str, Any], ...]:
-        """Step every agent of ``agents`` once.
-
-        Parameters
-        ----------
-        actions
-            An action for each of ``agents`` by name, or an array of shape ``(n_agents, *action_space.shape)``
-            for all of ``possible_agents``; there, what it says for agents that have left is ignored.
-
-        Returns
-        -------
-        Observations (NumPy scalars, tuples of them, or arrays), rewards (``float``), terminations and
-        truncations (``bool``) and infos, each a dict by agent; all empty for ``{}`` once no agent is left.
-
-        Raises
-        ------
-        ActionError
-            Names the first agent whose action is missing, unexpected or out of range.
-        OrderError
-            Before ``reset``, after ``close``, or once every agent has left.
-        """
-        agents, live = self._agents, self._live
-        given: Any = actions
-        if isinstance(actions, Mapping) and self.device.ready:
-            if not agents and not actions:  # PettingZoo's convention, which SuperSuit's black_death needs
-                return {}, {}, {}, {}, {}
-            given = self._action_array(actions)
-        result = self.step_batch(given)
-        obs, rewards, terminations, truncations, final_obs = result
-        ended = result.ended
-        if not self._autoreset:
-            # Here an agent that ended sees its last observation, and nothing of what its slot does next.
-            obs = result.arrivals()
-            ended = np.zeros(len(agents), np.bool_)
-            if len(agents) < len(live):
-                obs, rewards, terminations, truncations = (
-                    a[live] for a in (obs, rewards, terminations, truncations)
-                )
-        return (
-            AgentDict(agents, obs, self._observations),
-            AgentDict(agents, rewards, python_values),
-            AgentDict(agents, terminations, python_values),
-            AgentDict(agents, truncations, python_values),
-            AgentDict(agents, ended, ended_infos(final_obs, self._observations)),
-        )
-
     def step_batch(self, actions: npt.ArrayLike) -> BatchStep:
-        """Step every slot once, without any dict.
+        """See :meth:`ParallelInterface.step_batch`."""
+        return self._stepped(self.device.step(self._for_all(actions)))
 
-        Parameters
-        ----------
-        actions
-            Shape ``(n_agents, *action_space.shape)``; integers cost least in the dtype of ``spec.action``.
+    def send(self, actions: npt.ArrayLike) -> None:
+        """Start a step and return at once; :meth:`recv` has its results.
 
-        Returns
-        -------
-        :class:`pearl_marl.devices.BatchStep`, its rows in the order of ``possible_agents``. Without
-        autoreset, the slots of agents that left run on, and their rows have no meaning; in the step in
-        which an agent ends, ``obs`` is already its slot's next start (``arrivals()`` is where it ended).
+        With two environments of half the slots each, one steps while the other's results are used.
+        Takes and raises what :meth:`step_batch` does.
         """
+        self.device.send(self._for_all(actions))
+
+    def recv(self) -> BatchStep:
+        """Wait for the step that :meth:`send` started and return its results."""
+        return self._stepped(self.device.recv())
+
+    def _for_all(self, actions: npt.ArrayLike) -> npt.ArrayLike:
+        """Return actions that the device takes, whoever has left."""
         if not self.agents and self.device.ready:
             raise OrderError("step() with no agent left: every episode has ended, call reset() first")
-        if len(self.agents) < len(self._live):
-            actions = self._without_left(actions)
-        result = self.device.step(actions)
+        return actions if len(self.agents) == len(self._live) else self._without_left(actions)
+
+    def _stepped(self, result: BatchStep) -> BatchStep:
+        """Take note of who leaves in a step, and show it."""
         if not self._autoreset:
             leaving = result.ended & self._live
             if leaving.any():
@@ -200,6 +129,22 @@ class PearlParallelEnv(pettingzoo.ParallelEnv):  # type: ignore[misc]
         if self.render_mode == "human":
             self._render_for_human()
         return result
+
+    def _reset_slots(self, mask: npt.NDArray[np.bool_]) -> Array:
+        """Begin an episode in the masked slots; return all observations."""
+        return self.device.reset(mask=mask)
+
+    @property
+    def _ready(self) -> bool:
+        return self.device.ready
+
+    @property
+    def _n(self) -> int:
+        return len(self._live)
+
+    @property
+    def _autoreset_mode(self) -> AutoresetMode:
+        return self.device.config.autoreset_mode
 
     def state(self) -> Array:
         """Return the state of every slot, shape ``(n_agents, fields)``, as ``state_space`` has it."""
@@ -304,31 +249,6 @@ class PearlParallelEnv(pettingzoo.ParallelEnv):  # type: ignore[misc]
         ):
             return actions
         return np.where(self._live.reshape(-1, *(1,) * len(self._action_shape)), array, self._idle)
-
-    def _action_array(self, actions: Mapping[str, Any]) -> Array:
-        """Return a dict's actions as an array over all slots, with a possible one where an agent has left."""
-        try:
-            values = [actions[agent] for agent in self.agents]
-        except KeyError as missing:
-            raise ActionError(
-                f"no action for {missing.args[0]!r}; all {len(self.agents)} agents in env.agents need one"
-            ) from None
-        if len(actions) != len(values):
-            here = set(self.agents)
-            extra = next(agent for agent in actions if agent not in here)
-            why = "its episode has ended" if extra in self._known else "there is no such agent"
-            raise ActionError(f"an action for {extra!r}, but {why}; only agents in env.agents act")
-        try:
-            array = np.array(values)
-        except ValueError:  # some are sequences
-            array = np.empty(0)
-        if array.shape != (len(values), *self._action_shape) or array.dtype.kind not in self._action_kinds:
-            raise refuse_first(self.agents, values, self.spec.action_space)
-        if len(values) == len(self._live):
-            return array
-        whole = np.full((len(self._live), *self._action_shape), self._idle, array.dtype)
-        whole[self._live] = array
-        return whole
 
 
 def parallel_env(

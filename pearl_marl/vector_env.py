@@ -8,19 +8,17 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from gymnasium.spaces import Space, Tuple
-from gymnasium.vector import AutoresetMode, VectorEnv
-from gymnasium.vector.utils import batch_space
+from gymnasium.vector import AutoresetMode
 
-from pearl_marl.agent_dict import observations_in
-from pearl_marl.devices import BatchConfig, Device, make_device
-from pearl_marl.errors import ArgumentError, OrderError
+from pearl_marl.devices import BatchConfig, BatchStep, Device, make_device
+from pearl_marl.errors import ArgumentError
 from pearl_marl.registry import get_spec
+from pearl_marl.vector_interface import VectorInterface
 
 Array = npt.NDArray[Any]
 
 
-class PearlVectorEnv(VectorEnv[Any, Any, Any]):
+class PearlVectorEnv(VectorInterface):
     """Many slots of one environment as a ``gymnasium.vector.VectorEnv``.
 
     Make one with :func:`make_vec`. In each autoreset mode it returns what Gymnasium's own
@@ -50,98 +48,37 @@ class PearlVectorEnv(VectorEnv[Any, Any, Any]):
     ) -> None:
         spec = config.spec
         self.device = device.open(config, rewards)
-        self.num_envs = int(config.n_envs)
-        self.metadata = {"autoreset_mode": autoreset_mode, "render_modes": []}
         # Copies, or seeding one environment's spaces would seed another's.
-        self.single_observation_space: Space[Any] = deepcopy(spec.observation_space)
-        self.single_action_space: Space[Any] = deepcopy(spec.action_space)
-        self.observation_space = batch_space(spec.observation_space, self.num_envs)
-        self.action_space = batch_space(spec.action_space, self.num_envs)
-        self._observations = observations_in(spec.observation_space)
-        self._mode = autoreset_mode
-        # DISABLED mode only: who waits for a reset, and what everyone saw last.
-        self._waiting = np.zeros(self.num_envs, np.bool_)
-        self._seen: Array | None = None
+        spaces = deepcopy(spec.observation_space), deepcopy(spec.action_space)
+        self._set_up(int(config.n_envs), *spaces, autoreset_mode)
 
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Array | tuple[Array, ...], dict[str, Any]]:
-        """Begin new episodes.
+    def reset_batch(self, seed: int | None = None, mask: npt.ArrayLike | None = None) -> Array:
+        """See :class:`VectorInterface`."""
+        return self.device.reset(seed, mask)
 
-        Parameters
-        ----------
-        seed
-            A non-negative integer for the whole batch. ``None`` goes on with the random numbers in use.
-        options
-            ``{"reset_mask": bool array of shape (num_envs,)}`` resets those sub-environments only.
+    def step_batch(self, actions: npt.ArrayLike) -> BatchStep:
+        """See :class:`VectorInterface`."""
+        return self.device.step(actions)
 
-        Returns
-        -------
-        The observations of all sub-environments, and infos (empty).
-        """
-        options = options or {}
-        unknown = [name for name in options if name != "reset_mask"]
-        if unknown:
-            raise ArgumentError(f"unknown reset option {unknown[0]!r}; the only one is 'reset_mask'")
-        mask = options.get("reset_mask")
-        if mask is not None and not (mask := np.asarray(mask)).any():
-            raise ArgumentError("reset_mask resets nothing: at least one element must be True")
-        obs = self.device.reset(seed, mask)
-        if seed is not None:
-            self._np_random_seed = int(seed)
-        if self._mode is AutoresetMode.DISABLED:
-            if mask is None:
-                self._waiting[:] = False
-            else:
-                assert self._seen is not None
-                self._waiting &= ~mask
-                obs[~mask] = self._seen[~mask]
-            self._seen = obs.copy()
-        return self._batched(obs), {}
+    def send(self, actions: npt.ArrayLike) -> None:
+        """Start a step and return at once; :meth:`recv` has its results. Takes what :meth:`step` does."""
+        self._check_nobody_waits()
+        self.device.send(actions)
 
-    def step(self, actions: Any) -> tuple[Array | tuple[Array, ...], Array, Array, Array, dict[str, Any]]:
-        """Step every sub-environment once.
+    def recv(self) -> tuple[Array | tuple[Array, ...], Array, Array, Array, dict[str, Any]]:
+        """Wait for the step that :meth:`send` started and return what :meth:`step` would have."""
+        return self._shown(self.device.recv())
 
-        Parameters
-        ----------
-        actions
-            Of shape ``(num_envs, *single_action_space.shape)``.
+    def _reset_slots(self, mask: npt.NDArray[np.bool_]) -> Array:
+        return self.device.reset(mask=mask)
 
-        Returns
-        -------
-        Observations, rewards (``float32``), terminations, truncations, infos.
+    @property
+    def _n(self) -> int:
+        return int(self.num_envs)
 
-        Raises
-        ------
-        ActionError
-            Names the first agent whose action is not in the action space. Nothing has stepped.
-        OrderError
-            Before ``reset``, after ``close``, or in DISABLED mode while one that ended has not been reset.
-        """
-        if self._mode is AutoresetMode.DISABLED and self._waiting.any():
-            first = int(np.argmax(self._waiting))
-            raise OrderError(
-                f"sub-environment {first} has ended and was not reset; in DISABLED mode call "
-                "reset(options={'reset_mask': terminations | truncations}) before the next step"
-            )
-        result = self.device.step(actions)
-        obs, rewards, terminations, truncations, final_obs = result
-        infos: dict[str, Any] = {}
-        if self._mode is AutoresetMode.DISABLED:
-            obs = result.arrivals()
-            self._waiting, self._seen = result.ended, obs.copy()
-        elif self._mode is AutoresetMode.SAME_STEP and (ended := result.ended).any():
-            # One object an element, as Gymnasium has it, so that wrappers can replace each by another shape.
-            final = np.full(self.num_envs, None, object)
-            slots = np.flatnonzero(ended)
-            for slot, observation in zip(slots.tolist(), self._observations(final_obs[slots]), strict=True):
-                final[slot] = observation
-            infos = {"final_obs": final, "_final_obs": ended, "final_info": {}, "_final_info": ended.copy()}
-        return self._batched(obs), rewards, terminations, truncations, infos
-
-    def _batched(self, obs: Array) -> Array | tuple[Array, ...]:
-        """Return observations as Gymnasium batches them: those of a ``Tuple`` space as a tuple of arrays."""
-        return tuple(obs.T) if isinstance(self.single_observation_space, Tuple) else obs
+    @property
+    def _autoreset_mode(self) -> AutoresetMode:
+        return self.device.config.autoreset_mode
 
     def close_extras(self, **kwargs: Any) -> None:
         """Release the device."""

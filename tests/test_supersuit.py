@@ -88,9 +88,15 @@ def test_concatenated_vec_envs(name: str, n_actions: int) -> None:
         pytest.param(lambda env: supersuit.black_death_v3(env), False, id="black_death"),
         pytest.param(lambda env: supersuit.frame_stack_v1(env, 3), False, id="frame_stack"),
         pytest.param(lambda env: supersuit.frame_stack_v1(env, 3), True, id="frame_stack, autoreset"),
-        # These two go through the AEC form, which has to have strict lifetimes.
+        pytest.param(lambda env: supersuit.frame_stack_v2(env, 3), True, id="frame_stack_v2, autoreset"),
+        pytest.param(lambda env: supersuit.frame_skip_v0(env, (1, 4)), True, id="frame_skip, autoreset"),
+        pytest.param(lambda env: supersuit.delay_observations_v0(env, 2), False, id="delay_observations"),
+        pytest.param(lambda env: supersuit.max_observation_v0(env, 2), False, id="max_observation"),
+        # These go through the AEC form, which has to have strict lifetimes.
         pytest.param(lambda env: supersuit.clip_reward_v0(env, -1, 1), False, id="clip_reward"),
         pytest.param(lambda env: supersuit.agent_indicator_v0(env), False, id="agent_indicator"),
+        pytest.param(lambda env: supersuit.normalize_obs_v0(env), False, id="normalize_obs"),
+        pytest.param(lambda env: supersuit.dtype_v0(env, np.float64), False, id="dtype"),
     ],
 )
 def test_wrappers(wrap: Any, autoreset: bool) -> None:

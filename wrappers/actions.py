@@ -1,0 +1,225 @@
+"""Wrappers that change actions, each as SuperSuit's of the same name unless it says otherwise."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from gymnasium.spaces import Box, Discrete, Space
+
+from pearl_marl.actions import random_numbers
+from pearl_marl.devices import BatchStep
+from pearl_marl.errors import ArgumentError
+
+from .base import Array, Batch, Env, Mask, Slots, Transform, wrap
+
+
+class _Mapped(Transform):
+    """Actions through a function of whole batches."""
+
+    def __init__(
+        self, batch: Batch, observation_space: Space[Any], action_space: Any, change: Callable[[Array], Array]
+    ) -> None:
+        super().__init__(batch, observation_space, action_space)
+        self._change = change
+
+    def actions(self, actions: Array) -> Array:
+        return self._change(actions)
+
+
+class _Checked(_Mapped):
+    """Refuses what is not in the space shown, which the environment inside would not know of."""
+
+    def actions(self, actions: Array) -> Array:
+        self.check(actions)
+        return super().actions(actions)
+
+
+def action_lambda_v1(
+    env: Env,
+    change_action_fn: Callable[[Array, Any], Array],
+    change_space_fn: Callable[[Any], Discrete | Box],
+) -> Any:
+    """Change actions by a function of the whole batch.
+
+    Parameters
+    ----------
+    env
+        The environment.
+    change_action_fn
+        Takes actions of shape ``(n, ...)`` and one slot's space inside; returns as many rows for there.
+    change_space_fn
+        Takes one slot's space inside and returns the one to show.
+    """
+
+    def make(batch: Batch, space: Space[Any], inside: Any) -> Transform:
+        shown = change_space_fn(inside)
+        if not isinstance(shown, (Discrete, Box)):
+            raise ArgumentError(f"change_space_fn made {shown}; possible are Discrete and Box")
+
+        return _Checked(batch, space, shown, lambda actions: np.asarray(change_action_fn(actions, inside)))
+
+    return wrap(env, make)
+
+
+class _Clip(Transform):
+    def actions(self, actions: Array) -> Array:
+        limits: Any = self.action_space
+        clipped: Array = np.clip(actions, limits.low, limits.high)
+        return clipped
+
+    def possible(self, actions: Array) -> Mask:
+        return ~_nan_slots(actions) | super().possible(actions)
+
+
+def clip_actions_v0(env: Env) -> Any:
+    """Move actions beyond the bounds of their ``Box`` to the bounds."""
+
+    def make(batch: Batch, space: Space[Any], action_space: Any) -> Transform:
+        return _Clip(batch, space, _box(action_space, "clip_actions_v0"))
+
+    return wrap(env, make)
+
+
+def scale_actions_v0(env: Env, scale: float) -> Any:
+    """Multiply actions in a ``Box`` by ``scale``.
+
+    As in SuperSuit the bounds shown are those inside times ``scale`` too, so it is for policies whose
+    actions are ``scale`` times too small: put :func:`clip_actions_v0` inside to catch larger ones.
+    """
+
+    def make(batch: Batch, space: Space[Any], action_space: Any) -> Transform:
+        old = _box(action_space, "scale_actions_v0")
+        if not np.isfinite(scale) or scale <= 0:
+            raise ArgumentError(f"scale is {scale!r}; it must be a positive number")
+        new = Box(old.low * scale, old.high * scale, dtype=np.float32)
+        return _Mapped(batch, space, new, lambda actions: actions * scale)
+
+    return wrap(env, make)
+
+
+def pad_action_space_v0(env: Env) -> Any:
+    """Pad action spaces to the largest agent's. Here all are alike, so this returns ``env`` as it is."""
+    return env
+
+
+class _NoNans(Transform):
+    """Something else in place of actions that are not a number, or of which one element is not."""
+
+    def __init__(self, batch: Batch, space: Space[Any], action_space: Any) -> None:
+        super().__init__(batch, space, action_space)
+        self.action_kinds = "iuf"  # NaN is a float, whatever the action space
+
+    def actions(self, actions: Array) -> Array:
+        if actions.dtype.kind != "f":
+            return actions
+        slots = np.flatnonzero(_nan_slots(actions))
+        if slots.size:
+            actions = actions.copy()
+            actions[slots] = self.instead(slots)
+        if not isinstance(self.action_space, Discrete):
+            return actions
+        self.check(actions)
+        return actions.astype(np.int64)
+
+    def possible(self, actions: Array) -> Mask:
+        return _nan_slots(actions) | super().possible(actions)
+
+    def instead(self, slots: Slots) -> Array:
+        """Return actions for these slots."""
+        raise NotImplementedError
+
+
+class _NanNoop(_NoNans):
+    def __init__(self, batch: Batch, space: Space[Any], action_space: Any, action: Any) -> None:
+        super().__init__(batch, space, action_space)
+        self._action = np.asarray(action)
+
+    def instead(self, slots: Slots) -> Array:
+        return self._action
+
+
+class _NanRandom(_NoNans):
+    def instead(self, slots: Slots) -> Array:
+        return random_numbers(self.action_space, self.draws()[slots])
+
+
+def nan_noop_v0(env: Env, no_op_action: Any) -> Any:
+    """Take ``no_op_action`` where an action is not a number."""
+
+    def make(batch: Batch, space: Space[Any], action_space: Any) -> Transform:
+        if no_op_action not in action_space:
+            raise ArgumentError(f"no_op_action is {no_op_action!r}, which is not in {action_space}")
+        return _NanNoop(batch, space, action_space, no_op_action)
+
+    return wrap(env, make)
+
+
+def nan_zeros_v0(env: Env) -> Any:
+    """Take zero where an action is not a number."""
+    return wrap(
+        env, lambda batch, space, actions: _NanNoop(batch, space, actions, np.zeros(actions.shape or ()))
+    )
+
+
+def nan_random_v0(env: Env) -> Any:
+    """Take a random action where one is not a number, drawn for each agent and step from the seed."""
+    return wrap(env, _NanRandom)
+
+
+class _Sticky(Transform):
+    """Now and then the action of the step before; never in the first step of an episode."""
+
+    def __init__(self, batch: Batch, space: Space[Any], action_space: Any, probability: float) -> None:
+        super().__init__(batch, space, action_space)
+        self._below = round(probability * 2**32)
+        dtype = np.float64 if "f" in self.action_kinds else np.int64
+        self._taken = np.zeros((self.n, *(action_space.shape or ())), dtype)
+        self._may_stick = np.zeros(self.n, np.bool_)
+        self.memory = {"taken": self._taken, "may_stick": self._may_stick}
+        self._given: Array = self._taken
+
+    def actions(self, actions: Array) -> Array:
+        self.check(actions)  # or whether a bad one is refused would be left to chance
+        sticks = np.flatnonzero(self._may_stick & (self.draws() < self._below))
+        self._given = actions.astype(self._taken.dtype)
+        self._given[sticks] = self._taken[sticks]
+        return self._given
+
+    def results(self, step: BatchStep) -> BatchStep:
+        # Only now is it sure that the actions were not refused.
+        self._taken[...] = self._given
+        self._may_stick[:] = True
+        return super().results(step)
+
+    def episode_began(self, slots: Slots) -> None:
+        self._may_stick[slots] = False
+
+
+def sticky_actions_v0(env: Env, repeat_action_probability: float) -> Any:
+    """Repeat an agent's last action with a probability, drawn for each agent and step from the seed.
+
+    SuperSuit draws the same for every agent if there is a seed.
+    """
+    if not 0 <= repeat_action_probability < 1:
+        raise ArgumentError(
+            f"repeat_action_probability is {repeat_action_probability!r}; it must be in [0, 1)"
+        )
+    return wrap(
+        env, lambda batch, space, actions: _Sticky(batch, space, actions, float(repeat_action_probability))
+    )
+
+
+def _nan_slots(actions: Array) -> Mask:
+    """Return whose actions are not a number, or have an element that is not."""
+    if actions.dtype.kind != "f":
+        return np.zeros(len(actions), np.bool_)
+    nan: Any = np.isnan(actions).reshape(len(actions), -1).any(1)
+    return np.asarray(nan)
+
+
+def _box(space: Any, name: str) -> Box:
+    if not isinstance(space, Box):
+        raise ArgumentError(f"{name} takes actions in a Box, not {space}")
+    return space

@@ -1,0 +1,141 @@
+"""Wrappers that change what a step is, or how long agents stay."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from gymnasium.spaces import Space
+from gymnasium.vector import AutoresetMode
+
+from pearl_marl.devices import BatchStep
+from pearl_marl.errors import ArgumentError, OrderError
+from pearl_marl.golden import uniform_below
+from pearl_marl.parallel_interface import ParallelInterface
+
+from .base import Array, Batch, Env, Mask, Transform, WrappedParallelEnv, with_zeros, wrap
+
+
+class _FrameSkip(Transform):
+    def __init__(self, batch: Batch, space: Space[Any], action_space: Any, low: int, high: int) -> None:
+        super().__init__(batch, space, action_space)
+        if batch._autoreset_mode is AutoresetMode.NEXT_STEP:
+            raise ArgumentError(
+                "frame_skip_v0 does not work in NEXT_STEP mode, whose slots spend a step resetting: "
+                "make the environment with autoreset_mode='SameStep'"
+            )
+        self._low, self._high = low, high
+
+    def step(self, actions: npt.ArrayLike) -> BatchStep:
+        actions = self.given(actions)
+        count = self._low
+        if self._high > count:
+            count += int(uniform_below(self.draws()[:1], self._high - count + 1)[0])
+        step = self.batch.step_batch(actions)
+        self._tick += 1
+        rewards, terminations, truncations, final_obs = (self.new.copy(array) for array in step[1:])
+        over, started = step.ended, False
+        for _ in range(1, count):
+            if over.all() or not self.batch._live.any():  # where agents leave, nobody may be left to step
+                break
+            started |= bool(over.any())
+            step = self.batch.step_batch(actions)
+            running = ~over
+            np.add(rewards, step.rewards, out=rewards, where=running)
+            now = np.flatnonzero(step.ended & running)
+            terminations[now], truncations[now] = step.terminations[now], step.truncations[now]
+            final_obs[now] = step.final_obs[now]
+            over[now] = True
+        # Slots that ended on the way have gone on into their next episodes: those begin here instead.
+        obs = self.batch._reset_slots(over) if started else step.obs
+        return BatchStep(obs, rewards, terminations, truncations, final_obs)
+
+
+def frame_skip_v0(env: Env, num_frames: int | tuple[int, int]) -> Any:
+    """Take each action several times and add up the rewards; an episode's end ends it.
+
+    Parameters
+    ----------
+    env
+        The environment. In NEXT_STEP mode this wrapper is refused.
+    num_frames
+        How often, or the least and the most: then a number for all agents is drawn in every step.
+    """
+    counts = num_frames if isinstance(num_frames, tuple) else (num_frames, num_frames)
+    whole = all(isinstance(count, int) and not isinstance(count, bool) for count in counts)
+    if not whole or len(counts) != 2 or not 1 <= counts[0] <= counts[1]:
+        raise ArgumentError(
+            f"num_frames is {num_frames!r}; it must be a positive integer, or the least and the most of them"
+        )
+    low, high = counts
+    return wrap(env, lambda batch, space, actions: _FrameSkip(batch, space, actions, low, high))
+
+
+class _BlackDeath(Transform):
+    """Agents whose episode has ended stay, blind and without reward, until everybody's has."""
+
+    def __init__(self, batch: Batch, space: Space[Any], action_space: Any) -> None:
+        super().__init__(batch, with_zeros(space), action_space)
+        self.present = np.zeros((), np.bool_)
+        self._terminated, self._truncated = np.zeros(self.n, np.bool_), np.zeros(self.n, np.bool_)
+        self.memory = {
+            "present": self.present,
+            "terminated": self._terminated,
+            "truncated": self._truncated,
+        }
+
+    def reset(self, obs: Array, seed: int | None, mask: Mask | None = None) -> Array:
+        self.present[...] = True
+        self._terminated[:] = self._truncated[:] = False
+        return super().reset(obs, seed, mask)
+
+    def step(self, actions: npt.ArrayLike) -> BatchStep:
+        actions = self.given(actions)
+        if not self.present:
+            raise OrderError("step() with no agent left: every episode has ended, call reset() first")
+        alive = self.batch._live
+        step = self.batch.step_batch(actions)
+        self._tick += 1
+        self._terminated |= step.terminations & alive
+        self._truncated |= step.truncations & alive
+        self.present[...] = self.batch._live.any()
+        obs, rewards = self.new.copy(self.arrivals(step)), step.rewards.copy()
+        obs[~alive] = 0
+        rewards[~alive] = 0
+        over = ~self.present
+        return BatchStep(obs, rewards, self._terminated & over, self._truncated & over, obs)
+
+    def restored(self, obs: Array) -> Array:
+        obs = obs.copy()
+        obs[~self.batch._live] = 0
+        return obs
+
+
+class _WithBlackDeath(WrappedParallelEnv):
+    transform: _BlackDeath
+
+    @property
+    def agents(self) -> list[str]:
+        return list(self._agents)
+
+    @property
+    def _agents(self) -> tuple[str, ...]:  # type: ignore[override]
+        return tuple(self.possible_agents) if self.transform.present else ()
+
+    @property
+    def _live(self) -> Mask:  # type: ignore[override]
+        return np.full(self._n, self.transform.present)
+
+
+def black_death_v3(env: ParallelInterface) -> Any:
+    """Keep agents whose episode has ended, with observations and rewards of zero, until all have ended.
+
+    Then every agent gets the flags with which its own episode ended, in the step in which the last one
+    does; SuperSuit says so a step late. For environments made with ``autoreset=False``.
+    """
+    if not isinstance(env, ParallelInterface) or env._autoreset:
+        raise ArgumentError(
+            "black_death_v3 takes a ParallelEnv made with autoreset=False: no agent dies in others"
+        )
+    return _WithBlackDeath(env, _BlackDeath(env, env._observation_space, env._action_space))

@@ -1,0 +1,407 @@
+"""Wrappers that change observations, each as SuperSuit's of the same name unless it says otherwise."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from gymnasium.spaces import Box, Discrete, Space
+
+from pearl_marl.errors import ArgumentError
+
+from . import kernels
+from .base import Array, Batch, Env, Slots, Transform, box, with_zeros, wrap
+from .recycling import Recycler
+
+
+class _Mapped(Transform):
+    """Observations through a function of whole batches."""
+
+    def __init__(
+        self, batch: Batch, observation_space: Space[Any], action_space: Any, change: Callable[[Array], Array]
+    ) -> None:
+        super().__init__(batch, observation_space, action_space)
+        self._change = change
+
+    def observe(self, obs: Array) -> Array:
+        return self._change(obs)
+
+
+def _mapped(env: Env, name: str, change: Callable[[Array], Array]) -> Any:
+    """Wrap an environment whose ``Box`` goes through ``change`` as its observations do."""
+
+    def make(batch: Batch, space: Space[Any], action_space: Any) -> Transform:
+        old = box(space, name)
+        low, high = (change(bound[None])[0] for bound in (old.low, old.high))
+        return _Mapped(batch, Box(low, high, dtype=low.dtype.type), action_space, change)
+
+    return wrap(env, make)
+
+
+def observation_lambda_v0(
+    env: Env,
+    change_observation_fn: Callable[[Array, Space[Any]], Array],
+    change_obs_space_fn: Callable[[Space[Any]], Space[Any]] | None = None,
+) -> Any:
+    """Change observations by a function of the whole batch.
+
+    Parameters
+    ----------
+    env
+        The environment.
+    change_observation_fn
+        Takes observations of shape ``(n, ...)`` and one slot's space; returns as many rows.
+    change_obs_space_fn
+        Takes one slot's space and returns the new one. ``None``: a ``Box`` whose bounds are those of the
+        old one, changed.
+    """
+
+    def make(batch: Batch, space: Space[Any], action_space: Any) -> Transform:
+        def change(obs: Array) -> Array:
+            result = np.asarray(change_observation_fn(obs, space))
+            if len(result) != len(obs):
+                raise ArgumentError(
+                    f"change_observation_fn made {len(result)} rows of {len(obs)}; it gets whole batches"
+                )
+            return result
+
+        if change_obs_space_fn is not None:
+            return _Mapped(batch, change_obs_space_fn(space), action_space, change)
+        old = box(space, "observation_lambda_v0 without change_obs_space_fn")
+        ends = np.stack([change(bound[None])[0] for bound in (old.low, old.high)])
+        new = Box(ends.min(0), ends.max(0), dtype=ends.dtype.type)
+        return _Mapped(batch, new, action_space, change)
+
+    return wrap(env, make)
+
+
+def dtype_v0(env: Env, dtype: npt.DTypeLike) -> Any:
+    """Cast observations."""
+    kind = np.dtype(dtype)
+    return _mapped(env, "dtype_v0", lambda obs: obs.astype(kind))
+
+
+def flatten_v0(env: Env) -> Any:
+    """Give each observation one axis."""
+    return _mapped(env, "flatten_v0", lambda obs: obs.reshape(len(obs), -1))
+
+
+def reshape_v0(env: Env, shape: tuple[int, ...]) -> Any:
+    """Give each observation another shape of as many elements."""
+
+    def change(obs: Array) -> Array:
+        if np.prod(shape) != np.prod(obs.shape[1:]):
+            raise ArgumentError(f"{obs.shape[1:]} cannot be reshaped to {shape}: not as many elements")
+        return obs.reshape(len(obs), *shape)
+
+    return _mapped(env, "reshape_v0", change)
+
+
+def normalize_obs_v0(env: Env, env_min: float = 0.0, env_max: float = 1.0) -> Any:
+    """Scale observations from the bounds of their space, which must be finite, to others."""
+    if not env_min < env_max:
+        raise ArgumentError(f"env_min is {env_min}, env_max {env_max}; the first must be the smaller")
+
+    def make(batch: Batch, space: Space[Any], action_space: Any) -> Transform:
+        old = box(space, "normalize_obs_v0")
+        if old.dtype not in (np.float32, np.float64):
+            raise ArgumentError(f"normalize_obs_v0 takes floats, not {old.dtype}: put dtype_v0 inside it")
+        if not old.is_bounded():
+            raise ArgumentError(f"normalize_obs_v0 takes finite bounds; {old} has others")
+        new = Recycler()
+        low, size = old.low.ravel(), (old.high - old.low).ravel()
+        new_size, new_low = old.dtype.type(env_max - env_min), old.dtype.type(env_min)
+
+        def change(obs: Array) -> Array:
+            out = new.empty(obs.shape, old.dtype)
+            rows = obs.reshape(len(obs), -1), out.reshape(len(obs), -1)
+            kernels.rescaled(rows[0], low, size, new_size, new_low, rows[1])
+            return out
+
+        shown = Box(env_min, env_max, old.shape, old.dtype.type)
+        return _Mapped(batch, shown, action_space, change)
+
+    return wrap(env, make)
+
+
+def color_reduction_v0(env: Env, mode: str = "full") -> Any:
+    """Keep one channel of pictures (``"R"``, ``"G"``, ``"B"``) or their brightness (``"full"``)."""
+    if mode not in ("full", "R", "G", "B"):
+        raise ArgumentError(f"mode is {mode!r}; possible are 'full', 'R', 'G' and 'B'")
+    weights = np.array([0.299, 0.587, 0.114], np.float32)
+
+    def change(obs: Array) -> Array:
+        if obs.ndim != 4 or obs.shape[3] != 3:
+            raise ArgumentError(f"color_reduction_v0 takes pictures with 3 channels, not {obs.shape[1:]}")
+        if mode == "full":
+            return (obs.astype(np.float32) @ weights).astype(np.uint8)
+        return obs[..., "RGB".index(mode)].copy()
+
+    return _mapped(env, "color_reduction_v0", change)
+
+
+def resize_v1(env: Env, x_size: int, y_size: int, linear_interp: bool = True) -> Any:
+    """Give pictures another size.
+
+    Parameters
+    ----------
+    env
+        The environment; observations of shape ``(y, x)`` or ``(y, x, channels)``.
+    x_size, y_size
+        The new width and height.
+    linear_interp
+        Whether to mix the four nearest pixels (in ``float32``, and cut off for integers), not take one.
+    """
+    for name, size in (("x_size", x_size), ("y_size", y_size)):
+        if isinstance(size, bool) or not isinstance(size, int) or size < 1:
+            raise ArgumentError(f"{name} is {size!r}; it must be a positive integer")
+
+    def nearest(old: int, new: int) -> Slots:
+        return ((np.arange(new) + 0.5) * old / new).astype(np.intp)
+
+    def mixed(obs: Array, axis: int, new: int) -> Array:
+        # As tinyscaler has it, with which SuperSuit resizes: the centres of the outermost pixels are the
+        # edges of the picture, and a new pixel shows what is at its centre.
+        at = (np.arange(new) + 0.5) * (obs.shape[axis] - 1) / new
+        low = at.astype(np.intp)
+        share = (at - low).astype(np.float32).reshape(-1, *(1,) * (obs.ndim - axis - 1))
+        one, other = obs.take(low, axis), obs.take(np.minimum(low + 1, obs.shape[axis] - 1), axis)
+        return np.asarray(one + (other - one) * share)
+
+    def change(obs: Array) -> Array:
+        if obs.ndim not in (3, 4):
+            raise ArgumentError(f"resize_v1 takes pictures of 2 or 3 axes, not {obs.shape[1:]}")
+        if not linear_interp:
+            return obs[:, nearest(obs.shape[1], y_size)][:, :, nearest(obs.shape[2], x_size)]
+        result: Array = mixed(mixed(obs.astype(np.float32), 2, x_size), 1, y_size).astype(obs.dtype)
+        return result
+
+    return _mapped(env, "resize_v1", change)
+
+
+def agent_indicator_v0(env: Env, type_only: bool = False) -> Any:
+    """Show each agent which one it is.
+
+    A ``Discrete`` observation becomes ``observation * n + agent``, as SuperSuit has it. A ``Box`` gets
+    one more element (a picture one more channel) that grows evenly from 0 for the first agent to 1 for
+    the last; SuperSuit appends a one-hot vector, which for 43,008 agents would be 43,008 wide.
+
+    Parameters
+    ----------
+    env
+        The environment.
+    type_only
+        Show the type in the agent's name instead. All agents here are of one type, so nothing changes.
+    """
+    if type_only:
+        return env
+
+    def make(batch: Batch, space: Space[Any], action_space: Any) -> Transform:
+        n = batch._n
+        if isinstance(space, Discrete):
+            agents = np.arange(n)
+            if int(space.n) * n >= 1 << 63:
+                raise ArgumentError(f"{space} times {n} agents does not fit 63 bits")
+            shown = Discrete(int(space.n) * n, start=int(space.start) * n)
+            return _Mapped(batch, shown, action_space, lambda obs: obs * n + agents)
+        old: Box = box(space, "agent_indicator_v0")
+        if not 1 <= len(old.shape) <= 3:
+            raise ArgumentError(f"agent_indicator_v0 takes vectors and pictures, not shape {old.shape}")
+        # A picture without channels gets an axis for them.
+        one: tuple[int, ...] = (*old.shape, 1) if len(old.shape) == 2 else old.shape
+        kind = old.dtype if old.dtype.kind == "f" else np.dtype(np.float32)
+        new = Recycler()
+        numbers = (np.arange(n) / max(n - 1, 1)).astype(kind)
+        rows, width = int(np.prod(one[:-1])), one[-1]
+
+        def change(obs: Array) -> Array:
+            out = new.empty((n, *one[:-1], width + 1), kind)
+            kernels.appended(obs.reshape(n, rows, width), numbers, out.reshape(n, rows, width + 1))
+            return out
+
+        low, high = (
+            np.insert(bound.reshape(one).astype(kind), width, end, axis=-1)
+            for bound, end in ((old.low, 0), (old.high, 1))
+        )
+        return _Mapped(batch, Box(low, high, dtype=kind.type), action_space, change)
+
+    return wrap(env, make)
+
+
+def pad_observations_v0(env: Env) -> Any:
+    """Pad observations to the largest agent's. Here all are alike, so this returns ``env`` as it is."""
+    return env
+
+
+class _Window(Transform):
+    """The frames of the last steps; before an episode's first, zeros or the first itself."""
+
+    keeps_history = True
+
+    def __init__(
+        self,
+        batch: Batch,
+        space: Space[Any],
+        action_space: Any,
+        frames: int,
+        one: tuple[int, ...],
+        dtype: npt.DTypeLike,
+        repeat: bool,
+    ) -> None:
+        super().__init__(batch, space, action_space)
+        self._frames, self._repeat = frames, repeat
+        # The newest is at `turn`, and the next comes in place of the oldest.
+        self._window, self._turn = np.zeros((frames, self.n, *one), dtype), np.zeros((), np.int64)
+        self.memory = {"window": self._window, "turn": self._turn}
+
+    def push(self, obs: Array) -> None:
+        self._turn[...] = (self._turn + 1) % self._frames
+        newest = self._frame(0)
+        newest[...] = obs.reshape(newest.shape)
+
+    def begin(self, obs: Array, slots: Slots) -> None:
+        newest = self._frame(0)
+        first = obs.take(slots, 0).reshape(len(slots), *newest.shape[1:])
+        for frame in self._window:
+            frame[slots] = first if self._repeat else 0
+        newest[slots] = first
+
+    def show(self, slots: Slots | None = None) -> Array:
+        shape = self.n if slots is None else len(slots), *(self.observation_space.shape or ())
+        out = (
+            self.new.empty(shape, self._window.dtype)
+            if slots is None
+            else np.empty(shape, self._window.dtype)
+        )
+        self.write(out, slots)
+        return out
+
+    def write(self, out: Array, slots: Slots | None) -> None:
+        """Write what to show the slots (all, if ``None``) of their frames."""
+        raise NotImplementedError
+
+    def _frame(self, age: int, slots: Slots | None = None) -> Array:
+        """Return the frame of so many steps ago."""
+        frame: Array = self._window[(int(self._turn) - age) % self._frames]
+        return frame if slots is None else frame.take(slots, 0)
+
+
+class _FrameStack(_Window):
+    def __init__(
+        self, batch: Batch, space: Space[Any], action_space: Any, size: int, axis: int, repeat: bool
+    ) -> None:
+        old = box(space, "frame_stack")
+        if not 1 <= len(old.shape) <= 3:
+            raise ArgumentError(f"frames of shape {old.shape} cannot be stacked: 1 to 3 axes can")
+        low, high = old.low, old.high
+        if low.ndim == 2:  # pictures without channels get an axis
+            low, high = np.expand_dims(low, axis), np.expand_dims(high, axis)
+        # Other pictures' channels, and vectors, are put side by side.
+        axis = 0 if axis == 0 else low.ndim - 1
+        rows = int(np.prod(low.shape[:axis]))
+        low, high = (np.concatenate([bound] * size, axis) for bound in (low, high))
+        new: Space[Any] = Box(low, high, dtype=old.dtype.type)
+        new = new if repeat else with_zeros(new)
+        width = int(np.prod(old.shape)) // rows
+        super().__init__(batch, new, action_space, size, (rows, width), old.dtype, repeat)
+
+    def write(self, out: Array, slots: Slots | None) -> None:
+        # A row of a frame moves as one thing, whatever it consists of.
+        width = self._window.shape[3]
+        row = np.dtype((np.void, width * out.itemsize))
+        stacks = out.reshape(len(out), -1, self._frames * width).view(row)
+        for age in range(self._frames):
+            stacks[:, :, self._frames - 1 - age] = self._frame(age, slots).view(row)[:, :, 0]
+
+
+class _NumberStack(_Window):
+    """A stack of ``Discrete`` observations: the digits of one number."""
+
+    def __init__(self, batch: Batch, space: Discrete, action_space: Any, size: int, repeat: bool) -> None:
+        n = int(space.n)
+        if space.start != 0 or n**size >= 1 << 63:
+            raise ArgumentError(f"{size} frames of {space} are more than 63 bits tell apart")
+        super().__init__(batch, Discrete(n**size), action_space, size, (), np.int64, repeat)
+        self._n_values = n
+
+    def write(self, out: Array, slots: Slots | None) -> None:
+        out[:] = 0
+        for age in range(self._frames - 1, -1, -1):
+            out *= self._n_values
+            out += self._frame(age, slots)
+
+
+def frame_stack_v1(env: Env, stack_size: int = 4, stack_dim: int = -1) -> Any:
+    """Show the last frames, oldest first; zeros before an episode's first.
+
+    Parameters
+    ----------
+    env
+        The environment. Of a ``Discrete`` observation, frames become the digits of one number.
+    stack_size
+        How many.
+    stack_dim
+        Along which axis pictures are stacked: 0, or -1 for the last.
+    """
+    return _frame_stack(env, stack_size, stack_dim, repeat=False)
+
+
+def frame_stack_v2(env: Env, stack_size: int = 4, stack_dim: int = -1) -> Any:
+    """Do as :func:`frame_stack_v1`, but with an episode's first frame in place of zeros."""
+    return _frame_stack(env, stack_size, stack_dim, repeat=True)
+
+
+def _frame_stack(env: Env, size: int, axis: int, repeat: bool) -> Any:
+    if isinstance(size, bool) or not isinstance(size, int) or size < 1:
+        raise ArgumentError(f"stack_size is {size!r}; it must be a positive integer")
+    if axis not in (0, -1):
+        raise ArgumentError(f"stack_dim is {axis!r}; possible are 0 and -1")
+
+    def make(batch: Batch, space: Space[Any], action_space: Any) -> Transform:
+        if isinstance(space, Discrete):
+            return _NumberStack(batch, space, action_space, size, repeat)
+        return _FrameStack(batch, space, action_space, size, axis, repeat)
+
+    return wrap(env, make)
+
+
+class _Delay(_Window):
+    def write(self, out: Array, slots: Slots | None) -> None:
+        out[...] = self._frame(self._frames - 1, slots).reshape(out.shape)
+
+
+class _Maximum(_Window):
+    def write(self, out: Array, slots: Slots | None) -> None:
+        out[...] = self._frame(0, slots).reshape(out.shape)
+        for age in range(1, self._frames):
+            np.maximum(out, self._frame(age, slots).reshape(out.shape), out=out)
+
+
+def _window(env: Env, name: str, kind: type[_Window], frames: int, repeat: bool) -> Any:
+    """Wrap an environment in a window that shows observations of the shape they have inside."""
+
+    def make(batch: Batch, space: Space[Any], action_space: Any) -> Transform:
+        if not isinstance(space, (Box, Discrete)):
+            raise ArgumentError(f"{name} takes observations in a Box or Discrete, not {space}")
+        one = (int(np.prod(space.shape or ())),)
+        return kind(
+            batch, space if repeat else with_zeros(space), action_space, frames, one, space.dtype, repeat
+        )
+
+    return wrap(env, make)
+
+
+def delay_observations_v0(env: Env, delay: int) -> Any:
+    """Show what was to be seen ``delay`` steps ago; zeros before."""
+    if isinstance(delay, bool) or not isinstance(delay, int) or delay < 0:
+        raise ArgumentError(f"delay is {delay!r}; it must be an integer of at least 0")
+    return _window(env, "delay_observations_v0", _Delay, delay + 1, repeat=False)
+
+
+def max_observation_v0(env: Env, memory: int) -> Any:
+    """Show the greatest value of each element in the last ``memory`` steps of the episode."""
+    if isinstance(memory, bool) or not isinstance(memory, int) or memory < 1:
+        raise ArgumentError(f"memory is {memory!r}; it must be a positive integer")
+    return _window(env, "max_observation_v0", _Maximum, memory, repeat=True)

@@ -1,0 +1,55 @@
+"""Wrappers that change rewards, each as SuperSuit's of the same name unless it says otherwise."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from gymnasium.spaces import Space
+
+from pearl_marl.devices import BatchStep
+from pearl_marl.errors import ArgumentError
+
+from .base import Array, Batch, Env, Transform, wrap
+
+
+class _Mapped(Transform):
+    def __init__(
+        self, batch: Batch, space: Space[Any], action_space: Any, change: Callable[[Array], Array]
+    ) -> None:
+        super().__init__(batch, space, action_space)
+        self._change = change
+
+    def rewards(self, step: BatchStep) -> Array:
+        return self._change(step.rewards)
+
+
+def reward_lambda_v0(env: Env, change_reward_fn: Callable[[Array], Array]) -> Any:
+    """Change rewards by a function of the whole batch, ``float32`` of shape ``(n,)`` to as many numbers."""
+
+    def change(rewards: Array) -> Array:
+        result = np.asarray(change_reward_fn(rewards), np.float32)
+        if result.shape != rewards.shape:
+            raise ArgumentError(
+                f"change_reward_fn made an array of shape {result.shape} of one of {rewards.shape}; "
+                "it gets the rewards of the whole batch"
+            )
+        return result
+
+    return wrap(env, lambda batch, space, actions: _Mapped(batch, space, actions, change))
+
+
+def clip_reward_v0(env: Env, lower_bound: float = -1, upper_bound: float = 1) -> Any:
+    """Move rewards beyond two bounds to the bounds."""
+    if not lower_bound <= upper_bound:
+        raise ArgumentError(
+            f"lower_bound is {lower_bound}, upper_bound {upper_bound}; they are the wrong way round"
+        )
+    low, high = np.float32(lower_bound), np.float32(upper_bound)
+    return wrap(
+        env,
+        lambda batch, space, actions: _Mapped(
+            batch, space, actions, lambda rewards: np.clip(rewards, low, high)
+        ),
+    )
