@@ -45,30 +45,30 @@ def encode(actions: Any, spec: EnvSpec, target: npt.NDArray[Any], first_slot: in
     try:
         array = np.asarray(actions)
     except ValueError:  # a ragged list
-        raise _refusal(actions, space, target, first_slot) from None
+        raise refusal(actions, space, len(target), first_slot) from None
     if isinstance(space, Box):
         scale = 2.0**spec.action.fraction
         if array.shape != (len(target), 1) or array.dtype.kind not in "iuf":
-            raise _refusal(actions, space, target, first_slot)
+            raise refusal(actions, space, len(target), first_slot)
         numbers = np.array(array[:, 0], np.float64 if array.dtype.itemsize > 4 else np.float32)
         if not _fix(numbers, target, float(space.low[0]), float(space.high[0]), scale):
-            raise _refusal(actions, space, target, first_slot)
+            raise refusal(actions, space, len(target), first_slot)
         return target
     if array.dtype is target.dtype and array.shape == target.shape and array.flags.carray:
         if _largest(array) >= space.n:
-            raise _refusal(actions, space, target, first_slot)
+            raise refusal(actions, space, len(target), first_slot)
         return array
     if not array.flags.behaved:  # read-only or unaligned: to Numba other types, and so another compilation
         array = array.copy()
     kind = array.dtype.kind
     if array.shape != target.shape or kind not in "iu":
-        raise _refusal(actions, space, target, first_slot)
+        raise refusal(actions, space, len(target), first_slot)
     if not array.dtype.isnative or not array.flags.c_contiguous:
         array = np.ascontiguousarray(array, array.dtype.newbyteorder("="))
     # Seen as unsigned, a negative number is a large one: one comparison does for both ends.
     unsigned = array.view(_UNSIGNED[array.itemsize]) if kind == "i" else array
     if _narrow(unsigned, target) >= space.n:
-        raise _refusal(actions, space, target, first_slot)
+        raise refusal(actions, space, len(target), first_slot)
     return target
 
 
@@ -96,6 +96,21 @@ def why_not(action: Any, space: Discrete | Box) -> str:
     if isinstance(action, (bool, np.bool_)) or not isinstance(action, (int, np.integer)):
         return "is no integer"
     return "" if 0 <= action < space.n else "is out of range"
+
+
+def refusal(actions: Any, space: Discrete | Box, n: int, first_slot: int = 0) -> ActionError:
+    """Return the error for a batch of actions that ``n`` slots cannot take."""
+    # What was given tells more than the array that NumPy made of it: [0, 1.5] becomes two floats.
+    values = actions.tolist() if isinstance(actions, np.ndarray) else actions
+    try:
+        shape = np.shape(actions)
+    except ValueError:  # a ragged list
+        shape = (len(actions),)
+    whole = (n, *(space.shape or ()))
+    if shape != whole:
+        wanted = f"{n} agents take {whole}: {_limits(space)}"
+        return ActionError(f"actions have shape {shape}; {wanted}")
+    return refuse_first((f"agent_{first_slot + i}" for i in range(n)), values, space)
 
 
 def random_actions(spec: EnvSpec, rng: np.random.Generator, n: int) -> npt.NDArray[Any]:
@@ -126,20 +141,6 @@ def _limits(space: Discrete | Box) -> str:
 
 
 _UNSIGNED: dict[int, np.dtype[Any]] = {size: np.dtype(f"u{size}") for size in (1, 2, 4, 8)}
-
-
-def _refusal(actions: Any, space: Discrete | Box, target: npt.NDArray[Any], first_slot: int) -> ActionError:
-    # What was given tells more than the array that NumPy made of it: [0, 1.5] becomes two floats.
-    values = actions.tolist() if isinstance(actions, np.ndarray) else actions
-    try:
-        shape = np.shape(actions)
-    except ValueError:  # a ragged list
-        shape = (len(actions),)
-    whole = (*target.shape, *(space.shape or ()))
-    if shape != whole:
-        wanted = f"{len(target)} agents take {whole}: {_limits(space)}"
-        return ActionError(f"actions have shape {shape}; {wanted}")
-    return refuse_first((f"agent_{first_slot + i}" for i in range(len(target))), values, space)
 
 
 @compiled

@@ -49,6 +49,9 @@ class PearlParallelEnv(ParallelInterface):
         The :class:`pearl_marl.spec.EnvSpec`.
     device
         The :class:`pearl_marl.devices.Device` that steps the slots.
+    np_random
+        A ``numpy.random.Generator`` from the seed of :meth:`reset`, for other packages' wrappers: nothing
+        here draws from it.
     """
 
     def __init__(
@@ -73,6 +76,7 @@ class PearlParallelEnv(ParallelInterface):
         self._known = frozenset(self.possible_agents)
         self._autoreset = autoreset
         self._live = np.ones(config.n_envs, np.bool_)
+        self.np_random = np.random.default_rng()
         self._renderer: OracleRenderer | None = None
         self._rendered_slot = 0
 
@@ -88,6 +92,8 @@ class PearlParallelEnv(ParallelInterface):
     def reset_batch(self, seed: int | None = None) -> Array:
         """Begin an episode for every agent; return observations of shape ``(n_agents, ...)``."""
         obs = self.device.reset(seed)
+        if seed is not None:
+            self.np_random = np.random.default_rng(seed)
         self._set_live(np.ones(len(obs), np.bool_))
         self._render_for_human()
         return obs

@@ -32,6 +32,9 @@ class VectorInterface(VectorEnv[Any, Any, Any]):
         self.action_space = batch_space(action_space, num_envs)
         self._observations = observations_in(observation_space)
         self._mode = mode
+        # As in ParallelInterface: whether those that ended go on by themselves, and who is there.
+        self._autoreset = mode is not AutoresetMode.DISABLED
+        self._live = np.ones(num_envs, np.bool_)
         # DISABLED mode only: who waits for a reset, and what everyone saw last.
         self._waiting = np.zeros(num_envs, np.bool_)
         self._seen: Array | None = None

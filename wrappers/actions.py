@@ -8,17 +8,15 @@ from typing import Any
 import numpy as np
 from gymnasium.spaces import Box, Discrete, Space
 
-from pearl_marl.actions import random_numbers
+from pearl_marl.actions import random_numbers, refusal, refuse_first
 from pearl_marl.devices import BatchStep
 from pearl_marl.errors import ArgumentError
 
-from .base import Array, Batch, Env, Mask, Transform, wrap
+from .base import Array, Batch, Env, Slots, Transform, wrap
 
 
 class _Mapped(Transform):
     """Actions through a function of whole batches."""
-
-    action_kinds = "iuf"
 
     def __init__(
         self, batch: Batch, observation_space: Space[Any], action_space: Any, change: Callable[[Array], Array]
@@ -47,11 +45,23 @@ def action_lambda_v1(
         Takes one slot's space inside and returns the one to show.
     """
 
-    def make(batch: Batch, space: Space[Any], action_space: Any) -> Transform:
-        def change(actions: Array) -> Array:
-            return np.asarray(change_action_fn(actions, action_space))
+    def make(batch: Batch, space: Space[Any], inside: Any) -> Transform:
+        shown = change_space_fn(inside)
+        low: Any
+        high: Any
+        if isinstance(shown, Discrete):
+            low, high = shown.start, shown.start + shown.n - 1
+        elif isinstance(shown, Box):
+            low, high = shown.low, shown.high
+        else:
+            raise ArgumentError(f"change_space_fn made {shown}; possible are Discrete and Box")
 
-        return _Mapped(batch, space, change_space_fn(action_space), change)
+        def change(actions: Array) -> Array:
+            if not ((low <= actions) & (actions <= high)).all():
+                raise refusal(actions, shown, len(actions))
+            return np.asarray(change_action_fn(actions, inside))
+
+        return _Mapped(batch, space, shown, change)
 
     return wrap(env, make)
 
@@ -78,7 +88,7 @@ def scale_actions_v0(env: Env, scale: float) -> Any:
         if not np.isfinite(scale) or scale <= 0:
             raise ArgumentError(f"scale is {scale!r}; it must be a positive number")
         new = Box(old.low * scale, old.high * scale, dtype=np.float32)
-        return _Mapped(batch, space, new, lambda actions: actions * np.float32(scale))
+        return _Mapped(batch, space, new, lambda actions: actions * scale)
 
     return wrap(env, make)
 
@@ -89,23 +99,30 @@ def pad_action_space_v0(env: Env) -> Any:
 
 
 class _NoNans(Transform):
-    """Something else in place of actions that are not a number."""
+    """Something else in place of actions that are not a number, or of which one element is not."""
 
-    action_kinds = "iuf"
+    def __init__(self, batch: Batch, space: Space[Any], action_space: Any) -> None:
+        super().__init__(batch, space, action_space)
+        self.action_kinds = "iuf"  # NaN is a float, whatever the action space
 
     def actions(self, actions: Array) -> Array:
-        if actions.dtype.kind != "f" or not (nan := np.isnan(actions)).any():
+        if actions.dtype.kind != "f":
             return actions
-        rows = nan.reshape(len(nan), -1).any(1)
-        given = actions.copy()
-        given[rows] = self.instead(given)[rows]
-        if isinstance(self.action_space, Discrete):
-            whole = given.astype(np.int64)
-            # Other fractions stay, for the environment to refuse.
-            return whole if np.array_equal(whole, given) else given
-        return given
+        slots = np.flatnonzero(np.isnan(actions).reshape(self.n, -1).any(1))
+        if slots.size:
+            actions = actions.copy()
+            actions[slots] = self.instead(slots)
+        if not isinstance(self.action_space, Discrete):
+            return actions
+        with np.errstate(invalid="ignore"):  # infinity's fraction is no number
+            broken = np.flatnonzero(actions % 1 != 0)
+        if broken.size:
+            first = int(broken[0])
+            raise refuse_first([f"agent_{first}"], [actions[first].item()], self.action_space)
+        return actions.astype(np.int64)
 
-    def instead(self, actions: Array) -> Array:
+    def instead(self, slots: Slots) -> Array:
+        """Return actions for these slots."""
         raise NotImplementedError
 
 
@@ -114,13 +131,13 @@ class _NanNoop(_NoNans):
         super().__init__(batch, space, action_space)
         self._action = np.asarray(action)
 
-    def instead(self, actions: Array) -> Array:
-        return np.broadcast_to(self._action.astype(actions.dtype), actions.shape)
+    def instead(self, slots: Slots) -> Array:
+        return self._action
 
 
 class _NanRandom(_NoNans):
-    def instead(self, actions: Array) -> Array:
-        return random_numbers(self.action_space, self.draws(0)).astype(actions.dtype)
+    def instead(self, slots: Slots) -> Array:
+        return random_numbers(self.action_space, self.draws()[slots])
 
 
 def nan_noop_v0(env: Env, no_op_action: Any) -> Any:
@@ -159,20 +176,19 @@ class _Sticky(Transform):
         self._given: Array = self._taken
 
     def actions(self, actions: Array) -> Array:
-        if actions.shape != self._taken.shape:
-            return actions  # for the environment to refuse
-        sticks = self._may_stick & (self.draws(0) < self._below)
-        self._given = np.where(sticks.reshape(-1, *(1,) * (actions.ndim - 1)), self._taken, actions)
+        sticks = np.flatnonzero(self._may_stick & (self.draws() < self._below))
+        self._given = actions.astype(self._taken.dtype)
+        self._given[sticks] = self._taken[sticks]
         return self._given
 
     def results(self, step: BatchStep) -> BatchStep:
-        # Only now is it sure that the environment took them.
+        # Only now is it sure that the actions were not refused.
         self._taken[...] = self._given
         self._may_stick[:] = True
         return super().results(step)
 
-    def episode_began(self, began: Mask) -> None:
-        self._may_stick[began] = False
+    def episode_began(self, slots: Slots) -> None:
+        self._may_stick[slots] = False
 
 
 def sticky_actions_v0(env: Env, repeat_action_probability: float) -> Any:

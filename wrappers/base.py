@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import secrets
 import zipfile
+import zlib
 from collections.abc import Callable
 from typing import Any, Protocol, TypeVar
 
@@ -14,20 +15,28 @@ from gymnasium.spaces import Box, Discrete, Space
 from gymnasium.vector import AutoresetMode
 
 from pearl_marl import rng
+from pearl_marl.actions import refusal
 from pearl_marl.devices import BatchStep
-from pearl_marl.errors import ArgumentError, SavedStateError
+from pearl_marl.errors import ArgumentError, OrderError, SavedStateError
 from pearl_marl.parallel_interface import ParallelInterface
 from pearl_marl.vector_interface import VectorInterface
 
+from .recycling import Recycler
+
 Array = npt.NDArray[Any]
 Mask = npt.NDArray[np.bool_]
+Slots = npt.NDArray[np.intp]
 
 
 class Batch(Protocol):
-    """What a transform is put around: an environment of this package, or another transform's."""
+    """What a transform is put around: an environment of this package, wrapped or not."""
 
+    # How many slots, when their device resets those that ended, whether those go on by themselves, and
+    # which have not left for good.
     _n: int
     _autoreset_mode: AutoresetMode
+    _autoreset: bool
+    _live: Mask
 
     def step_batch(self, actions: npt.ArrayLike) -> BatchStep:
         """Step every slot once."""
@@ -40,103 +49,151 @@ class Transform:
     """A change to what goes into and comes out of a batch of slots; by itself it changes nothing.
 
     A subclass overrides :meth:`actions`, :meth:`rewards`, and of the observations either
-    :meth:`observe`, if each depends on nothing but itself, or :meth:`begin` and :meth:`push`.
-    What it keeps from step to step it keeps in :attr:`memory`, a row a slot.
+    :meth:`observe`, if each depends on nothing but itself, or :meth:`push`, :meth:`begin` and
+    :meth:`show`. What it keeps from step to step it keeps in :attr:`memory`.
 
     Parameters
     ----------
     batch
         What it is put around.
     observation_space, action_space
-        One slot's spaces there.
+        One slot's spaces, with the change.
 
     Attributes
     ----------
+    batch, n
+        What it is put around, and how many slots that has.
     observation_space, action_space
-        One slot's spaces with the change.
+        One slot's spaces, with the change.
+    action_kinds
+        The kinds of dtype that actions may have.
     memory
-        Arrays that a saved state has to hold, by name.
+        Arrays that a saved state has to hold, by name. They are only ever written into, never replaced.
+    new
+        Makes arrays for results, ``new.empty(shape, dtype)`` and ``new.copy(array)``: see :class:`Recycler`.
     """
 
     keeps_history = False
-    """Whether observations depend on earlier ones: :meth:`begin` and :meth:`push` are used then."""
-
-    action_kinds: str | None = None
-    """Kinds of dtype that actions may have, if not those of the action space."""
+    """Whether observations depend on earlier ones: :meth:`push`, :meth:`begin` and :meth:`show` are used."""
 
     def __init__(self, batch: Batch, observation_space: Space[Any], action_space: Discrete | Box) -> None:
         self.batch, self.n = batch, batch._n
         self.observation_space, self.action_space = observation_space, action_space
+        inside = getattr(batch, "transform", None)
+        self.action_kinds = "iu" if isinstance(action_space, Discrete) else "iuf"
+        if inside is not None and inside.action_space is action_space:
+            self.action_kinds = inside.action_kinds
         self.memory: dict[str, Array] = {}
+        self.new = Recycler()
+        # NEXT_STEP mode only: who spends the next step resetting.
         self._resetting = np.zeros(self.n, np.bool_)
         self._seed: tuple[int, int] | None = None
         self._tick = 0
+        self._depth: int = 0 if inside is None else inside._depth + 1
 
     def reset(self, obs: Array, seed: int | None, mask: Mask | None = None) -> Array:
-        """Take up that the masked slots (all, if ``None``) begin an episode with ``obs``."""
+        """Take up that masked slots (all, if ``None``) begin an episode with ``obs``; return what to show."""
         if seed is not None:
             self._seed, self._tick = rng.seed_words(seed), 0
         elif self._seed is None:
             self._seed = rng.seed_words(secrets.randbits(64))
-        began = np.ones(self.n, np.bool_) if mask is None else mask
-        self._resetting &= ~began
+        began = np.arange(self.n) if mask is None else np.flatnonzero(mask)
+        self._resetting[began] = False
         self.episode_began(began)
         if not self.keeps_history:
             return self.observe(obs)
-        return self.begin(obs, began)
+        self.begin(obs, began)
+        return self.show()
 
     def step(self, actions: npt.ArrayLike) -> BatchStep:
         """Step every slot once."""
-        result = self.batch.step_batch(self.actions(np.asarray(actions)))
+        result = self.batch.step_batch(self.actions(self.given(actions)))
         self._tick += 1
         return self.results(result)
+
+    def given(self, actions: npt.ArrayLike) -> Array:
+        """Return actions as an array; refuse them if its shape or dtype is not that of actions."""
+        if self._seed is None:
+            raise OrderError("step() before reset(): call reset() of the outermost wrapper first")
+        try:
+            array = np.asarray(actions)
+        except ValueError:  # a ragged list
+            raise refusal(actions, self.action_space, self.n) from None
+        shape = self.n, *(self.action_space.shape or ())
+        if array.shape != shape or array.dtype.kind not in self.action_kinds:
+            raise refusal(actions, self.action_space, self.n)
+        return array
 
     def results(self, step: BatchStep) -> BatchStep:
         """Change the results of a step."""
         ended = step.ended
         rewards = self.rewards(step)
         if self.batch._autoreset_mode is AutoresetMode.NEXT_STEP:
-            began, self._resetting = self._resetting, ended
-            obs = self.push(step.obs) if self.keeps_history else self.observe(step.obs)
-            if self.keeps_history and began.any():
-                obs[began] = self.begin(step.obs, began)[began]
-            final_obs = obs
-        elif self.keeps_history:
-            obs = final_obs = self.push(step.arrivals())
-            began = ended
-            if ended.any():
-                final_obs = obs.copy()
-                obs[ended] = self.begin(step.obs, ended)[ended]
+            began = np.flatnonzero(self._resetting)
+            self._resetting[:] = ended
+            if self.keeps_history:
+                self.push(step.obs)
+                self.begin(step.obs, began)
+                obs = final_obs = self.show()
+            else:
+                obs = final_obs = self.observe(step.obs)
         else:
-            obs, began = self.observe(step.obs), ended
-            final_obs = self.observe(step.final_obs) if ended.any() else obs
-        if began.any():
+            began = np.flatnonzero(ended)
+            if self.keeps_history:
+                self.push(self.arrivals(step))
+                obs = final_obs = self.show()
+                if began.size:
+                    final_obs = self.new.copy(obs)
+                    self.begin(step.obs, began)
+                    obs[began] = self.show(began)
+            else:
+                obs = self.observe(step.obs)
+                final_obs = self.observe(step.final_obs) if began.size else obs
+        if began.size:
             self.episode_began(began)
         return BatchStep(obs, rewards, step.terminations, step.truncations, final_obs)
 
+    def arrivals(self, step: BatchStep) -> Array:
+        """Return where a step took every slot: see :meth:`BatchStep.arrivals`."""
+        slots = np.flatnonzero(step.ended)
+        if not slots.size:
+            return step.obs
+        obs = self.new.copy(step.obs)
+        obs[slots] = step.final_obs[slots]
+        return obs
+
     def actions(self, actions: Array) -> Array:
-        """Return the actions to take instead."""
+        """Return the actions to take instead. They may yet be refused: nothing is to change here."""
         return actions
 
     def rewards(self, step: BatchStep) -> Array:
-        """Return the rewards to give instead; of an array of their own, or the step's."""
+        """Return the rewards to give instead, in an array of their own or the step's."""
         return step.rewards
 
     def observe(self, obs: Array) -> Array:
-        """Return what to show instead of each observation."""
+        """Return what to show instead of each observation, in an array of its own or ``obs`` itself."""
         return obs
 
-    def begin(self, obs: Array, began: Mask) -> Array:
-        """Return what to show of first observations: rows of ``began`` changed, the others as last shown."""
+    def push(self, obs: Array) -> None:
+        """Remember the observations of a step."""
         raise NotImplementedError
 
-    def push(self, obs: Array) -> Array:
-        """Return what to show of a step's observations, in an array of its own."""
+    def begin(self, obs: Array, slots: Slots) -> None:
+        """Remember the first observations of episodes, ``obs[slots]``, and nothing from before them."""
         raise NotImplementedError
 
-    def shown(self) -> Array:
-        """Return what was shown last, as :attr:`memory` has it."""
+    def show(self, slots: Slots | None = None) -> Array:
+        """Return what to show the slots (all, if ``None``) of what is remembered, in an array of its own."""
         raise NotImplementedError
+
+    def episode_began(self, slots: Slots) -> None:
+        """Forget what else belongs to these slots' last episodes."""
+
+    def draws(self, index: int = 0) -> npt.NDArray[np.uint32]:
+        """Return a random ``u32`` a slot for this step; depends on seed, slot, step and wrapper only."""
+        assert self._seed is not None
+        # Far from the draws of any environment, and other ones for every wrapper around it.
+        return rng.draws(self._seed, np.arange(self.n), self._tick, 1 << 31 | self._depth << 8 | index)
 
     def snapshot(self) -> dict[str, Array]:
         """Return all that the continuation depends on."""
@@ -147,18 +204,13 @@ class Transform:
         """Continue from a snapshot."""
         seed_0, seed_1, self._tick = map(int, saved["place"])
         self._seed = seed_0, seed_1
-        self._resetting = saved["resetting"]
+        self._resetting[:] = saved["resetting"]
         for name, array in self.memory.items():
             array[...] = saved[name]
 
-    def episode_began(self, began: Mask) -> None:
-        """Forget what belongs to the masked slots' last episode."""
-
-    def draws(self, index: int) -> npt.NDArray[np.uint32]:
-        """Return a random ``u32`` a slot for this step, which depends on seed, slot and step only."""
-        assert self._seed is not None
-        # Wrappers have numbers of their own from here on, far from those of any environment.
-        return rng.draws(self._seed, np.arange(self.n), self._tick, 1 << 31 | index)
+    def restored(self, obs: Array) -> Array:
+        """Return what to show after :meth:`restore`, where the batch shows ``obs``."""
+        return self.show() if self.keeps_history else self.observe(obs)
 
 
 class WrappedParallelEnv(ParallelInterface):
@@ -178,12 +230,10 @@ class WrappedParallelEnv(ParallelInterface):
         self.possible_agents = env.possible_agents
         self._known, self._autoreset = env._known, env._autoreset
         self._set_spaces(transform.observation_space, transform.action_space)
-        self._action_kinds = transform.action_kinds or self._action_kinds
+        self._action_kinds = transform.action_kinds
 
     def __getattr__(self, name: str) -> Any:
-        if name.startswith("_") or name == "env":
-            raise AttributeError(f"{type(self).__name__} has no attribute {name!r}")
-        return getattr(self.env, name)
+        return _inside(self, name)
 
     def reset_batch(self, seed: int | None = None) -> Array:
         """Begin an episode for every agent; return observations of shape ``(n_agents, ...)``."""
@@ -195,14 +245,17 @@ class WrappedParallelEnv(ParallelInterface):
 
     def save_state(self) -> bytes:
         """Return all that the continuation depends on, what wrappers remember included."""
-        return _packed(self.env.save_state(), self.transform)
+        inner = self.env.save_state()
+        if not self._ready:
+            raise OrderError("save_state() before reset(): call reset() of the outermost wrapper first")
+        return _packed(inner, self.transform)
 
     def load_state(self, blob: bytes) -> Array:
         """Continue from what :meth:`save_state` of an environment wrapped like this one returned."""
         inner, remembered = _unpacked(blob, self.transform)
         obs = self.env.load_state(inner)
         self.transform.restore(remembered)
-        return self.transform.shown() if self.transform.keeps_history else self.transform.observe(obs)
+        return self.transform.restored(obs)
 
     def _reset_slots(self, mask: Mask) -> Array:
         return self.transform.reset(self.env._reset_slots(mask), None, mask)
@@ -240,8 +293,7 @@ class WrappedParallelEnv(ParallelInterface):
 
     @property
     def _ready(self) -> bool:
-        ready: bool = self.env._ready
-        return ready
+        return bool(self.env._ready) and self.transform._seed is not None
 
     @property
     def _n(self) -> int:
@@ -279,11 +331,13 @@ class WrappedVectorEnv(VectorInterface):
     def __init__(self, env: Any, transform: Transform) -> None:
         self.env, self.transform = env, transform
         self._set_up(env.num_envs, transform.observation_space, transform.action_space, env._mode)
+        self.spec, self.render_mode = env.spec, env.render_mode
 
     def __getattr__(self, name: str) -> Any:
-        if name.startswith("_") or name == "env":
-            raise AttributeError(f"{type(self).__name__} has no attribute {name!r}")
-        return getattr(self.env, name)
+        return _inside(self, name)
+
+    def __del__(self) -> None:
+        """Leave the environment inside open: others may hold it."""
 
     def reset_batch(self, seed: int | None = None, mask: npt.ArrayLike | None = None) -> Array:
         """See :class:`VectorInterface`."""
@@ -351,6 +405,22 @@ def box(space: Space[Any], name: str) -> Box:
     return space
 
 
+def with_zeros(space: Space[Any]) -> Space[Any]:
+    """Return the space itself, or if zeros are beyond its bounds, one that they are within."""
+    if not isinstance(space, Box) or ((space.low <= 0) & (space.high >= 0)).all():
+        return space
+    return Box(np.minimum(space.low, 0), np.maximum(space.high, 0), dtype=space.dtype.type)
+
+
+def _inside(wrapped: Any, name: str) -> Any:
+    """Return an attribute of the environment inside a wrapped one."""
+    if name.startswith("_") or name == "env":
+        raise AttributeError(f"{type(wrapped).__name__} has no attribute {name!r}")
+    if name in ("send", "recv"):  # they would go past the wrapper
+        raise AttributeError(f"a wrapped environment has no {name}(): only step() and step_batch()")
+    return getattr(wrapped.env, name)
+
+
 _FORMAT = b"PEARLWR1"
 
 
@@ -372,9 +442,10 @@ def _unpacked(blob: bytes, transform: Transform) -> tuple[bytes, dict[str, Array
     try:
         with np.load(io.BytesIO(body), allow_pickle=False) as file:
             saved = dict(file)
-    except (OSError, ValueError, zipfile.BadZipFile) as error:
+        inner = saved.pop("inner").tobytes()
+    except (OSError, EOFError, KeyError, ValueError, zipfile.BadZipFile, zlib.error) as error:
         raise SavedStateError(f"the saved state is damaged: {error}") from None
     for key, array in transform.snapshot().items():
         if key not in saved or saved[key].shape != array.shape or saved[key].dtype != array.dtype:
             raise SavedStateError(f"the saved state's {key!r} is not that of this wrapper")
-    return saved.pop("inner").tobytes(), saved
+    return inner, saved

@@ -14,7 +14,7 @@ from pearl_marl.errors import ArgumentError, OrderError
 from pearl_marl.golden import uniform_below
 from pearl_marl.parallel_interface import ParallelInterface
 
-from .base import Array, Batch, Env, Mask, Transform, WrappedParallelEnv, wrap
+from .base import Array, Batch, Env, Mask, Transform, WrappedParallelEnv, with_zeros, wrap
 
 
 class _FrameSkip(Transform):
@@ -28,33 +28,28 @@ class _FrameSkip(Transform):
         self._low, self._high = low, high
 
     def step(self, actions: npt.ArrayLike) -> BatchStep:
-        spread = self._high - self._low + 1
-        count = self._low + (int(uniform_below(self.draws(0)[:1], spread)[0]) if spread > 1 else 0)
+        actions = self.given(actions)
+        count = self._low
+        if self._high > count:
+            count += int(uniform_below(self.draws()[:1], self._high - count + 1)[0])
+        step = self.batch.step_batch(actions)
         self._tick += 1
-        first = self.batch.step_batch(actions)
-        rewards, ended = first.rewards.copy(), first.ended
-        terminations, truncations = first.terminations.copy(), first.truncations.copy()
-        obs, final_obs = first.obs, first.final_obs.copy()
+        rewards, terminations, truncations, final_obs = (array.copy() for array in step[1:])
+        over, started = step.ended, False
         for _ in range(1, count):
-            if ended.all():
+            if over.all() or not self.batch._live.any():  # where agents leave, nobody may be left to step
                 break
+            started |= bool(over.any())
             step = self.batch.step_batch(actions)
-            running = ~ended
-            rewards[running] += step.rewards[running]
-            now = step.ended & running
+            running = ~over
+            np.add(rewards, step.rewards, out=rewards, where=running)
+            now = np.flatnonzero(step.ended & running)
             terminations[now], truncations[now] = step.terminations[now], step.truncations[now]
             final_obs[now] = step.final_obs[now]
-            obs, ended = step.obs, ended | now
-            if now.any() and not self._anybody():
-                break
+            over[now] = True
         # Slots that ended on the way have gone on into their next episodes: those begin here instead.
-        if ended.any() and self._anybody():
-            obs = self.batch._reset_slots(ended)
+        obs = self.batch._reset_slots(over) if started else step.obs
         return BatchStep(obs, rewards, terminations, truncations, final_obs)
-
-    def _anybody(self) -> bool:
-        """Whether an agent is left to step, which there may not be where agents leave."""
-        return bool(getattr(self.batch, "agents", True))
 
 
 def frame_skip_v0(env: Env, num_frames: int | tuple[int, int]) -> Any:
@@ -75,52 +70,60 @@ def frame_skip_v0(env: Env, num_frames: int | tuple[int, int]) -> Any:
     return wrap(env, lambda batch, space, actions: _FrameSkip(batch, space, actions, low, high))
 
 
-class _BlackDeath(WrappedParallelEnv):
+class _BlackDeath(Transform):
     """Agents whose episode has ended stay, blind and without reward, until everybody's has."""
 
-    def __init__(self, env: ParallelInterface) -> None:
-        super().__init__(env, Transform(env, env._observation_space, env._action_space))
-        self._present = False
-        self._terminated = np.zeros(self._n, np.bool_)
-        self._truncated = np.zeros(self._n, np.bool_)
+    def __init__(self, batch: Batch, space: Space[Any], action_space: Any) -> None:
+        super().__init__(batch, with_zeros(space), action_space)
+        self.present = np.zeros((), np.bool_)
+        self._terminated, self._truncated = np.zeros(self.n, np.bool_), np.zeros(self.n, np.bool_)
+        self.memory = {
+            "present": self.present,
+            "terminated": self._terminated,
+            "truncated": self._truncated,
+        }
 
-    def reset_batch(self, seed: int | None = None) -> Array:
-        obs: Array = super().reset_batch(seed)
-        self._present = True
+    def reset(self, obs: Array, seed: int | None, mask: Mask | None = None) -> Array:
+        self.present[...] = True
         self._terminated[:] = self._truncated[:] = False
-        return obs
+        return super().reset(obs, seed, mask)
 
-    def step_batch(self, actions: npt.ArrayLike) -> BatchStep:
-        if not self._present and self._ready:
+    def step(self, actions: npt.ArrayLike) -> BatchStep:
+        actions = self.given(actions)
+        if not self.present:
             raise OrderError("step() with no agent left: every episode has ended, call reset() first")
-        alive: Mask = self.env._live
-        step = self.env.step_batch(actions)
+        alive = self.batch._live
+        step = self.batch.step_batch(actions)
+        self._tick += 1
         self._terminated |= step.terminations & alive
         self._truncated |= step.truncations & alive
+        self.present[...] = self.batch._live.any()
         obs, rewards = step.arrivals().copy(), step.rewards.copy()
         obs[~alive] = 0
         rewards[~alive] = 0
-        self._present = bool(self.env.agents)
-        over = not self._present
-        nobody = np.zeros(self._n, np.bool_)
-        terminations = self._terminated.copy() if over else nobody
-        truncations = self._truncated.copy() if over else nobody
-        return BatchStep(obs, rewards, terminations, truncations, obs)
+        over = ~self.present
+        return BatchStep(obs, rewards, self._terminated & over, self._truncated & over, obs)
 
-    def load_state(self, blob: bytes) -> Array:
-        raise OrderError("an environment in black_death_v3 cannot be put into a saved state: load it inside")
+    def restored(self, obs: Array) -> Array:
+        obs = obs.copy()
+        obs[~self.batch._live] = 0
+        return obs
+
+
+class _WithBlackDeath(WrappedParallelEnv):
+    transform: _BlackDeath
 
     @property
     def agents(self) -> list[str]:
-        return list(self.possible_agents) if self._present else []
+        return list(self._agents)
 
     @property
     def _agents(self) -> tuple[str, ...]:  # type: ignore[override]
-        return tuple(self.agents)
+        return tuple(self.possible_agents) if self.transform.present else ()
 
     @property
     def _live(self) -> Mask:  # type: ignore[override]
-        return np.full(self._n, self._present)
+        return np.full(self._n, self.transform.present)
 
 
 def black_death_v3(env: ParallelInterface) -> Any:
@@ -133,4 +136,4 @@ def black_death_v3(env: ParallelInterface) -> Any:
         raise ArgumentError(
             "black_death_v3 takes a ParallelEnv made with autoreset=False: no agent dies in others"
         )
-    return _BlackDeath(env)
+    return _WithBlackDeath(env, _BlackDeath(env, env._observation_space, env._action_space))

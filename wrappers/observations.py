@@ -11,7 +11,8 @@ from gymnasium.spaces import Box, Discrete, Space
 
 from pearl_marl.errors import ArgumentError
 
-from .base import Array, Batch, Env, Mask, Transform, box, wrap
+from . import kernels
+from .base import Array, Batch, Env, Slots, Transform, box, with_zeros, wrap
 
 
 class _Mapped(Transform):
@@ -108,11 +109,14 @@ def normalize_obs_v0(env: Env, env_min: float = 0.0, env_max: float = 1.0) -> An
             raise ArgumentError(f"normalize_obs_v0 takes floats, not {old.dtype}: put dtype_v0 inside it")
         if not old.is_bounded():
             raise ArgumentError(f"normalize_obs_v0 takes finite bounds; {old} has others")
-        scale = old.dtype.type(env_max - env_min)
-        size, least = old.high - old.low, old.dtype.type(env_min)
+        low, size = old.low.ravel(), (old.high - old.low).ravel()
+        new_size, new_low = old.dtype.type(env_max - env_min), old.dtype.type(env_min)
 
         def change(obs: Array) -> Array:
-            return (obs - old.low) / size * scale + least
+            out = np.empty(obs.shape, old.dtype)
+            rows = obs.reshape(len(obs), -1), out.reshape(len(obs), -1)
+            kernels.rescaled(rows[0], low, size, new_size, new_low, rows[1])
+            return out
 
         new = Box(env_min, env_max, old.shape, old.dtype.type)
         return _Mapped(batch, new, action_space, change)
@@ -152,29 +156,24 @@ def resize_v1(env: Env, x_size: int, y_size: int, linear_interp: bool = True) ->
         if isinstance(size, bool) or not isinstance(size, int) or size < 1:
             raise ArgumentError(f"{name} is {size!r}; it must be a positive integer")
 
-    def weights(old: int, new: int) -> Array:
-        """Return which old pixels make up each new one, shape ``(new, old)``."""
-        result = np.zeros((new, old), np.float32)
-        if linear_interp:
-            # Centres of pixels lie on centres; beyond the outermost, the outermost count alone.
-            at = np.clip((np.arange(new) + 0.5) * old / new - 0.5, 0, old - 1)
-            low = np.minimum(at.astype(int), max(old - 2, 0))
-            share = (at - low).astype(np.float32)
-            np.add.at(result, (np.arange(new), low), 1 - share)
-            np.add.at(result, (np.arange(new), np.minimum(low + 1, old - 1)), share)
-        else:
-            result[np.arange(new), np.arange(new) * old // new] = 1
-        return result
+    def nearest(old: int, new: int) -> Slots:
+        return ((np.arange(new) + 0.5) * old / new).astype(np.intp)
+
+    def mixed(obs: Array, axis: int, new: int) -> Array:
+        # As tinyscaler has it, with which SuperSuit resizes: the centres of the outermost pixels are the
+        # edges of the picture, and a new pixel shows what is at its centre.
+        at = (np.arange(new) + 0.5) * (obs.shape[axis] - 1) / new
+        low = at.astype(np.intp)
+        share = (at - low).astype(np.float32).reshape(-1, *(1,) * (obs.ndim - axis - 1))
+        one, other = obs.take(low, axis), obs.take(np.minimum(low + 1, obs.shape[axis] - 1), axis)
+        return one + (other - one) * share
 
     def change(obs: Array) -> Array:
         if obs.ndim not in (3, 4):
             raise ArgumentError(f"resize_v1 takes pictures of 2 or 3 axes, not {obs.shape[1:]}")
-        rows, columns = weights(obs.shape[1], y_size), weights(obs.shape[2], x_size)
-        mixed = np.tensordot(obs.astype(np.float32), columns, (2, 1))  # columns go last
-        mixed = np.moveaxis(np.tensordot(mixed, rows, (1, 1)), -1, 1)  # and rows back to their place
-        if obs.ndim == 4:
-            mixed = np.moveaxis(mixed, 3, 2)
-        return mixed.astype(obs.dtype)
+        if not linear_interp:
+            return obs[:, nearest(obs.shape[1], y_size)][:, :, nearest(obs.shape[2], x_size)]
+        return mixed(mixed(obs.astype(np.float32), 2, x_size), 1, y_size).astype(obs.dtype)
 
     return _mapped(env, "resize_v1", change)
 
@@ -205,20 +204,21 @@ def agent_indicator_v0(env: Env, type_only: bool = False) -> Any:
             new: Space[Any] = Discrete(int(space.n) * n, start=int(space.start) * n)
             return _Mapped(batch, new, action_space, lambda obs: obs * n + agents)
         old: Box = box(space, "agent_indicator_v0")
-        number = np.arange(n) / max(n - 1, 1)
-        added: tuple[int, ...] = (*old.shape[:-1], 1) if len(old.shape) == 3 else (1,)
-        if len(old.shape) not in (1, 3):
-            raise ArgumentError(
-                f"agent_indicator_v0 takes vectors and pictures with channels, not {old.shape}"
-            )
+        if not 1 <= len(old.shape) <= 3:
+            raise ArgumentError(f"agent_indicator_v0 takes vectors and pictures, not shape {old.shape}")
+        # A picture without channels gets an axis for them.
+        one: tuple[int, ...] = (*old.shape, 1) if len(old.shape) == 2 else old.shape
         kind = old.dtype if old.dtype.kind == "f" else np.dtype(np.float32)
-        more = np.broadcast_to(number.reshape(n, *(1,) * len(added)), (n, *added)).astype(kind)
+        numbers = (np.arange(n) / max(n - 1, 1)).astype(kind)
+        rows, width = int(np.prod(one[:-1])), one[-1]
 
         def change(obs: Array) -> Array:
-            return np.concatenate([obs, more], axis=-1, dtype=kind)
+            out = np.empty((n, *one[:-1], width + 1), kind)
+            kernels.appended(obs.reshape(n, rows, width), numbers, out.reshape(n, rows, width + 1))
+            return out
 
         low, high = (
-            np.concatenate([bound, np.full(added, end)], axis=-1, dtype=kind)
+            np.insert(bound.reshape(one).astype(kind), width, end, axis=-1)
             for bound, end in ((old.low, 0), (old.high, 1))
         )
         return _Mapped(batch, Box(low, high, dtype=kind.type), action_space, change)
@@ -231,67 +231,96 @@ def pad_observations_v0(env: Env) -> Any:
     return env
 
 
-class _FrameStack(Transform):
+class _Window(Transform):
+    """The frames of the last steps; before an episode's first, zeros or the first itself."""
+
     keeps_history = True
 
     def __init__(
+        self,
+        batch: Batch,
+        space: Space[Any],
+        action_space: Any,
+        frames: int,
+        one: tuple[int, ...],
+        dtype: npt.DTypeLike,
+        repeat: bool,
+    ) -> None:
+        super().__init__(batch, space, action_space)
+        self._frames, self._repeat = frames, repeat
+        # The newest is at `turn`, and the next comes in place of the oldest.
+        self._window, self._turn = np.zeros((frames, self.n, *one), dtype), np.zeros((), np.int64)
+        self.memory = {"window": self._window, "turn": self._turn}
+
+    def push(self, obs: Array) -> None:
+        self._turn[...] = (self._turn + 1) % self._frames
+        newest = self._frame(0)
+        newest[...] = obs.reshape(newest.shape)
+
+    def begin(self, obs: Array, slots: Slots) -> None:
+        newest = self._frame(0)
+        first = obs[slots].reshape(len(slots), *newest.shape[1:])
+        self._window[:, slots] = first if self._repeat else 0
+        newest[slots] = first
+
+    def show(self, slots: Slots | None = None) -> Array:
+        ages = range(self._frames - 1, -1, -1)
+        frames = [self._frame(age) if slots is None else self._frame(age)[slots] for age in ages]
+        out = self.new.empty((len(frames[0]), *(self.observation_space.shape or ())), self._window.dtype)
+        self.write(frames, out)
+        return out
+
+    def write(self, frames: list[Array], out: Array) -> None:
+        """Write what to show of some slots' frames, oldest first."""
+        raise NotImplementedError
+
+    def _frame(self, age: int) -> Array:
+        frame: Array = self._window[(int(self._turn) - age) % self._frames]
+        return frame
+
+
+class _FrameStack(_Window):
+    def __init__(
         self, batch: Batch, space: Space[Any], action_space: Any, size: int, axis: int, repeat: bool
     ) -> None:
-        self._size, self._repeat, self._n_values = size, repeat, 0
-        shape: tuple[int, ...] = space.shape or ()
-        if isinstance(space, Discrete):
-            self._n_values = int(space.n)
-            if space.start != 0 or self._n_values**size >= 1 << 63:
-                raise ArgumentError(f"{size} frames of {space} are more than 63 bits tell apart")
-            new: Space[Any] = Discrete(self._n_values**size)
-        else:
-            old = box(space, "frame_stack")
-            if not 1 <= len(shape) <= 3:
-                raise ArgumentError(f"frames of shape {shape} cannot be stacked: 1 to 3 axes can")
-            # Vectors and pictures with channels are put side by side, pictures without get an axis.
-            self._axis = 0 if axis == 0 or len(shape) == 1 else len(shape) - (len(shape) == 3)
-            self._one = np.expand_dims(old.low, self._axis).shape if len(shape) == 2 else shape
-            low, high = (
-                np.concatenate([bound.reshape(self._one)] * size, self._axis) for bound in (old.low, old.high)
-            )
-            # Frames before the first are zeros.
-            low, high = (low, high) if repeat else (np.minimum(low, 0), np.maximum(high, 0))
-            new = Box(low, high, dtype=old.dtype.type)
-        super().__init__(batch, new, action_space)
-        self._stack = np.zeros((self.n, *(new.shape or ())), space.dtype)
-        self.memory = {"stack": self._stack}
+        old = box(space, "frame_stack")
+        if not 1 <= len(old.shape) <= 3:
+            raise ArgumentError(f"frames of shape {old.shape} cannot be stacked: 1 to 3 axes can")
+        low, high = old.low, old.high
+        if low.ndim == 2:  # pictures without channels get an axis
+            low, high = np.expand_dims(low, axis), np.expand_dims(high, axis)
+        # Other pictures' channels, and vectors, are put side by side.
+        axis = 0 if axis == 0 else low.ndim - 1
+        rows = int(np.prod(low.shape[:axis]))
+        low, high = (np.concatenate([bound] * size, axis) for bound in (low, high))
+        new: Space[Any] = Box(low, high, dtype=old.dtype.type)
+        new = new if repeat else with_zeros(new)
+        width = int(np.prod(old.shape)) // rows
+        super().__init__(batch, new, action_space, size, (rows, width), old.dtype, repeat)
 
-    def begin(self, obs: Array, began: Mask) -> Array:
-        if self._n_values:
-            repeats = sum(self._n_values**k for k in range(self._size)) if self._repeat else 1
-            self._stack[began] = obs[began] * repeats
-        elif self._repeat:
-            frames = obs[began].reshape(-1, *self._one)
-            self._stack[began] = np.concatenate([frames] * self._size, self._axis + 1)
-        else:
-            self._stack[began] = 0
-            self._last(self._stack)[began] = obs[began].reshape(-1, *self._one)
-        return self._stack.copy()
+    def write(self, frames: list[Array], out: Array) -> None:
+        # A row of a frame moves as one thing, whatever it consists of.
+        row = np.dtype((np.void, frames[0].shape[2] * out.itemsize))
+        stacks = out.reshape(len(out), -1, len(frames) * frames[0].shape[2]).view(row)
+        for place, frame in enumerate(frames):
+            stacks[:, :, place] = frame.view(row)[:, :, 0]
 
-    def push(self, obs: Array) -> Array:
-        stack = self._stack
-        if self._n_values:
-            stack[:] = (stack * self._n_values + obs) % self._n_values**self._size
-        else:
-            length = self._one[self._axis]
-            moved = np.moveaxis(stack, self._axis + 1, 1)
-            moved[:, :-length] = moved[:, length:].copy()
-            self._last(stack)[...] = obs.reshape(-1, *self._one)
-        return stack.copy()
 
-    def shown(self) -> Array:
-        return self._stack.copy()
+class _NumberStack(_Window):
+    """A stack of ``Discrete`` observations: the digits of one number."""
 
-    def _last(self, stack: Array) -> Array:
-        """Return the newest frames, a view."""
-        start = stack.shape[self._axis + 1] - self._one[self._axis]
-        index = (slice(None),) * (self._axis + 1)
-        return stack[(*index, slice(start, None))]
+    def __init__(self, batch: Batch, space: Discrete, action_space: Any, size: int, repeat: bool) -> None:
+        n = int(space.n)
+        if space.start != 0 or n**size >= 1 << 63:
+            raise ArgumentError(f"{size} frames of {space} are more than 63 bits tell apart")
+        super().__init__(batch, Discrete(n**size), action_space, size, (), np.int64, repeat)
+        self._n_values = n
+
+    def write(self, frames: list[Array], out: Array) -> None:
+        out[:] = 0
+        for frame in frames:
+            out *= self._n_values
+            out += frame
 
 
 def frame_stack_v1(env: Env, stack_size: int = 4, stack_dim: int = -1) -> Any:
@@ -319,74 +348,50 @@ def _frame_stack(env: Env, size: int, axis: int, repeat: bool) -> Any:
         raise ArgumentError(f"stack_size is {size!r}; it must be a positive integer")
     if axis not in (0, -1):
         raise ArgumentError(f"stack_dim is {axis!r}; possible are 0 and -1")
-    return wrap(env, lambda batch, space, actions: _FrameStack(batch, space, actions, size, axis, repeat))
 
+    def make(batch: Batch, space: Space[Any], action_space: Any) -> Transform:
+        if isinstance(space, Discrete):
+            return _NumberStack(batch, space, action_space, size, repeat)
+        return _FrameStack(batch, space, action_space, size, axis, repeat)
 
-class _Window(Transform):
-    """The frames of the last steps, one after the other in turn."""
-
-    keeps_history = True
-
-    def __init__(self, batch: Batch, space: Space[Any], action_space: Any, frames: int) -> None:
-        super().__init__(batch, space, action_space)
-        self._frames = frames
-        shape = self.batch_shape(space)
-        # How many steps each slot's episode is old, the reset included, up to the number of frames.
-        self.memory = {
-            "window": np.zeros((frames, self.n, *shape), space.dtype),
-            "age": np.zeros(self.n, np.uint32),
-            "turn": np.zeros((), np.int64),
-        }
-
-    @staticmethod
-    def batch_shape(space: Space[Any]) -> tuple[int, ...]:
-        if isinstance(space, (Box, Discrete)):
-            return space.shape or ()
-        raise ArgumentError(f"observations in {space} cannot be kept: a Box or Discrete is needed")
-
-    def begin(self, obs: Array, began: Mask) -> Array:
-        window, age, turn = self.memory.values()
-        window[turn, began] = obs[began]
-        age[began] = 1
-        return self.shown()
-
-    def push(self, obs: Array) -> Array:
-        window, age, turn = self.memory.values()
-        turn[...] = (turn + 1) % self._frames
-        window[turn] = obs
-        np.minimum(age + 1, self._frames, out=age, casting="unsafe")
-        return self.shown()
+    return wrap(env, make)
 
 
 class _Delay(_Window):
-    def shown(self) -> Array:
-        window, age, turn = self.memory.values()
-        old = age == self._frames
-        oldest = window[(turn + 1) % self._frames]
-        result: Array = np.where(old.reshape(-1, *(1,) * (oldest.ndim - 1)), oldest, oldest.dtype.type(0))
-        return result
+    def write(self, frames: list[Array], out: Array) -> None:
+        out[...] = frames[0].reshape(out.shape)
 
 
 class _Maximum(_Window):
-    def shown(self) -> Array:
-        window, age, turn = self.memory.values()
-        result: Array = window[turn].copy()
-        for back in range(1, self._frames):
-            before = window[(turn - back) % self._frames]
-            here = (age > back).reshape(-1, *(1,) * (before.ndim - 1))
-            np.maximum(result, before, out=result, where=here)
-        return result
+    def write(self, frames: list[Array], out: Array) -> None:
+        out[...] = frames[0].reshape(out.shape)
+        for frame in frames[1:]:
+            np.maximum(out, frame.reshape(out.shape), out=out)
+
+
+def _window(env: Env, name: str, kind: type[_Window], frames: int, repeat: bool) -> Any:
+    """Wrap an environment in a window that shows observations of the shape they have inside."""
+
+    def make(batch: Batch, space: Space[Any], action_space: Any) -> Transform:
+        if not isinstance(space, (Box, Discrete)):
+            raise ArgumentError(f"{name} takes observations in a Box or Discrete, not {space}")
+        one = (int(np.prod(space.shape or ())),)
+        return kind(
+            batch, space if repeat else with_zeros(space), action_space, frames, one, space.dtype, repeat
+        )
+
+    return wrap(env, make)
 
 
 def delay_observations_v0(env: Env, delay: int) -> Any:
     """Show what was to be seen ``delay`` steps ago; zeros before."""
     if isinstance(delay, bool) or not isinstance(delay, int) or delay < 0:
         raise ArgumentError(f"delay is {delay!r}; it must be an integer of at least 0")
-    return wrap(env, lambda batch, space, actions: _Delay(batch, space, actions, delay + 1))
+    return _window(env, "delay_observations_v0", _Delay, delay + 1, repeat=False)
 
 
 def max_observation_v0(env: Env, memory: int) -> Any:
     """Show the greatest value of each element in the last ``memory`` steps of the episode."""
     if isinstance(memory, bool) or not isinstance(memory, int) or memory < 1:
         raise ArgumentError(f"memory is {memory!r}; it must be a positive integer")
-    return wrap(env, lambda batch, space, actions: _Maximum(batch, space, actions, memory))
+    return _window(env, "max_observation_v0", _Maximum, memory, repeat=True)

@@ -5,52 +5,63 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 from gymnasium.spaces import Box, Space
 
 from pearl_marl.devices import BatchStep
+from pearl_marl.errors import ArgumentError
 
-from .base import Array, Batch, Env, Mask, Transform, box, wrap
-
-
-class _Moments:
-    """Mean and variance of all rows seen, after Chan, Golub and LeVeque's formula for joining two sets."""
-
-    def __init__(self, shape: tuple[int, ...]) -> None:
-        self.mean, self.variance = np.zeros(shape), np.ones(shape)
-        self.count = np.full((), 1e-4)
-
-    def update(self, rows: Array) -> None:
-        if not len(rows):
-            return
-        mean, variance, count = rows.mean(0, np.float64), rows.var(0, np.float64), len(rows)
-        total = self.count + count
-        apart = mean - self.mean
-        spread = self.variance * self.count + variance * count + apart**2 * self.count * count / total
-        self.mean[...] += apart * count / total
-        self.variance[...] = spread / total
-        self.count[...] = total
-
-    def arrays(self) -> dict[str, Array]:
-        return {"mean": self.mean, "variance": self.variance, "count": self.count}
+from . import kernels
+from .base import Array, Batch, Env, Mask, Slots, Transform, box, wrap
 
 
 class _Normalised(Transform):
-    """Keeps statistics, which can be frozen and carried to another environment."""
+    """Keeps mean, variance and count of all that it saw, joined by Chan, Golub and LeVeque's formula."""
 
     updates = True
 
-    def __init__(self, batch: Batch, space: Space[Any], action_space: Any, shape: tuple[int, ...]) -> None:
+    def __init__(
+        self, batch: Batch, space: Space[Any], action_space: Any, width: int, epsilon: float
+    ) -> None:
         super().__init__(batch, space, action_space)
-        self.moments = _Moments(shape)
-        self.memory = self.moments.arrays()
+        if not epsilon > 0:
+            raise ArgumentError(f"epsilon is {epsilon!r}; it must be a positive number")
+        self._epsilon = epsilon
+        self._mean, self._variance, self._count = np.zeros(width), np.ones(width), np.full((), 1e-4)
+        self._statistics = {"mean": self._mean, "variance": self._variance, "count": self._count}
+        self.memory = dict(self._statistics)
+
+    def step(self, actions: npt.ArrayLike) -> BatchStep:
+        self._counted = self.batch._live  # those that leave in this step belong to it
+        return super().step(actions)
+
+    def deviation(self) -> Array:
+        """Return what to divide by."""
+        return np.sqrt(self._variance + self._epsilon)
+
+    def update(self, rows: Array, counted: Mask) -> None:
+        """Add the rows that count to the statistics, if they are not frozen."""
+        if not self.updates:
+            return
+        mean, variance = np.empty_like(self._mean), np.empty_like(self._mean)
+        count = kernels.moments(rows.reshape(self.n, -1), counted, mean, variance)
+        total = self._count + count
+        apart = mean - self._mean
+        spread = self._variance * self._count + variance * count + apart**2 * self._count * count / total
+        self._mean += apart * count / total
+        self._variance[:] = spread / total
+        self._count[...] = total
 
     def statistics(self) -> dict[str, Array]:
         """Return mean, variance and count, to be given to :meth:`set_statistics` elsewhere."""
-        return {name: array.copy() for name, array in self.moments.arrays().items()}
+        return {name: array.copy() for name, array in self._statistics.items()}
 
     def set_statistics(self, statistics: dict[str, Array]) -> None:
         """Take up the statistics of another environment, for example those of training."""
-        for name, array in self.moments.arrays().items():
+        for name, array in self._statistics.items():
+            if name not in statistics or np.shape(statistics[name]) != array.shape:
+                raise ArgumentError(f"the statistics have no {name!r} of shape {array.shape}")
+        for name, array in self._statistics.items():
             array[...] = statistics[name]
 
 
@@ -58,41 +69,43 @@ class _NormalisedObservation(_Normalised):
     def __init__(self, batch: Batch, space: Space[Any], action_space: Any, epsilon: float) -> None:
         old = box(space, "normalize_observation_v0")
         new = Box(-np.inf, np.inf, old.shape, np.float32)
-        super().__init__(batch, new, action_space, old.shape)
-        self._epsilon = epsilon
-
-    def observe(self, obs: Array) -> Array:
-        scale = np.sqrt(self.moments.variance + self._epsilon)
-        return ((obs - self.moments.mean) / scale).astype(np.float32)
+        super().__init__(batch, new, action_space, int(np.prod(old.shape)), epsilon)
 
     def reset(self, obs: Array, seed: int | None, mask: Mask | None = None) -> Array:
-        if self.updates:
-            self.moments.update(obs if mask is None else obs[mask])
+        self.update(obs, np.ones(self.n, np.bool_) if mask is None else mask)
         return super().reset(obs, seed, mask)
 
     def results(self, step: BatchStep) -> BatchStep:
-        if self.updates:
-            self.moments.update(step.obs)
+        # What is counted is what is seen; the ends of episodes are not where the next begins at once.
+        self.update(step.obs if self.batch._autoreset else step.arrivals(), self._counted)
         return super().results(step)
+
+    def observe(self, obs: Array) -> Array:
+        out = np.empty(obs.shape, np.float32)
+        rows = obs.reshape(self.n, -1), out.reshape(self.n, -1)
+        kernels.standardised(rows[0], self._mean, self.deviation(), rows[1])
+        return out
 
 
 class _NormalisedReward(_Normalised):
     def __init__(
         self, batch: Batch, space: Space[Any], action_space: Any, gamma: float, epsilon: float
     ) -> None:
-        super().__init__(batch, space, action_space, ())
-        self._gamma, self._epsilon = gamma, epsilon
+        super().__init__(batch, space, action_space, 1, epsilon)
+        if not 0 <= gamma <= 1:
+            raise ArgumentError(f"gamma is {gamma!r}; it must be in [0, 1]")
+        self._gamma = gamma
         self._returns = np.zeros(self.n)
         self.memory["returns"] = self._returns
 
     def rewards(self, step: BatchStep) -> Array:
-        self._returns[:] = self._returns * self._gamma * ~self._resetting + step.rewards
-        if self.updates:
-            self.moments.update(self._returns)
-        return (step.rewards / np.sqrt(self.moments.variance + self._epsilon)).astype(np.float32)
+        counted = self._counted & ~self._resetting
+        kernels.discounted(self._returns, step.rewards, step.terminations, counted, self._gamma)
+        self.update(self._returns, counted)
+        return (step.rewards / self.deviation()).astype(np.float32)
 
-    def episode_began(self, began: Mask) -> None:
-        self._returns[began] = 0
+    def episode_began(self, slots: Slots) -> None:
+        self._returns[slots] = 0
 
 
 def normalize_observation_v0(env: Env, epsilon: float = 1e-8) -> Any:
@@ -107,7 +120,10 @@ def normalize_observation_v0(env: Env, epsilon: float = 1e-8) -> Any:
 
 
 def normalize_reward_v0(env: Env, gamma: float = 0.99, epsilon: float = 1e-8) -> Any:
-    """Scale rewards so that their discounted sum has variance 1; see :func:`normalize_observation_v0`."""
+    """Scale rewards so that their discounted sum has variance 1; see :func:`normalize_observation_v0`.
+
+    As in Gymnasium, where an episode terminates the sum is that last reward alone.
+    """
     return wrap(
         env,
         lambda batch, space, actions: _NormalisedReward(batch, space, actions, float(gamma), float(epsilon)),

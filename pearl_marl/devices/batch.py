@@ -44,10 +44,12 @@ class BatchStep(NamedTuple):
 
     def arrivals(self) -> Array:
         """Return where the step itself took every slot: ``final_obs`` where it ended, else ``obs``."""
-        ended = self.ended
-        if not ended.any():
+        slots = np.flatnonzero(self.ended)
+        if not slots.size:
             return self.obs
-        return np.where(ended.reshape(-1, *(1,) * (self.obs.ndim - 1)), self.final_obs, self.obs)
+        obs = self.obs.copy()  # few slots end in most steps
+        obs[slots] = self.final_obs[slots]
+        return obs
 
 
 @dataclass(frozen=True, kw_only=True)

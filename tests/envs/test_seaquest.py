@@ -4,18 +4,17 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
-import pytest
-from minatar import Environment
+from pearl_marl.envs.seaquest.spec import STATE, minatar_attributes
 
 import pearl_marl
-from pearl_marl.envs.seaquest.spec import STATE, minatar_attributes
 from pearl_marl.golden import call_reference
 
 ACTIONS = 6
 CHANCE = (1 << 28) - 1
 NAMES = [field.name for field in STATE]
-ATTRIBUTES = tuple(minatar_attributes(tuple(call_reference(pearl_marl.get_spec("Seaquest").golden.initial, ()))))
+ATTRIBUTES = tuple(
+    minatar_attributes(tuple(call_reference(pearl_marl.get_spec("Seaquest").golden.initial, ())))
+)
 
 
 class Decisions:
