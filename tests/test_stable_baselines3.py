@@ -10,11 +10,11 @@ import gymnasium
 import numpy as np
 import pytest
 from gymnasium.spaces import Box, Discrete, MultiDiscrete, Tuple
+from pearl_marl.wrappers import flatten_v0, frame_stack_v1, observation_lambda_v0, sb3_vec_env
 
 import pearl_marl
 from pearl_marl.devices import BatchConfig, Native
 from pearl_marl.errors import ActionError, ArgumentError, OrderError
-from pearl_marl.wrappers import flatten_v0, frame_stack_v1, observation_lambda_v0, sb3_vec_env
 
 pytest.importorskip("stable_baselines3", reason="Stable-Baselines3 is not installed: pip install '.[train]'")
 
@@ -323,7 +323,7 @@ def test_attributes_and_methods() -> None:
     assert states[0].shape[0] == 3
     assert env.env_is_wrapped(Monitor) == [True] * 3
     assert env.env_is_wrapped(gymnasium.Wrapper, indices=[1]) == [False]
-    wrapped = sb3_vec_env(flatten_v0(pearl_marl.parallel_env("CliffWalking", 3)))
+    wrapped = sb3_vec_env(frame_stack_v1(pearl_marl.parallel_env("CliffWalking", 3), 2))
     assert wrapped.env_is_wrapped(type(wrapped.env)) == [True] * 3
 
 
@@ -466,11 +466,89 @@ def test_rollouts_bootstrap_where_only_the_time_limit_ended_an_episode() -> None
         np.testing.assert_allclose(buffer.rewards[t], expected, rtol=1e-6)
 
 
-# Learning
+# Learning: budgets of seconds, seeded, and thresholds well below what other seeds reach too
 
 
 def native(name: str, n: int, **arguments: Any) -> Any:
     return sb3_vec_env(pearl_marl.parallel_env(name, n, device=Native(threads=1), **arguments))
+
+
+def mean_return(model: Any, env: Any) -> float:
+    env.seed(123)
+    return float(evaluate_policy(model, env, n_eval_episodes=20)[0])
+
+
+@pytest.mark.slow
+def test_ppo_learns_cart_pole() -> None:
+    model = PPO(
+        "MlpPolicy",
+        native("CartPole", 64),
+        n_steps=32,
+        batch_size=256,
+        n_epochs=10,
+        learning_rate=1e-3,
+        gamma=0.98,
+        gae_lambda=0.8,
+        seed=0,
+    )
+    assert mean_return(model.learn(60_000), native("CartPole", 10)) > 400  # of 500
+
+
+@pytest.mark.slow
+def test_ppo_learns_cliff_walking() -> None:
+    model = PPO(
+        "MlpPolicy",
+        # A fall costs ten steps, not a hundred: else nobody goes near the goal before he stops exploring.
+        native("CliffWalking", 1024, max_cycles=60, rewards=[-0.1, -1.0]),
+        n_steps=32,
+        batch_size=4096,
+        n_epochs=10,
+        learning_rate=3e-3,
+        gamma=0.97,
+        ent_coef=0.01,
+        policy_kwargs={"net_arch": [64]},
+        seed=0,
+    )
+    assert mean_return(model.learn(400_000), native("CliffWalking", 4, max_cycles=200)) >= -20  # best: -13
+
+
+@pytest.mark.slow
+def test_dqn_learns_cart_pole() -> None:
+    model = DQN(
+        "MlpPolicy",
+        native("CartPole", 16),
+        learning_rate=1e-3,
+        buffer_size=50_000,
+        learning_starts=1000,
+        batch_size=128,
+        train_freq=1,
+        gradient_steps=2,
+        target_update_interval=800,
+        exploration_fraction=0.3,
+        exploration_final_eps=0.04,
+        gamma=0.98,
+        seed=0,
+    )
+    assert mean_return(model.learn(80_000), native("CartPole", 10)) > 60  # at random: 22
+
+
+@pytest.mark.slow
+def test_dqn_learns_cliff_walking() -> None:
+    model = DQN(
+        "MlpPolicy",
+        native("CliffWalking", 64, max_cycles=200),
+        learning_rate=1e-3,
+        buffer_size=50_000,
+        learning_starts=5000,
+        batch_size=256,
+        train_freq=1,
+        gradient_steps=2,
+        target_update_interval=64,
+        exploration_fraction=0.5,
+        policy_kwargs={"net_arch": [64]},
+        seed=0,
+    )
+    assert mean_return(model.learn(100_000), native("CliffWalking", 4, max_cycles=200)) >= -17  # best: -13
 
 
 # SuperSuit's faults: first its answer, then ours
