@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import json
+import subprocess
+import sys
 import warnings
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import gymnasium
@@ -549,6 +553,16 @@ def test_dqn_learns_cliff_walking() -> None:
         seed=0,
     )
     assert mean_return(model.learn(100_000), native("CliffWalking", 4, max_cycles=200)) >= -17  # best: -13
+
+
+def test_the_rollout_experiment_runs(tmp_path: Path) -> None:
+    script = Path(__file__).parents[1] / "experiments" / "sb3_rollout.py"
+    arguments = ["--n-agents", "16", "--steps", "4", "--rounds", "1", "--out", str(tmp_path)]
+    done = subprocess.run([sys.executable, script, *arguments], capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stdout + done.stderr
+    figures = json.loads((tmp_path / "sb3_rollout.json").read_text())
+    assert [(row["name"], row["n_agents"]) for row in figures] == [("ours", 16), ("SuperSuit", 16)]
+    assert all(0 < row["stepping"] < row["rollout"] for row in figures)
 
 
 # SuperSuit's faults: first its answer, then ours
