@@ -19,12 +19,12 @@ from typing import Annotated, Any
 import stable_baselines3
 import torch
 import typer
+from pearl_marl.wrappers import sb3_vec_env
 from rich.console import Console
 from rich.table import Table
 
 import pearl_marl
 from pearl_marl.devices import Native
-from pearl_marl.wrappers import sb3_vec_env
 
 console = Console()
 
