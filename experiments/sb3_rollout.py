@@ -19,7 +19,6 @@ from typing import Annotated, Any
 import stable_baselines3
 import torch
 import typer
-from pearl_marl.wrappers import sb3_vec_env
 from rich.console import Console
 from rich.table import Table
 
@@ -107,7 +106,7 @@ def main(
     figures = []
     for n in n_agents:
         contenders = []
-        for name, chain in (("ours", sb3_vec_env), ("SuperSuit", supersuit_chain)):
+        for name, chain in (("ours", pearl_marl.wrappers.sb3_vec_env), ("SuperSuit", supersuit_chain)):
             env = pearl_marl.parallel_env(env_id, n, device=Native(threads=1))
             contenders.append(Rollout(name, env, chain(env), steps))
         for _ in range(rounds + 1):
