@@ -123,7 +123,7 @@ def test_rllibs_episodes_are_whole_and_end_where_they_ended(ray: Any) -> None:
         assert len(obs) == steps + 1
         assert episode.get_return() == steps
         assert np.abs(obs[0]).max() <= 0.05
-        fallen = abs(obs[-1, 2]) > 0.2
+        fallen = abs(obs[-1, 2]) > np.radians(12)
         assert episode.is_terminated == fallen
         assert episode.is_truncated == (steps == limit)
         ends.add((episode.is_terminated, episode.is_truncated))
@@ -157,36 +157,6 @@ def test_multi_agent_lifetimes(ray: Any) -> None:
             assert (terminations["__all__"] or truncations["__all__"]) == (not here)
         assert not here
     env.close()
-
-
-def test_a_last_step_in_which_some_terminate_and_some_are_truncated(ray: Any) -> None:
-    """RLlib's own wrapper does not see this end, and goes on to step an environment without agents."""
-    from ray.rllib.env.wrappers.pettingzoo_env import ParallelPettingZooEnv
-
-    ends = []
-    for make in (
-        lambda limit: ParallelPettingZooEnv(
-            pearl_marl.parallel_env("CartPole", 2, max_cycles=limit, autoreset=False)
-        ),
-        lambda limit: rllib_multi_agent_env("CartPole", 2, max_cycles=limit)({}),
-    ):
-        fall = 0
-        env = make(500)
-        env.reset(seed=1)
-        terminations = {"agent_0": False}
-        while not terminations["agent_0"]:
-            fall += 1
-            _, _, terminations, _, _ = env.step({"agent_0": 1, "agent_1": fall % 2})
-        env.close()
-        env = make(fall)
-        env.reset(seed=1)
-        for t in range(1, fall + 1):
-            _, _, terminations, truncations, _ = env.step({"agent_0": 1, "agent_1": t % 2})
-        assert (terminations["agent_0"], terminations["agent_1"]) == (True, False)
-        assert truncations["agent_1"]
-        ends.append(terminations["__all__"] or truncations["__all__"])
-        env.close()
-    assert ends == [False, True]
 
 
 @pytest.mark.slow

@@ -110,28 +110,11 @@ def rllib_multi_agent_env(
                     f"wrap returned {type(env).__name__}, which is not the environment it was given in "
                     "wrappers of this package"
                 )
-        return _multi_agent_env(env)
+        from ray.rllib.env.wrappers.pettingzoo_env import ParallelPettingZooEnv
+
+        return ParallelPettingZooEnv(env)
 
     return create
-
-
-def _multi_agent_env(env: ParallelInterface) -> Any:
-    """Return RLlib's environment around one with strict lifetimes."""
-    from ray.rllib.env.wrappers.pettingzoo_env import ParallelPettingZooEnv
-
-    class PearlMultiAgentEnv(ParallelPettingZooEnv):  # type: ignore[misc]
-        """As RLlib's, which does not see the end where the last agents leave some this way, some that."""
-
-        def step(self, action_dict: dict[str, Any]) -> tuple[dict[str, Any], ...]:
-            result: tuple[dict[str, Any], ...] = self.par_env.step(action_dict)
-            _, _, terminations, truncations, _ = result
-            gone = not self.par_env.agents
-            cut_short = any(truncations.values())
-            terminations["__all__"] = gone and not cut_short
-            truncations["__all__"] = gone and cut_short
-            return result
-
-    return PearlMultiAgentEnv(env)
 
 
 def _check_vector_arguments(arguments: Mapping[str, Any]) -> None:
