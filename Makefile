@@ -5,12 +5,13 @@
 
 PYTHON ?= python3
 VENV := .venv
+RLLIB := .venv-rllib
 BIN := $(VENV)/bin
 OUT ?= out
 CORES := $(shell nproc 2>/dev/null || echo 2)
 PACKAGE := pyproject.toml constraints.txt
 
-.PHONY: demo test lint format bench clean
+.PHONY: demo test test-rllib lint format bench clean
 .DELETE_ON_ERROR:
 
 demo: $(VENV)/.render
@@ -19,6 +20,10 @@ demo: $(VENV)/.render
 
 test: $(VENV)/.dev
 	$(BIN)/python -m pytest -n $(CORES) --slow
+
+# RLlib pins Gymnasium 1.2.2, so it has an environment of its own, and the Gymnasium interface is tested there too.
+test-rllib: $(RLLIB)/.rllib
+	$(RLLIB)/bin/python -m pytest --slow tests/test_rllib.py tests/test_vector_env.py tests/test_docs.py -k "not docs or RLlib"
 
 lint: $(VENV)/.dev
 	$(BIN)/ruff check .
@@ -34,14 +39,22 @@ bench: $(VENV)/.dev
 	$(BIN)/python -m pytest --benchmark-enable --benchmark-only tests/benchmarks
 
 clean:
-	rm -rf $(VENV) $(OUT) build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis .benchmarks
+	rm -rf $(VENV) $(RLLIB) $(OUT) build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis .benchmarks
 
 # One stamp for each set of extras; asking for more adds to the same environment.
 $(VENV)/.render: EXTRAS := render
-$(VENV)/.dev: EXTRAS := render,bench,rtl,dev
+$(VENV)/.dev: EXTRAS := render,train,bench,rtl,dev
 $(VENV)/.render $(VENV)/.dev: $(PACKAGE) | $(BIN)/python
 	@echo "Installing pearl-marl[$(EXTRAS)] into $(VENV) ..."
 	@$(BIN)/python -W ignore -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[$(EXTRAS)]'
+	@touch $@
+
+$(RLLIB)/.rllib: $(PACKAGE)
+	@echo "Installing pearl-marl[rllib] into $(RLLIB) ..."
+	@$(PYTHON) -m venv $(RLLIB)
+	@sed '/^gymnasium==/d' constraints.txt > $(RLLIB)/constraints.txt
+	@$(RLLIB)/bin/python -W ignore -m pip install --quiet --disable-pip-version-check -c $(RLLIB)/constraints.txt \
+		-e '.[rllib,testing]' pytest-benchmark
 	@touch $@
 
 $(BIN)/python:

@@ -1,5 +1,6 @@
 """Every example and command of the documentation runs."""
 
+import importlib.util
 import os
 import re
 import shlex
@@ -19,7 +20,13 @@ def blocks(page: Path, language: str) -> list[str]:
     return re.findall(rf"^```{language}\n(.*?)^```", page.read_text(), re.MULTILINE | re.DOTALL)
 
 
-@pytest.mark.parametrize("page", [p for p in PAGES if blocks(p, "python")], ids=lambda p: p.name)
+INTEGRATIONS = ROOT / "docs" / "integrations.md"
+SCRIPTS = re.findall(r"^## (.*?)\n+```python\n(.*?)^```", INTEGRATIONS.read_text(), re.MULTILINE | re.DOTALL)
+
+
+@pytest.mark.parametrize(
+    "page", [p for p in PAGES if p != INTEGRATIONS and blocks(p, "python")], ids=lambda p: p.name
+)
 def test_python_examples_run(page, tmp_path):
     """The examples of a page run in order, as one program."""
     program = tmp_path / "examples.py"
@@ -77,6 +84,25 @@ def test_walks_lead_to_the_end(page, tmp_path):
     for core in folder.rglob("*.sv"):
         formatted = toolchain.run(["verible-verilog-format", "--column_limit=110", str(core)])
         assert formatted == core.read_text()
+
+
+def test_every_script_has_a_heading():
+    assert [script for _, script in SCRIPTS] == blocks(INTEGRATIONS, "python")
+
+
+@pytest.mark.parametrize(("library", "script"), SCRIPTS, ids=[library for library, _ in SCRIPTS])
+def test_scripts_with_other_libraries_run(library, script, tmp_path):
+    """Each on its own, where what it imports is installed."""
+    for module in set(re.findall(r"^(?:import|from) (\w+)", script, re.MULTILINE)):
+        if importlib.util.find_spec(module) is None:
+            also = ": make test-rllib runs this with it" if module == "ray" else ""
+            pytest.skip(f"{module} is not installed{also}")
+    program = tmp_path / "script.py"
+    program.write_text(script)
+    command = [sys.executable, program]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.strip()
 
 
 COMMANDS = [

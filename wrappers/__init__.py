@@ -69,7 +69,11 @@ ReshapeObservationParallelV1 = reshape_v0
 ScaleActionParallelV1 = scale_actions_v0
 StickyActionParallelV1 = sticky_actions_v0
 
-_BRIDGES = {"sb3_vec_env": "stable_baselines3"}
+_BRIDGES = {
+    "rllib_multi_agent_env": "rllib",
+    "rllib_vector_env": "rllib",
+    "sb3_vec_env": "stable_baselines3",
+}
 """Functions whose libraries are imported when they are first asked for, and the modules they are in."""
 
 __all__ = [
@@ -116,6 +120,8 @@ __all__ = [
     "reshape_v0",
     "resize_v1",
     "reward_lambda_v0",
+    "rllib_multi_agent_env",
+    "rllib_vector_env",
     "sb3_vec_env",
     "scale_actions_v0",
     "sticky_actions_v0",

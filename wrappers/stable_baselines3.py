@@ -1,0 +1,267 @@
+"""Stable-Baselines3's ``VecEnv`` around an environment of either interface."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from gymnasium.spaces import Discrete, MultiDiscrete, Space, Tuple
+from gymnasium.vector import AutoresetMode
+from stable_baselines3.common.monitor import Monitor
+from stable_baselines3.common.vec_env import VecEnv
+from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvStepReturn
+
+from pearl_marl import slot_memory
+from pearl_marl.errors import ArgumentError, OrderError
+from pearl_marl.parallel_interface import ParallelInterface
+from pearl_marl.vector_interface import VectorInterface
+
+Array = npt.NDArray[Any]
+
+RENDERED_SLOTS = 16
+"""The most slots that ``render`` draws: Gymnasium's renderers take milliseconds for each."""
+
+
+def sb3_vec_env(env: Any, *, staggered: bool = False) -> PearlVecEnv:
+    """Make a Stable-Baselines3 ``VecEnv`` of an environment.
+
+    Parameters
+    ----------
+    env
+        Of :func:`pearl_marl.parallel_env` with ``autoreset=True``, or of :func:`pearl_marl.make_vec` in
+        SAME_STEP mode; wrapped or not.
+    staggered
+        Whether first episodes are cut short, each slot's at another step, so that a time limit does not
+        end all episodes at once: SB3 takes some 0.25 ms for each, one after the other.
+
+    Raises
+    ------
+    ArgumentError
+        The environment does not start its slots over as SB3 expects, or there is no time limit to stagger.
+    """
+    return PearlVecEnv(env, staggered)
+
+
+class PearlVecEnv(VecEnv):
+    """Many slots of one environment as a Stable-Baselines3 ``VecEnv``; made by :func:`sb3_vec_env`.
+
+    Observations are arrays of the device's, which later steps leave alone. Observations in a ``Tuple``
+    of ``Discrete`` spaces, which SB3 has not, become ``MultiDiscrete``. Rewards are ``float32``.
+
+    ``infos`` of slots whose episode ended hold ``terminal_observation``, the last of that episode;
+    ``TimeLimit.truncated``, whether nothing but the time limit ended it; and ``episode``, what SB3's
+    ``Monitor`` says of it: return ``r``, length ``l``, seconds ``t`` since the start. All others are one
+    empty dict, which must not be written to.
+
+    Attributes
+    ----------
+    env
+        The environment.
+    """
+
+    def __init__(self, env: Any, staggered: bool = False) -> None:
+        spaces, n = _checked(env)
+        self.env = env
+        self._show, observation_space = _observations_for_sb3(spaces[0])
+        super().__init__(n, observation_space, spaces[1])
+        device = env.unwrapped.device
+        if not isinstance(staggered, bool):
+            raise ArgumentError(f"staggered is {staggered!r}; it must be True or False")
+        if staggered and not device.config.limit:
+            raise ArgumentError(
+                "staggered=True spreads a time limit, and this environment has none (max_cycles=0): "
+                "leave it out, or make the environment with max_cycles"
+            )
+        self._staggered = staggered
+        # SB3 looks at the observations of one step when it has taken the next.
+        self._reused = not device.config.copy
+        self._next_seed: int | None = None
+        self._actions: Array | None = None
+        self._began = time.time()
+        self._returns = np.zeros(n, np.float64)
+        self._starts = np.zeros(n, np.int64)
+        self._steps = 0
+
+    def reset(self) -> Array:
+        """Begin an episode in every slot; return observations of shape ``(num_envs, ...)``."""
+        obs = self.env.reset_batch(self._next_seed)
+        self._next_seed = self._actions = None
+        if self._staggered:
+            self._stagger()
+        self._returns[:] = self._starts[:] = self._steps = 0
+        self._reset_seeds()
+        return self._own(obs)
+
+    def step_async(self, actions: Array) -> None:
+        """Take up actions of shape ``(num_envs, ...)``; :meth:`step_wait` steps."""
+        self._actions = actions
+
+    def step_wait(self) -> VecEnvStepReturn:
+        """Step every slot once.
+
+        Returns
+        -------
+        Observations, rewards (``float32``), whether the episode ended (``bool``), and infos.
+
+        Raises
+        ------
+        ActionError
+            Names the first agent whose action is not in the action space. Nothing has stepped.
+        """
+        if self._actions is None:
+            raise OrderError("step_wait() without a step under way: call step_async(actions) first")
+        actions, self._actions = self._actions, None
+        step = self.env.step_batch(actions)
+        ended = step.ended
+        self._steps += 1
+        self._returns += step.rewards
+        # A new one each step: should somebody write into it nevertheless, it is gone by the next.
+        infos: list[dict[str, Any]] = [{}] * self.num_envs
+        slots = np.flatnonzero(ended)
+        if slots.size:
+            cut_short = ~step.terminations[slots]
+            lengths = self._steps - self._starts[slots]
+            seconds = round(time.time() - self._began, 6)
+            for slot, final, truncated, total, length in zip(
+                slots.tolist(),
+                self._show(step.final_obs[slots]),
+                cut_short.tolist(),
+                self._returns[slots].tolist(),
+                lengths.tolist(),
+                strict=True,
+            ):
+                infos[slot] = {
+                    "terminal_observation": final,
+                    "TimeLimit.truncated": truncated,
+                    "episode": {"r": total, "l": length, "t": seconds},
+                }
+            self._returns[slots] = 0
+            self._starts[slots] = self._steps
+        return self._own(step.obs), step.rewards, ended, infos
+
+    def close(self) -> None:
+        """Close the environment."""
+        self.env.close()
+
+    def seed(self, seed: int | None = None) -> Sequence[int | None]:
+        """Set the seed of the next :meth:`reset`.
+
+        One seed serves the whole batch: slots draw different numbers from it. ``None`` takes one from
+        ``numpy.random``, as SB3 does. Returns the seed once for each slot.
+        """
+        if seed is None:
+            seed = int(np.random.randint(0, np.iinfo(np.uint32).max, dtype=np.uint32))  # noqa: NPY002
+        self._next_seed = seed
+        self._seeds = [seed] * self.num_envs
+        return self._seeds
+
+    def set_options(self, options: list[dict[str, Any]] | dict[str, Any] | None = None) -> None:
+        """Refuse options for the next :meth:`reset`: these environments have none, and empty ones pass."""
+        given = options if isinstance(options, list) else [options or {}]
+        first = next((one for one in given if one), None)
+        if first is not None:
+            raise ArgumentError(
+                f"reset option {next(iter(first))!r}: these environments have none; "
+                "give arguments when the environment is made"
+            )
+
+    def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
+        """Return an attribute of the environment, once for each of the slots asked about."""
+        value = getattr(self.env, attr_name)
+        return [value for _ in self._slots(indices)]
+
+    def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
+        """Set an attribute of the environment, for all slots."""
+        self._refuse_some("set_attr", indices)
+        setattr(self.env, attr_name, value)
+
+    def env_method(
+        self, method_name: str, *method_args: Any, indices: VecEnvIndices = None, **method_kwargs: Any
+    ) -> list[Any]:
+        """Call a method of the environment, which holds all slots, once; return its result for each slot."""
+        self._refuse_some("env_method", indices)
+        result = getattr(self.env, method_name)(*method_args, **method_kwargs)
+        return [result] * self.num_envs
+
+    def env_is_wrapped(self, wrapper_class: type[Any], indices: VecEnvIndices = None) -> list[bool]:
+        """Return whether there is such a wrapper, for each slot.
+
+        Of ``Monitor``, ``True``: the infos have its statistics, as ``evaluate_policy`` wants them.
+        """
+        inside, found = self.env, wrapper_class is Monitor
+        while not found and inside is not None:
+            found = isinstance(inside, wrapper_class)
+            inside = getattr(inside, "env", None)
+        return [found for _ in self._slots(indices)]
+
+    def get_images(self) -> Sequence[Array | None]:
+        """Return images of the first slots, 16 at the most."""
+        if self.render_mode != "rgb_array":
+            raise OrderError(
+                f"images with render_mode {self.render_mode!r}: "
+                "make the environment by parallel_env(..., render_mode='rgb_array')"
+            )
+        agents = self.env.possible_agents[:RENDERED_SLOTS]
+        return [self.env.render(agent) for agent in agents]
+
+    def _own(self, obs: Array) -> Array:
+        """Return observations as SB3 takes them, in an array that the next step leaves alone."""
+        shown = self._show(obs)
+        return shown.copy() if self._reused and np.may_share_memory(shown, obs) else shown
+
+    def _stagger(self) -> None:
+        """Let every slot's episode seem some steps old, evenly from none to one less than the limit."""
+        device = self.env.unwrapped.device
+        saved = device.snapshot()
+        elapsed = slot_memory.views(device.config.spec, self.num_envs, saved.memory)["elapsed"]
+        elapsed[:] = np.linspace(0, device.config.limit, self.num_envs, endpoint=False)
+        device.restore(saved)
+
+    def _slots(self, indices: VecEnvIndices) -> Iterable[int]:
+        return self._get_indices(indices)
+
+    def _refuse_some(self, call: str, indices: VecEnvIndices) -> None:
+        if indices is not None and sorted(set(self._slots(indices))) != list(range(self.num_envs)):
+            raise ArgumentError(
+                f"{call} for slots {indices!r}: one environment holds all {self.num_envs} slots; "
+                "leave out indices"
+            )
+
+
+def _checked(env: Any) -> tuple[tuple[Space[Any], Space[Any]], int]:
+    """Return one slot's spaces and how many slots there are, or refuse the environment."""
+    if isinstance(env, ParallelInterface):
+        if not env._autoreset:
+            raise ArgumentError(
+                "agents of autoreset=False leave when their episode ends, and SB3's slots start over: "
+                "make the environment with autoreset=True"
+            )
+        return (env._observation_space, env._action_space), len(env.possible_agents)
+    if isinstance(env, VectorInterface):
+        if env._mode is not AutoresetMode.SAME_STEP:
+            raise ArgumentError(
+                f"autoreset_mode is {env._mode.name}, and SB3's slots start over in the step in which they "
+                "end: make the environment with autoreset_mode='SameStep'"
+            )
+        return (env.single_observation_space, env.single_action_space), env.num_envs
+    raise ArgumentError(
+        f"{type(env).__name__} is no environment of this package; sb3_vec_env takes those of "
+        "parallel_env and make_vec, in this package's wrappers or none"
+    )
+
+
+def _observations_for_sb3(space: Space[Any]) -> tuple[Callable[[Array], Array], Space[Any]]:
+    """Return what makes observations SB3's, and the space of those."""
+    if isinstance(space, Tuple):
+        parts: tuple[Any, ...] = space.spaces
+        starts = np.array([part.start for part in parts])
+        shown: Space[Any] = MultiDiscrete([part.n for part in parts])
+    elif isinstance(space, Discrete):
+        starts, shown = np.array(space.start), Discrete(space.n)
+    else:
+        return lambda obs: obs, space
+    # SB3 encodes such numbers one-hot, from 0.
+    return (lambda obs: obs - starts) if starts.any() else (lambda obs: obs), shown
