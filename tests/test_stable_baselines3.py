@@ -28,7 +28,7 @@ from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import DummyVecEnv, VecFrameStack, VecMonitor, VecNormalize
 
-from .helpers import ENVIRONMENTS
+from .toy import ENVIRONMENTS
 
 MAKERS = {
     "parallel": lambda name, n, **arguments: pearl_marl.parallel_env(name, n, **arguments),
@@ -470,8 +470,8 @@ def test_rollouts_bootstrap_where_only_the_time_limit_ended_an_episode() -> None
         np.testing.assert_allclose(buffer.rewards[t], expected, rtol=1e-6)
 
 
-# Learning: budgets of seconds, one seed, and settings that were tried on it. Thresholds tell a bridge that works
-# from one that loses what is learned from; they do not tell how well an algorithm does on an environment.
+# Learning: budgets of seconds, one seed, and settings that were tried on it. Thresholds tell a bridge that
+# works from one that loses what is learned from, not how well an algorithm does on an environment.
 
 
 def native(name: str, n: int, **arguments: Any) -> Any:

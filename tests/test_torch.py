@@ -9,7 +9,7 @@ import pytest
 
 import pearl_marl
 
-from .helpers import ENVIRONMENTS
+from .toy import ENVIRONMENTS
 
 torch = pytest.importorskip("torch", reason="torch is not installed: pip install '.[train]'")
 

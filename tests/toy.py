@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 from gymnasium.spaces import Box, Discrete, Tuple
 
+import pearl_marl
 from pearl_marl import EnvSpec
 from pearl_marl.golden import Word, i16, i32, u8, u32, u64, uniform_below
 from pearl_marl.spec import Field, Golden
@@ -156,3 +157,4 @@ SLIDE = EnvSpec(
 )
 
 TOYS = (DRIFT, LADDER, SLIDE)
+ENVIRONMENTS = (*pearl_marl.envs(), *(spec.name for spec in TOYS))

@@ -19,7 +19,9 @@ class TestEnvironments(ContractSuite):
 
     @pytest.mark.slow
     def test_a_million_slots(self, native: Case) -> None:
-        n, small = 1_000_000, 1000
+        # A million, but no more than 100 MB of observations.
+        row = native.spec.observation_size * native.spec.observation_dtype.itemsize
+        n, small = min(1_000_000, 100_000_000 // row), 1000
         actions = native.actions(12, n)
         runs = []
         for size in (n, small):
