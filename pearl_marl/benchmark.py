@@ -240,14 +240,16 @@ def _peers(spec: EnvSpec, n: int) -> list[Contender]:
             import envpool
         except ImportError:
             raise UnavailableError("not installed: pip install 'pearl-marl[bench]'") from None
-        # It may have another version of the same environment than Gymnasium.
-        name = required("EnvPool").rpartition("-v")[0]
-        known = sorted(known for known in envpool.list_all_envs() if known.rpartition("-v")[0] == name)
-        if not known:
-            raise UnavailableError(f"EnvPool {metadata.version('envpool')} has no {name}")
+        name = required("EnvPool")
+        known = envpool.list_all_envs()
+        if name not in known:  # it may have another version of it
+            family = name.rpartition("-v")[0]
+            name = max((other for other in known if other.rpartition("-v")[0] == family), default="")
+        if not name:
+            raise UnavailableError(f"EnvPool {metadata.version('envpool')} has no {family}")
         if spec.configure is not None and options != spec.configure().options:
             raise UnavailableError(f"measured with default options only, not {options}")
-        envs = envpool.make(known[-1], env_type="gymnasium", num_envs=n)
+        envs = envpool.make(name, env_type="gymnasium", num_envs=n)
         envs.reset()
         given = actions(n, envs.action_space.dtype)
         return lambda: envs.step(given)
