@@ -156,7 +156,7 @@ def _ours(spec: EnvSpec, n: int) -> list[Contender]:
         memory = slot_memory.allocate(spec, n)
         table = padded_rewards(spec, spec.rewards or ())
         rewards, terminations = np.empty(n, np.float32), np.empty(n, np.uint8)
-        return lambda: kernels.advance(memory, words, table, rewards, terminations, 0, n, n)
+        return lambda: kernels.advance(memory, words, table, rewards, terminations, n, 0, n)
 
     def fill() -> Callable[[], Any]:
         config = BatchConfig(spec=spec, n_envs=n, copy=False)

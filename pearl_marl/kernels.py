@@ -35,15 +35,15 @@ _FORCE_INLINE = True
 class Kernels(NamedTuple):
     """The compiled functions of one environment, and the file where their source can be read.
 
-    ``reset(memory, stored, mask, observations, seed_0, seed_1, tick, first_slot, lo, hi, n, use_stored)``
+    ``reset(memory, stored, mask, observations, seed_0, seed_1, tick, first_slot, use_stored, n, lo, hi)``
         starts an episode in every slot of ``lo .. hi - 1`` whose mask is set, and writes the
         observation of every slot of the range.
     ``step(memory, stored, actions, table, observations, rewards, terminations, truncations,
-    final_observations, seed_0, seed_1, tick, first_slot, lo, hi, n, limit, next_step, use_stored)``
+    final_observations, seed_0, seed_1, tick, first_slot, limit, next_step, use_stored, n, lo, hi)``
         steps that range. ``final_observations`` are written for a block in which a slot ended.
     ``deliver(*words, observations)``
         turns the words of observations, an array a field, into the observations themselves.
-    ``advance(memory, actions, table, rewards, terminations, lo, hi, n)``
+    ``advance(memory, actions, table, rewards, terminations, n, lo, hi)``
         does the golden step and the rewards alone, for benchmarks.
 
     ``memory`` and ``stored`` are laid out by :mod:`pearl_marl.slot_memory`; flags are ``uint8``;

@@ -241,7 +241,7 @@ class CommBram(Device):
         n, flags = config.n_envs, mask.view(np.uint8)
         self._kernels.reset(
             memory, self._stored, flags, obs, *self._seed, self._tick + ticks_ahead, config.first_slot,
-            0, n, n, use_stored,
+            use_stored, n, 0, n,
         )  # fmt: skip
 
     def _slots(self) -> tuple[Array, Array]:

@@ -58,7 +58,8 @@ class Native(Device):
         self._memory = slot_memory.allocate(spec, n)
         # Without stored initial states the kernels get the memory itself, and do not look.
         self._stored = slot_memory.allocate(spec, n) if config.initial_states == "stored" else self._memory
-        self._next_step = config.autoreset_mode is AutoresetMode.NEXT_STEP
+        next_step = config.autoreset_mode is AutoresetMode.NEXT_STEP
+        self._how = (config.first_slot, config.limit, next_step, self._stored is not self._memory)
         self._results = ResultArrays(config)
         self._pool: ThreadPoolExecutor | None = None
         self._pool_process = 0
@@ -71,18 +72,18 @@ class Native(Device):
         edges = [blocks * i // parts * BLOCK for i in range(parts)] + [n]
         return list(itertools.pairwise(edges))
 
-    def _run(self, kernel: Any, before: tuple[Any, ...], after: tuple[Any, ...]) -> None:
-        """Call ``kernel(*before, lo, hi, n, *after)`` for every range, one of them on this thread."""
+    def _run(self, kernel: Any, arguments: tuple[Any, ...]) -> None:
+        """Call ``kernel(*arguments, n, lo, hi)`` for every range, one of them on this thread."""
         n = self.config.n_envs
         if self._threads == 1:
-            kernel(*before, 0, n, n, *after)
+            kernel(*arguments, n, 0, n)
             return
         first, *others = self._ranges()
         if self._pool is None or self._pool_process != os.getpid():  # threads do not survive a fork
             self._pool_process = os.getpid()
             self._pool = ThreadPoolExecutor(self._threads - 1, thread_name_prefix="pearl-native")
-        tasks = [self._pool.submit(partial(kernel, *before, lo, hi, n, *after)) for lo, hi in others]
-        kernel(*before, *first, n, *after)
+        tasks = [self._pool.submit(partial(kernel, *arguments, n, lo, hi)) for lo, hi in others]
+        kernel(*arguments, n, *first)
         for task in tasks:
             task.result()
 
@@ -92,33 +93,19 @@ class Native(Device):
         flags = np.ones(n, np.uint8) if mask is None else mask.astype(np.uint8)
         obs = self._results.take().obs
         use_stored = stored is not self._memory
-        self._run(
-            self._kernels.reset,
-            (self._memory, stored, flags, obs, *self._seed, self._tick, config.first_slot),
-            (use_stored and mask is not None,),
-        )
+        again = use_stored and mask is not None
+        seed, tick, first = self._seed, self._tick, config.first_slot
+        self._run(self._kernels.reset, (self._memory, stored, flags, obs, *seed, tick, first, again))
         if use_stored and mask is None:
             stored[:] = self._memory
         return obs
 
     def _step(self, actions: Array) -> BatchStep:
-        config, stored = self.config, self._stored
         results = self._results.take()
         began = time.perf_counter()
-        self._run(
-            self._kernels.step,
-            (
-                self._memory,
-                stored,
-                actions,
-                self._table,
-                *results,
-                *self._seed,
-                self._tick,
-                config.first_slot,
-            ),
-            (config.limit, self._next_step, stored is not self._memory),
-        )
+        given = (self._memory, self._stored, actions, self._table)
+        # Concatenated rather than unpacked: at small sizes the call is most of a step.
+        self._run(self._kernels.step, given + results + self._seed + (self._tick,) + self._how)
         if self._tuning:
             self._tune(time.perf_counter() - began)
         return results
