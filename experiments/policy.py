@@ -1,0 +1,274 @@
+"""The network that the trainers learn: observations of any environment in, numbers for actions out.
+
+A trained one is a ``policy.safetensors`` with all that is needed to use it again; see :func:`load`.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from gymnasium.spaces import Box, Discrete, Space, Tuple
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save_file
+from torch import Tensor, nn
+
+from pearl_marl.errors import ArgumentError
+from pearl_marl.registry import get_spec
+
+Array = npt.NDArray[Any]
+
+FORMAT = "pearl-policy-1"
+
+
+class Encoder(nn.Module):
+    """The first layer: makes features of a batch of observations, whatever their space.
+
+    Numbers (``Discrete``, or a ``Tuple`` of it) choose rows of a table, which is what a linear layer over
+    their one-hot form computes. Vectors are standardised by the statistics of all that were seen in
+    training, then go through a linear layer. Pictures (``Box`` of three axes, channels last) go through
+    a convolution, as in MinAtar's DQN.
+
+    Parameters
+    ----------
+    space
+        Of one observation.
+    width
+        Features to make.
+    """
+
+    offsets: Tensor
+    mean: Tensor
+    variance: Tensor
+    count: Tensor
+
+    def __init__(self, space: Space[Any], width: int) -> None:
+        super().__init__()
+        self.kind = "vector"
+        if isinstance(space, (Discrete, Tuple)):
+            self.kind = "numbers"
+            parts: list[Any] = list(space) if isinstance(space, Tuple) else [space]
+            sizes = [int(part.n) for part in parts]
+            starts = [int(part.start) for part in parts]
+            offsets = np.cumsum([0, *sizes[:-1]]) - starts
+            self.register_buffer("offsets", torch.from_numpy(offsets))
+            self.table = nn.Embedding(sum(sizes), width)
+            nn.init.normal_(self.table.weight, std=1.0)
+            self.bias = nn.Parameter(torch.zeros(width))
+            return
+        if not isinstance(space, Box):
+            raise ArgumentError(f"no network is known for observations in {space}")
+        if len(space.shape) == 3:
+            self.kind = "picture"
+            height, breadth, channels = space.shape
+            self.convolution = nn.Conv2d(channels, 16, 3)
+            self.linear = nn.Linear(16 * (height - 2) * (breadth - 2), width)
+            return
+        size = int(np.prod(space.shape))
+        self.linear = nn.Linear(size, width)
+        nn.init.orthogonal_(self.linear.weight, 2**0.5)
+        nn.init.zeros_(self.linear.bias)
+        self.register_buffer("mean", torch.zeros(size, dtype=torch.float64))
+        self.register_buffer("variance", torch.ones(size, dtype=torch.float64))
+        self.register_buffer("count", torch.tensor(1e-4, dtype=torch.float64))
+
+    @torch.no_grad()
+    def see(self, obs: Tensor) -> None:
+        """Take a batch of observations into the statistics."""
+        if self.kind != "vector":
+            return
+        rows = obs.reshape(len(obs), -1).double()
+        variance, mean = torch.var_mean(rows, 0, correction=0)
+        total = self.count + len(rows)
+        apart = mean - self.mean
+        spread = self.variance * self.count + variance * len(rows) + apart**2 * self.count * len(rows) / total
+        self.mean += apart * len(rows) / total
+        self.variance.copy_(spread / total)
+        self.count.copy_(total)
+
+    def forward(self, obs: Tensor) -> Tensor:
+        """Return features, shape ``(batch, width)``."""
+        if self.kind == "numbers":
+            rows: Tensor = self.table(obs.reshape(len(obs), -1) + self.offsets).sum(1) + self.bias
+            return rows
+        if self.kind == "picture":
+            planes = obs.permute(0, 3, 1, 2).float()
+            made: Tensor = self.linear(torch.relu(self.convolution(planes)).flatten(1))
+            return made
+        scaled = (obs.reshape(len(obs), -1) - self.mean) / (self.variance + 1e-8).sqrt()
+        result: Tensor = self.linear(scaled.clamp(-10, 10).float())
+        return result
+
+
+class Network(nn.Module):
+    """An :class:`Encoder`, one hidden layer, and an output for each of ``outputs``.
+
+    Parameters
+    ----------
+    space
+        Of one observation.
+    outputs
+        How many numbers to make of it.
+    width
+        Of both layers.
+    scale
+        Of the output layer's first weights.
+    """
+
+    def __init__(self, space: Space[Any], outputs: int, width: int, scale: float = 1.0) -> None:
+        super().__init__()
+        self.encoder = Encoder(space, width)
+        self.activation: nn.Module = nn.ReLU() if self.encoder.kind == "picture" else nn.Tanh()
+        self.hidden, self.output = nn.Linear(width, width), nn.Linear(width, outputs)
+        nn.init.orthogonal_(self.hidden.weight, 2**0.5)
+        nn.init.orthogonal_(self.output.weight, scale)
+        nn.init.zeros_(self.hidden.bias)
+        nn.init.zeros_(self.output.bias)
+
+    def forward(self, obs: Tensor) -> Tensor:
+        """Return the outputs, shape ``(batch, outputs)``."""
+        features = self.activation(self.encoder(obs))
+        result: Tensor = self.output(self.activation(self.hidden(features)))
+        return result
+
+
+class Policy(nn.Module):
+    """What chooses actions: a network, and how its outputs are meant.
+
+    Parameters
+    ----------
+    env_id, options
+        The environment that it is for.
+    kind
+        ``"logits"``: an output for each action, the most probable is the best. ``"values"``: likewise, the
+        most valuable. ``"mean"``: the outputs are the action, of a ``Box``, in units of its bounds.
+    width
+        Of the network's layers.
+    """
+
+    bound: Tensor
+
+    def __init__(self, env_id: str, options: dict[str, Any], kind: str, width: int) -> None:
+        super().__init__()
+        self.about = {"environment": env_id, "options": options, "kind": kind, "width": width}
+        spec = get_spec(env_id).with_options(**options)
+        actions = spec.action_space
+        if isinstance(actions, Box) != (kind == "mean"):
+            raise ArgumentError(f"a policy of kind {kind!r} does not choose from {actions}")
+        self.outputs = int(actions.n) if isinstance(actions, Discrete) else int(np.prod(actions.shape))
+        self.network = Network(
+            spec.observation_space, self.outputs, width, scale=1.0 if kind == "values" else 0.01
+        )
+        high = actions.high if isinstance(actions, Box) else np.ones(1, np.float32)
+        self.register_buffer("bound", torch.from_numpy(high.copy()))
+
+    def forward(self, obs: Tensor) -> Tensor:
+        """Return the network's outputs, shape ``(batch, outputs)``."""
+        outputs: Tensor = self.network(obs)
+        return outputs
+
+    @torch.no_grad()
+    def best(self, obs: Tensor) -> Tensor:
+        """Return the best actions: ``int64`` numbers, or ``float32`` within the bounds."""
+        outputs = self(obs)
+        if self.about["kind"] == "mean":
+            return self.within_bounds(outputs)
+        best: Tensor = outputs.argmax(1)
+        return best
+
+    def choose(self, obs: Array) -> Array:
+        """Return the best action for each observation, as ``step_batch`` takes them."""
+        actions: Array = self.best(torch.from_numpy(obs)).numpy()
+        return actions
+
+    def within_bounds(self, outputs: Tensor) -> Tensor:
+        """Return outputs of the kind ``"mean"`` as actions that the environment takes."""
+        return outputs.clamp(-1, 1) * self.bound
+
+    def save(self, path: Path) -> None:
+        """Write what :func:`load` reads."""
+        _save(path, self.state_dict(), self.about)
+
+
+class Table:
+    """What chooses actions by a table: a value for each observation and action.
+
+    Parameters
+    ----------
+    env_id, options
+        The environment that it is for. Its observations are numbers, or tuples of them.
+
+    Attributes
+    ----------
+    values
+        Shape ``(observations, actions)``, ``float64``.
+    """
+
+    def __init__(self, env_id: str, options: dict[str, Any]) -> None:
+        self.about = {"environment": env_id, "options": options, "kind": "table"}
+        spec = get_spec(env_id).with_options(**options)
+        space, actions = spec.observation_space, spec.action_space
+        parts: list[Any] = list(space) if isinstance(space, Tuple) else [space]
+        if not all(isinstance(part, Discrete) for part in parts) or not isinstance(actions, Discrete):
+            raise ArgumentError(
+                f"a table has a row for each observation, and {spec.name}'s are in {space}: use ppo or dqn"
+            )
+        self._starts = np.array([part.start for part in parts])
+        self._sizes = [int(part.n) for part in parts]
+        self._scalar = not isinstance(space, Tuple)
+        self.values = np.zeros((int(np.prod(self._sizes)), int(actions.n)))
+
+    def rows(self, obs: Array) -> Array:
+        """Return the number of the row of each observation."""
+        if self._scalar:
+            rows: Array = obs - self._starts[0]
+            return rows
+        digits = tuple((obs - self._starts).T)
+        return np.asarray(np.ravel_multi_index(digits, self._sizes))
+
+    def choose(self, obs: Array) -> Array:
+        """Return the best action for each observation."""
+        best: Array = self.values.argmax(1)[self.rows(obs)]
+        return best
+
+    def save(self, path: Path) -> None:
+        """Write what :func:`load` reads."""
+        _save(path, {"values": torch.from_numpy(self.values)}, self.about)
+
+
+def load(path: Path) -> Policy | Table:
+    """Read a policy, or the one in a run folder.
+
+    Raises
+    ------
+    ArgumentError
+        There is none, or not one of this package's.
+    """
+    file = path / "policy.safetensors" if path.is_dir() else path
+    try:
+        with safe_open(file, "pt") as stored:
+            header = stored.metadata() or {}
+            tensors = {name: stored.get_tensor(name) for name in stored.keys()}  # noqa: SIM118
+    except (OSError, SafetensorError) as error:
+        raise ArgumentError(f"{file} cannot be read as a policy: {error}") from None
+    if header.get("format") != FORMAT:
+        raise ArgumentError(f"{file} is no policy of `pearl train`: its format is {header.get('format')}")
+    about = json.loads(header["policy"])
+    if about["kind"] == "table":
+        table = Table(about["environment"], about["options"])
+        table.values[:] = tensors["values"].numpy()
+        return table
+    policy = Policy(about["environment"], about["options"], about["kind"], about["width"])
+    policy.load_state_dict(tensors)
+    return policy
+
+
+def _save(path: Path, tensors: dict[str, Tensor], about: dict[str, Any]) -> None:
+    scratch = path.with_suffix(".tmp")
+    save_file(tensors, scratch, {"format": FORMAT, "policy": json.dumps(about)})
+    os.replace(scratch, path)

@@ -1,0 +1,150 @@
+"""A training run from its settings to its policy: what ``pearl train`` does."""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pearl_marl.errors import ArgumentError
+from pearl_marl.parallel_env import parallel_env
+from pearl_marl.registry import get_spec
+
+from . import dqn, ppo, q_learning
+from .presets import PRESETS
+from .run_folder import RunFolder
+
+ALGORITHMS: dict[str, Any] = {"ppo": ppo.PPO, "dqn": dqn.DQN, "q-learning": q_learning.QLearning}
+SETTINGS: dict[str, Any] = {"ppo": ppo.Settings, "dqn": dqn.Settings, "q-learning": q_learning.Settings}
+EVALUATED = 1000
+"""Agents whose first episodes are an evaluation."""
+
+CHECKPOINT_SECONDS = 20.0
+"""Between checkpoints, which large replay memories take a while to write."""
+
+
+def settings_for(algorithm: str, env_id: str, given: dict[str, Any]) -> Any:
+    """Return an algorithm's settings for an environment: its preset, and over it those given.
+
+    Raises
+    ------
+    ArgumentError
+        There is no such algorithm or setting, or a value is not of its type.
+    """
+    if algorithm not in ALGORITHMS:
+        raise ArgumentError(f"--algo is {algorithm!r}; possible are {', '.join(map(repr, ALGORITHMS))}")
+    default = SETTINGS[algorithm]()
+    kinds: dict[str, Any] = {name: type(value) for name, value in dataclasses.asdict(default).items()}
+    for name, value in given.items():
+        if name not in kinds:
+            near = difflib.get_close_matches(name, kinds, 1)
+            hint = f"did you mean {near[0]!r}?" if near else f"there are {', '.join(kinds)}"
+            raise ArgumentError(f"{algorithm} has no setting {name!r}; {hint}")
+        number = (int, float) if kinds[name] is float else kinds[name]
+        if isinstance(value, bool) or not isinstance(value, number) or value < 0:
+            raise ArgumentError(f"setting {name!r} is {value!r}; it must be a number like {kinds[name](1)}")
+    preset = PRESETS.get((algorithm, get_spec(env_id).name), {})
+    return SETTINGS[algorithm](**{**preset, **given})
+
+
+def train(
+    env_id: str,
+    options: dict[str, Any],
+    algorithm: str,
+    settings: Any,
+    device: str,
+    folder: Path,
+    goal: float | None = None,
+    evaluate_every: int = 1,
+    progress: Callable[[int, int, dict[str, Any]], None] = lambda done, total, row: None,
+) -> list[dict[str, Any]]:
+    """Train, and write the run's folder; return the metrics.
+
+    Parameters
+    ----------
+    env_id, options
+        The environment.
+    algorithm, settings
+        One of :data:`ALGORITHMS`, and what :func:`settings_for` made.
+    device
+        Where agents are stepped.
+    folder
+        Of the run. If it holds one of the same settings, that goes on where its last checkpoint was.
+    goal
+        The mean return of an evaluation with which the run is done before its last iteration.
+    evaluate_every
+        Iterations between evaluations, which are also when metrics are noted.
+    progress
+        Called at every evaluation with the iterations done, those in all, and the metrics.
+
+    Raises
+    ------
+    ArgumentError
+        The folder holds a run of other settings, or cannot be written; or the algorithm does not suit the
+        environment.
+    """
+    run = RunFolder(
+        folder,
+        {
+            "environment": get_spec(env_id).id,
+            "options": options,
+            "algorithm": algorithm,
+            "settings": dataclasses.asdict(settings),
+            "device": device,
+            "goal": goal,
+            "evaluate_every": evaluate_every,
+        },
+    )
+    trainer = ALGORITHMS[algorithm](env_id, options, device, settings)
+    seconds, best = 0.0, -np.inf
+    if (saved := run.resume()) is not None:
+        trainer.load(saved["trainer"])
+        seconds, best = saved["seconds"], saved["best"]
+    began, kept = time.perf_counter() - seconds, time.perf_counter()
+    finished = goal is not None and best >= goal
+    while trainer.done < settings.iterations and not finished:
+        figures = trainer.iterate()
+        last = trainer.done == settings.iterations
+        if trainer.done % evaluate_every and not last:
+            continue
+        mean, deviation = evaluate(trainer.policy, env_id, options)
+        seconds = time.perf_counter() - began
+        row = {"seconds": seconds, **figures, "eval_return": mean, "eval_deviation": deviation}
+        run.report(trainer.agent_steps, **row)
+        progress(trainer.done, settings.iterations, row)
+        finished = goal is not None and mean >= goal
+        if mean > best:
+            best = mean
+            trainer.policy.save(folder / "policy.safetensors")
+        if last or finished or time.perf_counter() - kept > CHECKPOINT_SECONDS:
+            run.checkpoint({"trainer": trainer.state(), "seconds": seconds, "best": best})
+            kept = time.perf_counter()
+    run.draw_curve(f"{get_spec(env_id).name}: {algorithm}, {settings.n_agents:,} agents", goal)
+    return run.rows
+
+
+def evaluate(
+    policy: Any, env_id: str, options: dict[str, Any], n: int = EVALUATED, seed: int = 1
+) -> tuple[float, float]:
+    """Return mean and standard deviation of the return of ``n`` episodes under a policy's best actions.
+
+    The first episode of each of ``n`` agents, so that short ones do not count more often.
+    """
+    env = parallel_env(env_id, n, copy=False, **options)
+    obs = env.reset_batch(seed)
+    running, returns = np.ones(n, np.bool_), np.zeros(n)
+    # Where there is no time limit, a policy that goes nowhere is stopped all the same.
+    for _ in range(env.max_cycles or 1000):
+        step = env.step_batch(policy.choose(obs))
+        returns += step.rewards * running
+        running &= ~step.ended
+        obs = step.obs
+        if not running.any():
+            break
+    env.close()
+    return float(returns.mean()), float(returns.std())

@@ -1,0 +1,98 @@
+"""``pearl train``: learn a policy, and keep the run in a folder."""
+
+from __future__ import annotations
+
+import importlib
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+from pearl_marl.cli.common import (
+    AsJson,
+    DeviceName,
+    EnvName,
+    Options,
+    Seed,
+    console,
+    env_options,
+    error_console,
+    print_json,
+    spec_of,
+)
+from pearl_marl.errors import ArgumentError
+
+Algorithm = Annotated[str, typer.Option("--algo", help="`ppo`, `dqn` or `q-learning`.")]
+Agents = Annotated[
+    int | None, typer.Option("--n-agents", help="How many agents gather experience.", show_default="preset")
+]
+Iterations = Annotated[
+    int | None, typer.Option("--iterations", help="How many updates.", show_default="preset")
+]
+Given = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="NAME=VALUE", help="Another setting of the algorithm; may be repeated."),
+]
+Goal = Annotated[
+    float | None, typer.Option("--goal", help="End as soon as an evaluation reaches this mean return.")
+]
+Every = Annotated[int, typer.Option("--evaluate-every", min=1, help="Iterations between evaluations.")]
+Folder = Annotated[Path, typer.Option("--out", metavar="DIR", help="The run's folder, new or to go on with.")]
+
+
+def command(
+    env_id: EnvName,
+    out: Folder,
+    algo: Algorithm = "ppo",
+    n_agents: Agents = None,
+    iterations: Iterations = None,
+    setting: Given = None,
+    seed: Seed = 0,
+    device: DeviceName = "native",
+    goal: Goal = None,
+    evaluate_every: Every = 1,
+    option: Options = None,
+    as_json: AsJson = False,
+) -> None:
+    """Train a policy that all agents share; with the --out of a run that was killed, go on with it."""
+    try:
+        training = importlib.import_module("pearl_marl.experiments.training")
+    except ModuleNotFoundError as error:
+        raise ArgumentError(
+            f"training needs the Python package {error.name}: pip install 'pearl-marl[train]'"
+        ) from None
+    options = dict(spec_of(env_id, option).options)
+    given: dict[str, Any] = {"n_agents": n_agents, "iterations": iterations}
+    given = {name: value for name, value in given.items() if value is not None}
+    settings = training.settings_for(algo, env_id, {**env_options(setting), **given, "seed": seed})
+
+    columns = (
+        TextColumn(f"{env_id}, {algo}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeRemainingColumn(),
+        TextColumn("{task.fields[note]}"),
+    )
+    with Progress(*columns, console=error_console) as bar:
+        task = bar.add_task("train", total=settings.iterations, note="")
+
+        def show(done: int, total: int, row: dict[str, Any]) -> None:
+            trained = row["train_return"]
+            note = f"return {row['eval_return']:.1f}" + (
+                "" if trained is None else f", in training {trained:.1f}"
+            )
+            bar.update(task, completed=done, total=total, note=note)
+
+        rows = training.train(env_id, options, algo, settings, device, out, goal, evaluate_every, show)
+    best = max(rows, key=lambda row: row["eval_return"])
+    result = {"environment": env_id, "algorithm": algo, "folder": str(out), "best": best, "last": rows[-1]}
+    if as_json:
+        print_json(result)
+        return
+    console.print(
+        f"Best mean return {best['eval_return']:.2f}, after {best['agent_steps']:,} agent-steps and "
+        f"{best['seconds']:.1f} s. Wrote {out}: policy.safetensors, metrics.csv, learning_curve.png",
+        highlight=False,
+        soft_wrap=True,
+    )
