@@ -159,7 +159,9 @@ class Policy(nn.Module):
         spec = get_spec(env_id).with_options(**options)
         actions = spec.action_space
         if isinstance(actions, Box) != (kind == "mean"):
-            raise ArgumentError(f"a policy of kind {kind!r} does not choose from {actions}")
+            raise ArgumentError(
+                f"dqn chooses among numbered actions, and {spec.name}'s are in {actions}: use ppo"
+            )
         self.outputs = int(actions.n) if isinstance(actions, Discrete) else int(np.prod(actions.shape))
         self.network = Network(
             spec.observation_space, self.outputs, width, scale=1.0 if kind == "values" else 0.01

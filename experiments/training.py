@@ -24,9 +24,6 @@ SETTINGS: dict[str, Any] = {"ppo": ppo.Settings, "dqn": dqn.Settings, "q-learnin
 EVALUATED = 1000
 """Agents whose first episodes are an evaluation."""
 
-CHECKPOINT_SECONDS = 20.0
-"""Between checkpoints, which large replay memories take a while to write."""
-
 
 def settings_for(algorithm: str, env_id: str, given: dict[str, Any]) -> Any:
     """Return an algorithm's settings for an environment: its preset, and over it those given.
@@ -60,8 +57,9 @@ def train(
     device: str,
     folder: Path,
     goal: float | None = None,
-    evaluate_every: int = 1,
+    evaluate_every: int | None = None,
     progress: Callable[[int, int, dict[str, Any]], None] = lambda done, total, row: None,
+    checkpoint_seconds: float = 20.0,
 ) -> list[dict[str, Any]]:
     """Train, and write the run's folder; return the metrics.
 
@@ -78,9 +76,11 @@ def train(
     goal
         The mean return of an evaluation with which the run is done before its last iteration.
     evaluate_every
-        Iterations between evaluations, which are also when metrics are noted.
+        Iterations between evaluations, which are also when metrics are noted; by default there are 50.
     progress
         Called at every evaluation with the iterations done, those in all, and the metrics.
+    checkpoint_seconds
+        The least time between two checkpoints, which large replay memories take a while to write.
 
     Raises
     ------
@@ -88,6 +88,8 @@ def train(
         The folder holds a run of other settings, or cannot be written; or the algorithm does not suit the
         environment.
     """
+    every = evaluate_every or max(1, settings.iterations // 50)
+    trainer = ALGORITHMS[algorithm](env_id, options, device, settings)
     run = RunFolder(
         folder,
         {
@@ -97,10 +99,9 @@ def train(
             "settings": dataclasses.asdict(settings),
             "device": device,
             "goal": goal,
-            "evaluate_every": evaluate_every,
+            "evaluate_every": every,
         },
     )
-    trainer = ALGORITHMS[algorithm](env_id, options, device, settings)
     seconds, best = 0.0, -np.inf
     if (saved := run.resume()) is not None:
         trainer.load(saved["trainer"])
@@ -110,7 +111,7 @@ def train(
     while trainer.done < settings.iterations and not finished:
         figures = trainer.iterate()
         last = trainer.done == settings.iterations
-        if trainer.done % evaluate_every and not last:
+        if trainer.done % every and not last:
             continue
         mean, deviation = evaluate(trainer.policy, env_id, options)
         seconds = time.perf_counter() - began
@@ -121,7 +122,7 @@ def train(
         if mean > best:
             best = mean
             trainer.policy.save(folder / "policy.safetensors")
-        if last or finished or time.perf_counter() - kept > CHECKPOINT_SECONDS:
+        if last or finished or time.perf_counter() - kept >= checkpoint_seconds:
             run.checkpoint({"trainer": trainer.state(), "seconds": seconds, "best": best})
             kept = time.perf_counter()
     run.draw_curve(f"{get_spec(env_id).name}: {algorithm}, {settings.n_agents:,} agents", goal)

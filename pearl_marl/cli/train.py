@@ -37,7 +37,12 @@ Given = Annotated[
 Goal = Annotated[
     float | None, typer.Option("--goal", help="End as soon as an evaluation reaches this mean return.")
 ]
-Every = Annotated[int, typer.Option("--evaluate-every", min=1, help="Iterations between evaluations.")]
+Every = Annotated[
+    int | None,
+    typer.Option(
+        "--evaluate-every", min=1, help="Iterations between evaluations.", show_default="50 evaluations"
+    ),
+]
 Folder = Annotated[Path, typer.Option("--out", metavar="DIR", help="The run's folder, new or to go on with.")]
 
 
@@ -51,7 +56,7 @@ def command(
     seed: Seed = 0,
     device: DeviceName = "native",
     goal: Goal = None,
-    evaluate_every: Every = 1,
+    evaluate_every: Every = None,
     option: Options = None,
     as_json: AsJson = False,
 ) -> None:

@@ -1,0 +1,171 @@
+"""Training: the trainers learn, runs go on after a kill as if it had not been, wrong settings are refused."""
+
+from __future__ import annotations
+
+import csv
+import importlib
+import json
+import signal
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pearl_marl.errors import ArgumentError
+
+torch = pytest.importorskip("torch", reason="torch is not installed: pip install '.[train]'")
+training = importlib.import_module("pearl_marl.experiments.training")
+policy = importlib.import_module("pearl_marl.experiments.policy")
+
+SMALL: dict[str, dict[str, Any]] = {
+    "ppo": {"n_agents": 32, "depth": 8, "iterations": 12, "minibatch": 64},
+    "dqn": {
+        "n_agents": 16,
+        "iterations": 40,
+        "memory": 20,
+        "warm_up": 5,
+        "updates": 2,
+        "minibatch": 32,
+        "refresh": 9,
+    },
+    "q-learning": {"n_agents": 64, "iterations": 40},
+}
+
+
+@pytest.fixture(autouse=True)
+def one_thread() -> Any:
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(before)
+
+
+def run(
+    algorithm: str, env: str, folder: Path, goal: float | None = None, every: int | None = None, **given: Any
+) -> list[dict[str, Any]]:
+    settings = training.settings_for(algorithm, env, given)
+    rows: list[dict[str, Any]] = training.train(env, {}, algorithm, settings, "native", folder, goal, every)
+    return rows
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_q_learning_finds_the_shortest_way_along_the_cliff(seed: int, tmp_path: Path) -> None:
+    rows = run("q-learning", "CliffWalking", tmp_path, goal=-13.0, n_agents=4096, seed=seed)
+    assert rows[-1]["eval_return"] == -13
+
+
+@pytest.mark.slow
+def test_ppo_balances_the_pole(tmp_path: Path) -> None:
+    rows = run("ppo", "CartPole", tmp_path, goal=475.0)
+    assert rows[-1]["eval_return"] >= 475
+    best = policy.load(tmp_path)
+    assert training.evaluate(best, "CartPole", {})[0] == rows[-1]["eval_return"]
+
+
+@pytest.mark.parametrize("env", ["CartPole", "Taxi", "Blackjack", "Pendulum"])
+@pytest.mark.parametrize("algorithm", SMALL)
+def test_every_kind_of_space_is_trained_or_refused(algorithm: str, env: str, tmp_path: Path) -> None:
+    impossible = {("dqn", "Pendulum"), ("q-learning", "Pendulum"), ("q-learning", "CartPole")}
+    if (algorithm, env) in impossible:
+        with pytest.raises(ArgumentError, match=env):
+            run(algorithm, env, tmp_path, **SMALL[algorithm])
+        assert not any(tmp_path.iterdir())
+        return
+    rows = run(algorithm, env, tmp_path, every=10, **SMALL[algorithm])
+    assert np.isfinite(rows[-1]["eval_return"])
+    assert (tmp_path / "learning_curve.png").stat().st_size > 0
+    with (tmp_path / "metrics.csv").open() as file:
+        assert [int(row["agent_steps"]) for row in csv.DictReader(file)] == [
+            row["agent_steps"] for row in rows
+        ]
+    assert json.loads((tmp_path / "config.json").read_text())["settings"]["algorithm"] == algorithm
+
+
+ENDLESS = """
+import importlib, sys, time
+from pathlib import Path
+training = importlib.import_module("pearl_marl.experiments.training")
+import torch
+torch.set_num_threads(1)
+algorithm, folder, given = sys.argv[1], Path(sys.argv[2]), eval(sys.argv[3])
+settings = training.settings_for(algorithm, "CliffWalking", given)
+def slow(done, total, row):
+    print(done, flush=True)
+    time.sleep(0.05)
+arguments = {"progress": slow, "checkpoint_seconds": 0.2}
+training.train("CliffWalking", {}, algorithm, settings, "native", folder, **arguments)
+"""
+
+
+@pytest.mark.parametrize("algorithm", SMALL)
+def test_a_killed_run_goes_on_as_if_nothing_had_been(algorithm: str, tmp_path: Path) -> None:
+    whole = run(algorithm, "CliffWalking", tmp_path / "whole", **SMALL[algorithm])
+    killed = tmp_path / "killed"
+    command = [sys.executable, "-c", ENDLESS, algorithm, str(killed), repr(SMALL[algorithm])]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        for line in process.stdout:
+            # Between two checkpoints: what came after the last one is done again.
+            if int(line) >= 9 and (killed / "checkpoint.pt").exists():
+                process.send_signal(signal.SIGKILL)
+                break
+    assert process.wait() == -signal.SIGKILL
+    rows = run(algorithm, "CliffWalking", killed, **SMALL[algorithm])
+    timeless = [[{**row, "seconds": 0} for row in part] for part in (whole, rows)]
+    assert timeless[0] == timeless[1]
+    ends = [
+        torch.load(folder / "checkpoint.pt", weights_only=False) for folder in (tmp_path / "whole", killed)
+    ]
+    assert same(ends[0]["trainer"], ends[1]["trainer"])
+
+
+def same(one: Any, other: Any) -> bool:
+    """Return whether two states are equal, to the bit."""
+    if isinstance(one, dict):
+        return one.keys() == other.keys() and all(same(one[key], other[key]) for key in one)
+    if isinstance(one, (list, tuple)):
+        return len(one) == len(other) and all(map(same, one, other))
+    if isinstance(one, torch.Tensor):
+        return bool(torch.equal(one, other))
+    if isinstance(one, np.ndarray):
+        return bool(np.array_equal(one, other))
+    if hasattr(one, "__dict__"):
+        return same(vars(one), vars(other))
+    return bool(one == other)
+
+
+@pytest.mark.parametrize(
+    ("algorithm", "given", "words"),
+    [
+        ("sarsa", {}, "'sarsa'.*'ppo', 'dqn', 'q-learning'"),
+        ("ppo", {"n_agent": 5}, "'n_agent'.*'n_agents'"),
+        ("ppo", {"depth": 1.5}, "'depth' is 1.5"),
+        ("dqn", {"discount": -1}, "'discount' is -1"),
+        ("dqn", {"discount": "high"}, "'discount' is 'high'"),
+    ],
+)
+def test_wrong_settings_are_refused(
+    algorithm: str, given: dict[str, Any], words: str, tmp_path: Path
+) -> None:
+    with pytest.raises(ArgumentError, match=words):
+        run(algorithm, "CliffWalking", tmp_path, **given)
+    assert not any(tmp_path.iterdir())
+
+
+def test_a_folder_of_another_run_is_refused(tmp_path: Path) -> None:
+    run("q-learning", "CliffWalking", tmp_path, n_agents=64, iterations=3)
+    before = {path: path.read_bytes() for path in tmp_path.iterdir()}
+    with pytest.raises(ArgumentError, match=r"environment 'CliffWalking-v0', not 'Taxi-v0'"):
+        run("q-learning", "Taxi", tmp_path, n_agents=64, iterations=3)
+    assert {path: path.read_bytes() for path in tmp_path.iterdir()} == before
+
+
+def test_what_is_no_policy_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ArgumentError, match=r"policy.safetensors"):
+        policy.load(tmp_path)
+    (tmp_path / "policy.safetensors").write_bytes(b"no")
+    with pytest.raises(ArgumentError, match=r"policy.safetensors"):
+        policy.load(tmp_path)
