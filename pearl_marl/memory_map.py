@@ -274,15 +274,15 @@ def default_map(
     """Lay out the Comm-BRAM, with sizes chosen where none are given.
 
     Processing elements are the smallest power of two that takes the slots in :data:`DEFAULT_GROUPS`
-    groups; but no more than the widest word can feed or drain in a cycle, and no more than
-    :data:`MAX_DEFAULT_PE_NUM`. The word is the narrowest that keeps up with a group of slots a cycle,
-    or the widest there is.
+    groups; but no more than the word, or the widest there is, can feed or drain in a cycle, and no more
+    than :data:`MAX_DEFAULT_PE_NUM`. The word is the narrowest that keeps up with a group of slots a
+    cycle, or the widest there is.
     """
     # Observations, rewards and terminations have a bank each, so the widest stream sets the pace.
     widest = max(spec.action.bits, word_bits(spec.observation), spec.reward.bits)
     if pe_num is None:
         least = -(-n_envs // DEFAULT_GROUPS)
-        fed = max(1, DATA_WIDTHS[-1] // widest)
+        fed = max(1, (data_wl or DATA_WIDTHS[-1]) // widest)
         pe_num = min(MAX_DEFAULT_PE_NUM, 1 << (fed.bit_length() - 1), 1 << (least - 1).bit_length())
     if data_wl is None:
         data_wl = next((width for width in DATA_WIDTHS if width >= pe_num * widest), DATA_WIDTHS[-1])
