@@ -12,6 +12,7 @@ What was damaged on the line is not answered, or recognised here: it raises, and
 from __future__ import annotations
 
 import contextlib
+import errno
 import fcntl
 import os
 import select
@@ -132,14 +133,17 @@ class SerialTransport(Transport):
     def _receive(self, length: int) -> bytes:
         received = b""
         while len(received) < length and select.select([self._file], [], [], self._timeout)[0]:
-            received += os.read(self._file, length - len(received))
+            part = os.read(self._file, length - len(received))
+            if not part:  # a port that is gone ends, and at once
+                raise OSError(errno.EIO, os.strerror(errno.EIO))
+            received += part
         return received
 
     def _resynchronise(self) -> None:
         """Make the board forget what it was told, and forget what it said."""
-        with contextlib.suppress(termios.error):
+        with contextlib.suppress(termios.error):  # not every port can send a break
             termios.tcsendbreak(self._file, 0)
-        termios.tcflush(self._file, termios.TCIOFLUSH)
+            termios.tcflush(self._file, termios.TCIOFLUSH)
 
 
 class Serial(CommBram):

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import json
 import re
+import time
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -12,8 +15,10 @@ from harness import HERE, Design, run
 
 from pearl_marl import boards, toolchain
 from pearl_marl.boards import BOARDS, Board
+from pearl_marl.devices import Lockstep, Serial
 from pearl_marl.registry import get_spec
 from pearl_marl.spec import EnvSpec
+from pearl_marl.verification import runs, verify
 
 SPEC = get_spec("CliffWalking")
 ULX3S, VC707 = BOARDS["ulx3s"], BOARDS["vc707"]
@@ -46,14 +51,43 @@ def test_lint_is_clean(name: str, env: str, size: tuple[int, int | None], tmp_pa
     )
 
 
-def test_the_ulx3s_at_its_serial_line(tmp_path: Path) -> None:
-    size = (33, 4)
-    layout = boards.board_map(ULX3S, SPEC, *size)
+SIZE = (33, 4)
+
+
+def run_ulx3s(bench: str, folder: Path, **arguments: Any) -> None:
+    layout = boards.board_map(ULX3S, SPEC, *SIZE)
     parameters = {"CLOCKS_PER_BIT": CLOCKS_PER_BIT}
     design = Design(ULX3S.top, tuple(simulated(ULX3S, SPEC)), parameters, boards.macros(SPEC, layout))
-    arguments: dict[str, Any] = {"env": SPEC.name, "size": [*size, layout.data_wl]}
+    arguments |= {"env": SPEC.name, "size": [*SIZE, layout.data_wl]}
     arguments |= {"clocks_per_bit": CLOCKS_PER_BIT, "latency": 2}  # of CliffWalking's core
-    run(design, "bench_ulx3s", tmp_path, **arguments)
+    run(design, bench, folder, **arguments)
+
+
+def test_the_ulx3s_at_its_serial_line(tmp_path: Path) -> None:
+    run_ulx3s("bench_ulx3s", tmp_path)
+
+
+@pytest.fixture
+def plugged_in(tmp_path: Path) -> Iterator[str]:
+    """The port of a simulated ULX3S, which runs in another process."""
+    port, unplug = tmp_path / "port", tmp_path / "unplug"
+    with ThreadPoolExecutor(1) as pool:
+        running = pool.submit(run_ulx3s, "bench_serial", tmp_path, port=str(port), unplug=str(unplug))
+        try:
+            while not port.is_symlink() and not running.done():
+                time.sleep(0.01)
+            yield str(port)
+        finally:
+            unplug.touch()
+            running.result()
+
+
+def test_a_program_steps_the_ulx3s(plugged_in: str) -> None:
+    """Every word of every step, in every mode, over a line of bits."""
+    for plan in runs(SPEC, SIZE[0], 24):
+        for _ in verify(plan, Lockstep(Serial(plugged_in), "native"), seed=5):
+            pass
+        assert plan.exact
 
 
 def test_xdma_irq(tmp_path: Path) -> None:
