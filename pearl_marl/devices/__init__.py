@@ -4,6 +4,8 @@
     The CPU: :class:`Native`.
 ``"rtl"``
     The hardware under Verilator: :class:`Rtl`.
+``"serial"``
+    A board at a serial port: :class:`Serial`.
 ``"reference"``
     The golden functions as they stand: :class:`Reference`, slow, for others to be held against.
 
@@ -18,11 +20,22 @@ from pearl_marl.devices.lockstep import Lockstep
 from pearl_marl.devices.native import Native
 from pearl_marl.devices.reference import Reference
 from pearl_marl.devices.rtl import Rtl
+from pearl_marl.devices.serial import Serial
 from pearl_marl.errors import ArgumentError
 
-__all__ = ["BatchConfig", "BatchStep", "Device", "Lockstep", "Native", "Reference", "Rtl", "make_device"]
+__all__ = [
+    "BatchConfig",
+    "BatchStep",
+    "Device",
+    "Lockstep",
+    "Native",
+    "Reference",
+    "Rtl",
+    "Serial",
+    "make_device",
+]
 
-_BY_NAME: dict[str, type[Device]] = {"native": Native, "reference": Reference, "rtl": Rtl}
+_BY_NAME: dict[str, type[Device]] = {"native": Native, "reference": Reference, "rtl": Rtl, "serial": Serial}
 
 
 def make_device(device: str | Device) -> Device:
