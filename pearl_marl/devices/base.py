@@ -232,6 +232,19 @@ class Device(ABC):
             self._seed, self._tick, self._table, self._ready = before
             raise
 
+    def recover(self) -> None:
+        """Go on from the last call that succeeded, after one that raised DeviceError.
+
+        The connection is made anew, and the state and every call since are as they were; the call that
+        failed may be made again. A device that cannot fail under way has nothing to do.
+
+        Raises
+        ------
+        DeviceError
+            The device is still not available; call again when it is.
+        """
+        self._check_idle("recover")
+
     def set_max_cycles(self, max_cycles: int | None) -> None:
         """Replace the time limit, from the next step on; see :class:`BatchConfig`.
 
