@@ -10,7 +10,8 @@
 ``"reference"``
     The golden functions as they stand: :class:`Reference`, slow, for others to be held against.
 
-:class:`Lockstep` steps two of them as one and compares every word.
+:class:`Lockstep` steps two of them as one and compares every word. :class:`Sharded` shares the slots among
+several.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from pearl_marl.devices.lockstep import Lockstep
 from pearl_marl.devices.native import Native
 from pearl_marl.devices.reference import Reference
 from pearl_marl.devices.rtl import Rtl
+from pearl_marl.devices.sharded import Sharded
 from pearl_marl.devices.xdma import Xdma
 from pearl_marl.errors import ArgumentError
 
@@ -32,6 +34,7 @@ __all__ = [
     "Native",
     "Reference",
     "Rtl",
+    "Sharded",
     "Xdma",
     "make_device",
 ]

@@ -285,7 +285,8 @@ class Device(ABC):
         if not hasattr(self, "config"):
             return {"settings": self.__dict__}
         saved = self.snapshot() if self._ready else None
-        return {"settings": self._made_with, "config": self.config, "rewards": self._table, "saved": saved}
+        settings = {name: _unopened(value) for name, value in self._made_with.items()}
+        return {"settings": settings, "config": self.config, "rewards": self._table, "saved": saved}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state["settings"])
@@ -319,6 +320,17 @@ class Device(ABC):
     @abstractmethod
     def _close(self) -> None:
         """Release everything; called once."""
+
+
+def _unopened(setting: Any) -> Any:
+    """Return a setting of a device as it was when that was made: other devices in it without a batch."""
+    if isinstance(setting, list):
+        return [_unopened(value) for value in setting]
+    if not isinstance(setting, Device) or not hasattr(setting, "config"):
+        return setting
+    fresh = object.__new__(type(setting))
+    fresh.__dict__.update({name: _unopened(value) for name, value in setting._made_with.items()})
+    return fresh
 
 
 def _checked_seed(seed: Any) -> int:
