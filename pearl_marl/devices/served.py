@@ -103,15 +103,14 @@ class ServedBoard:
         poller = select.poll()
         poller.register(self._writes, select.POLLIN)
         poller.register(self._stopping, select.POLLIN)
-        rung = int(self._doorbell[Doorbell.SEQUENCE])
         while True:
             ready = {file for file, _ in poller.poll()}
             if self._stopping in ready:
                 return
             os.read(self._writes, 1 << 16)
-            if (sequence := int(self._doorbell[Doorbell.SEQUENCE])) != rung:
-                rung = sequence
-                self._step()
+            if (sequence := int(self._doorbell[Doorbell.SEQUENCE])) != self._rung:
+                self._rung = sequence
+                self._step(sequence)
 
     def stop(self) -> None:
         """Let :meth:`serve` return after the step that it is at; from any thread, or a signal's handler."""
@@ -164,6 +163,8 @@ class ServedBoard:
         for begin, end in ((0, layout.end("control")), (layout["doorbell"].offset, layout.end("doorbell"))):
             self._simulation.read(begin, self._memory[begin:end])
 
+        self._rung = int(self._doorbell[Doorbell.SEQUENCE])
+
         self._writes = _libc.inotify_init1(_IN_NONBLOCK | _IN_CLOEXEC)
         if self._writes >= 0:
             opened.callback(os.close, self._writes)
@@ -173,7 +174,7 @@ class ServedBoard:
         opened.callback(os.close, self._stopping)
         os.link(c2h, h2c)  # last: who finds it finds all
 
-    def _step(self) -> None:
+    def _step(self, sequence: int) -> None:
         # The doorbell may have been seen while the rest of its write was still being copied. The kernel
         # lets one change a file at a time, so this returns after that write.
         os.utime(self._file)
@@ -184,7 +185,6 @@ class ServedBoard:
                 simulation.write(begin, shared[begin:end])
         write_at, length = layout.step_write
         read_at, _ = layout.step_read
-        sequence = int(self._doorbell[Doorbell.SEQUENCE])
         simulation.exchange(write_at, memory[write_at : write_at + length], read_at, self._answer, sequence)
         for begin, end in self._to_host:
             simulation.read(begin, shared[begin:end])
