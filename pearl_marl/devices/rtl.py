@@ -131,6 +131,11 @@ class Simulation(Transport):
             self._model.model, self._model.vcd_trace, patience, bounds.ctypes.data
         )
 
+    @property
+    def clock(self) -> int:
+        """Clock cycles since the simulation began, those of transfers over the AXI port among them."""
+        return int(self._functions.pearl_clock(self._host))
+
     def write(self, offset: int, data: Stream) -> None:
         """See :class:`Transport`."""
         self._check(self._functions.pearl_write(self._host, offset, data.ctypes.data, data.size))
@@ -185,6 +190,7 @@ def _declared(lib: Any) -> Any:
     for name, result, arguments in (
         ("pearl_open", pointer, (pointer, pointer, size, pointer)),
         ("pearl_close", None, (pointer,)),
+        ("pearl_clock", size, (pointer,)),
         ("pearl_write", ctypes.c_int, (pointer, *transfer)),
         ("pearl_read", ctypes.c_int, (pointer, *transfer)),
         ("pearl_wait", ctypes.c_int, (pointer,)),

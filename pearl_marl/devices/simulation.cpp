@@ -35,6 +35,7 @@ struct Host {
     PEARL_MODEL* top;
     VerilatedVcdC* vcd;
     uint64_t patience;  // clock cycles until a wait is given up
+    uint64_t clock;     // clock cycles since the simulation began
     uint64_t time;
     int answer;
     Window windows[kBackdoors];
@@ -57,6 +58,7 @@ struct Host {
     }
 
     void edge() {
+        clock++;
         top->clk_i = 1;
         top->eval();
         dump();
@@ -214,7 +216,7 @@ extern "C" {
 
 // `bounds` are the byte addresses where each backdoor begins and ends, all 0 for none.
 Host* pearl_open(PEARL_MODEL* model, VerilatedVcdC* vcd, uint64_t patience, const uint64_t* bounds) {
-    auto* host = new Host{model, vcd, patience, kFirstTime, kOkay, {}};
+    auto* host = new Host{model, vcd, patience, 0, kFirstTime, kOkay, {}};
     uint8_t* banks[] = {
         PEARL_BANK(reset_mask), PEARL_BANK(actions), PEARL_BANK(observations), PEARL_BANK(rewards), PEARL_BANK(ters)};
     for (int i = 0; i < kBackdoors; i++) host->windows[i] = {bounds[2 * i], bounds[2 * i + 1], banks[i]};
@@ -229,6 +231,8 @@ Host* pearl_open(PEARL_MODEL* model, VerilatedVcdC* vcd, uint64_t patience, cons
 }
 
 void pearl_close(Host* host) { delete host; }
+
+uint64_t pearl_clock(const Host* host) { return host->clock; }
 
 int pearl_write(Host* host, uint64_t begin, const uint8_t* data, uint64_t length) {
     host->enter();
