@@ -41,8 +41,10 @@ class Kernels(NamedTuple):
     ``step(memory, stored, actions, table, observations, rewards, terminations, truncations,
     final_observations, seed_0, seed_1, tick, first_slot, limit, next_step, use_stored, n, lo, hi)``
         steps that range. ``final_observations`` are written for a block in which a slot ended.
-    ``deliver(*words, observations)``
-        turns the words of observations, an array a field, into the observations themselves.
+    ``deliver(*words, code_words, ter_words, stored, table, observations, rewards, terminations, truncations,
+    final_observations, seed_0, seed_1, tick, first_slot, next_step, use_stored, n, lo, hi)``
+        turns a step's words (of observations an array a field) into its results. Unless ``next_step``,
+        a slot that ended gets the first observation of its next episode, which begins at ``tick``.
     ``advance(memory, actions, table, rewards, terminations, n, lo, hi)``
         does the golden step and the rewards alone, for benchmarks.
 
