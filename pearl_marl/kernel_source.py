@@ -128,7 +128,15 @@ def step(
 
 
 @kernel
-def deliver(
+def deliver($words, observations):
+    """Turn words of observations into the observations themselves."""
+    O = $OBSERVED
+    for i in range(len(words_0)):
+        $deliver
+
+
+@kernel
+def results(
     $words, code_words, ter_words, stored, table, observations, rewards, terminations, truncations,
     final_observations, seed_0, seed_1, tick, first_slot, next_step, use_stored, n, lo, hi,
 ):
@@ -154,7 +162,7 @@ def deliver(
         O = observed$BLOCK_ROWS
         F = final$BLOCK_ROWS
         for i in range(m):
-            $deliver
+            $deliver_block
         $rewards
         if m < $BLOCK:
             flag[m:] = 0
@@ -331,7 +339,8 @@ def kernel_source(spec: EnvSpec) -> str:
             f"    {new_state} = initial({_list('draw_{}', reset_draws)})",
         ],
         "block_words": [f"W{k} = words_{k}[b : b + m]" for k in observed],
-        "deliver": deliver("W{}[i]"),
+        "deliver": deliver("words_{}[i]"),
+        "deliver_block": deliver("W{}[i]"),
         "copy_observation": copy,
     }
     words = {

@@ -209,7 +209,7 @@ class CommBram(Device):
         unpack(self._reward_stream, spec.reward.bits, self._reward_words, spec.reward.bits)
         unpack(self._ter_stream, TER_BITS, self._ters, TER_BITS)
         # The episode that begins in the hardware's next step begins here in this one.
-        self._kernels.deliver(
+        self._kernels.results(
             *self._obs_words, self._reward_words, self._ters, self._stored, self._table, *results,
             *self._seed, self._tick + 1, config.first_slot, self._next_step, self._repeats, n, 0, n,
         )  # fmt: skip
