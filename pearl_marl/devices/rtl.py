@@ -72,6 +72,12 @@ class Rtl(CommBram):
             raise ArgumentError(f"trace is {trace!r}; it must be a file name in ASCII")
         self._pe_num, self._data_wl, self._path = pe_num, data_wl, path
 
+    @property
+    def clock(self) -> int:
+        """Clock cycles since the device was opened: of steps, and of every transfer over the AXI port."""
+        self._check_idle("clock")
+        return self._simulation.clock
+
     def peek(self, signal: str) -> int:
         """Return the present value of a signal, by its name in the hierarchy under ``pearl_top``.
 
@@ -133,7 +139,7 @@ class Simulation(Transport):
 
     @property
     def clock(self) -> int:
-        """Clock cycles since the simulation began, those of transfers over the AXI port among them."""
+        """See :attr:`Rtl.clock`."""
         return int(self._functions.pearl_clock(self._host))
 
     def write(self, offset: int, data: Stream) -> None:
