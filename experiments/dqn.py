@@ -15,6 +15,7 @@ from torch import Tensor, nn
 
 import pearl_marl
 from pearl_marl.episodes import EpisodeStatistics
+from pearl_marl.spec import EnvSpec
 
 from .policy import Policy
 
@@ -71,14 +72,14 @@ class Settings:
 class DQN:
     """A run of DQN: :meth:`iterate` is a step of all agents with its updates."""
 
-    def __init__(self, env_id: str, options: dict[str, Any], device: Any, settings: Settings) -> None:
+    def __init__(self, spec: EnvSpec, device: Any, settings: Settings) -> None:
         self.settings = settings
         torch.manual_seed(settings.seed)
         self.random = torch.Generator().manual_seed(settings.seed)
         n, depth = settings.n_agents, settings.memory
-        self.env = pearl_marl.parallel_env(env_id, n, device=device, **options)
-        self.policy = Policy(env_id, options, "values", settings.width)
-        self.target = Policy(env_id, options, "values", settings.width)
+        self.env = pearl_marl.parallel_env(spec.name, n, device=device, **spec.options)
+        self.policy = Policy(spec, "values", settings.width)
+        self.target = Policy(spec, "values", settings.width)
         self.target.load_state_dict(self.policy.state_dict())
         self.optimiser = torch.optim.Adam(self.policy.parameters(), lr=settings.learning_rate)
         self.statistics = EpisodeStatistics(n)

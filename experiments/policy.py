@@ -20,6 +20,7 @@ from torch import Tensor, nn
 
 from pearl_marl.errors import ArgumentError
 from pearl_marl.registry import get_spec
+from pearl_marl.spec import EnvSpec
 
 Array = npt.NDArray[Any]
 
@@ -142,7 +143,7 @@ class Policy(nn.Module):
 
     Parameters
     ----------
-    env_id, options
+    spec
         The environment that it is for.
     kind
         ``"logits"``: an output for each action, the most probable is the best. ``"values"``: likewise, the
@@ -153,10 +154,9 @@ class Policy(nn.Module):
 
     bound: Tensor
 
-    def __init__(self, env_id: str, options: dict[str, Any], kind: str, width: int) -> None:
+    def __init__(self, spec: EnvSpec, kind: str, width: int) -> None:
         super().__init__()
-        self.about = {"environment": env_id, "options": options, "kind": kind, "width": width}
-        spec = get_spec(env_id).with_options(**options)
+        self.spec, self.about = spec, {**_about(spec), "kind": kind, "width": width}
         actions = spec.action_space
         if isinstance(actions, Box) != (kind == "mean"):
             raise ArgumentError(
@@ -202,7 +202,7 @@ class Table:
 
     Parameters
     ----------
-    env_id, options
+    spec
         The environment that it is for. Its observations are numbers, or tuples of them.
 
     Attributes
@@ -211,9 +211,8 @@ class Table:
         Shape ``(observations, actions)``, ``float64``.
     """
 
-    def __init__(self, env_id: str, options: dict[str, Any]) -> None:
-        self.about = {"environment": env_id, "options": options, "kind": "table"}
-        spec = get_spec(env_id).with_options(**options)
+    def __init__(self, spec: EnvSpec) -> None:
+        self.spec, self.about = spec, {**_about(spec), "kind": "table"}
         space, actions = spec.observation_space, spec.action_space
         parts: list[Any] = list(space) if isinstance(space, Tuple) else [space]
         if not all(isinstance(part, Discrete) for part in parts) or not isinstance(actions, Discrete):
@@ -261,13 +260,18 @@ def load(path: Path) -> Policy | Table:
     if header.get("format") != FORMAT:
         raise ArgumentError(f"{file} is no policy of `pearl train`: its format is {header.get('format')}")
     about = json.loads(header["policy"])
+    spec = get_spec(about["environment"]).with_options(**about["options"])
     if about["kind"] == "table":
-        table = Table(about["environment"], about["options"])
+        table = Table(spec)
         table.values[:] = tensors["values"].numpy()
         return table
-    policy = Policy(about["environment"], about["options"], about["kind"], about["width"])
+    policy = Policy(spec, about["kind"], about["width"])
     policy.load_state_dict(tensors)
     return policy
+
+
+def _about(spec: EnvSpec) -> dict[str, Any]:
+    return {"environment": spec.name, "options": dict(spec.options)}
 
 
 def _save(path: Path, tensors: dict[str, Tensor], about: dict[str, Any]) -> None:

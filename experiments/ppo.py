@@ -18,6 +18,7 @@ from torch.distributions import Categorical, Normal
 import pearl_marl
 from pearl_marl.devices import BatchStep
 from pearl_marl.episodes import EpisodeStatistics
+from pearl_marl.spec import EnvSpec
 
 from .policy import Network, Policy
 
@@ -68,14 +69,14 @@ class Settings:
 class PPO:
     """A run of PPO: :meth:`iterate` is one update, and :meth:`state` all that the next depends on."""
 
-    def __init__(self, env_id: str, options: dict[str, Any], device: Any, settings: Settings) -> None:
+    def __init__(self, spec: EnvSpec, device: Any, settings: Settings) -> None:
         self.settings = settings
         torch.manual_seed(settings.seed)
         self.random = torch.Generator().manual_seed(settings.seed)
-        self.env = pearl_marl.parallel_env(env_id, settings.n_agents, device=device, **options)
-        self.continuous = not hasattr(self.env.spec.action_space, "n")
-        self.policy = Policy(env_id, options, "mean" if self.continuous else "logits", settings.width)
-        self.critic = Network(self.env.spec.observation_space, 1, settings.width)
+        self.env = pearl_marl.parallel_env(spec.name, settings.n_agents, device=device, **spec.options)
+        self.continuous = not hasattr(spec.action_space, "n")
+        self.policy = Policy(spec, "mean" if self.continuous else "logits", settings.width)
+        self.critic = Network(spec.observation_space, 1, settings.width)
         self.log_deviation = nn.Parameter(torch.full((1,), -0.5))
         self.parameters = [*self.policy.parameters(), *self.critic.parameters()]
         if self.continuous:

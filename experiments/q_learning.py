@@ -13,6 +13,7 @@ import numpy as np
 
 import pearl_marl
 from pearl_marl.episodes import EpisodeStatistics
+from pearl_marl.spec import EnvSpec
 
 from .policy import Table
 
@@ -54,11 +55,11 @@ EXPLORING = 0.8
 class QLearning:
     """A run of Q-learning: :meth:`iterate` is a step of all agents and an update of the table."""
 
-    def __init__(self, env_id: str, options: dict[str, Any], device: Any, settings: Settings) -> None:
+    def __init__(self, spec: EnvSpec, device: Any, settings: Settings) -> None:
         self.settings = settings
         n = settings.n_agents
-        self.env = pearl_marl.parallel_env(env_id, n, device=device, **options)
-        self.policy = Table(env_id, options)
+        self.env = pearl_marl.parallel_env(spec.name, n, device=device, **spec.options)
+        self.policy = Table(spec)
         self.random = np.random.default_rng(settings.seed)
         self.statistics = EpisodeStatistics(n)
         self.rows = self.policy.rows(self.env.reset_batch(settings.seed))

@@ -12,8 +12,9 @@ from typing import Any
 import numpy as np
 
 from pearl_marl.errors import ArgumentError
-from pearl_marl.parallel_env import parallel_env
+from pearl_marl.evaluation import Evaluation
 from pearl_marl.registry import get_spec
+from pearl_marl.spec import EnvSpec
 
 from . import dqn, ppo, q_learning
 from .presets import PRESETS
@@ -89,12 +90,13 @@ def train(
         environment.
     """
     every = evaluate_every or max(1, settings.iterations // 50)
-    trainer = ALGORITHMS[algorithm](env_id, options, device, settings)
+    spec = get_spec(env_id).with_options(**options)
+    trainer = ALGORITHMS[algorithm](spec, device, settings)
     run = RunFolder(
         folder,
         {
-            "environment": get_spec(env_id).id,
-            "options": options,
+            "environment": spec.id,
+            "options": dict(spec.options),
             "algorithm": algorithm,
             "settings": dataclasses.asdict(settings),
             "device": device,
@@ -113,7 +115,7 @@ def train(
         last = trainer.done == settings.iterations
         if trainer.done % every and not last:
             continue
-        mean, deviation = evaluate(trainer.policy, env_id, options)
+        mean, deviation = evaluate(trainer.policy, spec)
         seconds = time.perf_counter() - began
         row = {"seconds": seconds, **figures, "eval_return": mean, "eval_deviation": deviation}
         run.report(trainer.agent_steps, **row)
@@ -125,27 +127,13 @@ def train(
         if last or finished or time.perf_counter() - kept >= checkpoint_seconds:
             run.checkpoint({"trainer": trainer.state(), "seconds": seconds, "best": best})
             kept = time.perf_counter()
-    run.draw_curve(f"{get_spec(env_id).name}: {algorithm}, {settings.n_agents:,} agents", goal)
+    run.draw_curve(f"{spec.name}: {algorithm}, {settings.n_agents:,} agents", goal)
     return run.rows
 
 
-def evaluate(
-    policy: Any, env_id: str, options: dict[str, Any], n: int = EVALUATED, seed: int = 1
-) -> tuple[float, float]:
-    """Return mean and standard deviation of the return of ``n`` episodes under a policy's best actions.
-
-    The first episode of each of ``n`` agents, so that short ones do not count more often.
-    """
-    env = parallel_env(env_id, n, copy=False, **options)
-    obs = env.reset_batch(seed)
-    running, returns = np.ones(n, np.bool_), np.zeros(n)
-    # Where there is no time limit, a policy that goes nowhere is stopped all the same.
-    for _ in range(env.max_cycles or 1000):
-        step = env.step_batch(policy.choose(obs))
-        returns += step.rewards * running
-        running &= ~step.ended
-        obs = step.obs
-        if not running.any():
-            break
-    env.close()
-    return float(returns.mean()), float(returns.std())
+def evaluate(policy: Any, spec: EnvSpec, n: int = EVALUATED, seed: int = 1) -> tuple[float, float]:
+    """Return mean and standard deviation of the return of ``n`` agents' first episodes, by best actions."""
+    evaluation = Evaluation(spec, policy.choose, n, seed=seed)
+    for _ in evaluation.run():
+        pass
+    return float(evaluation.returns.mean()), float(evaluation.returns.std())

@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 from pearl_marl.errors import ArgumentError
+from pearl_marl.registry import get_spec
 
 torch = pytest.importorskip("torch", reason="torch is not installed: pip install '.[train]'")
 training = importlib.import_module("pearl_marl.experiments.training")
@@ -62,7 +63,7 @@ def test_ppo_balances_the_pole(tmp_path: Path) -> None:
     rows = run("ppo", "CartPole", tmp_path, goal=475.0)
     assert rows[-1]["eval_return"] >= 475
     best = policy.load(tmp_path)
-    assert training.evaluate(best, "CartPole", {})[0] == rows[-1]["eval_return"]
+    assert training.evaluate(best, get_spec("CartPole"))[0] == rows[-1]["eval_return"]
 
 
 @pytest.mark.parametrize("env", ["CartPole", "Taxi", "Blackjack", "Pendulum"])
