@@ -63,8 +63,8 @@ def load_policy(name: str, spec: EnvSpec, seed: int = 0) -> Policy:
         return _function(module, function)
     raise ArgumentError(
         f"{name!r} names no policy; possible are {RANDOM!r}, a table of action values (FILE.npy, FILE.npz), "
-        "a model of Stable-Baselines3 (FILE.zip), a folder of `pearl train`, and a function (MODULE:FUNCTION, "
-        "FILE.py:FUNCTION)"
+        "a model of Stable-Baselines3 (FILE.zip), a folder of `pearl train`, and a function "
+        "(MODULE:FUNCTION, FILE.py:FUNCTION)"
     )
 
 

@@ -38,7 +38,8 @@ PolicyName = Annotated[
     typer.Option(
         "--policy",
         help="`random`, a table of action values (FILE.npy, FILE.npz), a model of Stable-Baselines3 "
-        "(FILE.zip), a folder of `pearl train`, or a function of observations (MODULE:FUNCTION, FILE.py:FUNCTION).",
+        "(FILE.zip), a folder of `pearl train`, or a function of observations (MODULE:FUNCTION, "
+        "FILE.py:FUNCTION).",
     ),
 ]
 Episodes = Annotated[
