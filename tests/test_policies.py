@@ -103,7 +103,7 @@ def test_functions(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
             load_policy(name, POLE)
 
 
-@pytest.mark.parametrize("name", ["greedy", "", ":f", "module:", "a:b c", "q_table.safetensors"])
+@pytest.mark.parametrize("name", ["greedy", "", ":f", "module:", "a:b c", "q_table.weights"])
 def test_names_of_nothing(name: str) -> None:
     with pytest.raises(ArgumentError, match=r"names no policy; possible are 'random', a table"):
         load_policy(name, CLIFF)
