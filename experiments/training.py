@@ -131,9 +131,9 @@ def train(
     return run.rows
 
 
-def evaluate(policy: Any, spec: EnvSpec, n: int = EVALUATED, seed: int = 1) -> tuple[float, float]:
-    """Return mean and standard deviation of the return of ``n`` agents' first episodes, by best actions."""
-    evaluation = Evaluation(spec, policy.choose, n, seed=seed)
+def evaluate(policy: Any, spec: EnvSpec, seed: int = 1) -> tuple[float, float]:
+    """Return mean and standard deviation of the return of many agents' first episodes, by best actions."""
+    evaluation = Evaluation(spec, policy.choose, EVALUATED, seed=seed)
     for _ in evaluation.run():
         pass
     return float(evaluation.returns.mean()), float(evaluation.returns.std())
