@@ -155,6 +155,8 @@ async def the_worst_response_is_the_answers(dut: Any) -> None:
     assert (await line.read(1 << 31, 1))[1] == DECERR
     data, response = await line.read((1 << 32) - 4, 2)
     assert (data[4:], response) == (struct.pack("<I", MAGIC), DECERR)
+    assert await line.write(0, bytes(4)) == OKAY
+    assert await line.write((1 << 32) - 4, bytes(8)) == DECERR
 
 
 @cocotb.test
