@@ -60,6 +60,7 @@ def step(
     code = np.empty($BLOCK, np.$REWARD_DTYPE)
     flag = np.zeros($BLOCK, np.uint8)  # 1 where an episode ends; beyond the last slot 0
     flag_words = flag.view(np.uint64)
+    ended_slots = np.empty($BLOCK, np.uint16)
     resetting = np.zeros($BLOCK, np.uint8)
     $step_keys
     # SAME_STEP starts the next episode now, at the next tick; NEXT_STEP starts it within this one.
@@ -119,12 +120,15 @@ def step(
             any_ended |= flag_words[i]
         if any_ended and not next_step:
             F = final$BLOCK_ROWS
-            for i in range(m):
-                $copy_observation
-            $start_over
-            for i in range(m):
-                E[i] = np.uint32(0) if flag[i] else E[i]
-            $observe_ended
+            count = 0
+            for w in range(flag_words.size):
+                if flag_words[w]:
+                    for i in range(8 * w, 8 * w + 8):
+                        ended_slots[count] = i
+                        count += flag[i]
+                    if count >= $FEW:
+                        break
+            $restart
 
 
 @kernel
@@ -226,11 +230,27 @@ def kernel_source(spec: EnvSpec) -> str:
     observe_slot = [f"{_list('o{}', observed)} = observe({state})", *deliver("O", "o{}")]
     observe = ["for i in range(m):", *_indented(observe_slot)]
     copy = [f"{element('F', k)} = {element('O', k)}" for k in observed]
-    observe_ended = observe
     if spec.unpack is not None:
-        # Observations so large that those of the other slots cost more than a branch.
-        copy = ["if flag[i]:", "    F[i, :] = O[i, :]"]
-        observe_ended = ["for i in range(m):", "    if flag[i]:", *_indented(_indented(observe_slot))]
+        copy = ["F[i, :] = O[i, :]"]
+    start_slot = [
+        "if use_stored:",
+        *(f"    S{k}[i] = stored_{k}[b + i]" for k in fields),
+        "else:",
+        *(f"    d{d} = draw(u32(slot_0 + i), key_a{d}, key_b{d})" for d in reset_draws),
+        f"    {new_state} = initial({_list('d{}', reset_draws)})",
+        *(f"    S{k}[i] = np.{spec.state[k].dtype}(s{k})" for k in fields),
+        "E[i] = np.uint32(0)",
+    ]
+    restart = [
+        "for j in range(count):",
+        *_indented(["i = np.int64(ended_slots[j])", *copy, *start_slot, *observe_slot]),
+    ]
+    few = block + 1
+    if spec.unpack is None:
+        few = block // (4 + 3 * spec.reset_draws)
+        clear = ["for i in range(m):", "    E[i] = np.uint32(0) if flag[i] else E[i]"]
+        at_once = ["for i in range(m):", *_indented(copy), *start_over, *clear, *observe]
+        restart = [f"if count < {few}:", *_indented(restart), "else:", *_indented(at_once)]
 
     categories = 0 if spec.rewards is None else 1 << spec.reward.bits
     if not categories:
@@ -278,9 +298,8 @@ def kernel_source(spec: EnvSpec) -> str:
         "start_over": start_over,
         "observe": observe,
         "rewards": ["for i in range(m):", *(f"    {line}" for line in reward)],
-        "observe_ended": observe_ended,
+        "restart": restart,
         "deliver": deliver("observed", "words_{}[i]"),
-        "copy_observation": copy,
     }
     words = {
         "NAME": spec.name,
@@ -289,6 +308,7 @@ def kernel_source(spec: EnvSpec) -> str:
         "OBSERVED": rows.format("observations"),
         "FINAL": rows.format("final_observations"),
         "BLOCK_ROWS": block_rows,
+        "FEW": str(few),
         "words": _list("words_{}", observed),
     }
     text = re.sub(r"\$([A-Z_]+|words)", lambda match: words[match[1]], TEMPLATE)
