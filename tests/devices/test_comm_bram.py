@@ -132,6 +132,7 @@ def test_stale_and_torn_results_are_never_returned(device: OverMemory, fault: di
     vars(device.memory).update(fault)
     with pytest.raises(DeviceError, match=says):
         device.step(ACTIONS)
+    device.memory.words("status")[Status.SEQUENCE] = device.memory.words("doorbell")[Doorbell.SEQUENCE]
     vars(device.memory).update(lag=0, error=StatusError(0))
     for call in (lambda: device.step(ACTIONS), device.state, lambda: device.reset(mask=ACTIONS == 0)):
         with pytest.raises(DeviceError, match=r"failed before; call reset\(\)"):
@@ -144,6 +145,7 @@ def test_stale_and_torn_results_are_never_returned(device: OverMemory, fault: di
 
 def test_the_sequence_goes_on_where_the_hardware_was(device: OverMemory) -> None:
     device.memory.words("doorbell")[Doorbell.SEQUENCE] = 0xFFFFFFFF
+    device.memory.words("status")[Status.SEQUENCE] = 0xFFFFFFFF
     opened(device)
     device.step(ACTIONS)
     assert device.memory.words("doorbell")[Doorbell.SEQUENCE] == 0
