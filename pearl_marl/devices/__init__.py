@@ -7,6 +7,8 @@
 ``"xdma"``
     A board behind the XDMA driver: :class:`Xdma`. ``"xdma:1"`` is board 1, ``"xdma:DIR"`` the board
     that ``pearl serve`` simulates in that folder.
+``"serial"``
+    A board at a serial port: :class:`Serial`. ``"serial:/dev/ttyUSB1"`` names the port.
 ``"reference"``
     The golden functions as they stand: :class:`Reference`, slow, for others to be held against.
 
@@ -22,6 +24,7 @@ from pearl_marl.devices.lockstep import Lockstep
 from pearl_marl.devices.native import Native
 from pearl_marl.devices.reference import Reference
 from pearl_marl.devices.rtl import Rtl
+from pearl_marl.devices.serial import Serial
 from pearl_marl.devices.sharded import Sharded
 from pearl_marl.devices.xdma import Xdma
 from pearl_marl.errors import ArgumentError
@@ -34,12 +37,19 @@ __all__ = [
     "Native",
     "Reference",
     "Rtl",
+    "Serial",
     "Sharded",
     "Xdma",
     "make_device",
 ]
 
-_BY_NAME: dict[str, type[Device]] = {"native": Native, "reference": Reference, "rtl": Rtl, "xdma": Xdma}
+_BY_NAME: dict[str, type[Device]] = {
+    "native": Native,
+    "reference": Reference,
+    "rtl": Rtl,
+    "serial": Serial,
+    "xdma": Xdma,
+}
 
 
 def make_device(device: str | Device) -> Device:
@@ -51,9 +61,12 @@ def make_device(device: str | Device) -> Device:
     name, colon, board = device.partition(":") if isinstance(device, str) else ("", "", "")
     if name == Xdma.name and board:
         return Xdma(int(board) if board.isdecimal() else board)
+    if name == Serial.name and board:
+        return Serial(board)
     if name not in _BY_NAME or colon:
         raise ArgumentError(
             f"there is no device {device!r}; possible are {', '.join(map(repr, _BY_NAME))}, "
-            "'xdma:N' for board N, 'xdma:DIR' for a served one, or a device object from pearl_marl.devices"
+            "'xdma:N' for board N, 'xdma:DIR' for a served one, 'serial:PORT', or a device object from "
+            "pearl_marl.devices"
         )
     return _BY_NAME[name]()

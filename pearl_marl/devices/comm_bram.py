@@ -116,10 +116,8 @@ class CommBram(Device):
             self._mode |= Mode.NEXT_STEP
         if self._repeats:
             self._mode |= Mode.STORED
-        # Scratch for starts of episodes; the stored ones stay in a memory of their own.
-        self._starts = slot_memory.allocate(spec, n)
-        self._stored = slot_memory.allocate(spec, n) if self._repeats else self._starts
-        self._start_obs = np.empty_like(self._results.take().obs)
+        # Where each slot starts, if those starts are stored; the kernels get it in any case.
+        self._stored = slot_memory.allocate(spec, n)
         # What the next step has to start afresh, and in NEXT_STEP mode who spends it resetting.
         self._resets_all = False
         self._mask = np.zeros(n, np.bool_)
@@ -167,7 +165,7 @@ class CommBram(Device):
             self._mask[:] = False
             if self._repeats:
                 every = np.ones(self.config.n_envs, np.bool_)
-                self._start(self._stored, every, self._start_obs, use_stored=False)
+                self._start(self._stored, every, self._results.take().obs, use_stored=False)
                 self._write_states("initial_states", self._stored)
             return self._slots()[1]
         except BaseException:
@@ -218,45 +216,31 @@ class CommBram(Device):
         self.cycles = int(self._status[Status.CYCLES])
 
     def _unpack(self) -> BatchStep:
-        spec, results = self.config.spec, self._results.take()
-        obs, ters = results.obs, self._ters
+        config, results = self.config, self._results.take()
+        spec, n = config.spec, config.n_envs
         offset, stride = 0, word_bits(spec.observation)
         for field, words in zip(spec.observation, self._obs_words, strict=True):
             unpack(self._obs_stream, field.bits, words, stride, offset)
             offset += field.bits
-        self._kernels.deliver(*self._obs_words, obs)
-
         unpack(self._reward_stream, spec.reward.bits, self._reward_words, spec.reward.bits)
-        if spec.rewards is None:
-            # In the arithmetic of the native device's kernel.
-            scale = np.float32(2.0**-spec.reward.fraction)
-            np.multiply(self._reward_words, scale, out=results.rewards, dtype=np.float32, casting="unsafe")
-        else:
-            np.take(self._table, self._reward_words, out=results.rewards, mode="clip")
-
-        unpack(self._ter_stream, TER_BITS, ters, TER_BITS)
-        np.bitwise_and(ters, 1, out=results.terminations.view(np.uint8))
-        np.right_shift(ters, 1, out=results.truncations.view(np.uint8))
-        ended = ters != 0
+        unpack(self._ter_stream, TER_BITS, self._ters, TER_BITS)
+        # The episode that begins in the hardware's next step begins here in this one.
+        self._kernels.results(
+            *self._obs_words, self._reward_words, self._ters, self._stored, self._table, *results,
+            *self._seed, self._tick + 1, config.first_slot, self._next_step, self._repeats, n, 0, n,
+        )  # fmt: skip
         if self._next_step:
             if not self._resets_all:
                 results.rewards[self._resetting & ~self._mask] = 0
-            self._resetting = ended
-        elif (slots := np.flatnonzero(ended)).size:
-            # The episode that begins in the hardware's next step begins here in this one.
-            results.final_obs[slots] = obs[slots]
-            self._start(self._starts, ended, self._start_obs, use_stored=self._repeats, ticks_ahead=1)
-            obs[slots] = self._start_obs[slots]
+            self._resetting = self._ters != 0
         return results
 
-    def _start(
-        self, memory: Array, mask: Array, obs: Array, *, use_stored: bool, ticks_ahead: int = 0
-    ) -> None:
+    def _start(self, memory: Array, mask: Array, obs: Array, *, use_stored: bool) -> None:
         """Begin an episode in the masked slots of ``memory``; observe all of its slots."""
         config = self.config
         n, flags = config.n_envs, mask.view(np.uint8)
         self._kernels.reset(
-            memory, self._stored, flags, obs, *self._seed, self._tick + ticks_ahead, config.first_slot,
+            memory, self._stored, flags, obs, *self._seed, self._tick, config.first_slot,
             use_stored, n, 0, n,
         )  # fmt: skip
 
@@ -379,15 +363,9 @@ def _pages(size: int) -> Stream:
     return np.frombuffer(mmap.mmap(-1, size, mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS), np.uint8)
 
 
-def check_identity(name: str, transport: Transport, spec: EnvSpec, layout: MemoryMap) -> None:
-    """Refuse hardware that is not what a batch needs.
-
-    Raises
-    ------
-    DeviceError
-        Names the first word that differs, and both values.
-    """
-    expected = (
+def identity(spec: EnvSpec, layout: MemoryMap) -> tuple[int, ...]:
+    """Return what the hardware of a batch has in the read-only words of its control region."""
+    return (
         MAGIC,
         PROTOCOL_VERSION,
         hardware.env_hash(spec),
@@ -397,6 +375,17 @@ def check_identity(name: str, transport: Transport, spec: EnvSpec, layout: Memor
         word_bits(spec.state),
         word_bits(spec.observation) + spec.reward.bits + TER_BITS,
     )
+
+
+def check_identity(name: str, transport: Transport, spec: EnvSpec, layout: MemoryMap) -> None:
+    """Refuse hardware that is not what a batch needs.
+
+    Raises
+    ------
+    DeviceError
+        Names the first word that differs, and both values.
+    """
+    expected = identity(spec, layout)
     found = np.empty(4 * len(_IDENTITY), np.uint8)
     transport.read(layout["control"].offset, found)
     for word, mine, theirs in zip(_IDENTITY, expected, found.view("<u4").tolist(), strict=True):

@@ -72,6 +72,12 @@ class Rtl(CommBram):
             raise ArgumentError(f"trace is {trace!r}; it must be a file name in ASCII")
         self._pe_num, self._data_wl, self._path = pe_num, data_wl, path
 
+    @property
+    def clock(self) -> int:
+        """Clock cycles since the device was opened: of steps, and of every transfer over the AXI port."""
+        self._check_idle("clock")
+        return self._simulation.clock
+
     def peek(self, signal: str) -> int:
         """Return the present value of a signal, by its name in the hierarchy under ``pearl_top``.
 
@@ -131,6 +137,11 @@ class Simulation(Transport):
             self._model.model, self._model.vcd_trace, patience, bounds.ctypes.data, layout.groups
         )
 
+    @property
+    def clock(self) -> int:
+        """See :attr:`Rtl.clock`."""
+        return int(self._functions.pearl_clock(self._host))
+
     def write(self, offset: int, data: Stream) -> None:
         """See :class:`Transport`."""
         self._check(self._functions.pearl_write(self._host, offset, data.ctypes.data, data.size))
@@ -185,6 +196,7 @@ def _declared(lib: Any) -> Any:
     for name, result, arguments in (
         ("pearl_open", pointer, (pointer, pointer, size, pointer, size)),
         ("pearl_close", None, (pointer,)),
+        ("pearl_clock", size, (pointer,)),
         ("pearl_write", ctypes.c_int, (pointer, *transfer)),
         ("pearl_read", ctypes.c_int, (pointer, *transfer)),
         ("pearl_wait", ctypes.c_int, (pointer,)),

@@ -62,6 +62,7 @@ struct Host {
     PEARL_MODEL* top;
     VerilatedVcdC* vcd;
     uint64_t patience;  // clock cycles until a wait is given up
+    uint64_t clock;     // clock cycles since the simulation began
     uint64_t time;
     int answer;
     Window windows[kBackdoors];
@@ -85,6 +86,7 @@ struct Host {
     }
 
     void edge() {
+        clock++;
         top->clk_i = 1;
         top->eval();
         dump();
@@ -268,7 +270,7 @@ extern "C" {
 Host* pearl_open(
     PEARL_MODEL* model, VerilatedVcdC* vcd, uint64_t patience, const uint64_t* bounds, uint64_t rows
 ) {
-    auto* host = new Host{model, vcd, patience, kFirstTime, kOkay, {}, {}};
+    auto* host = new Host{model, vcd, patience, 0, kFirstTime, kOkay, {}, {}};
     uint8_t* banks[] = {
         PEARL_BANK(reset_mask), PEARL_BANK(actions), PEARL_BANK(observations), PEARL_BANK(rewards), PEARL_BANK(ters)};
     for (int i = 0; i < kBackdoors; i++) host->windows[i] = {bounds[2 * i], bounds[2 * i + 1], banks[i]};
@@ -286,6 +288,8 @@ Host* pearl_open(
 }
 
 void pearl_close(Host* host) { delete host; }
+
+uint64_t pearl_clock(const Host* host) { return host->clock; }
 
 int pearl_write(Host* host, uint64_t begin, const uint8_t* data, uint64_t length) {
     host->enter();
