@@ -130,6 +130,8 @@ class StatusError(IntFlag):
     """The same of any other write."""
     TORN_READ = 4
     """A result was read while a step was running. Cleared by reading the first word of results after it."""
+    RESET = 8
+    """Nothing has been written to the control region since the hardware was reset: it holds no batch."""
 
 
 @dataclass(frozen=True, slots=True)
