@@ -120,6 +120,7 @@ def step(
             any_ended |= flag_words[i]
         if any_ended and not next_step:
             F = final$BLOCK_ROWS
+            # Listed, since most often few ended; but no further than their number matters.
             count = 0
             for w in range(flag_words.size):
                 if flag_words[w]:
@@ -134,9 +135,56 @@ def step(
 @kernel
 def deliver($words, observations):
     """Turn words of observations into the observations themselves."""
-    observed = $OBSERVED
+    O = $OBSERVED
     for i in range(len(words_0)):
         $deliver
+
+
+@kernel
+def results(
+    $words, code_words, ter_words, stored, table, observations, rewards, terminations, truncations,
+    final_observations, seed_0, seed_1, tick, first_slot, next_step, use_stored, n, lo, hi,
+):
+    """Turn a step's words into its results, as `step` has them."""
+    $views_of_stored
+    observed = $OBSERVED
+    final = $FINAL
+    terminated_ = terminations.view(np.uint8)
+    truncated_ = truncations.view(np.uint8)
+    flag = np.zeros($BLOCK, np.uint8)  # not 0 where an episode ended; beyond the last slot 0
+    flag_words = flag.view(np.uint64)
+    $reset_keys_now
+    $reward_names
+    for b in range(lo, hi, $BLOCK):
+        m = min($BLOCK, hi - b)
+        slot_0 = first_slot + b
+        $block_words
+        ter = ter_words[b : b + m]
+        code = code_words[b : b + m]
+        R = rewards[b : b + m]
+        T = terminated_[b : b + m]
+        U = truncated_[b : b + m]
+        O = observed$BLOCK_ROWS
+        F = final$BLOCK_ROWS
+        for i in range(m):
+            $deliver_block
+        $rewards
+        if m < $BLOCK:
+            flag[m:] = 0
+        for i in range(m):
+            T[i] = ter[i] & np.uint8(1)
+            U[i] = ter[i] >> np.uint8(1)
+            flag[i] = ter[i]
+        if next_step:
+            continue
+        # Few slots end in most steps: eight that did not are one comparison.
+        for w in range(flag_words.size):
+            if flag_words[w]:
+                for i in range(8 * w, 8 * w + 8):
+                    if flag[i]:
+                        $copy_one
+                        $start_one
+                        $observe_one
 
 
 @kernel
@@ -215,41 +263,42 @@ def kernel_source(spec: EnvSpec) -> str:
         # A constant stride: LLVM does not vectorise over one that it only knows at run time.
         return f"{array}[{f'{size} * i + {k}' if size > 1 else 'i'}]"
 
-    def deliver(target: str, word: str) -> list[str]:
+    def deliver(word: str) -> list[str]:
         if spec.unpack is not None:
             words = (f"np.{f.dtype}({word.format(k)})" for k, f in enumerate(spec.observation))
-            return [f"unpack({', '.join(words)}, {target}[i])"]
+            return [f"unpack({', '.join(words)}, O[i])"]
         dtype = spec.observation_dtype
         lines = []
         for k, f in enumerate(spec.observation):
             scale = f" * np.{dtype}({2.0**-f.fraction!r})" if f.fraction else ""
             value = f"np.{dtype}(np.{f.dtype}({word.format(k)})){scale}"
-            lines.append(f"{element(target, k)} = {value}")
+            lines.append(f"{element('O', k)} = {value}")
         return lines
 
-    observe_slot = [f"{_list('o{}', observed)} = observe({state})", *deliver("O", "o{}")]
+    observe_slot = [f"{_list('o{}', observed)} = observe({state})", *deliver("o{}")]
     observe = ["for i in range(m):", *_indented(observe_slot)]
-    copy = [f"{element('F', k)} = {element('O', k)}" for k in observed]
+    # For one slot, of those that ended.
+    observe_one = [f"{_list('o{}', observed)} = observe({new_state})", *deliver("o{}")]
+    copy_one = [f"{element('F', k)} = {element('O', k)}" for k in observed]
     if spec.unpack is not None:
-        copy = ["F[i, :] = O[i, :]"]
-    start_slot = [
+        copy_one = ["F[i, :] = O[i, :]"]
+    start_one = [
         "if use_stored:",
-        *(f"    S{k}[i] = stored_{k}[b + i]" for k in fields),
+        *(f"    s{k} = stored_{k}[b + i]" for k in fields),
         "else:",
         *(f"    d{d} = draw(u32(slot_0 + i), key_a{d}, key_b{d})" for d in reset_draws),
         f"    {new_state} = initial({_list('d{}', reset_draws)})",
-        *(f"    S{k}[i] = np.{spec.state[k].dtype}(s{k})" for k in fields),
-        "E[i] = np.uint32(0)",
     ]
-    restart = [
-        "for j in range(count):",
-        *_indented(["i = np.int64(ended_slots[j])", *copy, *start_slot, *observe_slot]),
-    ]
+    store_one = [*(f"S{k}[i] = np.{f.dtype}(s{k})" for k, f in enumerate(spec.state)), "E[i] = np.uint32(0)"]
+    each = ["i = np.int64(ended_slots[j])", *copy_one, *start_one, *store_one, *observe_one]
+    restart = ["for j in range(count):", *_indented(each)]
     few = block + 1
     if spec.unpack is None:
+        # From about so many on (less if a start takes draws) SIMD code for all slots is faster. Not with large
+        # observations, of which all would be made anew.
         few = block // (4 + 3 * spec.reset_draws)
         clear = ["for i in range(m):", "    E[i] = np.uint32(0) if flag[i] else E[i]"]
-        at_once = ["for i in range(m):", *_indented(copy), *start_over, *clear, *observe]
+        at_once = ["for i in range(m):", *_indented(copy_one), *start_over, *clear, *observe]
         restart = [f"if count < {few}:", *_indented(restart), "else:", *_indented(at_once)]
 
     categories = 0 if spec.rewards is None else 1 << spec.reward.bits
@@ -275,6 +324,7 @@ def kernel_source(spec: EnvSpec) -> str:
     block_rows = f"[{size} * b : {size} * (b + m)]" if spec.unpack is None and size > 1 else "[b : b + m]"
     parts = {
         "views": [*views, *(f"stored_{k} = stored{span(columns[k])}" for k in fields)],
+        "views_of_stored": [views[0], *(f"stored_{k} = stored{span(columns[k])}" for k in fields)],
         "views_of_state": views[: 1 + len(spec.state)],
         "block_views_of_state": state_views,
         "block_views": [
@@ -299,7 +349,12 @@ def kernel_source(spec: EnvSpec) -> str:
         "observe": observe,
         "rewards": ["for i in range(m):", *(f"    {line}" for line in reward)],
         "restart": restart,
-        "deliver": deliver("observed", "words_{}[i]"),
+        "copy_one": copy_one,
+        "start_one": start_one,
+        "observe_one": observe_one,
+        "block_words": [f"W{k} = words_{k}[b : b + m]" for k in observed],
+        "deliver": deliver("words_{}[i]"),
+        "deliver_block": deliver("W{}[i]"),
     }
     words = {
         "NAME": spec.name,

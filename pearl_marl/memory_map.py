@@ -130,6 +130,8 @@ class StatusError(IntFlag):
     """The same of any other write."""
     TORN_READ = 4
     """A result was read while a step was running. Cleared by reading the first word of results after it."""
+    RESET = 8
+    """Nothing has been written to the control region since the hardware was reset: it holds no batch."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -278,9 +280,9 @@ def default_map(
     """Lay out the Comm-BRAM, with sizes chosen where none are given.
 
     Processing elements are the smallest power of two that takes the slots in :data:`DEFAULT_GROUPS`
-    groups; but no more than the widest word can feed or drain in a cycle, no more than
-    :data:`MAX_DEFAULT_PE_NUM`, nor than take :data:`MAX_DEFAULT_DRAWS` random draws a cycle. The word is the
-    narrowest that keeps up with a group of slots a cycle, or the widest there is.
+    groups; but no more than the word (the widest there is, if none is given) can feed or drain in a cycle,
+    no more than :data:`MAX_DEFAULT_PE_NUM`, nor than take :data:`MAX_DEFAULT_DRAWS` random draws a cycle. The
+    word is the narrowest that keeps up with a group of slots a cycle, or the widest there is.
 
     What else a core takes is not known here: of one with many multipliers fewer may fit a part.
     """
@@ -288,7 +290,8 @@ def default_map(
     widest = max(spec.action.bits, word_bits(spec.observation), spec.reward.bits, TER_BITS)
     draws = spec.reset_draws + spec.step_draws
     if pe_num is None:
-        most = min(MAX_DEFAULT_PE_NUM, DATA_WIDTHS[-1] // widest, MAX_DEFAULT_DRAWS // max(1, draws))
+        fed = (data_wl or DATA_WIDTHS[-1]) // widest
+        most = min(MAX_DEFAULT_PE_NUM, fed, MAX_DEFAULT_DRAWS // max(1, draws))
         least = -(-n_envs // DEFAULT_GROUPS)
         pe_num = min(1 << (max(1, most).bit_length() - 1), 1 << (least - 1).bit_length())
     if data_wl is None:
