@@ -42,6 +42,9 @@ module pearl_port
   // What the pipeline does not use, so that it can be read at any time.
   localparam logic [NumRegions-1:0] SHARED = READ_ONLY | NumRegions'(1 << Control | 1 << Doorbell);
 
+  // One more than an address has: the last region may end where the address space does.
+  localparam int unsigned BOUND_BITS = WORD_ADDR_BITS + 1;
+
   logic req_q, write_q;
   logic [WORD_ADDR_BITS-1:0] addr_q, base;
   logic [DATA_WL-1:0] wdata_q;
@@ -63,7 +66,8 @@ module pearl_port
   always_comb begin
     base = '0;
     for (int unsigned i = 0; i < NumRegions; i++) begin
-      hit[i] = 33'(addr_q) >= 33'(OFFSETS[i]) && 33'(addr_q) < 33'(OFFSETS[i+1]);
+      hit[i] = BOUND_BITS'(addr_q) >= BOUND_BITS'(OFFSETS[i]) &&
+          BOUND_BITS'(addr_q) < BOUND_BITS'(OFFSETS[i+1]);
       if (hit[i]) base = WORD_ADDR_BITS'(OFFSETS[i]);
     end
   end

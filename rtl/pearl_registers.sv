@@ -45,8 +45,6 @@ module pearl_registers
     input logic        untorn_i
 );
 
-  localparam int unsigned DOORBELL_WORDS = 2;
-  localparam int unsigned STATUS_WORDS = 3;
   localparam int unsigned CONTROL_BITS = ceil_div(CONTROL_WORDS * 32, DATA_WL) * DATA_WL;
   localparam int unsigned DOORBELL_BITS = ceil_div(DOORBELL_WORDS * 32, DATA_WL) * DATA_WL;
   localparam int unsigned STATUS_BITS = ceil_div(STATUS_WORDS * 32, DATA_WL) * DATA_WL;
