@@ -183,7 +183,7 @@ module pearl_backbone
   ) u_registers (
       .clk_i,
       .rst_ni,
-      .index_i        (host_index[index_bits(ceil_div(CONTROL_WORDS*32, DATA_WL))-1:0]),
+      .index_i        (host_index[index_bits(stream_words(CONTROL_WORDS, 32, DATA_WL))-1:0]),
       .control_we_i   (host_we[Control]),
       .doorbell_we_i  (host_we[Doorbell]),
       .wdata_i        (host_wdata),
@@ -346,7 +346,7 @@ module pearl_backbone
       .STAGES(FETCH - 1)
   ) u_to_read (
       .clk_i,
-      .d_i({issue, issue_last, issue_group}),
+      .d_i(group_t'{valid: issue, last: issue_last, group: issue_group}),
       .d_o(at_read)
   );
   pearl_delay #(

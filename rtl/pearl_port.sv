@@ -31,8 +31,10 @@ module pearl_port
     // In the cycle after re_o.
     input  logic [    NumRegions-1:0][DATA_WL-1:0] rdata_i,
 
+    // A write, or a doorbell, is refused because a step is running.
     output logic busy_write_o,
     output logic busy_doorbell_o,
+    // A result is read during a step; the first word of results is read outside of one.
     output logic torn_o,
     output logic untorn_o
 );
