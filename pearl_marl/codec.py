@@ -42,12 +42,14 @@ def pack(values: npt.NDArray[Any], bits: int, stream: Stream, stride: int, offse
         First bit of the value within its stride.
     """
     _check(len(values), bits, stream, stride, offset)
-    if bits == stride and bits in (1, 2, 4):
-        _narrow_kernels(bits)[0](values.astype(np.uint8, copy=False), stream)
-    elif bits == stride and bits in (8, 16, 32, 64):
-        stream[: len(values) * bits // 8] = np.ascontiguousarray(values, f"<u{bits // 8}").view(np.uint8)
-    else:
-        _pack_any(values, bits, stream.view(np.uint64), stride, offset)
+    done = _fast_part(len(values), bits, stride)
+    if done:
+        _narrow_kernels(bits)[0](np.asarray(values[:done], np.uint16 if bits > 8 else np.uint8), stream)
+    if bits in (8, 16, 32, 64) and stride % bits == 0 and offset % bits == 0:
+        _places(stream, f"<u{bits // 8}", stride, offset)[: len(values)] = values
+    elif done < len(values):
+        words = stream.view(np.uint64)[done * stride // 64 :]
+        _pack_any(values[done:], bits, words, stride, offset)
 
 
 def unpack(stream: Stream, bits: int, out: npt.NDArray[Any], stride: int, offset: int = 0) -> None:
@@ -57,12 +59,14 @@ def unpack(stream: Stream, bits: int, out: npt.NDArray[Any], stride: int, offset
     """
     _check(len(out), bits, stream, stride, offset)
     signed = out.dtype.kind == "i"
-    if bits == stride and bits in (1, 2, 4) and not signed:
-        _narrow_kernels(bits)[1](stream, out)
-    elif bits == stride and bits in (8, 16, 32, 64):
-        out[:] = stream[: len(out) * bits // 8].view(f"<{out.dtype.kind}{bits // 8}")
-    else:
-        _unpack_any(stream.view(np.uint64), bits, out, stride, offset, signed)
+    done = 0 if signed else _fast_part(len(out), bits, stride)
+    if done:
+        _narrow_kernels(bits)[1](stream, out[:done])
+    if bits in (8, 16, 32, 64) and stride % bits == 0 and offset % bits == 0:
+        out[:] = _places(stream, f"<{out.dtype.kind}{bits // 8}", stride, offset)[: len(out)]
+    elif done < len(out):
+        words = stream.view(np.uint64)[done * stride // 64 :]
+        _unpack_any(words, bits, out[done:], stride, offset, signed)
 
 
 def _check(count: int, bits: int, stream: Stream, stride: int, offset: int) -> None:
@@ -72,35 +76,53 @@ def _check(count: int, bits: int, stream: Stream, stride: int, offset: int) -> N
         raise ValueError(f"a stream of {len(stream)} bytes does not hold {count} strides of {stride} bits")
 
 
+def _places(stream: Stream, dtype: str, stride: int, offset: int) -> npt.NDArray[Any]:
+    """Return the stream's places as an array, where each is a whole number of bytes."""
+    bits = 8 * np.dtype(dtype).itemsize
+    return stream.view(dtype)[offset // bits :: stride // bits]
+
+
+NARROW_BITS = 15
+"""Up to this width, values without gaps have kernels of their own,"""
+
+MANY = 512
+"""from so many values on: a kernel takes half a second to compile, once."""
+
+
+def _fast_part(count: int, bits: int, stride: int) -> int:
+    """Return how many of the values go through :func:`_narrow_kernels`: whole 64-bit words of them."""
+    return count // 64 * 64 if count >= MANY and bits == stride != 8 and bits <= NARROW_BITS else 0
+
+
 @functools.cache
 def _narrow_kernels(bits: int) -> tuple[Callable[..., None], Callable[..., None]]:
-    # A constant width lets LLVM unroll the inner loop and turn the outer one into SIMD code, so
-    # there is one pair of kernels for each of 1, 2 and 4 bits.
-    per_byte = 8 // bits
-    mask = np.uint8((1 << bits) - 1)
+    # Eight values are `bits` bytes. As that is a constant, LLVM unrolls the inner loops, drops every
+    # `if` in them, and turns the outer one into SIMD code: fifteen times as fast as _unpack_any.
+    mask = np.uint32((1 << bits) - 1)
 
     @compiled
     def pack_narrow(values: Any, stream: Any) -> None:
-        whole = len(values) // per_byte
-        for i in range(whole):
-            byte = np.uint8(0)
-            for j in range(per_byte):
-                byte |= np.uint8(np.uint8(values[i * per_byte + j] & mask) << np.uint8(j * bits))
-            stream[i] = byte
-        for i in range(whole * per_byte, len(values)):
-            shift = np.uint8((i % per_byte) * bits)
-            kept = np.uint8(stream[whole] & np.uint8(~np.uint8(mask << shift)))
-            stream[whole] = np.uint8(kept | np.uint8(np.uint8(values[i] & mask) << shift))
+        for i in range(len(values) // 8):
+            for k in range(bits):
+                byte = np.uint32(0)
+                for j in range(8):
+                    shift = j * bits - k * 8
+                    if -bits < shift < 8:
+                        value = np.uint32(values[i * 8 + j]) & mask
+                        byte |= value << np.uint32(shift) if shift >= 0 else value >> np.uint32(-shift)
+                stream[i * bits + k] = np.uint8(byte)
 
     @compiled
     def unpack_narrow(stream: Any, out: Any) -> None:
-        whole = len(out) // per_byte
-        for i in range(whole):
-            byte = stream[i]
-            for j in range(per_byte):
-                out[i * per_byte + j] = np.uint8(byte >> np.uint8(j * bits)) & mask
-        for i in range(whole * per_byte, len(out)):
-            out[i] = np.uint8(stream[whole] >> np.uint8((i % per_byte) * bits)) & mask
+        for i in range(len(out) // 8):
+            for j in range(8):
+                k, shift = j * bits >> 3, j * bits & 7
+                value = np.uint32(stream[i * bits + k]) >> np.uint32(shift)
+                if shift + bits > 8:
+                    value |= np.uint32(stream[i * bits + k + 1]) << np.uint32(8 - shift)
+                if shift + bits > 16:
+                    value |= np.uint32(stream[i * bits + k + 2]) << np.uint32(16 - shift)
+                out[i * 8 + j] = value & mask
 
     return pack_narrow, unpack_narrow
 

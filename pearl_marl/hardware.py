@@ -5,10 +5,15 @@ Simulation, synthesis and lint all elaborate the same design from the same three
 
 from __future__ import annotations
 
+import ast
 import inspect
+import operator
+import re
 import zlib
+from collections.abc import Callable, Mapping
 from importlib import resources
 from pathlib import Path
+from typing import NamedTuple
 
 from pearl_marl.errors import DeviceError
 from pearl_marl.memory_map import MemoryMap
@@ -72,6 +77,66 @@ def _literal(value: int) -> str:
     if -(1 << 31) <= value < 1 << 31:
         return str(value)
     return f"{max(32, 1 << (value.bit_length() - 1).bit_length())}'d{value}"
+
+
+class Timing(NamedTuple):
+    """When a core answers, in clock cycles."""
+
+    latency: int
+    """From an input to its result: ``LATENCY`` of the core's package."""
+    interval: int
+    """From one input to the next: ``II``."""
+
+
+def core_timing(spec: EnvSpec) -> Timing:
+    """Return when a core answers, as its package states it.
+
+    Raises
+    ------
+    DeviceError
+        There is no core, or its package does not state both in numbers and constants of packages.
+    """
+    core = core_path(spec)
+    folder = backbone_paths()[0].parent
+    constants: dict[str, str] = {}
+    for path in (*(folder / f"{name}.sv" for name in _PACKAGES_OF_CORES), core):
+        package = path.read_text().partition("endpackage")[0]
+        constants |= re.findall(r"localparam\s+int\s+unsigned\s+(\w+)\s*=\s*([^;]+);", package)
+    try:
+        return Timing(*(_constant(name, constants) for name in ("LATENCY", "II")))
+    except (KeyError, TypeError, RecursionError) as error:
+        raise DeviceError(
+            f"{core} does not state LATENCY and II as `localparam int unsigned`, in whole numbers and "
+            f"constants of packages: {error}"
+        ) from None
+
+
+_OPERATORS: dict[type[ast.operator], Callable[[int, int], int]] = {
+    ast.Add: operator.add,
+    ast.Sub: operator.sub,
+    ast.Mult: operator.mul,
+    ast.Div: operator.floordiv,
+}
+
+
+def _constant(name: str, constants: Mapping[str, str]) -> int:
+    """Return the value of a constant; its expression is one that Python writes in the same way."""
+
+    def value(node: ast.expr) -> int:
+        match node:
+            case ast.Constant(int(number)):
+                return number
+            case ast.Name(other):
+                return _constant(other, constants)
+            case ast.BinOp(left, sign, right) if type(sign) in _OPERATORS:
+                return _OPERATORS[type(sign)](value(left), value(right))
+        raise TypeError(f"{name} = {constants[name]}")
+
+    try:
+        tree = ast.parse(re.sub(r"\w+::", "", constants[name]).strip(), mode="eval")
+    except SyntaxError:
+        raise TypeError(f"{name} = {constants[name]}") from None
+    return value(tree.body)
 
 
 def env_hash(spec: EnvSpec) -> int:

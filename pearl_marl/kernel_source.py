@@ -130,9 +130,56 @@ def step(
 @kernel
 def deliver($words, observations):
     """Turn words of observations into the observations themselves."""
-    observed = $OBSERVED
+    O = $OBSERVED
     for i in range(len(words_0)):
         $deliver
+
+
+@kernel
+def results(
+    $words, code_words, ter_words, stored, table, observations, rewards, terminations, truncations,
+    final_observations, seed_0, seed_1, tick, first_slot, next_step, use_stored, n, lo, hi,
+):
+    """Turn a step's words into its results, as `step` has them."""
+    $views_of_stored
+    observed = $OBSERVED
+    final = $FINAL
+    terminated_ = terminations.view(np.uint8)
+    truncated_ = truncations.view(np.uint8)
+    flag = np.zeros($BLOCK, np.uint8)  # not 0 where an episode ended; beyond the last slot 0
+    flag_words = flag.view(np.uint64)
+    $reset_keys_now
+    $reward_names
+    for b in range(lo, hi, $BLOCK):
+        m = min($BLOCK, hi - b)
+        slot_0 = first_slot + b
+        $block_words
+        ter = ter_words[b : b + m]
+        code = code_words[b : b + m]
+        R = rewards[b : b + m]
+        T = terminated_[b : b + m]
+        U = truncated_[b : b + m]
+        O = observed$BLOCK_ROWS
+        F = final$BLOCK_ROWS
+        for i in range(m):
+            $deliver_block
+        $rewards
+        if m < $BLOCK:
+            flag[m:] = 0
+        for i in range(m):
+            T[i] = ter[i] & np.uint8(1)
+            U[i] = ter[i] >> np.uint8(1)
+            flag[i] = ter[i]
+        if next_step:
+            continue
+        # Few slots end in most steps: eight that did not are one comparison.
+        for w in range(flag_words.size):
+            if flag_words[w]:
+                for i in range(8 * w, 8 * w + 8):
+                    if flag[i]:
+                        $copy_one
+                        $start_one
+                        $observe_one
 
 
 @kernel
@@ -211,25 +258,27 @@ def kernel_source(spec: EnvSpec) -> str:
         # A constant stride: LLVM does not vectorise over one that it only knows at run time.
         return f"{array}[{f'{size} * i + {k}' if size > 1 else 'i'}]"
 
-    def deliver(target: str, word: str) -> list[str]:
+    def deliver(word: str) -> list[str]:
         if spec.unpack is not None:
             words = (f"np.{f.dtype}({word.format(k)})" for k, f in enumerate(spec.observation))
-            return [f"unpack({', '.join(words)}, {target}[i])"]
+            return [f"unpack({', '.join(words)}, O[i])"]
         dtype = spec.observation_dtype
         lines = []
         for k, f in enumerate(spec.observation):
             scale = f" * np.{dtype}({2.0**-f.fraction!r})" if f.fraction else ""
             value = f"np.{dtype}(np.{f.dtype}({word.format(k)})){scale}"
-            lines.append(f"{element(target, k)} = {value}")
+            lines.append(f"{element('O', k)} = {value}")
         return lines
 
-    observe_slot = [f"{_list('o{}', observed)} = observe({state})", *deliver("O", "o{}")]
+    observe_slot = [f"{_list('o{}', observed)} = observe({state})", *deliver("o{}")]
     observe = ["for i in range(m):", *_indented(observe_slot)]
-    copy = [f"{element('F', k)} = {element('O', k)}" for k in observed]
+    observe_one = [f"{_list('o{}', observed)} = observe({new_state})", *deliver("o{}")]
+    copy = copy_one = [f"{element('F', k)} = {element('O', k)}" for k in observed]
     observe_ended = observe
     if spec.unpack is not None:
         # Observations so large that those of the other slots cost more than a branch.
-        copy = ["if flag[i]:", "    F[i, :] = O[i, :]"]
+        copy_one = ["F[i, :] = O[i, :]"]
+        copy = ["if flag[i]:", *_indented(copy_one)]
         observe_ended = ["for i in range(m):", "    if flag[i]:", *_indented(_indented(observe_slot))]
 
     categories = 0 if spec.rewards is None else 1 << spec.reward.bits
@@ -255,6 +304,7 @@ def kernel_source(spec: EnvSpec) -> str:
     block_rows = f"[{size} * b : {size} * (b + m)]" if spec.unpack is None and size > 1 else "[b : b + m]"
     parts = {
         "views": [*views, *(f"stored_{k} = stored{span(columns[k])}" for k in fields)],
+        "views_of_stored": [views[0], *(f"stored_{k} = stored{span(columns[k])}" for k in fields)],
         "views_of_state": views[: 1 + len(spec.state)],
         "block_views_of_state": state_views,
         "block_views": [
@@ -279,7 +329,18 @@ def kernel_source(spec: EnvSpec) -> str:
         "observe": observe,
         "rewards": ["for i in range(m):", *(f"    {line}" for line in reward)],
         "observe_ended": observe_ended,
-        "deliver": deliver("observed", "words_{}[i]"),
+        "observe_one": observe_one,
+        "copy_one": copy_one,
+        "start_one": [
+            "if use_stored:",
+            *(f"    s{k} = stored_{k}[b + i]" for k in fields),
+            "else:",
+            *(f"    draw_{d} = draw(u32(slot_0 + i), key_a{d}, key_b{d})" for d in reset_draws),
+            f"    {new_state} = initial({_list('draw_{}', reset_draws)})",
+        ],
+        "block_words": [f"W{k} = words_{k}[b : b + m]" for k in observed],
+        "deliver": deliver("words_{}[i]"),
+        "deliver_block": deliver("W{}[i]"),
         "copy_observation": copy,
     }
     words = {

@@ -43,6 +43,10 @@ class Kernels(NamedTuple):
         steps that range. ``final_observations`` are written for a block in which a slot ended.
     ``deliver(*words, observations)``
         turns the words of observations, an array a field, into the observations themselves.
+    ``results(*words, code_words, ter_words, stored, table, observations, rewards, terminations, truncations,
+    final_observations, seed_0, seed_1, tick, first_slot, next_step, use_stored, n, lo, hi)``
+        does so with all the words of a step: of observations, rewards and ends. Unless ``next_step``,
+        a slot that ended gets the first observation of its next episode, which begins at ``tick``.
     ``advance(memory, actions, table, rewards, terminations, n, lo, hi)``
         does the golden step and the rewards alone, for benchmarks.
 
@@ -53,6 +57,7 @@ class Kernels(NamedTuple):
     reset: Callable[..., None]
     step: Callable[..., None]
     deliver: Callable[..., None]
+    results: Callable[..., None]
     advance: Callable[..., None]
     path: Path
 
@@ -107,7 +112,7 @@ def _load(name: str, source: str, functions: dict[str, GoldenFunction]) -> Kerne
         **{called: _compiled(function, compiled) for called, function in functions.items()},
     )
     exec(compile(source, str(path), "exec"), vars(module))
-    return Kernels(module.reset, module.step, module.deliver, module.advance, path)
+    return Kernels(module.reset, module.step, module.deliver, module.results, module.advance, path)
 
 
 def _compiled(function: Any, done: dict[types.FunctionType, Any]) -> Any:

@@ -130,6 +130,8 @@ class StatusError(IntFlag):
     """The same of any other write of whole words; a part of one is refused in its answer alone."""
     TORN_READ = 4
     """A result was read while a step was running. Cleared by reading the first word of results after it."""
+    RESET = 8
+    """Nothing has been written to the control region since the hardware was reset: it holds no batch."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -263,6 +265,10 @@ MAX_DEFAULT_PE_NUM = 128
 """More processing elements take fewer cycles, but each cycle takes longer to simulate, and the model
 longer to compile: 43,008 slots of CliffWalking step fastest with 128, 7 % slower with 64, 40 % with 256."""
 
+MAX_DEFAULT_DRAWS = 128
+"""A random draw is two multipliers, and what a core makes of it is hardware, too. So cores that draw often
+are fewer: 32 of Blackjack, with three draws each. 64 take minutes to compile, and step no faster."""
+
 DEFAULT_GROUPS = 16
 """With this many groups, a step's constant dozen of cycles no longer matters; so few slots make do
 with a small model, which compiles quickly."""
@@ -274,16 +280,20 @@ def default_map(
     """Lay out the Comm-BRAM, with sizes chosen where none are given.
 
     Processing elements are the smallest power of two that takes the slots in :data:`DEFAULT_GROUPS`
-    groups; but no more than the widest word can feed or drain in a cycle, and no more than
-    :data:`MAX_DEFAULT_PE_NUM`. The word is the narrowest that keeps up with a group of slots a cycle,
-    or the widest there is.
+    groups; but no more than the word (the widest there is, if none is given) can feed or drain in a cycle,
+    no more than :data:`MAX_DEFAULT_PE_NUM`, nor than take :data:`MAX_DEFAULT_DRAWS` random draws a cycle. The
+    word is the narrowest that keeps up with a group of slots a cycle, or the widest there is.
+
+    What else a core takes is not known here: of one with many multipliers fewer may fit a part.
     """
-    # Observations, rewards and terminations have a bank each, so the widest stream sets the pace.
-    widest = max(spec.action.bits, word_bits(spec.observation), spec.reward.bits)
+    # Every stream has a bank of its own, so the widest sets the pace.
+    widest = max(spec.action.bits, word_bits(spec.observation), spec.reward.bits, TER_BITS)
+    draws = spec.reset_draws + spec.step_draws
     if pe_num is None:
+        fed = (data_wl or DATA_WIDTHS[-1]) // widest
+        most = min(MAX_DEFAULT_PE_NUM, fed, MAX_DEFAULT_DRAWS // max(1, draws))
         least = -(-n_envs // DEFAULT_GROUPS)
-        fed = max(1, DATA_WIDTHS[-1] // widest)
-        pe_num = min(MAX_DEFAULT_PE_NUM, 1 << (fed.bit_length() - 1), 1 << (least - 1).bit_length())
+        pe_num = min(1 << (max(1, most).bit_length() - 1), 1 << (least - 1).bit_length())
     if data_wl is None:
         data_wl = next((width for width in DATA_WIDTHS if width >= pe_num * widest), DATA_WIDTHS[-1])
     return memory_map(spec, n_envs, pe_num, data_wl)

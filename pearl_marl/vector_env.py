@@ -69,6 +69,16 @@ class PearlVectorEnv(VectorInterface):
         """Wait for the step that :meth:`send` started and return what :meth:`step` would have."""
         return self._shown(self.device.recv())
 
+    def recover(self) -> None:
+        """Go on where the last call that succeeded left every sub-environment, after a DeviceError.
+
+        Raises
+        ------
+        DeviceError
+            The device is still not available; call again when it is.
+        """
+        self.device.recover()
+
     def _reset_slots(self, mask: npt.NDArray[np.bool_]) -> Array:
         return self.device.reset(mask=mask)
 

@@ -46,6 +46,7 @@ package pearl_pkg;
 
   // The status's error word, least significant bit last.
   typedef struct packed {
+    logic reset;          // no word of the control region has been written since the hardware's reset
     logic torn_read;      // a result was read during a step, and the first result not since
     logic busy_write;     // a write came during a step and was refused
     logic busy_doorbell;  // a doorbell came during a step and was refused

@@ -105,7 +105,7 @@ module pearl_registers
       rung_q      <= '0;
       finished_q  <= '0;
       cycles_q    <= '0;
-      error_q     <= '0;
+      error_q     <= '{reset: 1'b1, default: 1'b0};
     end else begin
       if (doorbell_we[0]) mode_word_q <= word_of(0, wdata_i);
       if (doorbell_we[1]) sequence_q <= word_of(1, wdata_i);
@@ -114,6 +114,7 @@ module pearl_registers
         error_q.busy_write <= 1'b0;
         error_q.busy_doorbell <= 1'b0;
       end
+      if (control_we_i) error_q.reset <= 1'b0;
       if (busy_write_i) error_q.busy_write <= 1'b1;
       if (busy_doorbell_i) error_q.busy_doorbell <= 1'b1;
       if (untorn_i) error_q.torn_read <= 1'b0;

@@ -3,32 +3,15 @@
 from __future__ import annotations
 
 import json
-import sys
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
-from pearl_marl import cli, devices
+from pearl_marl import devices
 from pearl_marl.devices import Native
 
 from .devices.broken import Flips
-
-
-@pytest.fixture
-def pearl(monkeypatch, capsys):
-    """Call the command line in this process; return its exit status, standard output and error."""
-
-    def call(*arguments: Any) -> tuple[int, str, str]:
-        monkeypatch.setattr(sys, "argv", ["pearl", *map(str, arguments)])
-        monkeypatch.setenv("COLUMNS", "200")
-        with pytest.raises(SystemExit) as exit_:
-            cli.main()
-        captured = capsys.readouterr()
-        return int(exit_.value.code or 0), captured.out, captured.err
-
-    return call
 
 
 class Broken(Flips):

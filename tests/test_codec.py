@@ -67,6 +67,18 @@ def layouts(draw: st.DrawFn) -> Layout:
 @example(Layout(4, 4, 0, 33, 1, signed=True))
 @example(Layout(64, 64, 0, 5, 1, signed=True))
 @example(Layout(64, 127, 63, 5, 1))
+# Many narrow values, which have kernels of their own; the last of them have not.
+@example(Layout(1, 1, 0, 1000, 1))
+@example(Layout(2, 2, 0, codec.MANY, 1))
+@example(Layout(3, 3, 0, 1001, 1))
+@example(Layout(6, 6, 0, 999, 1))
+@example(Layout(9, 9, 0, 640, 1))
+@example(Layout(codec.NARROW_BITS, codec.NARROW_BITS, 0, 700, 2))
+@example(Layout(5, 5, 0, 700, 1, signed=True))
+# Places that are whole bytes.
+@example(Layout(8, 24, 16, 9, 1))
+@example(Layout(32, 128, 64, 9, 1, signed=True))
+@example(Layout(16, 48, 8, 9, 1))
 def test_against_one_large_integer(layout: Layout) -> None:
     values = np.array(layout.numbers(), layout.dtype)
     stream = layout.noise()

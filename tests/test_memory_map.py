@@ -2,13 +2,25 @@
 
 from __future__ import annotations
 
+import re
+from pathlib import Path
+
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import pearl_marl
 from pearl_marl.errors import ArgumentError
-from pearl_marl.memory_map import DATA_WIDTHS, Control, Doorbell, MemoryMap, Status, memory_map
+from pearl_marl.memory_map import (
+    DATA_WIDTHS,
+    TER_BITS,
+    Control,
+    Doorbell,
+    MemoryMap,
+    Status,
+    default_map,
+    memory_map,
+)
 from pearl_marl.spec import word_bits
 
 from .toy import DRIFT, LADDER
@@ -94,3 +106,38 @@ def test_a_step_is_one_transfer_each_way(case: tuple[pearl_marl.EnvSpec, MemoryM
 def test_refusals(arguments: tuple[int, int, int], complaint: str) -> None:
     with pytest.raises(ArgumentError, match=complaint):
         memory_map(SPECS[0], *arguments)
+
+
+@settings(max_examples=200, deadline=None, derandomize=True)
+@given(st.sampled_from(SPECS), st.one_of(st.integers(1, 200), st.integers(1, 1 << 20)))
+def test_default_sizes(spec: pearl_marl.EnvSpec, n_envs: int) -> None:
+    """As the page on hardware has the rule: a power of two, and twice of it would break a limit."""
+    layout = default_map(spec, n_envs)
+    draws = spec.reset_draws + spec.step_draws
+    widest = max(spec.action.bits, word_bits(spec.observation), spec.reward.bits, TER_BITS)
+
+    def allowed(pe_num: int) -> bool:
+        return pe_num <= 128 and pe_num * draws <= 128 and pe_num * widest <= 1024
+
+    assert layout.pe_num.bit_count() == 1
+    assert allowed(layout.pe_num) or layout.pe_num == 1
+    assert layout.groups <= 16 or not allowed(2 * layout.pe_num)
+    assert layout.pe_num == 1 or -(-2 * n_envs // layout.pe_num) > 16, "half as many would do"
+    assert layout.data_wl == min(
+        width for width in DATA_WIDTHS if width >= layout.pe_num * widest or width == 1024
+    )
+    assert default_map(spec, n_envs, 1).pe_num == 1
+    assert default_map(spec, n_envs, data_wl=64).data_wl == 64
+
+
+def test_default_sizes_that_the_page_shows() -> None:
+    page = (Path(__file__).parents[1] / "docs" / "hardware.md").read_text()
+    row = re.compile(r"^\| ([A-Z]\w+) \| (\d+) \| (\d+) \| ([\d,]+) \| ([\d,]+) \| ([\d,]+) \|", re.MULTILINE)
+    shown = {name: [int(figure.replace(",", "")) for figure in rest] for name, *rest in row.findall(page)}
+    assert list(shown) == pearl_marl.envs()
+    for name, (latency, pe_num, data_wl, bound, cycles) in shown.items():
+        layout = default_map(pearl_marl.get_spec(name), 43_008)
+        assert (layout.pe_num, layout.data_wl) == (pe_num, data_wl)
+        words = (layout[region].words for region in ("actions", "observations", "rewards", "ters"))
+        assert max(layout.groups, *words) == bound
+        assert bound + latency < cycles <= 1.1 * (bound + latency)

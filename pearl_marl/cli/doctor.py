@@ -7,7 +7,6 @@ import platform
 import shutil
 import sys
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 from rich.markup import escape
@@ -79,8 +78,12 @@ def _compiler() -> Check:
 
 
 def _boards() -> Check:
-    nodes = sorted(str(path) for path in Path("/dev").glob("xdma*_control"))
-    return bool(nodes), ", ".join(nodes) or "no /dev/xdma*", "plug in a board and load the Xilinx XDMA driver"
+    from pearl_marl.devices.discovery import boards, boards_without_driver
+
+    found = [f"board {board.number}: {board.device_id} in slot {board.slot}" for board in boards()]
+    if not found and (slots := boards_without_driver()):
+        return False, f"no driver for slot {', '.join(slots)}", "load the Xilinx XDMA driver: modprobe xdma"
+    return bool(found), "; ".join(found) or "none", "plug in a board, or simulate one: pearl serve --help"
 
 
 _CHECKS: dict[str, Callable[[], Check]] = {

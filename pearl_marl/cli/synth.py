@@ -42,7 +42,7 @@ SomeEnv = Annotated[str | None, typer.Argument(metavar="[ENV]", help="An environ
 Every = Annotated[bool, typer.Option("--all", help="Every environment in turn, at the first size.")]
 PeNum = Annotated[
     int | None,
-    typer.Option("--pe-num", help="Processing elements; by default as many as the words can feed."),
+    typer.Option("--pe-num", help="Processing elements; by default at most what the words can feed."),
 ]
 DataWl = Annotated[
     int | None,

@@ -4,10 +4,16 @@
     The CPU: :class:`Native`.
 ``"rtl"``
     The hardware under Verilator: :class:`Rtl`.
+``"xdma"``
+    A board behind the XDMA driver: :class:`Xdma`. ``"xdma:1"`` is board 1, ``"xdma:DIR"`` the board
+    that ``pearl serve`` simulates in that folder.
+``"serial"``
+    A board at a serial port: :class:`Serial`. ``"serial:/dev/ttyUSB1"`` names the port.
 ``"reference"``
     The golden functions as they stand: :class:`Reference`, slow, for others to be held against.
 
-:class:`Lockstep` steps two of them as one and compares every word.
+:class:`Lockstep` steps two of them as one and compares every word. :class:`Sharded` shares the slots among
+several.
 """
 
 from __future__ import annotations
@@ -18,11 +24,32 @@ from pearl_marl.devices.lockstep import Lockstep
 from pearl_marl.devices.native import Native
 from pearl_marl.devices.reference import Reference
 from pearl_marl.devices.rtl import Rtl
+from pearl_marl.devices.serial import Serial
+from pearl_marl.devices.sharded import Sharded
+from pearl_marl.devices.xdma import Xdma
 from pearl_marl.errors import ArgumentError
 
-__all__ = ["BatchConfig", "BatchStep", "Device", "Lockstep", "Native", "Reference", "Rtl", "make_device"]
+__all__ = [
+    "BatchConfig",
+    "BatchStep",
+    "Device",
+    "Lockstep",
+    "Native",
+    "Reference",
+    "Rtl",
+    "Serial",
+    "Sharded",
+    "Xdma",
+    "make_device",
+]
 
-_BY_NAME: dict[str, type[Device]] = {"native": Native, "reference": Reference, "rtl": Rtl}
+_BY_NAME: dict[str, type[Device]] = {
+    "native": Native,
+    "reference": Reference,
+    "rtl": Rtl,
+    "serial": Serial,
+    "xdma": Xdma,
+}
 
 
 def make_device(device: str | Device) -> Device:
@@ -31,9 +58,15 @@ def make_device(device: str | Device) -> Device:
         return device
     if isinstance(device, type) and issubclass(device, Device):
         raise ArgumentError(f"device is the class {device.__name__}; call it: {device.__name__}()")
-    if not isinstance(device, str) or device not in _BY_NAME:
+    name, colon, board = device.partition(":") if isinstance(device, str) else ("", "", "")
+    if name == Xdma.name and board:
+        return Xdma(int(board) if board.isdecimal() else board)
+    if name == Serial.name and board:
+        return Serial(board)
+    if name not in _BY_NAME or colon:
         raise ArgumentError(
-            f"there is no device {device!r}; possible are {', '.join(map(repr, _BY_NAME))} "
-            "or a device object from pearl_marl.devices"
+            f"there is no device {device!r}; possible are {', '.join(map(repr, _BY_NAME))}, "
+            "'xdma:N' for board N, 'xdma:DIR' for a served one, 'serial:PORT', or a device object from "
+            "pearl_marl.devices"
         )
-    return _BY_NAME[device]()
+    return _BY_NAME[name]()

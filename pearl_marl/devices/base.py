@@ -232,6 +232,19 @@ class Device(ABC):
             self._seed, self._tick, self._table, self._ready = before
             raise
 
+    def recover(self) -> None:
+        """Go on from the last call that succeeded, after one that raised DeviceError.
+
+        The connection is made anew, and the state and every call since are as they were; the call that
+        failed may be made again. A device that cannot fail under way has nothing to do.
+
+        Raises
+        ------
+        DeviceError
+            The device is still not available; call again when it is.
+        """
+        self._check_idle("recover")
+
     def set_max_cycles(self, max_cycles: int | None) -> None:
         """Replace the time limit, from the next step on; see :class:`BatchConfig`.
 
@@ -272,7 +285,8 @@ class Device(ABC):
         if not hasattr(self, "config"):
             return {"settings": self.__dict__}
         saved = self.snapshot() if self._ready else None
-        return {"settings": self._made_with, "config": self.config, "rewards": self._table, "saved": saved}
+        settings = {name: _unopened(value) for name, value in self._made_with.items()}
+        return {"settings": settings, "config": self.config, "rewards": self._table, "saved": saved}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state["settings"])
@@ -306,6 +320,17 @@ class Device(ABC):
     @abstractmethod
     def _close(self) -> None:
         """Release everything; called once."""
+
+
+def _unopened(setting: Any) -> Any:
+    """Return a setting of a device as it was when that was made: other devices in it without a batch."""
+    if isinstance(setting, list):
+        return [_unopened(value) for value in setting]
+    if not isinstance(setting, Device) or not hasattr(setting, "config"):
+        return setting
+    fresh = object.__new__(type(setting))
+    fresh.__dict__.update({name: _unopened(value) for name, value in setting._made_with.items()})
+    return fresh
 
 
 def _checked_seed(seed: Any) -> int:

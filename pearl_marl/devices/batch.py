@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -106,7 +107,7 @@ class BatchConfig:
         object.__setattr__(self, "n_envs", int(n))
         object.__setattr__(self, "first_slot", int(first))
 
-    @property
+    @cached_property
     def limit(self) -> int:
         """The time limit that holds; 0 for none."""
         return int((self.spec.max_cycles if self.max_cycles is None else self.max_cycles) or 0)

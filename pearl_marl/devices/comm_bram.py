@@ -13,6 +13,8 @@ kernel as the native device's, from the seed and the tick.
 
 from __future__ import annotations
 
+import mmap
+import time
 from abc import ABC, abstractmethod
 
 import numpy as np
@@ -43,6 +45,7 @@ from pearl_marl.spec import EnvSpec, Field, word_bits
 _TER = Field("ter", TER_BITS)
 _ELAPSED = Field("elapsed", ELAPSED_BITS)
 _IDENTITY = tuple(word for word in Control if word < Control.SEED_0)
+_UNSET = (0, 0, -1, 0, 0)  # settings with a tick that there is none of
 
 
 class Transport(ABC):
@@ -66,6 +69,9 @@ class Transport(ABC):
         self.wait(sequence)
         self.read(answer_offset, answer)
 
+    def reconnect(self) -> None:  # noqa: B027, as not every connection can fail
+        """Make the connection anew if it has failed."""
+
     @abstractmethod
     def close(self) -> None:
         """Release everything. Called once."""
@@ -81,8 +87,11 @@ class CommBram(Device):
     cycles = 0
     """Clock cycles that the last step took in the hardware, from doorbell to last result."""
 
+    _patience = 10.0
+    """Seconds to wait at a reset for a step that somebody else left under way."""
+
     _sequence: int
-    _known: bool
+    _known = True
     # What the hardware's settings are: seed, tick, first slot, time limit.
     _held: tuple[int, int, int, int, int]
 
@@ -94,8 +103,7 @@ class CommBram(Device):
         spec, n = config.spec, config.n_envs
         self._transport, self._layout = self._connect(config)
         try:
-            check_identity(self.name, self._transport, spec, self._layout)
-            self._synchronise()
+            self._synchronise(spec)
         except BaseException:
             self._transport.close()
             raise
@@ -108,10 +116,8 @@ class CommBram(Device):
             self._mode |= Mode.NEXT_STEP
         if self._repeats:
             self._mode |= Mode.STORED
-        # Scratch for starts of episodes; the stored ones stay in a memory of their own.
-        self._starts = slot_memory.allocate(spec, n)
-        self._stored = slot_memory.allocate(spec, n) if self._repeats else self._starts
-        self._start_obs = np.empty_like(self._results.take().obs)
+        # Where each slot starts, if those starts are stored; the kernels get it in any case.
+        self._stored = slot_memory.allocate(spec, n)
         # What the next step has to start afresh, and in NEXT_STEP mode who spends it resetting.
         self._resets_all = False
         self._mask = np.zeros(n, np.bool_)
@@ -123,8 +129,8 @@ class CommBram(Device):
         self._write_base, self._actions_base = layout["reset_mask"].offset, layout["actions"].offset
         self._read_base, length = layout.step_read
         # The codec works on whole 64-bit words, which may reach over the end of a region.
-        self._written = slot_memory.aligned_bytes(layout.end("doorbell") - self._write_base + 8)
-        self._answer = slot_memory.aligned_bytes(length + 8)
+        self._written = _pages(layout.end("doorbell") - self._write_base + 8)
+        self._answer = _pages(length + 8)
 
         def stream(buffer: Stream, base: int, name: str) -> Stream:
             region = layout[name]
@@ -146,16 +152,25 @@ class CommBram(Device):
 
     def _reset(self, mask: Array | None) -> Array:
         if mask is not None:
+            before = self._mask.copy()
             self._mask |= mask
-        else:
-            self._synchronise()
+            try:
+                return self._slots()[1]
+            except BaseException:
+                self._mask = before
+                raise
+        self._synchronise(self.config.spec)
+        try:
             self._resets_all = True
             self._mask[:] = False
             if self._repeats:
                 every = np.ones(self.config.n_envs, np.bool_)
-                self._start(self._stored, every, self._start_obs, use_stored=False)
+                self._start(self._stored, every, self._results.take().obs, use_stored=False)
                 self._write_states("initial_states", self._stored)
-        return self._slots()[1]
+            return self._slots()[1]
+        except BaseException:
+            self._known = False
+            raise
 
     def _step(self, actions: Array) -> BatchStep:
         self._check_known()
@@ -193,8 +208,7 @@ class CommBram(Device):
             )
         if error:
             raise DeviceError(
-                f"the {self.name} device reports {error.name}: somebody else uses it, or results were "
-                f"read while a step ran; {self._way_on}"
+                f"the {self.name} device reports {error.name or hex(error)}: {_reason(error)}; {self._way_on}"
             )
         self._known = True
         self._sequence = sequence
@@ -202,45 +216,31 @@ class CommBram(Device):
         self.cycles = int(self._status[Status.CYCLES])
 
     def _unpack(self) -> BatchStep:
-        spec, results = self.config.spec, self._results.take()
-        obs, ters = results.obs, self._ters
+        config, results = self.config, self._results.take()
+        spec, n = config.spec, config.n_envs
         offset, stride = 0, word_bits(spec.observation)
         for field, words in zip(spec.observation, self._obs_words, strict=True):
             unpack(self._obs_stream, field.bits, words, stride, offset)
             offset += field.bits
-        self._kernels.deliver(*self._obs_words, obs)
-
         unpack(self._reward_stream, spec.reward.bits, self._reward_words, spec.reward.bits)
-        if spec.rewards is None:
-            # In the arithmetic of the native device's kernel.
-            scale = np.float32(2.0**-spec.reward.fraction)
-            np.multiply(self._reward_words, scale, out=results.rewards, dtype=np.float32, casting="unsafe")
-        else:
-            np.take(self._table, self._reward_words, out=results.rewards, mode="clip")
-
-        unpack(self._ter_stream, TER_BITS, ters, TER_BITS)
-        np.bitwise_and(ters, 1, out=results.terminations.view(np.uint8))
-        np.right_shift(ters, 1, out=results.truncations.view(np.uint8))
-        ended = ters != 0
+        unpack(self._ter_stream, TER_BITS, self._ters, TER_BITS)
+        # The episode that begins in the hardware's next step begins here in this one.
+        self._kernels.results(
+            *self._obs_words, self._reward_words, self._ters, self._stored, self._table, *results,
+            *self._seed, self._tick + 1, config.first_slot, self._next_step, self._repeats, n, 0, n,
+        )  # fmt: skip
         if self._next_step:
             if not self._resets_all:
                 results.rewards[self._resetting & ~self._mask] = 0
-            self._resetting = ended
-        elif (slots := np.flatnonzero(ended)).size:
-            # The episode that begins in the hardware's next step begins here in this one.
-            results.final_obs[slots] = obs[slots]
-            self._start(self._starts, ended, self._start_obs, use_stored=self._repeats, ticks_ahead=1)
-            obs[slots] = self._start_obs[slots]
+            self._resetting = self._ters != 0
         return results
 
-    def _start(
-        self, memory: Array, mask: Array, obs: Array, *, use_stored: bool, ticks_ahead: int = 0
-    ) -> None:
+    def _start(self, memory: Array, mask: Array, obs: Array, *, use_stored: bool) -> None:
         """Begin an episode in the masked slots of ``memory``; observe all of its slots."""
         config = self.config
         n, flags = config.n_envs, mask.view(np.uint8)
         self._kernels.reset(
-            memory, self._stored, flags, obs, *self._seed, self._tick + ticks_ahead, config.first_slot,
+            memory, self._stored, flags, obs, *self._seed, self._tick, config.first_slot,
             use_stored, n, 0, n,
         )  # fmt: skip
 
@@ -275,19 +275,23 @@ class CommBram(Device):
         return self._slots()[0], self._stored if self._repeats else self._stored[:0]
 
     def _write(self, memory: Array, stored: Array) -> Array:
-        self._synchronise()
         spec, n, layout = self.config.spec, self.config.n_envs, self._layout
+        self._synchronise(spec)
         columns = slot_memory.views(spec, n, memory)
-        if stored.size:
-            self._stored[:] = stored
-            self._write_states("initial_states", self._stored)
-        self._write_states("current_states", memory, columns["ended"])
-        elapsed = pack_region(layout, layout["elapsed"], (_ELAPSED,), [columns["elapsed"]])
-        self._transport.write(layout["elapsed"].offset, elapsed)
-        self._resets_all = False
-        self._mask[:] = False
-        self._resetting = columns["ended"] != 0
-        return self._slots()[1]
+        try:
+            if stored.size:
+                self._stored[:] = stored
+                self._write_states("initial_states", self._stored)
+            self._write_states("current_states", memory, columns["ended"])
+            elapsed = pack_region(layout, layout["elapsed"], (_ELAPSED,), [columns["elapsed"]])
+            self._transport.write(layout["elapsed"].offset, elapsed)
+            self._resets_all = False
+            self._mask[:] = False
+            self._resetting = columns["ended"] != 0
+            return self._slots()[1]
+        except BaseException:
+            self._known = False
+            raise
 
     def _write_states(self, name: str, memory: Array, *more: Array) -> None:
         """Write the state columns of ``memory`` to a region, and above them what ``_TER`` is."""
@@ -307,19 +311,34 @@ class CommBram(Device):
         seed_0, seed_1, tick, first_slot, limit = wanted
         # From SEED_0 to MAX_CYCLES, as the control region has them.
         words = np.array([seed_0, seed_1, tick & 0xFFFFFFFF, tick >> 32, first_slot, limit], "<u4")
+        self._held = _UNSET  # should the write fail half way
         self._transport.write(4 * Control.SEED_0, words.view(np.uint8))
         self._held = wanted
 
     def _settings(self, tick: int) -> tuple[int, int, int, int, int]:
         return (*self._seed, tick, self.config.first_slot, self.config.limit)
 
-    def _synchronise(self) -> None:
-        """Take up the hardware's sequence number, and forget what it was set to."""
-        words = np.empty(4 * len(Doorbell), np.uint8)
-        self._transport.read(self._layout["doorbell"].offset, words)
-        self._sequence = int(words.view("<u4")[Doorbell.SEQUENCE])
-        self._held = (0, 0, -1, 0, 0)  # a tick that there is none of
+    def _synchronise(self, spec: EnvSpec) -> None:
+        """Make sure that the hardware is there and idle, and take up its sequence number."""
+        self._known = False
+        self._transport.reconnect()
+        check_identity(self.name, self._transport, spec, self._layout)
+        self._held = _UNSET
+        deadline = time.monotonic() + self._patience
+        while (rung := self._word("doorbell", Doorbell.SEQUENCE)) != self._word("status", Status.SEQUENCE):
+            if time.monotonic() > deadline:
+                raise DeviceError(
+                    f"the {self.name} device has been busy with step {rung} for {self._patience:g} s; "
+                    "end other programs that use it, or reset the hardware, and try again"
+                )
+            time.sleep(1e-3)
+        self._sequence = rung
         self._known = True
+
+    def _word(self, region: str, index: int) -> int:
+        word = np.empty(4, np.uint8)
+        self._transport.read(self._layout[region].offset + 4 * index, word)
+        return int(word.view("<u4")[0])
 
     _way_on = "call reset(), or load a saved state, to go on"
 
@@ -331,15 +350,22 @@ class CommBram(Device):
         self._transport.close()
 
 
-def check_identity(name: str, transport: Transport, spec: EnvSpec, layout: MemoryMap) -> None:
-    """Refuse hardware that is not what a batch needs.
+def _reason(error: StatusError) -> str:
+    if error & StatusError.RESET:
+        return "it was reset since the last call, and has lost the batch"
+    if error & StatusError.TORN_READ:
+        return "results were read while a step ran"
+    return "something else wrote to it while a step ran"
 
-    Raises
-    ------
-    DeviceError
-        Names the first word that differs, and both values.
-    """
-    expected = (
+
+def _pages(size: int) -> Stream:
+    """Return zeroed bytes in memory pages of their own, as direct memory access likes them."""
+    return np.frombuffer(mmap.mmap(-1, size, mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS), np.uint8)
+
+
+def identity(spec: EnvSpec, layout: MemoryMap) -> tuple[int, ...]:
+    """Return what the hardware of a batch has in the read-only words of its control region."""
+    return (
         MAGIC,
         PROTOCOL_VERSION,
         hardware.env_hash(spec),
@@ -349,6 +375,17 @@ def check_identity(name: str, transport: Transport, spec: EnvSpec, layout: Memor
         word_bits(spec.state),
         word_bits(spec.observation) + spec.reward.bits + TER_BITS,
     )
+
+
+def check_identity(name: str, transport: Transport, spec: EnvSpec, layout: MemoryMap) -> None:
+    """Refuse hardware that is not what a batch needs.
+
+    Raises
+    ------
+    DeviceError
+        Names the first word that differs, and both values.
+    """
+    expected = identity(spec, layout)
     found = np.empty(4 * len(_IDENTITY), np.uint8)
     transport.read(layout["control"].offset, found)
     for word, mine, theirs in zip(_IDENTITY, expected, found.view("<u4").tolist(), strict=True):

@@ -60,7 +60,8 @@ def library(spec: EnvSpec, layout: MemoryMap, traced: bool = False) -> Path:
         *(f"+define+{name}={value}" for name, value in hardware.macros(spec).items()),
     ]
     sources = hardware.sources(spec)
-    texts = [path.read_text() for path in (*sources, _CODE, Path(pyverilator_mends.__file__))]
+    code = _columns(layout) + _CODE.read_text()
+    texts = [code, *(path.read_text() for path in (*sources, Path(pyverilator_mends.__file__)))]
     digest = _digest(_tools(), arguments, _MAKE, traced, texts)
     folder = cache_folder("rtl")
     title = f"{spec.name}-{layout.n_envs}-{layout.pe_num}-{layout.data_wl}"
@@ -72,19 +73,29 @@ def library(spec: EnvSpec, layout: MemoryMap, traced: bool = False) -> Path:
                 shutil.rmtree(left_over, ignore_errors=True)
             print(f"pearl: building the simulated device {title} ...", file=sys.stderr, flush=True)
             began = time.perf_counter()
-            _build(entry, [*arguments, *map(str, sources)], traced)
+            _build(entry, [*arguments, *map(str, sources)], code, traced)
             took = time.perf_counter() - began
             print(f"pearl: built it in {took:.0f} s; kept in {entry}", file=sys.stderr, flush=True)
     return entry / "model.so"
 
 
-def _build(entry: Path, arguments: list[str], traced: bool) -> None:
+def _columns(layout: MemoryMap) -> str:
+    """Return the macros that list the columns of the memories that have a row of slots a group."""
+    lines = []
+    for name in ("current_states", "elapsed"):
+        count = -(-layout.pe_num * layout[name].slot_bits // layout.data_wl)
+        columns = ", ".join(f"PEARL_COLUMN({name}, {i})" for i in range(count))
+        lines.append(f"#define PEARL_COLUMNS_OF_{name.upper()} {columns}\n")
+    return "".join(lines)
+
+
+def _build(entry: Path, arguments: list[str], code: str, traced: bool) -> None:
     scratch = Path(tempfile.mkdtemp(prefix=f"{entry.name}.", suffix=".tmp", dir=entry.parent))
     try:
         work, result = scratch / "work", scratch / "result"
         work.mkdir()
         result.mkdir()
-        pyverilator_mends.generate(work, arguments, _CODE.read_text(), traced)
+        pyverilator_mends.generate(work, arguments, code, traced)
         common = entry.parent / f"verilated-{_digest(_tools(), _MAKE)}"
         _lend(common, work)
         jobs = len(os.sched_getaffinity(0))

@@ -58,8 +58,7 @@ class Native(Device):
         self._memory = slot_memory.allocate(spec, n)
         # Without stored initial states the kernels get the memory itself, and do not look.
         self._stored = slot_memory.allocate(spec, n) if config.initial_states == "stored" else self._memory
-        next_step = config.autoreset_mode is AutoresetMode.NEXT_STEP
-        self._how = (config.first_slot, config.limit, next_step, self._stored is not self._memory)
+        self._mode = (config.autoreset_mode is AutoresetMode.NEXT_STEP, self._stored is not self._memory)
         self._results = ResultArrays(config)
         self._pool: ThreadPoolExecutor | None = None
         self._pool_process = 0
@@ -101,11 +100,12 @@ class Native(Device):
         return obs
 
     def _step(self, actions: Array) -> BatchStep:
-        results = self._results.take()
+        config, results = self.config, self._results.take()
         began = time.perf_counter()
         given = (self._memory, self._stored, actions, self._table)
         # Concatenated rather than unpacked: at small sizes the call is most of a step.
-        self._run(self._kernels.step, given + results + self._seed + (self._tick,) + self._how)
+        place = (self._tick, config.first_slot, config.limit)
+        self._run(self._kernels.step, given + results + self._seed + place + self._mode)
         if self._tuning:
             self._tune(time.perf_counter() - began)
         return results

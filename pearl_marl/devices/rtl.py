@@ -47,8 +47,8 @@ class Rtl(CommBram):
     data_wl
         Bits of a word, a power of two from 32 to 1024; likewise.
     path
-        ``"backdoor"`` moves the bytes of a step straight into and out of the simulated memories,
-        ``"axi"`` every one of them over the AXI port. The results are the same.
+        ``"backdoor"`` moves the bytes of a step straight into and out of the simulated memories, and
+        states out, ``"axi"`` every one of them over the AXI port. The results are the same.
     trace
         A file to write the waveforms of all signals to (VCD). Slow, and large.
     """
@@ -71,6 +71,12 @@ class Rtl(CommBram):
         if self._trace is not None and not (isinstance(self._trace, str) and self._trace.isascii()):
             raise ArgumentError(f"trace is {trace!r}; it must be a file name in ASCII")
         self._pe_num, self._data_wl, self._path = pe_num, data_wl, path
+
+    @property
+    def clock(self) -> int:
+        """Clock cycles since the device was opened: of steps, and of every transfer over the AXI port."""
+        self._check_idle("clock")
+        return self._simulation.clock
 
     def peek(self, signal: str) -> int:
         """Return the present value of a signal, by its name in the hierarchy under ``pearl_top``.
@@ -121,15 +127,20 @@ class Simulation(Transport):
         self._traced = trace is not None
         if trace is not None:
             self._model.start_vcd_trace(trace, auto_tracing=False)
-        bounds = np.zeros(10, np.uint64)
+        names = ("reset_mask", "actions", "observations", "rewards", "ters", "current_states", "elapsed")
+        bounds = np.zeros(2 * len(names), np.uint64)
         if backdoor:
-            names = ("reset_mask", "actions", "observations", "rewards", "ters")
             bounds[:] = [bound for name in names for bound in (layout[name].offset, layout.end(name))]
         # No core needs as many cycles for a slot, so a step that takes longer hangs.
         patience = 100_000 + 1000 * layout.n_envs
         self._host = self._functions.pearl_open(
-            self._model.model, self._model.vcd_trace, patience, bounds.ctypes.data
+            self._model.model, self._model.vcd_trace, patience, bounds.ctypes.data, layout.groups
         )
+
+    @property
+    def clock(self) -> int:
+        """See :attr:`Rtl.clock`."""
+        return int(self._functions.pearl_clock(self._host))
 
     def write(self, offset: int, data: Stream) -> None:
         """See :class:`Transport`."""
@@ -183,8 +194,9 @@ def _declared(lib: Any) -> Any:
     pointer, size = ctypes.c_void_p, ctypes.c_uint64
     transfer = (size, pointer, size)
     for name, result, arguments in (
-        ("pearl_open", pointer, (pointer, pointer, size, pointer)),
+        ("pearl_open", pointer, (pointer, pointer, size, pointer, size)),
         ("pearl_close", None, (pointer,)),
+        ("pearl_clock", size, (pointer,)),
         ("pearl_write", ctypes.c_int, (pointer, *transfer)),
         ("pearl_read", ctypes.c_int, (pointer, *transfer)),
         ("pearl_wait", ctypes.c_int, (pointer,)),

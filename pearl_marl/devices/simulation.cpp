@@ -4,12 +4,13 @@
 // of a read come out. They take one of two ways, which give the same bytes:
 //
 // - over the AXI4 port, beat by beat, as an XDMA core would send them;
-// - for regions that have a backdoor, straight into or out of the memory behind them. Everything
-//   else, doorbell and status among it, goes over the port all the same.
+// - for regions that have a backdoor, straight into or out of the memory behind them; states only out.
+//   Everything else, doorbell and status among it, goes over the port all the same.
 
 #include <algorithm>
 #include <cstdint>
 #include <cstring>
+#include <vector>
 
 namespace {
 
@@ -20,6 +21,7 @@ constexpr uint64_t kHalfPeriod = 5;  // in the nanoseconds of a waveform
 constexpr uint64_t kFirstTime = 10;  // PyVerilator's own first entry stands there
 constexpr unsigned kIncrementing = 1;
 constexpr int kBackdoors = 5;
+constexpr int kRowMemories = 2;
 // A reset flushes the pipeline, so it lasts longer than any core's latency.
 constexpr uint64_t kResetCycles = 1000;
 
@@ -31,13 +33,40 @@ struct Window {
     uint8_t* memory;
 };
 
+// One word of every row, as the model stores it: padded to a type of C++.
+struct Column {
+    const uint8_t* memory;
+    uint64_t bytes;
+};
+
+// A pearl_row_memory.
+struct RowMemory {
+    uint64_t begin, end, rows;
+    std::vector<Column> columns;
+
+    void read(uint8_t* data) const {
+        const uint64_t row_bytes = (end - begin) / rows;
+        std::memset(data, 0, end - begin);
+        for (uint64_t row = 0; row < rows; row++, data += row_bytes) {
+            uint8_t* word = data;
+            for (const Column& column : columns) {
+                const uint64_t bytes = std::min(column.bytes, kWordBytes);
+                std::memcpy(word, column.memory + row * column.bytes, bytes);
+                word += kWordBytes;
+            }
+        }
+    }
+};
+
 struct Host {
     PEARL_MODEL* top;
     VerilatedVcdC* vcd;
     uint64_t patience;  // clock cycles until a wait is given up
+    uint64_t clock;     // clock cycles since the simulation began
     uint64_t time;
     int answer;
     Window windows[kBackdoors];
+    RowMemory row_memories[kRowMemories];
 
     void dump() {
 #if VM_TRACE
@@ -57,6 +86,7 @@ struct Host {
     }
 
     void edge() {
+        clock++;
         top->clk_i = 1;
         top->eval();
         dump();
@@ -193,8 +223,21 @@ struct Host {
     void read(uint64_t begin, uint8_t* data, uint64_t length) {
         split(
             begin, length,
-            [&](uint64_t at, uint64_t done, uint64_t size) { read_port(at, data + done, size); },
+            [&](uint64_t at, uint64_t done, uint64_t size) { read_states(at, data + done, size); },
             [&](uint8_t* memory, uint64_t done, uint64_t size) { std::memcpy(data + done, memory, size); });
+    }
+
+    // Row memories that a transfer has the whole of come from the back, the rest over the port.
+    void read_states(uint64_t begin, uint8_t* data, uint64_t length) {
+        const uint64_t end = begin + length;
+        for (const RowMemory& rows : row_memories) {
+            if (rows.begin == rows.end || rows.begin < begin || rows.end > end) continue;
+            read_states(begin, data, rows.begin - begin);
+            rows.read(data + (rows.begin - begin));
+            read_states(rows.end, data + (rows.end - begin), end - rows.end);
+            return;
+        }
+        read_port(begin, data, length);
     }
 
     // A call's answer; the next call starts afresh.
@@ -210,14 +253,30 @@ struct Host {
 #define PEARL_BANK(name) \
     reinterpret_cast<uint8_t*>(&model->rootp->pearl_top__DOT__u_backbone__DOT__u_##name##__DOT__u_ram__DOT__mem)
 
+// PEARL_COLUMNS_OF_... list these; how many a memory has depends on the build.
+#define PEARL_COLUMN_MEMORY(name, i) \
+    model->rootp                     \
+        ->pearl_top__DOT__u_backbone__DOT__u_##name##__DOT__gen_column_rams__BRA__##i##__KET____DOT__u_ram__DOT__mem
+#define PEARL_COLUMN(name, i)                                                    \
+    Column {                                                                     \
+        reinterpret_cast<const uint8_t*>(&PEARL_COLUMN_MEMORY(name, i)),         \
+            sizeof(PEARL_COLUMN_MEMORY(name, i)[0])                              \
+    }
+
 extern "C" {
 
-// `bounds` are the byte addresses where each backdoor begins and ends, all 0 for none.
-Host* pearl_open(PEARL_MODEL* model, VerilatedVcdC* vcd, uint64_t patience, const uint64_t* bounds) {
-    auto* host = new Host{model, vcd, patience, kFirstTime, kOkay, {}};
+// `bounds` are the byte addresses where each backdoor begins and ends, all 0 for none: those of the banks,
+// then those of the memories of `rows` rows.
+Host* pearl_open(
+    PEARL_MODEL* model, VerilatedVcdC* vcd, uint64_t patience, const uint64_t* bounds, uint64_t rows
+) {
+    auto* host = new Host{model, vcd, patience, 0, kFirstTime, kOkay, {}, {}};
     uint8_t* banks[] = {
         PEARL_BANK(reset_mask), PEARL_BANK(actions), PEARL_BANK(observations), PEARL_BANK(rewards), PEARL_BANK(ters)};
     for (int i = 0; i < kBackdoors; i++) host->windows[i] = {bounds[2 * i], bounds[2 * i + 1], banks[i]};
+    const uint64_t* states = bounds + 2 * kBackdoors;
+    host->row_memories[0] = {states[0], states[1], rows, {PEARL_COLUMNS_OF_CURRENT_STATES}};
+    host->row_memories[1] = {states[2], states[3], rows, {PEARL_COLUMNS_OF_ELAPSED}};
     host->enter();
     // An assertion that fails must not end the host's process.
     model->contextp()->fatalOnError(false);
@@ -229,6 +288,8 @@ Host* pearl_open(PEARL_MODEL* model, VerilatedVcdC* vcd, uint64_t patience, cons
 }
 
 void pearl_close(Host* host) { delete host; }
+
+uint64_t pearl_clock(const Host* host) { return host->clock; }
 
 int pearl_write(Host* host, uint64_t begin, const uint8_t* data, uint64_t length) {
     host->enter();

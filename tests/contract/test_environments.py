@@ -5,11 +5,16 @@ Its tests are those of :mod:`pearl_marl.testing`, which environments of other pa
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
+from typing import Any
+
 import pytest
 
 import pearl_marl
-from pearl_marl.testing import Case, ContractSuite, assert_same_trajectory, rows, trajectory
+from pearl_marl.devices import Device, Sharded
+from pearl_marl.testing import HALF, SIZE, Case, ContractSuite, assert_same_trajectory, rows, trajectory
 
+from ..devices.boards import OwnBoard
 from ..toy import TOYS
 
 
@@ -49,3 +54,30 @@ class TestSlowDevices(ContractSuite):
 
     environments = ("CliffWalking", *(spec.name for spec in TOYS))
     devices = ("reference", "lockstep")
+
+
+MADE: dict[str, Callable[[int], Device]] = {
+    "xdma": lambda n: OwnBoard(3 if n > HALF else 1),
+    "sharded": lambda n: Sharded(["native", "native"] if n > 1 else ["native"]),
+}
+"""Devices that no name alone makes, by the number of their slots."""
+
+
+class MadeCase(Case):
+    sizes, splits = (HALF, SIZE), (HALF,)
+
+    def device(self, n: int = SIZE, **options: Any) -> Device:
+        return MADE[self.device_name](n)
+
+
+class TestLinks(ContractSuite):
+    """A board behind files, and slots shared among devices, with the environment that draws most."""
+
+    environments = ("Blackjack",)
+    devices = tuple(MADE)
+
+    @pytest.fixture
+    def case(self, env_id: str, device_name: str) -> Iterator[Case]:
+        case = MadeCase(env_id, device_name)
+        yield case
+        case.close()

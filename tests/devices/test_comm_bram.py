@@ -132,6 +132,7 @@ def test_stale_and_torn_results_are_never_returned(device: OverMemory, fault: di
     vars(device.memory).update(fault)
     with pytest.raises(DeviceError, match=says):
         device.step(ACTIONS)
+    device.memory.words("status")[Status.SEQUENCE] = device.memory.words("doorbell")[Doorbell.SEQUENCE]
     vars(device.memory).update(lag=0, error=StatusError(0))
     for call in (lambda: device.step(ACTIONS), device.state, lambda: device.reset(mask=ACTIONS == 0)):
         with pytest.raises(DeviceError, match=r"failed before; call reset\(\)"):
@@ -144,6 +145,7 @@ def test_stale_and_torn_results_are_never_returned(device: OverMemory, fault: di
 
 def test_the_sequence_goes_on_where_the_hardware_was(device: OverMemory) -> None:
     device.memory.words("doorbell")[Doorbell.SEQUENCE] = 0xFFFFFFFF
+    device.memory.words("status")[Status.SEQUENCE] = 0xFFFFFFFF
     opened(device)
     device.step(ACTIONS)
     assert device.memory.words("doorbell")[Doorbell.SEQUENCE] == 0
@@ -161,3 +163,40 @@ def test_settings_are_written_once(device: OverMemory) -> None:
     device.set_max_cycles(9)
     device.step(ACTIONS)
     assert control[Control.MAX_CYCLES] == 9
+
+
+def test_a_reset_that_fails_resets_nobody(device: OverMemory, monkeypatch: pytest.MonkeyPatch) -> None:
+    opened(device)
+    device.step(ACTIONS)
+
+    def broken(offset: int, data: np.ndarray) -> None:
+        raise DeviceError("not now")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(device.memory, "read", broken)
+        with pytest.raises(DeviceError, match="not now"):
+            device.reset(mask=np.arange(20) == 5)
+    device.step(ACTIONS)
+    assert device.memory.words("doorbell")[Doorbell.MODE] == 0
+
+
+def test_settings_are_written_again_after_a_write_that_failed(
+    device: OverMemory, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    opened(device, max_cycles=7)
+    device.step(ACTIONS)
+    control = device.memory.words("control")
+    device.set_max_cycles(9)
+
+    def broken(offset: int, data: np.ndarray) -> None:
+        Memory.write(device.memory, offset, data)
+        raise DeviceError("not now")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(device.memory, "write", broken)
+        with pytest.raises(DeviceError, match="not now"):
+            device.step(ACTIONS)
+    assert control[Control.MAX_CYCLES] == 9, "it came through all the same"
+    device.set_max_cycles(7)
+    device.step(ACTIONS)
+    assert control[Control.MAX_CYCLES] == 7

@@ -9,6 +9,8 @@ import pytest
 from bench import spec_of
 from harness import core, module, run
 
+from pearl_marl import hardware
+
 # Row and word: equal, dividing either way, sharing a factor, sharing none; wider and narrower rows.
 RATIOS = [(32, 32), (8, 32), (96, 32), (64, 128), (48, 32), (24, 32), (42, 32), (7, 32), (99, 64), (1, 32)]
 ROWS_RATIOS = [(13, row, word) for row, word in RATIOS] + [(1, 7, 32), (1, 96, 32)]
@@ -139,8 +141,10 @@ LAKE = {"desc": ["SFHSFGSF", "GHSFFFFH", "FSHFHSFF"]}
     ],
 )
 def test_core(env: str, options: dict[str, Any], latency: int, ii: int, tmp_path: Path) -> None:
+    spec = spec_of(env, options)
+    assert hardware.core_timing(spec) == (latency, ii)
     run(
-        core(spec_of(env, options)),
+        core(spec),
         "bench_core",
         tmp_path,
         env=env,

@@ -1,0 +1,75 @@
+"""The latency model beside the simulated hardware: clock cycles of a step, and of a step over AXI.
+
+``python experiments/latency_model.py`` prints the table of docs/latency.md. It compiles a model for each
+row, which takes some five minutes the first time.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import typer
+from rich.console import Console
+from rich.progress import track
+
+from pearl_marl import get_spec
+from pearl_marl.actions import random_actions
+from pearl_marl.devices import BatchConfig, Rtl
+from pearl_marl.latency import axi_cycles, draws_wait, step_cycles
+from pearl_marl.memory_map import memory_map
+
+CONFIGURATIONS = (
+    ("CliffWalking", 70, 3, 32),
+    ("CliffWalking", 70, 4, 32),
+    ("CliffWalking", 1000, 16, 64),
+    ("CliffWalking", 1024, 16, 128),
+    ("CliffWalking", 2000, 24, 64),
+    ("CliffWalking", 4096, 8, 32),
+    ("CliffWalking", 4096, 32, 256),
+    ("CliffWalking", 4096, 32, 512),
+    ("FrozenLake", 1024, 8, 64),
+    ("Blackjack", 70, 3, 32),
+    ("Blackjack", 512, 16, 128),
+    ("CartPole", 70, 3, 512),
+    ("CartPole", 128, 2, 32),
+    ("CartPole", 256, 4, 128),
+)
+"""Environment, slots, processing elements, bits of a word."""
+
+STEPS = 10
+
+
+def main() -> None:
+    """Measure every configuration, and print a table in Markdown."""
+    lines = ["| environment | slots | PEs | word | a step | model | over AXI | model | off by |"]
+    lines += ["| --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: |"]
+    worst = 0.0
+    for env_id, n, pe_num, data_wl in track(CONFIGURATIONS, "measure", console=Console(stderr=True)):
+        spec, layout = get_spec(env_id), memory_map(get_spec(env_id), n, pe_num, data_wl)
+        cycles, whole = measure(env_id, n, pe_num, data_wl)
+        predicted = axi_cycles(spec, layout)
+        error = predicted / whole - 1
+        worst = max(worst, abs(error))
+        step = step_cycles(spec, layout) + draws_wait(spec, layout)
+        figures = (n, pe_num, data_wl, cycles, step, whole, predicted)
+        lines.append(f"| {env_id} | {' | '.join(f'{figure:,}' for figure in figures)} | {error:+.1%} |")
+    print("\n".join(lines))
+    print(f"\nThe largest error is {worst:.1%}.")
+
+
+def measure(env_id: str, n: int, pe_num: int, data_wl: int) -> tuple[int, int]:
+    """Return the clock cycles of a step by the hardware's own count, and those of the whole step over AXI."""
+    spec, rng = get_spec(env_id), np.random.default_rng(0)
+    device = Rtl(pe_num, data_wl, path="axi").open(BatchConfig(spec=spec, n_envs=n))
+    device.reset(seed=0)
+    device.step(random_actions(spec, rng, n))  # which also writes the settings
+    began = device.clock
+    for _ in range(STEPS):
+        device.step(random_actions(spec, rng, n))
+    whole, rest = divmod(device.clock - began, STEPS)
+    assert not rest, "every step takes as long"
+    device.close()
+    return device.cycles, whole
+
+
+if __name__ == "__main__":
+    typer.run(main)

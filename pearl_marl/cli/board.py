@@ -1,0 +1,81 @@
+"""``pearl board``: a design for a board, up to the bitstream where the tools are free."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.table import Table
+
+from pearl_marl import boards
+from pearl_marl.boards import BOARDS, Board, Placed
+from pearl_marl.cli.common import (
+    AsJson,
+    EnvName,
+    Options,
+    console,
+    out_folder,
+    print_json,
+    progress,
+    spec_of,
+)
+
+BoardName = Annotated[str, typer.Argument(metavar="|".join(BOARDS), help="The board.")]
+Slots = Annotated[int, typer.Option("--n-envs", help="Slots.")]
+PeNum = Annotated[
+    int | None,
+    typer.Option("--pe-num", help="Processing elements; by default as many as the board's bus can feed."),
+]
+Where = Annotated[Path, typer.Option("--out", metavar="DIR", help="Where to write everything.")]
+
+
+def command(
+    board_name: BoardName,
+    env_id: EnvName,
+    out: Where,
+    n_envs: Slots = 1024,
+    pe_num: PeNum = None,
+    option: Options = None,
+    as_json: AsJson = False,
+) -> None:
+    """Make a board's bitstream, or all that its maker's tool needs for that.
+
+    For an ECP5 the tools are free, and this runs them. For a Xilinx board it writes the sources with a
+    script for Vivado.
+    """
+    board, spec = boards.find(board_name), spec_of(env_id, option)
+    layout = boards.board_map(board, spec, n_envs, pe_num)
+    files = boards.write(board, spec, layout, out_folder(out))
+    placed: Placed | None = None
+    if board.nextpnr:
+        stages = boards.build(board, out)
+        for _ in progress(stages, boards.STAGES, f"{spec.name} on {board.name}, {n_envs:,} slots"):
+            pass
+        placed = boards.placed(out)
+    if as_json:
+        made = None if placed is None else placed.as_json()
+        print_json({**boards.facts(board, spec, layout), "placed": made, "files": files})
+        return
+    title = f"{spec.id} for the {board.title} ({board.part}): {boards.size(layout)}"
+    if placed is None:
+        _say(f"{title}. Wrote {len(files)} files into {out}. The bitstream is Vivado's to make:")
+        _say(f"cd {out} && vivado -mode batch -source build.tcl")
+    else:
+        console.print(_table(title, board, placed))
+        _say(
+            f"Wrote {out / board.bitstream}; openFPGALoader -b {board.name} {out / board.bitstream} loads it."
+        )
+
+
+def _say(text: str) -> None:
+    console.print(text, highlight=False, markup=False, soft_wrap=True)
+
+
+def _table(title: str, board: Board, placed: Placed) -> Table:
+    table = Table(title=title)
+    for heading in ("clock", "Fmax", "LUT", "FF", "block RAM", "DSP"):
+        table.add_column(heading, justify="right", no_wrap=True)
+    used = (f"{getattr(placed, name):,} of {count:,}" for name, count in placed.available.items())
+    table.add_row(f"{board.clock_mhz:g} MHz", f"{placed.fmax_mhz:.1f} MHz", *used)
+    return table

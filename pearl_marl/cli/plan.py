@@ -1,0 +1,176 @@
+"""``pearl plan``: which build, and how fast it will be behind a link."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+import typer
+from rich.table import Table
+
+from pearl_marl.benchmark import machine
+from pearl_marl.cli.common import (
+    AsJson,
+    EnvName,
+    Options,
+    Out,
+    console,
+    duration,
+    print_json,
+    rate,
+    spec_of,
+    write_json,
+)
+from pearl_marl.errors import ArgumentError
+from pearl_marl.latency import LINKS, Link, loop_cycles
+from pearl_marl.plan import Plan, plan
+from pearl_marl.synthesis import PARTS
+
+Slots = Annotated[int, typer.Option("--n-envs", min=1, help="Slots.")]
+LinkName = Annotated[
+    str,
+    typer.Option(
+        "--link",
+        metavar=f"{'|'.join(LINKS)}|CALL,WRITE,READ",
+        help="What lies between host and hardware; or one of your own: microseconds a call, GB/s to the "
+        "hardware, GB/s from it.",
+    ),
+]
+PartName = Annotated[
+    str | None, typer.Option("--part", metavar="|".join(PARTS), help="What the memories have to fit.")
+]
+Clock = Annotated[float, typer.Option("--clock", metavar="MHZ", help="The hardware's clock.")]
+OnePeNum = Annotated[int | None, typer.Option("--pe-num", help="Look at this many processing elements only.")]
+OneDataWl = Annotated[int | None, typer.Option("--data-wl", help="Look at words of this many bits only.")]
+
+
+def command(
+    env_id: EnvName,
+    n_envs: Slots = 43008,
+    link: LinkName = "gen2x8",
+    part: PartName = None,
+    clock: Clock = 125.0,
+    pe_num: OnePeNum = None,
+    data_wl: OneDataWl = None,
+    option: Options = None,
+    out: Out = None,
+    as_json: AsJson = False,
+) -> None:
+    """Choose processing elements and word width for a link; predict throughput and bottleneck.
+
+    A prediction: clock cycles are counted, the host's part is measured here, the link's is as stated.
+    """
+    spec = spec_of(env_id, option)
+    if part is not None and part not in PARTS:
+        raise ArgumentError(f"there is no part {part!r}; possible are {', '.join(PARTS)}")
+    taken = _link(link)
+    chip = None if part is None else PARTS[part]
+    found = plan(spec, n_envs, taken, clock * 1e6, chip, pe_num, data_wl)
+    layout, usage = found.chosen.layout, found.usage
+    synth = f"pearl synth {env_id} --n-envs {n_envs} --pe-num {layout.pe_num} --data-wl {layout.data_wl}"
+    synth += "".join(f" --option {pair}" for pair in option or ())
+    result = {
+        "environment": spec.id,
+        "options": dict(spec.options),
+        "n_envs": n_envs,
+        "clock_mhz": clock,
+        "link": {
+            "name": taken.name,
+            "call_us": taken.call * 1e6,
+            "write_gb_per_s": taken.write_rate / 1e9,
+            "read_gb_per_s": taken.read_rate / 1e9,
+            "source": taken.source,
+        },
+        "bytes_written": layout.step_write[1],
+        "bytes_read": layout.step_read[1],
+        "loop_cycles": loop_cycles(spec, layout)._asdict(),
+        "chosen": found.chosen.as_json(),
+        "overlap": None if found.overlap is None else found.overlap.as_json(),
+        "candidates": [candidate.as_json() for candidate in found.candidates],
+        "part": part,
+        "usage": None if usage is None else usage.as_json(),
+        "synthesise": synth,
+        "machine": machine(),
+    }
+    if out is not None:
+        write_json(out, f"plan_{spec.name}_{n_envs}.json", result)
+    if as_json:
+        print_json(result)
+        return
+    console.print(_candidates(result, found))
+    console.print(_stages(result, found))
+    for sentence in _sentences(result, found):
+        console.print(sentence, highlight=False, soft_wrap=True)
+
+
+def _link(text: str) -> Link:
+    if text in LINKS:
+        return LINKS[text]
+    try:
+        call, write, read = (float(part) for part in text.split(","))
+    except ValueError:
+        raise ArgumentError(
+            f"there is no link {text!r}; possible are {', '.join(LINKS)}, and three numbers such as "
+            "30,3.2,2.6: microseconds a call, GB/s to the hardware, GB/s from it"
+        ) from None
+    return Link(text, call * 1e-6, write * 1e9, read * 1e9, "given")
+
+
+def _candidates(result: dict[str, Any], found: Plan) -> Table:
+    table = Table(title=f"{result['environment']}, {result['n_envs']:,} slots, link {result['link']['name']}")
+    for heading in ("PEs", "word", "cycles", "a step", "steps/s", "BRAM36", "longest stage"):
+        table.add_column(heading, justify="left" if heading == "longest stage" else "right", no_wrap=True)
+    for candidate in found.candidates:
+        prediction, chosen = candidate.prediction, candidate is found.chosen
+        table.add_row(
+            f"{prediction.pe_num:,}",
+            f"{prediction.data_wl}",
+            f"{round(prediction.device * result['clock_mhz'] * 1e6):,}",
+            duration(prediction.total),
+            rate(prediction.rate),
+            f"{candidate.bram36:g}",
+            prediction.bottleneck,
+            style="bold green" if chosen else None,
+        )
+    return table
+
+
+def _stages(result: dict[str, Any], found: Plan) -> Table:
+    step, link = found.chosen.prediction, result["link"]
+    clock = f"{result['clock_mhz']:g} MHz"
+    rows = [
+        ("T1", "pack", step.pack, "measured on this machine"),
+        ("T2", "write", step.write, f"{result['bytes_written']:,} bytes, {link['call_us']:g} us a call"),
+        ("T3", "words in", step.words_in, f"at {clock}; at the same time as T4 and T5"),
+        ("T4", "compute", step.compute, f"at {clock}"),
+        ("T5", "words out", step.words_out, f"at {clock}"),
+        ("", "T3 to T5 together", step.device, "counted clock cycles"),
+        ("T6", "read", step.read, f"{result['bytes_read']:,} bytes, {link['call_us']:g} us a call"),
+        ("T7", "unpack", step.unpack, "measured on this machine"),
+        ("", "a step", step.total, f"{rate(step.rate)} steps/s, one step after the other"),
+    ]
+    table = Table(title=f"{step.pe_num:,} PEs, {step.data_wl}-bit words")
+    for heading in ("", "stage", "time", ""):
+        table.add_column(heading, justify="right" if heading == "time" else "left", no_wrap=bool(heading))
+    for time, stage, seconds, why in rows:
+        table.add_row(time, stage, duration(seconds), why)
+    return table
+
+
+def _sentences(result: dict[str, Any], found: Plan) -> list[str]:
+    overlap, chosen, usage = found.overlap, found.chosen, found.usage
+    sentences = []
+    if overlap is not None:
+        sentences.append(
+            f"Two half-batches in flight, on two devices of {overlap.half.n_envs:,} slots: "
+            f"{rate(overlap.rate)} steps/s; what is busy longest is the {overlap.bottleneck}."
+        )
+    part = "" if result["part"] is None else f" of the {PARTS[result['part']].bram36:,} of a {result['part']}"
+    resources = f"Block RAM: {chosen.bram36:g} BRAM36{part}, by the shapes of the memories."
+    if usage is None:
+        resources += f" LUT, FF and DSP are known after: {result['synthesise']}"
+    else:
+        resources += (
+            f" Synthesised: {usage.lut:,} LUT, {usage.ff:,} FF, {usage.bram36:g} BRAM36, {usage.dsp} DSP."
+        )
+    sentences += [resources, f"Link: {result['link']['source']}."]
+    return sentences

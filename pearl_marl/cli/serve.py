@@ -1,0 +1,70 @@
+"""``pearl serve``: a simulated board for other processes to use."""
+
+from __future__ import annotations
+
+import os
+import signal
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.markup import escape
+
+from pearl_marl.cli.common import Agents, AsJson, EnvName, Options, console, print_json, spec_of
+from pearl_marl.devices.rtl import Rtl
+from pearl_marl.devices.served import ServedBoard
+
+PeNum = Annotated[int | None, typer.Option("--pe-num", help="Processing elements.", show_default="chosen")]
+DataWl = Annotated[int | None, typer.Option("--data-wl", help="Bits of a word.", show_default="chosen")]
+PathName = Annotated[
+    str, typer.Option("--path", help="How a step's bytes reach the memories: `backdoor`, or over `axi`.")
+]
+At = Annotated[Path, typer.Option("--at", metavar="DIR", help="Where the board's files are made.")]
+
+
+def command(
+    env_id: EnvName,
+    at: At,
+    n_agents: Agents = 43008,
+    pe_num: PeNum = None,
+    data_wl: DataWl = None,
+    path: PathName = "backdoor",
+    option: Options = None,
+    as_json: AsJson = False,
+) -> None:
+    """Serve a simulated board, to be used with --device xdma:DIR, until Ctrl-C.
+
+    One program at a time uses it, as with a real one; it may end, and another begin. A folder in memory,
+    such as /dev/shm/board, is fastest.
+    """
+    Rtl(pe_num, data_wl, path)  # refuses what is no size or path
+    board = ServedBoard(at, spec_of(env_id, option), n_agents, pe_num, data_wl, path)
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: board.stop())
+    layout = board.layout
+    facts = {
+        "environment": board.spec.id,
+        "options": dict(board.spec.options),
+        "n_agents": layout.n_envs,
+        "pe_num": layout.pe_num,
+        "data_wl": layout.data_wl,
+        "path": path,
+        "device": f"xdma:{at}",
+        "pid": os.getpid(),
+    }
+    try:
+        if as_json:
+            print_json(facts)
+        else:
+            console.print(
+                f"Serving {board.spec.id}, {layout.n_envs:,} slots on {layout.pe_num} processing elements, "
+                f"words of {layout.data_wl} bits. Use it as [bold]--device xdma:{escape(str(at))}[/]; "
+                "Ctrl-C ends it.",
+                highlight=False,
+                soft_wrap=True,
+            )
+        board.serve()
+    finally:
+        board.close()
+    if not as_json:
+        console.print(f"Served {board.steps:,} steps.", highlight=False)

@@ -1,0 +1,177 @@
+"""A board at a serial port: the protocol of ``rtl/boards/ulx3s/pearl_uart_bridge.sv``, host's side.
+
+::
+
+    request  operation ("R" or "W") | byte address (4) | words (2) | data (4 a word, "W") | checksum (4)
+    answer   data (4 a word, "R") | response (1) | checksum (4)
+
+All numbers come lowest byte first; a word has 32 bits and a checksum is the CRC-32 of all before it.
+What was damaged on the line is not answered, or recognised here: it raises, and is never delivered.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import fcntl
+import os
+import select
+import struct
+import termios
+import time
+import tty
+import zlib
+
+import numpy as np
+
+from pearl_marl.codec import Stream
+from pearl_marl.devices.batch import BatchConfig
+from pearl_marl.devices.comm_bram import CommBram, Transport
+from pearl_marl.errors import DeviceError
+from pearl_marl.memory_map import Control, MemoryMap, memory_map
+
+MAX_WORDS = 2**16 - 1
+"""A request can have no more."""
+
+WORD = 4
+_CHECKSUM = struct.Struct("<I")
+_RESPONSES = {2: "the hardware refused it (SLVERR)", 3: "there is nothing at that address (DECERR)"}
+
+
+def request(operation: str, address: int, words: int, data: bytes = b"") -> bytes:
+    """Return the bytes of a request."""
+    body = struct.pack("<cIH", operation.encode(), address, words) + data
+    return body + _CHECKSUM.pack(zlib.crc32(body))
+
+
+def answer_bytes(words: int) -> int:
+    """Return how long the answer to a request for so many words is."""
+    return WORD * words + 1 + _CHECKSUM.size
+
+
+class SerialTransport(Transport):
+    """Moves bytes over a serial port, a request at a time.
+
+    Parameters
+    ----------
+    port
+        The port's device file.
+    timeout
+        Seconds without a byte after which an answer is given up.
+    """
+
+    def __init__(self, port: str, timeout: float) -> None:
+        self._port, self._timeout = port, timeout
+        self.status_offset = 0
+        """Where :meth:`wait` finds the sequence number."""
+        try:
+            self._file = os.open(port, os.O_RDWR | os.O_NOCTTY)
+        except OSError as error:
+            mend = "; who is in the group dialout may open it" if isinstance(error, PermissionError) else ""
+            raise DeviceError(f"the serial port {port} cannot be opened: {error.strerror}{mend}") from None
+        try:
+            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            tty.setraw(self._file)
+            attributes = termios.tcgetattr(self._file)
+            attributes[4:6] = [termios.B3000000] * 2
+            termios.tcsetattr(self._file, termios.TCSANOW, attributes)
+            # A program that was killed may have left half a request.
+            self._resynchronise()
+        except BlockingIOError:
+            os.close(self._file)
+            raise DeviceError(f"the serial port {port} is in use by another process") from None
+        except (OSError, termios.error) as error:
+            os.close(self._file)
+            raise DeviceError(f"{port} is no serial port of 3 Mbaud: {error}") from None
+
+    def write(self, offset: int, data: Stream) -> None:
+        """See :class:`Transport`."""
+        for begin in range(0, data.size, WORD * MAX_WORDS):
+            part = data[begin : begin + WORD * MAX_WORDS]
+            self._call("W", offset + begin, part.size // WORD, part.tobytes())
+
+    def read(self, offset: int, data: Stream) -> None:
+        """See :class:`Transport`."""
+        for begin in range(0, data.size, WORD * MAX_WORDS):
+            part = data[begin : begin + WORD * MAX_WORDS]
+            part[:] = np.frombuffer(self._call("R", offset + begin, part.size // WORD), np.uint8)
+
+    def wait(self, sequence: int) -> None:
+        """Poll the status, for as long as an answer may take."""
+        found = np.empty(WORD, np.uint8)
+        until = time.monotonic() + self._timeout
+        while time.monotonic() < until:
+            self.read(self.status_offset, found)
+            if found.view("<u4")[0] == sequence:
+                break
+
+    def close(self) -> None:
+        """Close the port, which also gives up the lock."""
+        os.close(self._file)
+
+    def _call(self, operation: str, address: int, words: int, data: bytes = b"") -> bytes:
+        sent = request(operation, address, words, data)
+        length = answer_bytes(words if operation == "R" else 0)
+        try:
+            while sent:
+                sent = sent[os.write(self._file, sent) :]
+            answer = self._receive(length)
+        except OSError as error:
+            raise DeviceError(f"the serial port {self._port} failed: {error.strerror}") from None
+        body = answer[: -_CHECKSUM.size]
+        if len(answer) < length or _CHECKSUM.unpack_from(answer, len(body))[0] != zlib.crc32(body):
+            self._resynchronise()
+            what = "damaged" if len(answer) == length else f"{len(answer)} of {length} bytes long"
+            raise DeviceError(
+                f"the answer of the board at {self._port} is {what}: check that it is loaded, and the port"
+            )
+        if body[-1]:
+            what = _RESPONSES.get(body[-1], f"response {body[-1]}")
+            raise DeviceError(f"the board at {self._port} failed at {operation} {address:#x}: {what}")
+        return body[:-1]
+
+    def _receive(self, length: int) -> bytes:
+        received = b""
+        while len(received) < length and select.select([self._file], [], [], self._timeout)[0]:
+            part = os.read(self._file, length - len(received))
+            if not part:  # a port that is gone ends, and at once
+                raise OSError(errno.EIO, os.strerror(errno.EIO))
+            received += part
+        return received
+
+    def _resynchronise(self) -> None:
+        """Make the board forget what it was told, and forget what it said."""
+        with contextlib.suppress(termios.error):  # not every port can send a break
+            termios.tcsendbreak(self._file, 0)
+            termios.tcflush(self._file, termios.TCIOFLUSH)
+
+
+class Serial(CommBram):
+    """A board at a serial port, such as `pearl board ulx3s` makes a bitstream for.
+
+    Parameters
+    ----------
+    port
+        The port's device file.
+    timeout
+        Seconds without a byte after which the board is given up.
+    """
+
+    name = "serial"
+
+    def __init__(self, port: str = "/dev/ttyUSB0", timeout: float = 1.0) -> None:
+        self._port, self._timeout = port, timeout
+
+    def _connect(self, config: BatchConfig) -> tuple[Transport, MemoryMap]:
+        transport = SerialTransport(self._port, self._timeout)
+        try:
+            # The one size that the host may leave to the bitstream.
+            word = np.empty(WORD, np.uint8)
+            transport.read(WORD * Control.PE_NUM, word)
+            pe_num = min(max(1, int(word.view("<u4")[0])), config.n_envs)
+            layout = memory_map(config.spec, config.n_envs, pe_num, 8 * WORD)
+        except BaseException:
+            transport.close()
+            raise
+        transport.status_offset = layout["status"].offset
+        return transport, layout

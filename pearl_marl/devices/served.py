@@ -1,0 +1,203 @@
+r"""A simulated board behind files that another process reads and writes as it would the driver's nodes.
+
+::
+
+    the host's process                           this process
+
+    pwrite --> DIR/xdma0_h2c_0  \  one file,      settings, states, actions  -->  Simulation
+                                 > mapped here    results, states, status    <--  (devices/rtl.py)
+    pread  <-- DIR/xdma0_c2h_0  /
+    poll   <-- DIR/xdma0_events_0, a FIFO    <--  an event, once the status is there
+
+The file holds the board's whole address space. The kernel tells of every write (inotify). Where one rang
+the doorbell, the regions that the host has changed go to the simulated board, the step is done, and
+whatever the host can read goes back into the file: states first, then results, the status last, then
+the event. So reads and writes return at once, as on a board, and a step takes its time.
+
+What a file cannot do: refuse an address, or notice that it is read while a step runs. So the host has to
+wait for the event.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import fcntl
+import mmap
+import os
+import select
+import struct
+from pathlib import Path
+
+import numpy as np
+
+from pearl_marl.devices.model_build import library
+from pearl_marl.devices.rtl import Simulation
+from pearl_marl.errors import DeviceError
+from pearl_marl.memory_map import Control, Doorbell, default_map
+from pearl_marl.spec import EnvSpec
+
+_IN_MODIFY, _IN_NONBLOCK, _IN_CLOEXEC = 0x2, 0o4000, 0o2000000
+
+_libc = ctypes.CDLL(None, use_errno=True)
+
+
+class ServedBoard:
+    """A simulated board, and the nodes through which other processes use it.
+
+    Parameters
+    ----------
+    folder
+        Where the nodes are made; it is made too. Best in memory, as ``/dev/shm`` is.
+    spec, n_envs
+        What the board is built for.
+    pe_num, data_wl, path
+        As for :class:`~pearl_marl.devices.rtl.Rtl`.
+
+    Attributes
+    ----------
+    spec, layout
+        The environment, and the board's memory map.
+    steps
+        How many steps it has done.
+
+    Raises
+    ------
+    DeviceError
+        Another process serves a board there, the nodes cannot be made, or the simulation cannot be built.
+    """
+
+    _writes: int
+    _stopping: int
+    _rung: int
+
+    def __init__(
+        self,
+        folder: str | os.PathLike[str],
+        spec: EnvSpec,
+        n_envs: int,
+        pe_num: int | None = None,
+        data_wl: int | None = None,
+        path: str = "backdoor",
+    ) -> None:
+        self.spec = spec
+        self.layout = layout = default_map(spec, n_envs, pe_num, data_wl)
+        self.steps = 0
+        self._folder = Path(folder)
+        with contextlib.ExitStack() as opened:
+            try:
+                self._folder.mkdir(parents=True, exist_ok=True)
+                self._lock(opened)
+                built = library(spec, layout)
+                self._simulation = Simulation(built, layout, path == "backdoor", None)
+                opened.callback(self._simulation.close)
+                self._make_nodes(opened)
+            except OSError as error:
+                raise DeviceError(f"no board can be served at {folder}: {error}") from error
+            self._opened = opened.pop_all()
+
+    def serve(self) -> None:
+        """Do the steps that are asked for, until :meth:`stop`.
+
+        Raises
+        ------
+        DeviceError
+            The simulated board failed.
+        """
+        poller = select.poll()
+        poller.register(self._writes, select.POLLIN)
+        poller.register(self._stopping, select.POLLIN)
+        while True:
+            ready = {file for file, _ in poller.poll()}
+            if self._stopping in ready:
+                return
+            os.read(self._writes, 1 << 16)
+            if (sequence := int(self._doorbell[Doorbell.SEQUENCE])) != self._rung:
+                self._rung = sequence
+                self._step(sequence)
+
+    def stop(self) -> None:
+        """Let :meth:`serve` return after the step that it is at; from any thread, or a signal's handler."""
+        os.eventfd_write(self._stopping, 1)
+
+    def close(self) -> None:
+        """Remove the nodes and end the simulation."""
+        self._opened.close()
+
+    def _lock(self, opened: contextlib.ExitStack) -> None:
+        path = self._folder / "server.lock"
+        lock = opened.enter_context(path.open("a+"))
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            lock.seek(0)
+            raise DeviceError(
+                f"process {lock.read().strip()} serves a board at {self._folder} already: end it first, or "
+                "choose another folder"
+            ) from None
+        lock.truncate(0)
+        lock.write(f"{os.getpid()}\n")
+        lock.flush()
+
+    def _make_nodes(self, opened: contextlib.ExitStack) -> None:
+        layout = self.layout
+        h2c, c2h, events = (self._folder / f"xdma0_{name}_0" for name in ("h2c", "c2h", "events"))
+        for node in (h2c, c2h, events):  # of a server that was killed
+            node.unlink(missing_ok=True)
+            opened.callback(node.unlink, missing_ok=True)
+        os.mkfifo(events, 0o600)
+        # For reading too, so that a host can tell by it that we are here.
+        self._events = os.open(events, os.O_RDWR | os.O_NONBLOCK)
+        opened.callback(os.close, self._events)
+
+        self._file = os.open(c2h, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o600)
+        opened.callback(os.close, self._file)
+        os.ftruncate(self._file, layout.end("status"))
+        self._memory = np.frombuffer(mmap.mmap(self._file, layout.end("status")), np.uint8)
+        words = self._memory[layout["doorbell"].offset : layout.end("doorbell")]
+        self._doorbell = words.view("<u4")
+        # What both sides have seen. The memories of a board that has just started hold anything.
+        self._shared = ~self._memory
+        self._answer = np.empty(layout.step_read[1], np.uint8)
+        settings = 4 * Control.SEED_0, 4 * (Control.MAX_CYCLES + 1)
+        self._from_host = [settings]
+        for name in ("initial_states", "current_states", "elapsed", "reset_mask"):
+            self._from_host.append((layout[name].offset, layout.end(name)))
+        self._to_host = [settings, (layout["current_states"].offset, layout.end("elapsed"))]
+        for begin, end in ((0, layout.end("control")), (layout["doorbell"].offset, layout.end("doorbell"))):
+            self._simulation.read(begin, self._memory[begin:end])
+
+        self._rung = int(self._doorbell[Doorbell.SEQUENCE])
+
+        self._writes = _libc.inotify_init1(_IN_NONBLOCK | _IN_CLOEXEC)
+        if self._writes >= 0:
+            opened.callback(os.close, self._writes)
+        if self._writes < 0 or _libc.inotify_add_watch(self._writes, os.fsencode(c2h), _IN_MODIFY) < 0:
+            raise OSError(ctypes.get_errno(), f"inotify: {os.strerror(ctypes.get_errno())}")
+        self._stopping = os.eventfd(0, os.EFD_CLOEXEC)
+        opened.callback(os.close, self._stopping)
+        os.link(c2h, h2c)  # last: who finds it finds all
+
+    def _step(self, sequence: int) -> None:
+        # The doorbell may have been seen while the rest of its write was still being copied. The kernel
+        # lets one change a file at a time, so this returns after that write.
+        os.utime(self._file)
+        memory, shared, simulation, layout = self._memory, self._shared, self._simulation, self.layout
+        for begin, end in self._from_host:
+            if not np.array_equal(memory[begin:end], shared[begin:end]):
+                shared[begin:end] = memory[begin:end]
+                simulation.write(begin, shared[begin:end])
+        write_at, length = layout.step_write
+        read_at, _ = layout.step_read
+        simulation.exchange(write_at, memory[write_at : write_at + length], read_at, self._answer, sequence)
+        for begin, end in self._to_host:
+            simulation.read(begin, shared[begin:end])
+            memory[begin:end] = shared[begin:end]
+        status = layout["status"].offset
+        memory[read_at:status] = self._answer[: status - read_at]
+        memory[status:] = self._answer[status - read_at :]
+        self.steps += 1
+        # As in the driver, events that nobody has read are one.
+        with contextlib.suppress(BlockingIOError):
+            os.read(self._events, 1 << 12)
+        os.write(self._events, struct.pack("=I", 1))

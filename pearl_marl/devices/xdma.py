@@ -1,0 +1,85 @@
+"""A board behind the Xilinx XDMA driver, or a simulated one that ``pearl serve`` puts behind files.
+
+::
+
+    Xdma  --(devices/comm_bram.py)-->  XdmaTransport  --(pwrite, pread)-->  the board
+"""
+
+from __future__ import annotations
+
+import os
+from typing import ClassVar
+
+import numpy as np
+
+from pearl_marl.devices.batch import BatchConfig
+from pearl_marl.devices.comm_bram import CommBram, Transport
+from pearl_marl.devices.recovery import CHECKPOINT_EVERY, Recoverable
+from pearl_marl.devices.xdma_transport import COMPLETIONS, XdmaTransport
+from pearl_marl.errors import ArgumentError
+from pearl_marl.memory_map import Control, MemoryMap, default_map, memory_map
+
+
+class Xdma(Recoverable, CommBram):
+    """A board behind the XDMA driver.
+
+    Parameters
+    ----------
+    board
+        Its number *N* in ``/dev/xdmaN_h2c_0``, or the folder of a board that ``pearl serve`` simulates.
+    completion
+        How the end of a step is noticed. ``"poll"`` reads the results at once, and again until they are
+        those of the step; ``"event"`` waits for the board's interrupt first. ``None`` is ``"event"`` for
+        a served board, which knows no other way, and ``"poll"`` for a real one.
+    timeout
+        Seconds until a step is given up.
+    checkpoint_every
+        Steps between two states that are kept on the host for :meth:`recover`; ``None`` keeps nothing.
+    """
+
+    name = "xdma"
+    _transport_type: ClassVar[type[XdmaTransport]] = XdmaTransport
+    _way_on = "call recover(), or reset(), or load a saved state, to go on"
+
+    def __init__(
+        self,
+        board: int | str | os.PathLike[str] = 0,
+        completion: str | None = None,
+        timeout: float = 10.0,
+        checkpoint_every: int | None = CHECKPOINT_EVERY,
+    ) -> None:
+        super().__init__(checkpoint_every)
+        if isinstance(board, (int, np.integer)):
+            if isinstance(board, bool) or board < 0:
+                raise ArgumentError(f"board is {board!r}; it must be a number from 0 on, or a folder")
+        elif not isinstance(board, (str, os.PathLike)):
+            raise ArgumentError(f"board is {board!r}; it must be a number from 0 on, or a folder")
+        if completion not in (None, *COMPLETIONS):
+            raise ArgumentError(
+                f"completion is {completion!r}; possible are {', '.join(map(repr, COMPLETIONS))} and None"
+            )
+        if not isinstance(timeout, (int, float)) or isinstance(timeout, bool) or not 0 < timeout < 1e6:
+            raise ArgumentError(f"timeout is {timeout!r}; it must be a positive number of seconds")
+        self.board = int(board) if isinstance(board, (int, np.integer)) else os.fspath(board)
+        self._completion, self._patience = completion, float(timeout)
+
+    def _connect(self, config: BatchConfig) -> tuple[Transport, MemoryMap]:
+        transport = self._transport_type(self.board, self._completion, self._patience)
+        try:
+            layout = _layout_of(transport, config)
+        except BaseException:
+            transport.close()
+            raise
+        transport.status_offset = layout["status"].offset
+        return transport, layout
+
+
+def _layout_of(transport: Transport, config: BatchConfig) -> MemoryMap:
+    """Return the map of a board, with the sizes that it states."""
+    found = np.empty(4 * Control.SEED_0, np.uint8)
+    transport.read(0, found)
+    words = found.view("<u4").tolist()
+    try:
+        return memory_map(config.spec, config.n_envs, words[Control.PE_NUM], words[Control.DATA_WL])
+    except ArgumentError:  # no board of ours, or not for so many slots: who checks its identity will tell
+        return default_map(config.spec, config.n_envs)

@@ -1,0 +1,293 @@
+"""The nodes of the XDMA driver as a transport, or the files of a served board, which look the same.
+
+::
+
+    XdmaTransport   --pwrite-->  /dev/xdma0_h2c_0     -->  Comm-BRAM
+                    <--pread---  /dev/xdma0_c2h_0     <--
+                    <--poll----  /dev/xdma0_events_0  <--  interrupt
+
+A step is one ``pwrite`` and one ``pread``. They go through ctypes, as the driver's vectored calls
+(``preadv``, ``writev``, io_uring) move wrong bytes, and ``os.pread`` would allocate.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import errno
+import fcntl
+import os
+import select
+import stat
+import time
+from pathlib import Path
+from typing import Any, NoReturn
+
+from pearl_marl.codec import Stream
+from pearl_marl.devices import discovery
+from pearl_marl.devices.comm_bram import Transport
+from pearl_marl.errors import ArgumentError, DeviceError
+from pearl_marl.memory_map import Status, StatusError
+
+COMPLETIONS = ("poll", "event")
+
+DEV = "/dev"
+
+_EVENT_BYTES = 4  # the driver's event nodes give exactly so many a call
+_SPIN_SECONDS = 1e-3  # a step on a board takes microseconds; one that takes longer is looked at less often
+_MAX_PAUSE = 10e-3
+
+_ERESTARTSYS = 512  # of the kernel's own, which older drivers return where a transfer timed out
+_MENDS = {
+    errno.ETIMEDOUT: "the transfer timed out in the driver: see dmesg, and check that the FPGA is configured "
+    "and its clock runs",
+    errno.EINVAL: "the driver does not take this address or length: the XDMA core of the board must allow "
+    "transfers of any alignment, or its bus must be no wider than the design's words",
+    errno.EBUSY: "the driver's channel is taken: end other programs that use the board",
+    errno.EIO: "the board did not take or answer the transfer: see dmesg, and check that the FPGA holds the "
+    "design for this environment",
+    errno.ENODEV: "there is no board any more: check its power and its slot, then load the driver again",
+    errno.EBADF: "the connection is closed",
+    errno.EACCES: "give your user the right to read and write the driver's nodes, with a udev rule",
+}
+_MENDS[_ERESTARTSYS] = _MENDS[errno.ETIMEDOUT]
+_MENDS[errno.ENXIO] = _MENDS[errno.ENODEV]
+_MENDS[errno.EPERM] = _MENDS[errno.EACCES]
+
+_SERVE_AGAIN = "its process has ended: start `pearl serve` there again"
+
+_libc = ctypes.CDLL(None, use_errno=True)
+for _function in (_libc.pread, _libc.pwrite):
+    _function.restype = ctypes.c_ssize_t
+    _function.argtypes = (ctypes.c_int, ctypes.c_void_p, ctypes.c_size_t, ctypes.c_int64)
+
+
+class XdmaTransport(Transport):
+    """Moves bytes through the character devices of the XDMA driver.
+
+    Parameters
+    ----------
+    board, completion, timeout
+        See :class:`Xdma`.
+
+    Attributes
+    ----------
+    status_offset
+        Where the status is, which ends an answer; to be set before the first step.
+
+    Raises
+    ------
+    DeviceError
+        There is no such board, somebody else uses it, or its nodes cannot be opened.
+    """
+
+    status_offset = -1
+    _h2c = _c2h = _events = -1
+
+    def __init__(self, board: int | str, completion: str | None, timeout: float) -> None:
+        self._board, self._asked, self._timeout = board, completion, timeout
+        if isinstance(board, int):
+            self._prefix, self._called = f"{DEV}/xdma{board}", f"XDMA board {board}"
+        else:
+            self._prefix, self._called = f"{board}/xdma0", f"served board at {board}"
+        self._failed = self._interrupted = False
+        self._open()
+
+    def write(self, offset: int, data: Stream) -> None:
+        """See :class:`Transport`."""
+        self._move(self._pwrite, "writing", offset, data)
+
+    def read(self, offset: int, data: Stream) -> None:
+        """See :class:`Transport`."""
+        self._move(self._pread, "reading", offset, data)
+
+    def wait(self, sequence: int) -> None:
+        """Wait for the interrupt, where that is how the end of a step is noticed."""
+        if self._events >= 0:
+            self._await_event(self._timeout)
+
+    def exchange(self, offset: int, data: Stream, answer_offset: int, answer: Stream, sequence: int) -> None:
+        """Do a whole step; read again what is not of this step, or was read while the step ran."""
+        start = self.status_offset - answer_offset
+        status = answer[start : start + 4 * len(Status)].view("<u4")
+        if self._events >= 0:
+            self._drop_events()
+        self.write(offset, data)
+        began = time.monotonic()
+        self.wait(sequence)
+        while True:
+            self.read(answer_offset, answer)
+            finished, error = int(status[Status.SEQUENCE]), int(status[Status.ERROR])
+            fresh = finished == sequence and not error & StatusError.TORN_READ
+            if fresh and (self._interrupted or self._events < 0):
+                return
+            waited = time.monotonic() - began
+            if fresh:
+                self._fail(
+                    f"ended step {sequence}, but no interrupt came within {waited:.3g} s",
+                    'check that it is wired, or use completion="poll"',
+                )
+            if waited > self._timeout:
+                self._fail(
+                    f"did not end step {sequence} within {self._timeout:g} s: its status is of step "
+                    f"{finished}, error {error}",
+                    "check that its clock runs, or give a longer timeout",
+                )
+            self._pause(waited)
+
+    def reconnect(self) -> None:
+        """Open the nodes again, if anything has failed since they were opened."""
+        if self._failed:
+            self.close()
+            self._open()
+            self._failed = False
+
+    def close(self) -> None:
+        """Close the nodes, and with them give the board back."""
+        for node in (self._events, self._c2h, self._h2c):
+            if node >= 0:
+                os.close(node)
+        self._h2c = self._c2h = self._events = -1
+
+    def __del__(self) -> None:
+        self.close()  # or a board that nobody closed would stay in use
+
+    def _open(self) -> None:
+        try:
+            self._h2c = os.open(f"{self._prefix}_h2c_0", os.O_WRONLY)
+            self._lock()
+            self._c2h = os.open(f"{self._prefix}_c2h_0", os.O_RDONLY)
+            self._open_events()
+        except FileNotFoundError as error:
+            self.close()
+            raise DeviceError(self._why_missing(error.filename)) from None
+        except OSError as error:
+            self.close()
+            mend = _MENDS.get(error.errno or 0, "see dmesg")
+            raise DeviceError(f"{self._called}: {error.filename}: {error.strerror}; {mend}") from error
+        except BaseException:
+            self.close()
+            raise
+
+    def _lock(self) -> None:
+        """Let one process at a time, and one device in it, use the board."""
+        try:
+            fcntl.flock(self._h2c, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            owner = _lock_owner(self._h2c)
+            who = "this process" if owner == os.getpid() else f"process {owner}" if owner else "somebody"
+            raise DeviceError(
+                f"{self._called} is in use by {who}: close that environment, or end that process"
+            ) from None
+
+    def _open_events(self) -> None:
+        """Open the node of the interrupt, if it is to be waited for.
+
+        A served board's is a FIFO that its process holds open: so we learn when that ends.
+        """
+        path = f"{self._prefix}_events_0"
+        served = stat.S_ISFIFO(os.stat(path).st_mode) if os.path.exists(path) else False
+        if served:
+            if self._asked == "poll":
+                raise ArgumentError(
+                    'completion is "poll"; a served board tells the end of a step by an event only, as a '
+                    "file cannot tell that it was read while it was written"
+                )
+            try:
+                os.close(os.open(path, os.O_WRONLY | os.O_NONBLOCK))
+            except OSError:  # nobody has it open for reading
+                raise DeviceError(f"{self._called} is gone; {_SERVE_AGAIN}") from None
+        if served or self._asked == "event":
+            self._events = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
+            self._poller = select.poll()
+            self._poller.register(self._events, select.POLLIN)
+
+    def _why_missing(self, path: str) -> str:
+        if not isinstance(self._board, int):
+            return (
+                f"there is no board at {self._board}: there is no {path}; serve one there with: "
+                f"pearl serve ENV --n-agents N --at {self._board}"
+            )
+        found = [f"{b.number} ({b.device_id} in slot {b.slot})" for b in discovery.boards()]
+        waiting = discovery.boards_without_driver()
+        if found:
+            mend = f"there are boards {', '.join(found)}"
+        elif waiting:
+            mend = f"a Xilinx device in slot {', '.join(waiting)} has no driver: load it with: modprobe xdma"
+        else:
+            mend = f"nor a PCI device of vendor {discovery.XILINX}: check the board's power and its slot"
+        return (
+            f"there is no XDMA board {self._board}: there is no {path}; {mend}. Without a board, serve a "
+            "simulated one with: pearl serve ENV --n-agents N --at DIR, and use device='xdma:DIR'"
+        )
+
+    def _pwrite(self, offset: int, data: Stream) -> int:
+        return _moved(_libc.pwrite(self._h2c, data.ctypes.data, data.size, offset))
+
+    def _pread(self, offset: int, data: Stream) -> int:
+        return _moved(_libc.pread(self._c2h, data.ctypes.data, data.size, offset))
+
+    def _move(self, call: Any, doing: str, offset: int, data: Stream) -> None:
+        while True:
+            try:
+                moved = call(offset, data)
+                break
+            except InterruptedError:
+                continue
+            except OSError as error:
+                code = error.errno or 0
+                name = errno.errorcode.get(code, str(code))
+                self._fail(
+                    f"failed {doing} {data.size} bytes at {offset:#x} ({name})", _MENDS.get(code, "see dmesg")
+                )
+        if moved != data.size:
+            self._fail(
+                f"moved {moved} of {data.size} bytes {doing} at {offset:#x}",
+                "the driver gave the transfer up half way: see dmesg",
+            )
+
+    def _await_event(self, seconds: float) -> None:
+        """Return at the next interrupt, or when the time is over: the status tells which."""
+        for _, happened in self._poller.poll(seconds * 1000):
+            if happened & select.POLLIN:
+                self._interrupted = True
+                with contextlib.suppress(BlockingIOError):
+                    os.read(self._events, _EVENT_BYTES)
+            else:
+                self._fail("is gone", _SERVE_AGAIN if isinstance(self._board, str) else _MENDS[errno.ENODEV])
+
+    def _drop_events(self) -> None:
+        """Forget interrupts of steps that nobody waited for to the end."""
+        while self._poller.poll(0):
+            self._await_event(0)
+
+    def _pause(self, waited: float) -> None:
+        if self._events >= 0:
+            self._await_event(min(waited / 10, _MAX_PAUSE))
+        elif waited > _SPIN_SECONDS:
+            time.sleep(min(waited / 10, _MAX_PAUSE))
+
+    def _fail(self, what: str, mend: str) -> NoReturn:
+        self._failed = True
+        then = ". Then call recover()" if self.status_offset >= 0 else ""
+        raise DeviceError(f"{self._called} {what}; {mend}{then}")
+
+
+def _moved(answer: int) -> int:
+    """Return how many bytes a system call moved, or raise what it failed with."""
+    if answer < 0:
+        raise OSError(ctypes.get_errno(), os.strerror(ctypes.get_errno()))
+    return answer
+
+
+def _lock_owner(file: int) -> int | None:
+    """Return the process that holds a lock on a file, if the system tells."""
+    of_file = os.fstat(file)
+    major, minor = os.major(of_file.st_dev), os.minor(of_file.st_dev)
+    name = f"{major:02x}:{minor:02x}:{of_file.st_ino}"
+    with contextlib.suppress(OSError):
+        for line in Path("/proc/locks").read_text().splitlines():
+            fields = line.split()
+            if "FLOCK" in fields and name in fields:
+                return int(fields[fields.index(name) - 1])
+    return None

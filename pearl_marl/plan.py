@@ -1,0 +1,130 @@
+"""Choosing a build: processing elements and word width for an environment behind a link."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from pearl_marl.errors import ArgumentError
+from pearl_marl.latency import HostTimes, Link, Overlap, Prediction, measure_host, predict
+from pearl_marl.memory_map import DATA_WIDTHS, MemoryMap, memory_map
+from pearl_marl.spec import EnvSpec
+from pearl_marl.synthesis import Part, Usage, modelled_bram36, synthesised
+
+MAX_PE_NUM = 256
+"""The most processing elements that are looked at, in powers of two, which need the fewest shifters."""
+
+NEAR = 1.05
+"""A smaller design is chosen over the fastest, if its steps take at most so many times as long."""
+
+
+@dataclass(frozen=True, slots=True)
+class Candidate:
+    """A build, what a step of it is predicted to take, and the block RAM of its memories."""
+
+    layout: MemoryMap
+    prediction: Prediction
+    bram36: float
+
+    def as_json(self) -> dict[str, Any]:
+        """Return it as JSON has it."""
+        return {**self.prediction.as_json(), "bram36": self.bram36}
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """The build that was chosen, and what it was chosen from.
+
+    Parameters
+    ----------
+    chosen
+        The build.
+    candidates
+        For each number of processing elements the narrowest word that serves them.
+    host, half_host
+        What the host takes for all slots, and for half of them; measured.
+    overlap
+        Two devices of half the slots that take turns; ``None`` for a single slot.
+    usage
+        What synthesis made of the build, if it is in the cache.
+    """
+
+    chosen: Candidate
+    candidates: tuple[Candidate, ...]
+    host: HostTimes
+    half_host: HostTimes | None
+    overlap: Overlap | None
+    usage: Usage | None
+
+
+def plan(
+    spec: EnvSpec,
+    n_envs: int,
+    link: Link,
+    clock: float,
+    part: Part | None = None,
+    pe_num: int | None = None,
+    data_wl: int | None = None,
+) -> Plan:
+    """Choose a build.
+
+    Of all builds whose memories fit the part, the smallest that is nearly as fast as the fastest
+    (:data:`NEAR`): fewest processing elements, then the narrowest word.
+
+    Parameters
+    ----------
+    spec, n_envs
+        What is to be stepped.
+    link
+        What the hardware is behind.
+    clock
+        The hardware's, in hertz.
+    part
+        What the memories have to fit; ``None`` for anything.
+    pe_num, data_wl
+        To look at one value only.
+
+    Raises
+    ------
+    ArgumentError
+        A parameter is not possible, or no build fits the part.
+    """
+    sizes = (
+        [1 << k for k in range(MAX_PE_NUM.bit_length()) if 1 << k <= n_envs] if pe_num is None else [pe_num]
+    )
+    widths = DATA_WIDTHS if data_wl is None else (data_wl,)
+    layouts = [memory_map(spec, n_envs, size, width) for size in sizes or [1] for width in widths]
+    fitting = [layout for layout in layouts if part is None or modelled_bram36(layout) <= part.bram36]
+    if part is not None and not fitting:
+        least = min(map(modelled_bram36, layouts))
+        raise ArgumentError(
+            f"{n_envs:,} slots of {spec.name} need {least:,.1f} BRAM36 or more, the {part.name} has "
+            f"{part.bram36:,}: take fewer slots, or a larger part"
+        )
+    host = measure_host(spec, n_envs)
+    found = [
+        Candidate(layout, predict(spec, layout, link, host, clock), modelled_bram36(layout))
+        for layout in fitting
+    ]
+    by_size = [[c for c in found if c.layout.pe_num == size] for size in sizes]
+    chosen = _smallest(found)
+    half_host = overlap = None
+    if n_envs > 1:
+        half = memory_map(spec, n_envs // 2, min(chosen.layout.pe_num, n_envs // 2), chosen.layout.data_wl)
+        half_host = measure_host(spec, half.n_envs)
+        overlap = Overlap(predict(spec, half, link, half_host, clock))
+    return Plan(
+        chosen,
+        tuple(_smallest(group) for group in by_size if group),
+        host,
+        half_host,
+        overlap,
+        synthesised(spec, chosen.layout),
+    )
+
+
+def _smallest(candidates: list[Candidate]) -> Candidate:
+    """Return the smallest that is nearly as fast as the fastest."""
+    enough = NEAR * min(c.prediction.total for c in candidates)
+    near = [c for c in candidates if c.prediction.total <= enough]
+    return min(near, key=lambda c: (c.layout.pe_num, c.layout.data_wl))

@@ -1,0 +1,57 @@
+// The design's interrupt as the XDMA core takes one: raised when a step has ended, and held until the
+// core has sent it (PG195, "MSI and Internal MSI-X Interrupts"), which a host that polls may not wait for.
+//
+// The interrupt is another clock's, and low for longer than it takes to come across between two steps.
+module pearl_xdma_irq (
+    input  logic clk_i,
+    input  logic rst_ni,
+    input  logic irq_i,
+    output logic usr_irq_req_o,
+    // For a cycle, when the request was sent.
+    input  logic usr_irq_ack_i
+);
+
+  typedef enum logic [1:0] {
+    Idle,
+    // Requested, and not sent yet.
+    Request,
+    // Sent; the step's results have yet to be left for the next one.
+    Serve
+  } state_e;
+
+  state_e state_d, state_q;
+  // The step that is requested for is over, and maybe another as well.
+  logic left_d, left_q;
+  (* ASYNC_REG = "TRUE" *) logic [1:0] irq_q;
+  logic irq;
+  assign irq = irq_q[1];
+
+  always_comb begin
+    state_d = state_q;
+    left_d  = left_q || !irq;
+    unique case (state_q)
+      Idle: begin
+        left_d = 1'b0;
+        if (irq) state_d = Request;
+      end
+      Request: if (usr_irq_ack_i) state_d = left_d ? Idle : Serve;
+      Serve:   if (!irq) state_d = Idle;
+      default: state_d = Idle;
+    endcase
+  end
+
+  always_ff @(posedge clk_i or negedge rst_ni) begin
+    if (!rst_ni) begin
+      irq_q   <= '0;
+      state_q <= Idle;
+      left_q  <= 1'b0;
+    end else begin
+      irq_q   <= {irq_q[0], irq_i};
+      state_q <= state_d;
+      left_q  <= left_d;
+    end
+  end
+
+  assign usr_irq_req_o = state_q != Idle;
+
+endmodule

@@ -1,0 +1,29 @@
+# Xilinx VC707. Pins are those of the board's user guide (UG885), as public designs for the board have
+# them too; lanes and reference clock are in the quads of PCIe block X1Y0, which build.tcl chooses.
+
+# PCIe: the reference clock of the edge connector, which is of 100 MHz, and PERST#.
+set_property PACKAGE_PIN AB8 [get_ports pcie_clk_p]
+set_property PACKAGE_PIN AB7 [get_ports pcie_clk_n]
+create_clock -name pcie_clk -period 10.000 [get_ports pcie_clk_p]
+
+set_property PACKAGE_PIN AV35 [get_ports pcie_perst_n]
+set_property IOSTANDARD LVCMOS18 [get_ports pcie_perst_n]
+set_property PULLUP true [get_ports pcie_perst_n]
+set_false_path -from [get_ports pcie_perst_n]
+
+# The lanes. The XDMA core places its transceivers; these say that it placed them where the board has them.
+set_property PACKAGE_PIN Y4 [get_ports {pcie_rx_p[0]}]
+set_property PACKAGE_PIN AA6 [get_ports {pcie_rx_p[1]}]
+set_property PACKAGE_PIN AB4 [get_ports {pcie_rx_p[2]}]
+set_property PACKAGE_PIN AC6 [get_ports {pcie_rx_p[3]}]
+set_property PACKAGE_PIN AD4 [get_ports {pcie_rx_p[4]}]
+set_property PACKAGE_PIN AE6 [get_ports {pcie_rx_p[5]}]
+set_property PACKAGE_PIN AF4 [get_ports {pcie_rx_p[6]}]
+set_property PACKAGE_PIN AG6 [get_ports {pcie_rx_p[7]}]
+
+# User LEDs 0 to 2.
+set_property PACKAGE_PIN AM39 [get_ports {led[0]}]
+set_property PACKAGE_PIN AN39 [get_ports {led[1]}]
+set_property PACKAGE_PIN AR37 [get_ports {led[2]}]
+set_property IOSTANDARD LVCMOS18 [get_ports {led[*]}]
+set_false_path -to [get_ports {led[*]}]
