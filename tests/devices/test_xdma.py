@@ -343,6 +343,24 @@ def test_completion_on_the_hardware_itself(completion: str, monkeypatch: pytest.
     device.close()
 
 
+def test_hardware_that_was_reset_between_two_steps(monkeypatch: pytest.MonkeyPatch) -> None:
+    """By a button, say: it would go on from anywhere, and answer in time."""
+    monkeypatch.setattr(Xdma, "_transport_type", AxiLink)
+    config = BatchConfig(spec=SPEC, n_envs=N // 2, max_cycles=20)
+    device, native = Xdma(completion="event").open(config), Native().open(config)
+    device.reset(seed=0)
+    native.reset(seed=0)
+    actions = ACTIONS[:, : N // 2].copy()
+    assert_same_trajectory(trajectory(device, actions[:30]), trajectory(native, actions[:30]))
+    device._transport.close()
+    device._transport._open()
+    with pytest.raises(DeviceError, match=r"reports RESET: it was reset since the last call, and has lost"):
+        device.step(actions[30])
+    device.recover()
+    assert_same_trajectory(trajectory(device, actions[30:]), trajectory(native, actions[30:]))
+    device.close()
+
+
 def test_an_interrupt_that_is_not_wired(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Xdma, "_transport_type", AxiLink)
     monkeypatch.setattr(AxiLink, "wired", False)
