@@ -1,7 +1,7 @@
 """Policies trained on the native device, evaluated on others: the same digests.
 
 Q-learning of CliffWalking and Blackjack, where all agents share one table, and PPO of CartPole. Each policy
-is saved as a file, loaded again, and evaluated on every device.
+is saved as a file, unless it is there already, loaded again, and evaluated on every device.
 
     python experiments/evaluation.py --device native --device rtl --out out/evaluation
 
@@ -11,6 +11,7 @@ is saved as a file, loaded again, and evaluated on every device.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -39,10 +40,18 @@ def main(
     """Train, evaluate, and print a table in Markdown; exit with 1 if digests differ."""
     out.mkdir(parents=True, exist_ok=True)
     files = {
-        "CliffWalking": q_learning("CliffWalking", 43008, 300, 0.5, out),
-        "Blackjack": q_learning("Blackjack", 43008, 600, 0.05, out),
-        "CartPole": ppo("CartPole", out),
+        "CliffWalking": out / "CliffWalking.npy",
+        "Blackjack": out / "Blackjack.npy",
+        "CartPole": out / "CartPole.zip",
     }
+    train: dict[str, Callable[[], Any]] = {
+        "CliffWalking": lambda: q_learning("CliffWalking", 43008, 300, 0.5, files["CliffWalking"]),
+        "Blackjack": lambda: q_learning("Blackjack", 43008, 600, 0.05, files["Blackjack"]),
+        "CartPole": lambda: ppo("CartPole", files["CartPole"]),
+    }
+    for env_id, path in files.items():
+        if not path.exists():
+            train[env_id]()
     print("| environment | device | agents | episodes | return | digest |")
     print("| --- | --- | ---: | ---: | ---: | --- |")
     same = True
@@ -67,7 +76,7 @@ def main(
         raise typer.Exit(1)
 
 
-def q_learning(env_id: str, n: int, steps: int, rate: float, out: Path) -> Path:
+def q_learning(env_id: str, n: int, steps: int, rate: float, path: Path) -> None:
     """Learn a table with all agents, who explore less and less; save it."""
     env = pearl_marl.parallel_env(env_id, n)
     space: Any = env.spec.observation_space
@@ -94,12 +103,10 @@ def q_learning(env_id: str, n: int, steps: int, rate: float, out: Path) -> Path:
         flat += np.where(visits, rate * (means - flat), 0)
         state = index(result.obs)
     env.close()
-    path = out / f"{env_id}.npy"
     np.save(path, table.reshape(*shape, actions_n))
-    return path
 
 
-def ppo(env_id: str, out: Path) -> Path:
+def ppo(env_id: str, path: Path) -> None:
     """Train a model of Stable-Baselines3 and save it."""
     from stable_baselines3 import PPO
 
@@ -107,9 +114,7 @@ def ppo(env_id: str, out: Path) -> Path:
     model = PPO("MlpPolicy", env, n_steps=128, batch_size=1024, gamma=0.98, seed=0, device="cpu")
     with console.status(f"{env_id}: PPO"):
         model.learn(150_000)
-    path = out / f"{env_id}.zip"
     model.save(path)
-    return path
 
 
 if __name__ == "__main__":

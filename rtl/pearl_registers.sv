@@ -12,7 +12,7 @@ module pearl_registers
     parameter int unsigned RESULT_BITS = 9,
     // Names the environment and its options: a host refuses a build that is for another one.
     parameter logic [31:0] ENV_HASH = 32'h0,
-    localparam int unsigned INDEX_BITS = index_bits(ceil_div(CONTROL_WORDS * 32, DATA_WL))
+    localparam int unsigned INDEX_BITS = index_bits(stream_words(CONTROL_WORDS, 32, DATA_WL))
 ) (
     input logic clk_i,
     input logic rst_ni,
@@ -30,7 +30,7 @@ module pearl_registers
     output mode_t              mode_o,
     output logic  [ 1:0][31:0] seed_o,
     output logic  [63:0]       tick_o,
-    // seed_o or tick_o are new.
+    // seed_o or tick_o may be new.
     output logic               keys_stale_o,
     output logic  [31:0]       first_slot_o,
     output logic  [31:0]       max_cycles_o,
@@ -45,11 +45,9 @@ module pearl_registers
     input logic        untorn_i
 );
 
-  localparam int unsigned DOORBELL_WORDS = 2;
-  localparam int unsigned STATUS_WORDS = 3;
-  localparam int unsigned CONTROL_BITS = ceil_div(CONTROL_WORDS * 32, DATA_WL) * DATA_WL;
-  localparam int unsigned DOORBELL_BITS = ceil_div(DOORBELL_WORDS * 32, DATA_WL) * DATA_WL;
-  localparam int unsigned STATUS_BITS = ceil_div(STATUS_WORDS * 32, DATA_WL) * DATA_WL;
+  localparam int unsigned CONTROL_BITS = stream_words(CONTROL_WORDS, 32, DATA_WL) * DATA_WL;
+  localparam int unsigned DOORBELL_BITS = stream_words(DOORBELL_WORDS, 32, DATA_WL) * DATA_WL;
+  localparam int unsigned STATUS_BITS = stream_words(STATUS_WORDS, 32, DATA_WL) * DATA_WL;
 
   logic [1:0][31:0] seed_q;
   logic [63:0] tick_q;
@@ -58,7 +56,7 @@ module pearl_registers
   error_t error_q;
   logic stale_q;
 
-  // Which 32-bit words a write reaches.
+  // Whether the word at an index of the address space holds a 32-bit register, and the register in it.
   function automatic logic reaches(int unsigned register, logic [INDEX_BITS-1:0] index);
     return 32'(index) == register * 32 / DATA_WL;
   endfunction
