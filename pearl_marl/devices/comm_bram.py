@@ -150,6 +150,11 @@ class CommBram(Device):
         self._reward_words = np.empty(n, spec.reward.dtype)
         self._ters = np.empty(n, np.uint8)
 
+    def recover(self) -> None:
+        """Nothing is kept to go on from here: raises, and says what is possible, if a step has failed."""
+        super().recover()
+        self._check_known()
+
     def _reset(self, mask: Array | None) -> Array:
         if mask is not None:
             before = self._mask.copy()
