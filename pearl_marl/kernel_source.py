@@ -60,6 +60,7 @@ def step(
     code = np.empty($BLOCK, np.$REWARD_DTYPE)
     flag = np.zeros($BLOCK, np.uint8)  # 1 where an episode ends; beyond the last slot 0
     flag_words = flag.view(np.uint64)
+    ended_slots = np.empty($BLOCK, np.uint16)
     resetting = np.zeros($BLOCK, np.uint8)
     $step_keys
     # SAME_STEP starts the next episode now, at the next tick; NEXT_STEP starts it within this one.
@@ -119,12 +120,16 @@ def step(
             any_ended |= flag_words[i]
         if any_ended and not next_step:
             F = final$BLOCK_ROWS
-            for i in range(m):
-                $copy_observation
-            $start_over
-            for i in range(m):
-                E[i] = np.uint32(0) if flag[i] else E[i]
-            $observe_ended
+            # Listed, since most often few ended; but no further than their number matters.
+            count = 0
+            for w in range(flag_words.size):
+                if flag_words[w]:
+                    for i in range(8 * w, 8 * w + 8):
+                        ended_slots[count] = i
+                        count += flag[i]
+                    if count >= $FEW:
+                        break
+            $restart
 
 
 @kernel
@@ -272,14 +277,29 @@ def kernel_source(spec: EnvSpec) -> str:
 
     observe_slot = [f"{_list('o{}', observed)} = observe({state})", *deliver("o{}")]
     observe = ["for i in range(m):", *_indented(observe_slot)]
+    # For one slot, of those that ended.
     observe_one = [f"{_list('o{}', observed)} = observe({new_state})", *deliver("o{}")]
-    copy = copy_one = [f"{element('F', k)} = {element('O', k)}" for k in observed]
-    observe_ended = observe
+    copy_one = [f"{element('F', k)} = {element('O', k)}" for k in observed]
     if spec.unpack is not None:
-        # Observations so large that those of the other slots cost more than a branch.
         copy_one = ["F[i, :] = O[i, :]"]
-        copy = ["if flag[i]:", *_indented(copy_one)]
-        observe_ended = ["for i in range(m):", "    if flag[i]:", *_indented(_indented(observe_slot))]
+    start_one = [
+        "if use_stored:",
+        *(f"    s{k} = stored_{k}[b + i]" for k in fields),
+        "else:",
+        *(f"    d{d} = draw(u32(slot_0 + i), key_a{d}, key_b{d})" for d in reset_draws),
+        f"    {new_state} = initial({_list('d{}', reset_draws)})",
+    ]
+    store_one = [*(f"S{k}[i] = np.{f.dtype}(s{k})" for k, f in enumerate(spec.state)), "E[i] = np.uint32(0)"]
+    each = ["i = np.int64(ended_slots[j])", *copy_one, *start_one, *store_one, *observe_one]
+    restart = ["for j in range(count):", *_indented(each)]
+    few = block + 1
+    if spec.unpack is None:
+        # From about so many on, fewer where a start takes draws, SIMD code for all slots is faster. Not with
+        # large observations, of which all would be made anew.
+        few = block // (4 + 3 * spec.reset_draws)
+        clear = ["for i in range(m):", "    E[i] = np.uint32(0) if flag[i] else E[i]"]
+        at_once = ["for i in range(m):", *_indented(copy_one), *start_over, *clear, *observe]
+        restart = [f"if count < {few}:", *_indented(restart), "else:", *_indented(at_once)]
 
     categories = 0 if spec.rewards is None else 1 << spec.reward.bits
     if not categories:
@@ -328,20 +348,13 @@ def kernel_source(spec: EnvSpec) -> str:
         "start_over": start_over,
         "observe": observe,
         "rewards": ["for i in range(m):", *(f"    {line}" for line in reward)],
-        "observe_ended": observe_ended,
-        "observe_one": observe_one,
+        "restart": restart,
         "copy_one": copy_one,
-        "start_one": [
-            "if use_stored:",
-            *(f"    s{k} = stored_{k}[b + i]" for k in fields),
-            "else:",
-            *(f"    draw_{d} = draw(u32(slot_0 + i), key_a{d}, key_b{d})" for d in reset_draws),
-            f"    {new_state} = initial({_list('draw_{}', reset_draws)})",
-        ],
+        "start_one": start_one,
+        "observe_one": observe_one,
         "block_words": [f"W{k} = words_{k}[b : b + m]" for k in observed],
         "deliver": deliver("words_{}[i]"),
         "deliver_block": deliver("W{}[i]"),
-        "copy_observation": copy,
     }
     words = {
         "NAME": spec.name,
@@ -350,6 +363,7 @@ def kernel_source(spec: EnvSpec) -> str:
         "OBSERVED": rows.format("observations"),
         "FINAL": rows.format("final_observations"),
         "BLOCK_ROWS": block_rows,
+        "FEW": str(few),
         "words": _list("words_{}", observed),
     }
     text = re.sub(r"\$([A-Z_]+|words)", lambda match: words[match[1]], TEMPLATE)

@@ -160,8 +160,10 @@ ENDING = 100
 """One slot in so many ends its episode in a measured step; what follows an end is a part of T7."""
 
 
-def measure_host(spec: EnvSpec, n_envs: int, rounds: int = 30) -> HostTimes:
-    """Measure T1 and T7 on this machine: medians over ``rounds`` steps of the host's code without hardware.
+def measure_host(spec: EnvSpec, n_envs: int, rounds: int = 200) -> HostTimes:
+    """Measure T1 and T7 on this machine, by stepping the host's code without hardware.
+
+    They are medians of the thread's CPU time, so that other programs on the machine count less.
 
     Parameters
     ----------

@@ -127,9 +127,11 @@ class StatusError(IntFlag):
     BUSY_DOORBELL = 1
     """A doorbell came while a step was running, and was refused. Cleared by the next one that rings."""
     BUSY_WRITE = 2
-    """The same of any other write."""
+    """The same of any other write of whole words; a part of one is refused in its answer alone."""
     TORN_READ = 4
     """A result was read while a step was running. Cleared by reading the first word of results after it."""
+    RESET = 8
+    """Nothing has been written to the control region since the hardware was reset: it holds no batch."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -283,7 +283,7 @@ def parallel_env(
     n_agents
         How many slots.
     device
-        ``"native"``, or a configured device of :mod:`pearl_marl.devices`.
+        A name or a configured device of :mod:`pearl_marl.devices`.
     autoreset
         Whether agents stay and start over (``True``), or leave when their episode ends.
     max_cycles

@@ -2,8 +2,9 @@
 // beats, byte strobes. One burst at a time, reads and writes in turn.
 //
 // The memories behind take whole words only. A beat that writes part of a word reads the word
-// first, which costs some cycles; whole words stream at one a cycle. Exclusive accesses, cache,
-// protection and quality-of-service hints are not looked at.
+// first, which costs some cycles; whole words stream at one a cycle. If that read is refused, so is
+// the beat, but the status does not tell of a write. Exclusive accesses, cache, protection and
+// quality-of-service hints are not looked at.
 module pearl_axi_slave
   import pearl_pkg::*;
 #(
@@ -105,8 +106,8 @@ module pearl_axi_slave
   assign empty_beat = s_axi_wstrb == '0;
   assign read_req = state_q == Read && !all_asked_q && credits_q != '0;
 
-  // A word that was fetched is merged and written in the cycle in which it arrives; if the fetch
-  // failed, so would the write.
+  // A word that was fetched is merged and written in the cycle in which it arrives, as the last answer
+  // that is due; if the fetch failed, so would the write.
   logic merge;
   assign merge = state_q == Fetch && rvalid_i && 32'(credits_q) == FIFO_DEPTH - 1;
   assign s_axi_wready = (state_q == Write && (full_beat || empty_beat)) || merge;

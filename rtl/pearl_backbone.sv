@@ -1,8 +1,7 @@
 // Everything but the bus: the memories and registers behind one memory port, and the pipeline that
 // takes all slots through one step when the doorbell rings.
 //
-// pearl_top checks the sizes. Whether widths and offsets belong to them and to the core is checked
-// here.
+// pearl_top checks the sizes, and here it is checked whether the offsets belong to them.
 // Reset has to last LATENCY + 4 cycles (the core's LATENCY): what is in the pipeline is flushed, not
 // reset, so that its delays can be shift-register LUTs.
 module pearl_backbone
@@ -12,11 +11,6 @@ module pearl_backbone
     parameter int unsigned N_ENVS = 7,
     parameter int unsigned PE_NUM = 4,
     parameter int unsigned DATA_WL = 32,
-    // Widths of the environment's words; the core's package must say the same.
-    parameter int unsigned STATE_BITS = 6,
-    parameter int unsigned ACTION_BITS = 2,
-    parameter int unsigned OBS_BITS = 6,
-    parameter int unsigned REWARD_BITS = 1,
     // 32-bit random draws of a slot in a step, those for a start state first.
     parameter int unsigned DRAWS = 0,
     // Names the environment and its options: a host refuses a build that is for another one.
@@ -35,7 +29,7 @@ module pearl_backbone
     parameter int unsigned TERS_OFFSET = 35,
     parameter int unsigned STATUS_OFFSET = 36,
     parameter int unsigned END_OFFSET = 39,
-    // Bits of a word's address.
+    // Bits of a word's address; enough for the whole map.
     parameter int unsigned WORD_ADDR_BITS = 14
 ) (
     input logic clk_i,
@@ -54,8 +48,22 @@ module pearl_backbone
     output logic irq_o
 );
 
-  localparam int unsigned LATENCY = pearl_core_pkg::LATENCY;
+  // What the core states. An illegal latency is replaced, for the reason that pearl_top gives.
+  localparam bit LEGAL_TIMING = pearl_core_pkg::LATENCY >= 1 && pearl_core_pkg::II >= 1;
+  localparam int unsigned LATENCY = LEGAL_TIMING ? pearl_core_pkg::LATENCY : 1;
   localparam int unsigned II = pearl_core_pkg::II;
+  localparam int unsigned STATE_BITS = pearl_core_pkg::STATE_BITS;
+  localparam int unsigned ACTION_BITS = pearl_core_pkg::ACTION_BITS;
+  localparam int unsigned OBS_BITS = pearl_core_pkg::OBS_BITS;
+  localparam int unsigned REWARD_BITS = pearl_core_pkg::REWARD_BITS;
+  if (!LEGAL_TIMING) begin : gen_illegal_timing
+    $error(
+        "the core states LATENCY %0d and II %0d; both must be at least 1",
+        pearl_core_pkg::LATENCY,
+        pearl_core_pkg::II
+    );
+  end
+
   localparam int unsigned GROUPS = ceil_div(N_ENVS, PE_NUM);
   localparam int unsigned GROUP_BITS = index_bits(GROUPS);
   localparam int unsigned SLOT_BITS = TER_BITS + STATE_BITS;
@@ -64,57 +72,60 @@ module pearl_backbone
   // one, random draws take longer.
   localparam int unsigned FETCH = DRAWS == 0 ? 1 : DRAW_LATENCY;
 
-  localparam int unsigned ACTION_WORDS = DOORBELL_OFFSET - ACTIONS_OFFSET;
-  localparam int unsigned MASK_WORDS = ACTIONS_OFFSET - RESET_MASK_OFFSET;
-  localparam int unsigned OBS_WORDS = REWARDS_OFFSET - OBSERVATIONS_OFFSET;
-  localparam int unsigned REWARD_WORDS = TERS_OFFSET - REWARDS_OFFSET;
-  localparam int unsigned TER_WORDS = STATUS_OFFSET - TERS_OFFSET;
+  localparam int unsigned MASK_WORDS = stream_words(N_ENVS, 1, DATA_WL);
+  localparam int unsigned ACTION_WORDS = stream_words(N_ENVS, ACTION_BITS, DATA_WL);
+  localparam int unsigned OBS_WORDS = stream_words(N_ENVS, OBS_BITS, DATA_WL);
+  localparam int unsigned REWARD_WORDS = stream_words(N_ENVS, REWARD_BITS, DATA_WL);
+  localparam int unsigned TER_WORDS = stream_words(N_ENVS, TER_BITS, DATA_WL);
   // A row memory's words per row are a power of two.
-  localparam int unsigned INIT_COLUMNS_LOG2 = $clog2(ceil_div(PE_NUM * STATE_BITS, DATA_WL));
-  localparam int unsigned STATE_COLUMNS_LOG2 = $clog2(ceil_div(PE_NUM * SLOT_BITS, DATA_WL));
-  localparam int unsigned ELAPSED_COLUMNS_LOG2 = $clog2(ceil_div(PE_NUM * ELAPSED_BITS, DATA_WL));
+  localparam int unsigned INIT_COLUMNS_LOG2 = $clog2(stream_words(PE_NUM, STATE_BITS, DATA_WL));
+  localparam int unsigned STATE_COLUMNS_LOG2 = $clog2(stream_words(PE_NUM, SLOT_BITS, DATA_WL));
+  localparam int unsigned ELAPSED_COLUMNS_LOG2 = $clog2(stream_words(PE_NUM, ELAPSED_BITS, DATA_WL));
 
-  if (LATENCY < 1 || II < 1) begin : gen_illegal_timing
-    $error("the core states LATENCY %0d and II %0d; both must be at least 1", LATENCY, II);
-  end
-  if (STATE_BITS != pearl_core_pkg::STATE_BITS || ACTION_BITS != pearl_core_pkg::ACTION_BITS ||
-      OBS_BITS != pearl_core_pkg::OBS_BITS || REWARD_BITS != pearl_core_pkg::REWARD_BITS)
-  begin : gen_illegal_widths
-    $error(
-        "the spec has %0d state, %0d action, %0d observation and %0d reward bits, the core %0d, %0d, %0d and %0d",
-        STATE_BITS,
-        ACTION_BITS,
-        OBS_BITS,
-        REWARD_BITS,
-        pearl_core_pkg::STATE_BITS,
-        pearl_core_pkg::ACTION_BITS,
-        pearl_core_pkg::OBS_BITS,
-        pearl_core_pkg::REWARD_BITS
-    );
-  end
-  if (CURRENT_STATES_OFFSET - INITIAL_STATES_OFFSET != GROUPS << INIT_COLUMNS_LOG2 ||
-      ELAPSED_OFFSET - CURRENT_STATES_OFFSET != GROUPS << STATE_COLUMNS_LOG2 ||
-      RESET_MASK_OFFSET - ELAPSED_OFFSET != GROUPS << ELAPSED_COLUMNS_LOG2 ||
-      MASK_WORDS != ceil_div(
-          N_ENVS, DATA_WL
-      ) || ACTION_WORDS != ceil_div(
-          N_ENVS * ACTION_BITS, DATA_WL
-      ) || OBS_WORDS != ceil_div(
-          N_ENVS * OBS_BITS, DATA_WL
-      ) || REWARD_WORDS != ceil_div(
-          N_ENVS * REWARD_BITS, DATA_WL
-      ) || TER_WORDS != ceil_div(
-          N_ENVS * TER_BITS, DATA_WL
-      )) begin : gen_illegal_map
+  // Of all regions, in their order: how many words they have, and where they start and the last ends.
+  localparam int unsigned REGION_WORDS[NumRegions] = '{
+      stream_words(CONTROL_WORDS, 32, DATA_WL),
+      GROUPS << INIT_COLUMNS_LOG2,
+      GROUPS << STATE_COLUMNS_LOG2,
+      GROUPS << ELAPSED_COLUMNS_LOG2,
+      MASK_WORDS,
+      ACTION_WORDS,
+      stream_words(DOORBELL_WORDS, 32, DATA_WL),
+      OBS_WORDS,
+      REWARD_WORDS,
+      TER_WORDS,
+      stream_words(STATUS_WORDS, 32, DATA_WL)
+  };
+  localparam int unsigned OFFSETS[NumRegions+1] = '{
+      CONTROL_OFFSET,
+      INITIAL_STATES_OFFSET,
+      CURRENT_STATES_OFFSET,
+      ELAPSED_OFFSET,
+      RESET_MASK_OFFSET,
+      ACTIONS_OFFSET,
+      DOORBELL_OFFSET,
+      OBSERVATIONS_OFFSET,
+      REWARDS_OFFSET,
+      TERS_OFFSET,
+      STATUS_OFFSET,
+      END_OFFSET
+  };
+
+  function automatic bit is_legal_map();
+    if (OFFSETS[0] != 0) return 1'b0;
+    for (int unsigned i = 0; i < NumRegions; i++) begin
+      if (OFFSETS[i+1] - OFFSETS[i] != REGION_WORDS[i]) return 1'b0;
+    end
+    return 1'b1;
+  endfunction
+
+  if (!is_legal_map()) begin : gen_illegal_map
     $error(
         "the offsets of the regions do not belong to N_ENVS %0d, PE_NUM %0d, DATA_WL %0d",
         N_ENVS,
         PE_NUM,
         DATA_WL
     );
-  end
-  if (WORD_ADDR_BITS < $clog2(END_OFFSET + 1)) begin : gen_illegal_addr_bits
-    $error("%0d bits of word address do not reach the %0d words of the map", WORD_ADDR_BITS, END_OFFSET);
   end
 
   // ---- The address space ----
@@ -134,22 +145,7 @@ module pearl_backbone
   pearl_port #(
       .DATA_WL(DATA_WL),
       .WORD_ADDR_BITS(WORD_ADDR_BITS),
-      .OFFSETS(
-      '{
-          CONTROL_OFFSET,
-          INITIAL_STATES_OFFSET,
-          CURRENT_STATES_OFFSET,
-          ELAPSED_OFFSET,
-          RESET_MASK_OFFSET,
-          ACTIONS_OFFSET,
-          DOORBELL_OFFSET,
-          OBSERVATIONS_OFFSET,
-          REWARDS_OFFSET,
-          TERS_OFFSET,
-          STATUS_OFFSET,
-          END_OFFSET
-      }
-      )
+      .OFFSETS(OFFSETS)
   ) u_port (
       .clk_i,
       .rst_ni,
@@ -187,7 +183,7 @@ module pearl_backbone
   ) u_registers (
       .clk_i,
       .rst_ni,
-      .index_i        (host_index[index_bits(ceil_div(CONTROL_WORDS*32, DATA_WL))-1:0]),
+      .index_i        (host_index[index_bits(stream_words(CONTROL_WORDS, 32, DATA_WL))-1:0]),
       .control_we_i   (host_we[Control]),
       .doorbell_we_i  (host_we[Doorbell]),
       .wdata_i        (host_wdata),
@@ -350,7 +346,7 @@ module pearl_backbone
       .STAGES(FETCH - 1)
   ) u_to_read (
       .clk_i,
-      .d_i({issue, issue_last, issue_group}),
+      .d_i(group_t'{valid: issue, last: issue_last, group: issue_group}),
       .d_o(at_read)
   );
   pearl_delay #(

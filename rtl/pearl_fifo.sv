@@ -16,7 +16,7 @@ module pearl_fifo #(
 );
 
   if (DEPTH < 2 || DEPTH != 2 ** $clog2(DEPTH)) begin : gen_illegal_depth
-    $error("pearl_fifo: DEPTH is %0d; it must be a power of two and at least 2", DEPTH);
+    $error("DEPTH is %0d; possible are the powers of two from 2 on", DEPTH);
   end
 
   localparam int unsigned PTR_BITS = $clog2(DEPTH);

@@ -17,11 +17,11 @@ module pearl_fixed_multiply
     output fixed_t product_o
 );
 
-  if (SHIFT < 1 || SHIFT > 62) begin : gen_bad_shift
-    $error("SHIFT = %0d: possible are 1 to 62", SHIFT);
+  if (SHIFT < 1 || SHIFT > 62) begin : gen_illegal_shift
+    $error("SHIFT is %0d; possible are 1 to 62", SHIFT);
   end
-  if (ADDEND != 0 && SHIFT > 32) begin : gen_bad_addend
-    $error("an ADDEND with SHIFT = %0d would lose its upper bits; possible are 1 to 32", SHIFT);
+  if (ADDEND != 0 && SHIFT > 32) begin : gen_illegal_addend
+    $error("SHIFT is %0d; an ADDEND would lose its upper bits beyond 32", SHIFT);
   end
 
   localparam logic signed [63:0] OFFSET = (64'(ADDEND) << SHIFT) + (64'sd1 << (SHIFT - 1));
@@ -52,7 +52,8 @@ module pearl_fixed_multiply
 
   assign product_o = product_q;
 
-  logic unused;
-  assign unused = ^{high_q[33:32], low_q[33:32]};
+  // The upper partial products fit 32 bits.
+  logic unused_signs;
+  assign unused_signs = ^{high_q[33:32], low_q[33:32]};
 
 endmodule

@@ -35,7 +35,7 @@ module pearl_group_reader
   logic [31:0] slot_q;
   logic [BANKS-1:0] room;
 
-  for (genvar i = 0; i < BANKS; i++) begin : gen_banks
+  for (genvar i = 0; i < BANKS; i++) begin : gen_bank
     localparam int unsigned UNIT = common_unit(ROW_BITS[i], DATA_WL);
     localparam int unsigned ROW_UNITS = ROW_BITS[i] / UNIT;
     localparam int unsigned WORD_UNITS = DATA_WL / UNIT;
@@ -75,7 +75,7 @@ module pearl_group_reader
       active_q <= !last_o;
       group_q  <= group_q + 1'b1;
       wait_q   <= WAIT_BITS'(II - 1);
-      slot_q   <= slot_q + PE_NUM;
+      slot_q   <= slot_q + 32'(PE_NUM);
     end else if (wait_q != '0) begin
       wait_q <= wait_q - 1'b1;
     end

@@ -82,7 +82,7 @@ module pearl_pe
   always_ff @(posedge clk_i) begin
     hold_q <= hold_late;
     truncated_q <= !hold_late && max_cycles_i != '0 &&
-        (first_late ? max_cycles_i == 1 : elapsed_i >= max_cycles_i - 1'b1);
+        (first_late ? max_cycles_i == ELAPSED_BITS'(1) : elapsed_i >= max_cycles_i - 1'b1);
   end
 
   assign reward_o = hold_q ? '0 : reward;

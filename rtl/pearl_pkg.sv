@@ -25,8 +25,10 @@ package pearl_pkg;
     NumRegions
   } region_e;
 
-  // Words of the control region.
+  // 32-bit words of the regions that are registers, and some of the control region by their index.
   localparam int unsigned CONTROL_WORDS = 16;
+  localparam int unsigned DOORBELL_WORDS = 2;
+  localparam int unsigned STATUS_WORDS = 3;
   localparam int unsigned CONTROL_SEED_0 = 8;
   localparam int unsigned CONTROL_SEED_1 = 9;
   localparam int unsigned CONTROL_TICK_LOW = 10;
@@ -44,6 +46,7 @@ package pearl_pkg;
 
   // The status's error word, least significant bit last.
   typedef struct packed {
+    logic reset;          // no word of the control region has been written since the hardware's reset
     logic torn_read;      // a result was read during a step, and the first result not since
     logic busy_write;     // a write came during a step and was refused
     logic busy_doorbell;  // a doorbell came during a step and was refused
@@ -80,6 +83,12 @@ package pearl_pkg;
 
   function automatic int unsigned ceil_div(int unsigned a, int unsigned b);
     return (a + b - 1) / b;
+  endfunction
+
+  // Words of a stream of bits; the product may be more than 32 bits can count.
+  function automatic int unsigned stream_words(int unsigned slots, int unsigned slot_bits,
+                                               int unsigned data_wl);
+    return 32'((64'(slots) * 64'(slot_bits) + 64'(data_wl) - 64'd1) / 64'(data_wl));
   endfunction
 
   // Bits that number n things; at least 1, since a port cannot have none.

@@ -31,8 +31,10 @@ module pearl_port
     // In the cycle after re_o.
     input  logic [    NumRegions-1:0][DATA_WL-1:0] rdata_i,
 
+    // A write, or a doorbell, is refused because a step is running.
     output logic busy_write_o,
     output logic busy_doorbell_o,
+    // A result is read during a step; the first word of results is read outside of one.
     output logic torn_o,
     output logic untorn_o
 );
@@ -41,6 +43,9 @@ module pearl_port
   localparam logic [NumRegions-1:0] READ_ONLY = RESULTS | NumRegions'(1 << Status);
   // What the pipeline does not use, so that it can be read at any time.
   localparam logic [NumRegions-1:0] SHARED = READ_ONLY | NumRegions'(1 << Control | 1 << Doorbell);
+
+  // One more than an address has: the last region may end where the address space does.
+  localparam int unsigned BOUND_BITS = WORD_ADDR_BITS + 1;
 
   logic req_q, write_q;
   logic [WORD_ADDR_BITS-1:0] addr_q, base;
@@ -63,7 +68,8 @@ module pearl_port
   always_comb begin
     base = '0;
     for (int unsigned i = 0; i < NumRegions; i++) begin
-      hit[i] = 33'(addr_q) >= 33'(OFFSETS[i]) && 33'(addr_q) < 33'(OFFSETS[i+1]);
+      hit[i] = BOUND_BITS'(addr_q) >= BOUND_BITS'(OFFSETS[i]) &&
+          BOUND_BITS'(addr_q) < BOUND_BITS'(OFFSETS[i+1]);
       if (hit[i]) base = WORD_ADDR_BITS'(OFFSETS[i]);
     end
   end

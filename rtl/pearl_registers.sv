@@ -12,7 +12,7 @@ module pearl_registers
     parameter int unsigned RESULT_BITS = 9,
     // Names the environment and its options: a host refuses a build that is for another one.
     parameter logic [31:0] ENV_HASH = 32'h0,
-    localparam int unsigned INDEX_BITS = index_bits(ceil_div(CONTROL_WORDS * 32, DATA_WL))
+    localparam int unsigned INDEX_BITS = index_bits(stream_words(CONTROL_WORDS, 32, DATA_WL))
 ) (
     input logic clk_i,
     input logic rst_ni,
@@ -30,7 +30,7 @@ module pearl_registers
     output mode_t              mode_o,
     output logic  [ 1:0][31:0] seed_o,
     output logic  [63:0]       tick_o,
-    // seed_o or tick_o are new.
+    // seed_o or tick_o may be new.
     output logic               keys_stale_o,
     output logic  [31:0]       first_slot_o,
     output logic  [31:0]       max_cycles_o,
@@ -45,11 +45,9 @@ module pearl_registers
     input logic        untorn_i
 );
 
-  localparam int unsigned DOORBELL_WORDS = 2;
-  localparam int unsigned STATUS_WORDS = 3;
-  localparam int unsigned CONTROL_BITS = ceil_div(CONTROL_WORDS * 32, DATA_WL) * DATA_WL;
-  localparam int unsigned DOORBELL_BITS = ceil_div(DOORBELL_WORDS * 32, DATA_WL) * DATA_WL;
-  localparam int unsigned STATUS_BITS = ceil_div(STATUS_WORDS * 32, DATA_WL) * DATA_WL;
+  localparam int unsigned CONTROL_BITS = stream_words(CONTROL_WORDS, 32, DATA_WL) * DATA_WL;
+  localparam int unsigned DOORBELL_BITS = stream_words(DOORBELL_WORDS, 32, DATA_WL) * DATA_WL;
+  localparam int unsigned STATUS_BITS = stream_words(STATUS_WORDS, 32, DATA_WL) * DATA_WL;
 
   logic [1:0][31:0] seed_q;
   logic [63:0] tick_q;
@@ -58,7 +56,7 @@ module pearl_registers
   error_t error_q;
   logic stale_q;
 
-  // Which 32-bit words a write reaches.
+  // Whether the word at an index of the address space holds a 32-bit register, and the register in it.
   function automatic logic reaches(int unsigned register, logic [INDEX_BITS-1:0] index);
     return 32'(index) == register * 32 / DATA_WL;
   endfunction
@@ -107,7 +105,7 @@ module pearl_registers
       rung_q      <= '0;
       finished_q  <= '0;
       cycles_q    <= '0;
-      error_q     <= '0;
+      error_q     <= '{reset: 1'b1, default: 1'b0};
     end else begin
       if (doorbell_we[0]) mode_word_q <= word_of(0, wdata_i);
       if (doorbell_we[1]) sequence_q <= word_of(1, wdata_i);
@@ -116,6 +114,7 @@ module pearl_registers
         error_q.busy_write <= 1'b0;
         error_q.busy_doorbell <= 1'b0;
       end
+      if (control_we_i) error_q.reset <= 1'b0;
       if (busy_write_i) error_q.busy_write <= 1'b1;
       if (busy_doorbell_i) error_q.busy_doorbell <= 1'b1;
       if (untorn_i) error_q.torn_read <= 1'b0;

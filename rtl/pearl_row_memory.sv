@@ -1,8 +1,8 @@
 // A memory of one row of slots per group, which the pipeline reads and writes a row a cycle and the
 // host a word at a time.
 //
-// To the host a row is ROW_WORDS words, a power of two so that an address splits into row and
-// column without a division; what lies beyond the row's bits reads as zero and takes no writes.
+// To the host a row is COLUMNS words, rounded up to a power of two so that an address splits into row
+// and column without a division; what lies beyond the row's bits reads as zero and takes no writes.
 // Host and pipeline share the ports: the host is served only while busy_i is low.
 module pearl_row_memory
   import pearl_pkg::*;

@@ -48,6 +48,7 @@ module pearl_sequencer (
       cycles_q <= '0;
     end else begin
       state_q  <= state_d;
+      // The doorbell's cycle is the first, and the one after it is the second.
       cycles_q <= state_q == Idle ? 32'd2 : cycles_q + 1'b1;
     end
   end

@@ -1,5 +1,7 @@
 // The whole design for a board: an AXI4 slave, as an XDMA core masters it, in front of the backbone,
 // and an interrupt.
+//
+// Reset has to last as long as the backbone says, and to be released in step with the clock.
 module pearl_top #(
     // Slots, processing elements and bits of a word of the address space.
     parameter int unsigned N_ENVS = 7,
@@ -72,6 +74,22 @@ module pearl_top #(
   localparam bit LEGAL_N_ENVS = N_ENVS >= 1;
   localparam bit LEGAL_PE_NUM = PE_NUM >= 1 && PE_NUM <= N_ENVS;
   localparam bit LEGAL_DATA_WL = DATA_WL >= 32 && DATA_WL <= 1024 && DATA_WL == 2 ** $clog2(DATA_WL);
+  localparam bit LEGAL_ID_BITS = ID_BITS >= 1;
+
+  // Below, an illegal value is replaced: a tool would stop at what follows from it, a negative width
+  // or a division by zero, before it comes to the sentence that says why.
+  localparam int unsigned SLOTS = LEGAL_N_ENVS ? N_ENVS : 1;
+  localparam int unsigned PES = LEGAL_PE_NUM ? PE_NUM : 1;
+  localparam int unsigned WORD_BITS = LEGAL_DATA_WL ? DATA_WL : 32;
+  localparam int unsigned BUS_ID_BITS = LEGAL_ID_BITS ? ID_BITS : 1;
+
+  localparam int unsigned BYTE_BITS = $clog2(WORD_BITS / 8);
+  localparam int unsigned LEAST_ADDR_BITS = $clog2(END_OFFSET + 1) + BYTE_BITS;
+  localparam int unsigned MOST_ADDR_BITS = 64;
+  localparam bit LEGAL_ADDR_BITS = ADDR_BITS >= LEAST_ADDR_BITS && ADDR_BITS <= MOST_ADDR_BITS;
+  localparam int unsigned BUS_ADDR_BITS = LEGAL_ADDR_BITS ? ADDR_BITS : LEAST_ADDR_BITS;
+  localparam int unsigned WORD_ADDR_BITS = BUS_ADDR_BITS - BYTE_BITS;
+
   if (!LEGAL_N_ENVS) begin : gen_illegal_n_envs
     $error("N_ENVS is %0d; there must be at least 1 slot", N_ENVS);
   end
@@ -81,13 +99,33 @@ module pearl_top #(
   if (!LEGAL_DATA_WL) begin : gen_illegal_data_wl
     $error("DATA_WL is %0d; possible are the powers of two from 32 to 1024", DATA_WL);
   end
-
-  // Below, an illegal value is replaced: a tool would stop at what follows from it, a negative width
-  // or a division by zero, before it comes to the sentence that says why.
-  localparam int unsigned SLOTS = LEGAL_N_ENVS ? N_ENVS : 1;
-  localparam int unsigned PES = LEGAL_PE_NUM ? PE_NUM : 1;
-  localparam int unsigned WORD_BITS = LEGAL_DATA_WL ? DATA_WL : 32;
-  localparam int unsigned WORD_ADDR_BITS = ADDR_BITS - $clog2(WORD_BITS / 8);
+  if (!LEGAL_ID_BITS) begin : gen_illegal_id_bits
+    $error("ID_BITS is %0d; there must be at least 1", ID_BITS);
+  end
+  if (!LEGAL_ADDR_BITS) begin : gen_illegal_addr_bits
+    $error(
+        "ADDR_BITS is %0d; possible are %0d, which reach the end of the map, to %0d",
+        ADDR_BITS,
+        LEAST_ADDR_BITS,
+        MOST_ADDR_BITS
+    );
+  end
+  // Of no consequence below, where the core's own widths are used.
+  if (STATE_BITS != pearl_core_pkg::STATE_BITS || ACTION_BITS != pearl_core_pkg::ACTION_BITS ||
+      OBS_BITS != pearl_core_pkg::OBS_BITS || REWARD_BITS != pearl_core_pkg::REWARD_BITS)
+  begin : gen_illegal_widths
+    $error(
+        "the spec has %0d state, %0d action, %0d observation and %0d reward bits, the core %0d, %0d, %0d and %0d",
+        STATE_BITS,
+        ACTION_BITS,
+        OBS_BITS,
+        REWARD_BITS,
+        pearl_core_pkg::STATE_BITS,
+        pearl_core_pkg::ACTION_BITS,
+        pearl_core_pkg::OBS_BITS,
+        pearl_core_pkg::REWARD_BITS
+    );
+  end
 
   logic req, we, rvalid;
   logic [WORD_ADDR_BITS-1:0] addr;
@@ -96,27 +134,53 @@ module pearl_top #(
 
   pearl_axi_slave #(
       .DATA_WL  (WORD_BITS),
-      .ADDR_BITS(ADDR_BITS),
-      .ID_BITS  (ID_BITS)
+      .ADDR_BITS(BUS_ADDR_BITS),
+      .ID_BITS  (BUS_ID_BITS)
   ) u_axi_slave (
+      .clk_i,
+      .rst_ni,
+      .s_axi_awid,
+      .s_axi_awaddr,
+      .s_axi_awlen,
+      .s_axi_awsize,
+      .s_axi_awburst,
+      .s_axi_awvalid,
+      .s_axi_awready,
+      .s_axi_wdata,
+      .s_axi_wstrb,
+      .s_axi_wlast,
+      .s_axi_wvalid,
+      .s_axi_wready,
+      .s_axi_bid,
+      .s_axi_bresp,
+      .s_axi_bvalid,
+      .s_axi_bready,
+      .s_axi_arid,
+      .s_axi_araddr,
+      .s_axi_arlen,
+      .s_axi_arsize,
+      .s_axi_arburst,
+      .s_axi_arvalid,
+      .s_axi_arready,
+      .s_axi_rid,
+      .s_axi_rdata,
+      .s_axi_rresp,
+      .s_axi_rlast,
+      .s_axi_rvalid,
+      .s_axi_rready,
       .req_o   (req),
       .we_o    (we),
       .addr_o  (addr),
       .wdata_o (wdata),
       .rvalid_i(rvalid),
       .rdata_i (rdata),
-      .resp_i  (resp),
-      .*
+      .resp_i  (resp)
   );
 
   pearl_backbone #(
       .N_ENVS(SLOTS),
       .PE_NUM(PES),
       .DATA_WL(WORD_BITS),
-      .STATE_BITS(STATE_BITS),
-      .ACTION_BITS(ACTION_BITS),
-      .OBS_BITS(OBS_BITS),
-      .REWARD_BITS(REWARD_BITS),
       .DRAWS(DRAWS),
       .ENV_HASH(ENV_HASH),
       .CONTROL_OFFSET(CONTROL_OFFSET),

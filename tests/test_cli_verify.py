@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from pearl_marl import devices
+from pearl_marl.cli.common import in_file_name
 from pearl_marl.devices import Native
 
 from .devices.broken import Flips
@@ -226,3 +227,7 @@ def test_sticky_actions_are_all_there_is():
     assert set(np.unique(actions)) == {0, 1, 2, 3}
     changed = (actions[1:] != actions[:-1]).mean(0).reshape(-1, 5).mean(0) / 0.75
     np.testing.assert_allclose(changed, [1, 1 / 2, 1 / 4, 1 / 8, 1 / 16], rtol=0.1)
+
+
+def test_a_device_in_a_folder_has_a_file_name():
+    assert in_file_name("xdma:/dev/shm/my board") == "xdma_dev_shm_my_board"

@@ -105,11 +105,41 @@ def test_scripts_with_other_libraries_run(library, script, tmp_path):
     assert done.stdout.strip()
 
 
+SESSIONS = [(page, block) for page in PAGES for block in blocks(page, "console") if " &\n" in block]
+"""Commands of which one runs in the background while the others use what it serves."""
+
+
+@pytest.mark.parametrize(("page", "block"), SESSIONS, ids=[page.name for page, _ in SESSIONS])
+def test_sessions_run(page, block, tmp_path):
+    background = []
+    pearl = Path(sys.executable).with_name("pearl")
+    try:
+        for line in block.splitlines():
+            program, *arguments = shlex.split(line.removeprefix("$ ").removesuffix(" &"))
+            assert program == "pearl"
+            if line.endswith(" &"):
+                process = subprocess.Popen(
+                    [pearl, *arguments], cwd=tmp_path, stdout=subprocess.PIPE, text=True
+                )
+                background.append(process)
+                assert process.stdout.readline(), "it says that it is ready"
+            else:
+                done = subprocess.run(
+                    [pearl, *arguments], cwd=tmp_path, capture_output=True, text=True, timeout=300
+                )
+                assert done.returncode == 0, done.stderr
+    finally:
+        for process in background:
+            process.terminate()
+            assert process.wait() == 0
+
+
 COMMANDS = [
     (page, command, output)
     for page in PAGES
     if page not in WALKS
     for block in blocks(page, "console")
+    if (page, block) not in SESSIONS
     for command, output in re.findall(r"^\$ (.*)\n((?:(?!\$ ).*\n)*)", block, re.MULTILINE)
 ]
 
@@ -131,10 +161,10 @@ def test_commands_run(page, command, output, tmp_path):
         assert done.returncode == 0, done.stderr
 
 
-def test_make_targets_of_the_readme_exist():
-    named = re.findall(r"^make (\w+)", (ROOT / "README.md").read_text(), re.MULTILINE)
-    assert named == ["demo", "test"]
-    for target in named:
+def test_make_targets_exist():
+    named = {page: re.findall(r"^make ([\w-]+)", page.read_text(), re.MULTILINE) for page in PAGES}
+    assert named[ROOT / "README.md"] == ["demo", "test"]
+    for target in set().union(*named.values()):
         subprocess.run(["make", "--dry-run", target], cwd=ROOT, check=True, capture_output=True)
 
 

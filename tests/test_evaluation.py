@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import json
 import time
+from collections.abc import Callable
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
@@ -18,11 +19,16 @@ from pearl_marl.devices.stages import STAGES, Stopwatch
 from pearl_marl.errors import ActionError, ArgumentError, LockstepError
 from pearl_marl.evaluation import LIMIT, Evaluation, interval, spread
 from pearl_marl.policies import Policy, load_policy, table_policy
+from pearl_marl.spec import EnvSpec
 from pearl_marl.testing.case import make_device
 
+from .devices.boards import OwnBoard
 from .devices.broken import Flips
 
-DEVICES = ("rtl",)
+DEVICES: dict[str, Callable[[EnvSpec], Device]] = {
+    "rtl": lambda spec: make_device("rtl", spec, N),
+    "xdma": lambda spec: OwnBoard(3),
+}
 """Every one of them must do what the native one does."""
 
 CARDS = get_spec("Blackjack")
@@ -125,7 +131,7 @@ def test_devices_have_one_digest(device: str, env_id: str) -> None:
     spec = get_spec(env_id)
     run = [
         done(spec, POLICIES[env_id], N, made, episodes=100, seed=5)
-        for made in (Native(), make_device(device, spec, N))
+        for made in (Native(), DEVICES[device](spec))
     ]
     theirs, ours = (evaluation.summary() for evaluation in run)
     for key in ("digest", "return", "length", "steps", "truncated"):

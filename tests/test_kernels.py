@@ -64,7 +64,7 @@ env.reset_batch(seed=0)
 env.step_batch(np.zeros(n, np.uint8))
 found = compile_kernels(spec)
 found.advance(slot_memory.allocate(spec, n), np.zeros(n, np.uint8), np.zeros(2, np.float32),
-              np.zeros(n, np.float32), np.zeros(n, np.uint8), 0, n, n)
+              np.zeros(n, np.float32), np.zeros(n, np.uint8), n, 0, n)
 print(json.dumps([list(f.inspect_asm().values()) for f in (found.step, found.advance)]))
 """
 

@@ -31,36 +31,36 @@ module cliff_walking_pe
     // Whether an action is turned left or right, with probability 1/3 each.
     parameter bit IS_SLIPPERY = 1'b0
 ) (
-    input logic               clk_i,
-    input logic               rst_ni,
-    input logic               valid_i,
+    input logic                           clk_i,
+    input logic                           rst_ni,
+    input logic                           valid_i,
     // Start from the initial state, not from state_i.
-    input logic               first_i,
+    input logic                           first_i,
     // Do not step: the result is the state started from and its observation.
-    input logic               hold_i,
-    input state_t             state_i,
-    input logic   [1:0]       action_i,
+    input logic                           hold_i,
+    input state_t                         state_i,
+    input logic   [ACTION_BITS-1:0]       action_i,
     // The random draws of this slot and step, those for the initial state first.
-    input logic   [0:0][31:0] rng_i,
+    input logic   [            0:0][31:0] rng_i,
 
-    output logic         valid_o,
-    output state_t       state_o,
-    output logic   [5:0] obs_o,
+    output logic                     valid_o,
+    output state_t                   state_o,
+    output logic   [   OBS_BITS-1:0] obs_o,
     // 0 for a step, 1 for a fall off the cliff.
-    output logic         reward_o,
-    output logic         terminated_o
+    output logic   [REWARD_BITS-1:0] reward_o,
+    output logic                     terminated_o
 );
 
-  localparam logic [1:0] UP = 2'd0;
-  localparam logic [1:0] RIGHT = 2'd1;
-  localparam logic [1:0] DOWN = 2'd2;
-  localparam logic [1:0] LEFT = 2'd3;
+  localparam logic [ACTION_BITS-1:0] UP = 2'd0;
+  localparam logic [ACTION_BITS-1:0] RIGHT = 2'd1;
+  localparam logic [ACTION_BITS-1:0] DOWN = 2'd2;
+  localparam logic [ACTION_BITS-1:0] LEFT = 2'd3;
   localparam logic [1:0] LAST_ROW = 2'd3;
   localparam logic [3:0] LAST_COLUMN = 4'd11;
 
   // First stage: where the slot starts from, and which way it goes.
   state_t from_d, from_q;
-  logic [1:0] action_d, action_q;
+  logic [ACTION_BITS-1:0] action_d, action_q;
   logic hold_q, valid_q;
 
   assign from_d = first_i ? state_t'{row: LAST_ROW, column: '0} : state_i;
@@ -89,20 +89,20 @@ module cliff_walking_pe
   state_t moved, state_d, state_q;
   logic moves, up, right, down, left;
   logic bottom, fell, goal;
-  logic [5:0] obs_q;
+  logic [OBS_BITS-1:0] obs_q;
   logic reward_q, terminated_q, valid_late_q;
 
   assign moves = !hold_q;
-  assign up = moves & action_q == UP & from_q.row != '0;
-  assign right = moves & action_q == RIGHT & from_q.column < LAST_COLUMN;
-  assign down = moves & action_q == DOWN & from_q.row != LAST_ROW;
-  assign left = moves & action_q == LEFT & from_q.column != '0;
+  assign up = moves & (action_q == UP) & (from_q.row != '0);
+  assign right = moves & (action_q == RIGHT) & (from_q.column < LAST_COLUMN);
+  assign down = moves & (action_q == DOWN) & (from_q.row != LAST_ROW);
+  assign left = moves & (action_q == LEFT) & (from_q.column != '0);
   assign moved.row = from_q.row + {1'b0, down} - {1'b0, up};
   assign moved.column = from_q.column + {3'b000, right} - {3'b000, left};
 
-  assign bottom = moves & moved.row == LAST_ROW;
-  assign goal = bottom & moved.column == LAST_COLUMN;
-  assign fell = bottom & moved.column != '0 & moved.column < LAST_COLUMN;
+  assign bottom = moves & (moved.row == LAST_ROW);
+  assign goal = bottom & (moved.column == LAST_COLUMN);
+  assign fell = bottom & (moved.column != '0) & (moved.column < LAST_COLUMN);
   assign state_d.row = moved.row;
   assign state_d.column = moved.column & ~{4{fell}};
 
@@ -114,6 +114,7 @@ module cliff_walking_pe
     terminated_q <= goal;
   end
 
+  // Only valid bits need a reset: what is not valid is not looked at.
   always_ff @(posedge clk_i or negedge rst_ni) begin
     if (!rst_ni) begin
       valid_q      <= 1'b0;

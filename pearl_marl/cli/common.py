@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import contextlib
 import json
+import re
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
@@ -56,6 +57,11 @@ def _literal(text: str) -> Any:
 def spec_of(env_id: str, options: Iterable[str] | None) -> EnvSpec:
     """Return the spec that a command is about; ``options`` can only be the environment's own arguments."""
     return get_spec(env_id).with_options(**env_options(options))
+
+
+def in_file_name(device: str) -> str:
+    """Return a device's name as it can be part of a file's: ``xdma:/dev/shm/board`` has more than letters."""
+    return re.sub(r"[^\w.-]+", "_", device)
 
 
 def out_folder(folder: Path) -> Path:

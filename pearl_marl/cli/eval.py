@@ -21,6 +21,7 @@ from pearl_marl.cli.common import (
     console,
     duration,
     error_console,
+    in_file_name,
     out_folder,
     print_json,
     progress,
@@ -101,7 +102,7 @@ def command(
             f"[bold red]Not bit-exact.[/] {escape(str(error))}", highlight=False, soft_wrap=True
         )
         if out is not None:
-            path = out / f"divergence_{spec.name}_{device.replace(':', '_')}.json"
+            path = out / f"divergence_{spec.name}_{in_file_name(device)}.json"
             error.replay.write(path)
             error_console.print(
                 f"Wrote {path}: pearl verify {path} replays it.", markup=False, soft_wrap=True

@@ -21,6 +21,7 @@ from pearl_marl.cli.common import (
     Seed,
     console,
     error_console,
+    in_file_name,
     print_json,
     progress,
     spec_of,
@@ -118,7 +119,7 @@ def command(
     except LockstepError as caught:
         parted = caught
         if out is not None:
-            path = out / f"divergence_{spec.name}_{device.replace(':', '_')}.json"
+            path = out / f"divergence_{spec.name}_{in_file_name(device)}.json"
             _smallest(parted.replay, device, reference).write(path)
     result = {
         "environment": spec.id,

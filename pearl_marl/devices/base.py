@@ -162,8 +162,12 @@ class Device(ABC):
         if getattr(self, "_pending", None) is None:
             raise OrderError("recv() without a step under way: call send() first")
         assert self._pending is not None
-        pending, self._pending = self._pending, None
-        result = pending.result()
+        pending = self._pending
+        try:
+            result = pending.result()
+        finally:
+            if pending.done():  # or Ctrl-C came first, and the step is still under way
+                self._pending = None
         self._tick += 1
         return result
 

@@ -150,6 +150,11 @@ class CommBram(Device):
         self._reward_words = np.empty(n, spec.reward.dtype)
         self._ters = np.empty(n, np.uint8)
 
+    def recover(self) -> None:
+        """Nothing is kept to go on from here: raises, and says what is possible, if a step has failed."""
+        super().recover()
+        self._check_known()
+
     def _reset(self, mask: Array | None) -> Array:
         if mask is not None:
             before = self._mask.copy()
@@ -208,8 +213,7 @@ class CommBram(Device):
             )
         if error:
             raise DeviceError(
-                f"the {self.name} device reports {error.name or hex(error)}: somebody else uses it, or "
-                f"results were read while a step ran; {self._way_on}"
+                f"the {self.name} device reports {error.name or hex(error)}: {_reason(error)}; {self._way_on}"
             )
         self._known = True
         self._sequence = sequence
@@ -349,6 +353,14 @@ class CommBram(Device):
 
     def _close(self) -> None:
         self._transport.close()
+
+
+def _reason(error: StatusError) -> str:
+    if error & StatusError.RESET:
+        return "it was reset since the last call, and has lost the batch"
+    if error & StatusError.TORN_READ:
+        return "results were read while a step ran"
+    return "something else wrote to it while a step ran"
 
 
 def _pages(size: int) -> Stream:

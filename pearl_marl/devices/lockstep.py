@@ -89,6 +89,17 @@ class Lockstep(Device):
         self._reset_seed = secrets.randbits(64) if seed is None and self._before is None else seed
         return super().reset(self._reset_seed, mask)
 
+    def recover(self) -> None:
+        """Go on from the last call that succeeded on both devices; see :meth:`Device.recover`."""
+        self._check_idle("recover")
+        self.device.recover()
+        self.reference.recover()
+        if self._since is not None:
+            self.reference.restore(self._since)
+            for actions in self._taken[: self._tick - self._since.tick]:
+                self.reference.step_words(actions)
+            self._continue_from(self.reference.snapshot())
+
     def set_rewards(self, table: npt.ArrayLike) -> None:
         """Replace both devices' reward table; see :meth:`Device.set_rewards`."""
         self._check_idle("set_rewards")

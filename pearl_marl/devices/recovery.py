@@ -24,8 +24,8 @@ from pearl_marl.errors import ArgumentError, DeviceError
 from pearl_marl.saved_state import SavedState
 
 CHECKPOINT_EVERY = 100
-"""Steps between two states that are kept. Of 43,008 slots of CliffWalking, keeping one and the actions
-of 100 steps takes as long as half a simulated step, and 4 MB."""
+"""Steps between two states that are kept. Of 43,008 slots of CliffWalking, a state takes 0.3 ms to keep,
+and the actions of 100 steps are 4 MB."""
 
 
 class Recoverable(Device):
@@ -37,6 +37,8 @@ class Recoverable(Device):
         Steps between two states that are kept on the host; ``None`` keeps nothing, and
         :meth:`recover` is not possible.
     """
+
+    _way_on = "call recover(), or reset(), or load a saved state, to go on"
 
     def __init__(self, checkpoint_every: int | None = CHECKPOINT_EVERY) -> None:
         every = checkpoint_every

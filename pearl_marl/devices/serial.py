@@ -27,6 +27,7 @@ import numpy as np
 from pearl_marl.codec import Stream
 from pearl_marl.devices.batch import BatchConfig
 from pearl_marl.devices.comm_bram import CommBram, Transport
+from pearl_marl.devices.recovery import CHECKPOINT_EVERY, Recoverable
 from pearl_marl.errors import DeviceError
 from pearl_marl.memory_map import Control, MemoryMap, memory_map
 
@@ -60,10 +61,17 @@ class SerialTransport(Transport):
         Seconds without a byte after which an answer is given up.
     """
 
+    _file = -1
+
     def __init__(self, port: str, timeout: float) -> None:
         self._port, self._timeout = port, timeout
         self.status_offset = 0
         """Where :meth:`wait` finds the sequence number."""
+        self._gone = False
+        self._open()
+
+    def _open(self) -> None:
+        port = self._port
         try:
             self._file = os.open(port, os.O_RDWR | os.O_NOCTTY)
         except OSError as error:
@@ -78,10 +86,10 @@ class SerialTransport(Transport):
             # A program that was killed may have left half a request.
             self._resynchronise()
         except BlockingIOError:
-            os.close(self._file)
+            self.close()
             raise DeviceError(f"the serial port {port} is in use by another process") from None
         except (OSError, termios.error) as error:
-            os.close(self._file)
+            self.close()
             raise DeviceError(f"{port} is no serial port of 3 Mbaud: {error}") from None
 
     def write(self, offset: int, data: Stream) -> None:
@@ -105,9 +113,18 @@ class SerialTransport(Transport):
             if found.view("<u4")[0] == sequence:
                 break
 
+    def reconnect(self) -> None:
+        """Open the port again, if it was gone."""
+        if self._gone:
+            self.close()
+            self._open()
+            self._gone = False
+
     def close(self) -> None:
         """Close the port, which also gives up the lock."""
-        os.close(self._file)
+        if self._file >= 0:
+            os.close(self._file)
+            self._file = -1
 
     def _call(self, operation: str, address: int, words: int, data: bytes = b"") -> bytes:
         sent = request(operation, address, words, data)
@@ -117,6 +134,7 @@ class SerialTransport(Transport):
                 sent = sent[os.write(self._file, sent) :]
             answer = self._receive(length)
         except OSError as error:
+            self._gone = True
             raise DeviceError(f"the serial port {self._port} failed: {error.strerror}") from None
         body = answer[: -_CHECKSUM.size]
         if len(answer) < length or _CHECKSUM.unpack_from(answer, len(body))[0] != zlib.crc32(body):
@@ -146,7 +164,7 @@ class SerialTransport(Transport):
             termios.tcflush(self._file, termios.TCIOFLUSH)
 
 
-class Serial(CommBram):
+class Serial(Recoverable, CommBram):
     """A board at a serial port, such as `pearl board ulx3s` makes a bitstream for.
 
     Parameters
@@ -155,11 +173,20 @@ class Serial(CommBram):
         The port's device file.
     timeout
         Seconds without a byte after which the board is given up.
+    checkpoint_every
+        Steps between two states that are kept on the host for :meth:`recover`; ``None`` keeps nothing.
     """
 
     name = "serial"
+    _way_on = "call recover(), or reset(), or load a saved state, to go on"
 
-    def __init__(self, port: str = "/dev/ttyUSB0", timeout: float = 1.0) -> None:
+    def __init__(
+        self,
+        port: str = "/dev/ttyUSB0",
+        timeout: float = 1.0,
+        checkpoint_every: int | None = CHECKPOINT_EVERY,
+    ) -> None:
+        super().__init__(checkpoint_every)
         self._port, self._timeout = port, timeout
 
     def _connect(self, config: BatchConfig) -> tuple[Transport, MemoryMap]:

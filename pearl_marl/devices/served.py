@@ -67,6 +67,10 @@ class ServedBoard:
         Another process serves a board there, the nodes cannot be made, or the simulation cannot be built.
     """
 
+    _writes: int
+    _stopping: int
+    _rung: int
+
     def __init__(
         self,
         folder: str | os.PathLike[str],

@@ -191,7 +191,11 @@ class Sharded(Recoverable):
         tasks = [
             self._pool.submit(call, part, slots) for part, slots in zip(self.parts, self._slots, strict=True)
         ]
-        wait(tasks)
+        try:
+            wait(tasks)
+        except BaseException:  # Ctrl-C, and nobody may find a part at work
+            wait(tasks)
+            raise
         return [task.result() for task in tasks]
 
     def _joined_obs(self, shares: list[Array]) -> Array:

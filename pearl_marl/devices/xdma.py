@@ -39,7 +39,6 @@ class Xdma(Recoverable, CommBram):
 
     name = "xdma"
     _transport_type: ClassVar[type[XdmaTransport]] = XdmaTransport
-    _way_on = "call recover(), or reset(), or load a saved state, to go on"
 
     def __init__(
         self,

@@ -39,7 +39,7 @@ def test_kernel_only(env: Any, benchmark: Any) -> None:
         np.zeros(N, np.float32),
         np.zeros(N, np.uint8),
     )
-    benchmark(compile_kernels(spec).advance, *arguments, 0, N, N)
+    benchmark(compile_kernels(spec).advance, *arguments, N, 0, N)
 
 
 def test_step_batch(env: Any, benchmark: Any) -> None:

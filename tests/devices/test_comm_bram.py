@@ -163,3 +163,40 @@ def test_settings_are_written_once(device: OverMemory) -> None:
     device.set_max_cycles(9)
     device.step(ACTIONS)
     assert control[Control.MAX_CYCLES] == 9
+
+
+def test_a_reset_that_fails_resets_nobody(device: OverMemory, monkeypatch: pytest.MonkeyPatch) -> None:
+    opened(device)
+    device.step(ACTIONS)
+
+    def broken(offset: int, data: np.ndarray) -> None:
+        raise DeviceError("not now")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(device.memory, "read", broken)
+        with pytest.raises(DeviceError, match="not now"):
+            device.reset(mask=np.arange(20) == 5)
+    device.step(ACTIONS)
+    assert device.memory.words("doorbell")[Doorbell.MODE] == 0
+
+
+def test_settings_are_written_again_after_a_write_that_failed(
+    device: OverMemory, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    opened(device, max_cycles=7)
+    device.step(ACTIONS)
+    control = device.memory.words("control")
+    device.set_max_cycles(9)
+
+    def broken(offset: int, data: np.ndarray) -> None:
+        Memory.write(device.memory, offset, data)
+        raise DeviceError("not now")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(device.memory, "write", broken)
+        with pytest.raises(DeviceError, match="not now"):
+            device.step(ACTIONS)
+    assert control[Control.MAX_CYCLES] == 9, "it came through all the same"
+    device.set_max_cycles(7)
+    device.step(ACTIONS)
+    assert control[Control.MAX_CYCLES] == 7

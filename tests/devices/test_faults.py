@@ -16,7 +16,7 @@ from gymnasium.vector import AutoresetMode
 
 import pearl_marl
 from pearl_marl import get_spec
-from pearl_marl.devices import BatchConfig, BatchStep, Device, Native, Sharded, Xdma
+from pearl_marl.devices import BatchConfig, BatchStep, Device, Lockstep, Native, Rtl, Sharded, Xdma
 from pearl_marl.errors import ArgumentError, DeviceError, OrderError
 from pearl_marl.testing import assert_same_step
 
@@ -134,10 +134,36 @@ def test_one_of_two_boards_fails() -> None:
         if t == 300:
             boards[1].restart()
         pair.call("step", a)
-    assert all(link.injected.total() > 20 for link in links)
+    assert all(link.injected.total() > 10 for link in links)
     for link in links:
         link.rate = 0
     pair.close()
+
+
+def test_lockstep_goes_on_with_both() -> None:
+    faults = Faults(seed=7)
+    board = faulty(OwnBoard(3, checkpoint_every=10), faults)
+    pair = Pair(Lockstep(board, "native", state_every=4))
+    pair.call("reset", 3)
+    faults.rate = 0.02
+    for t, a in enumerate(actions(300)):
+        if t % 50 == 9:
+            pair.call("reset", None, a == 1)
+        pair.call("step", a)
+    assert faults.injected.total() > 10
+    faults.rate = 0
+    pair.close()
+
+
+def test_a_device_that_keeps_nothing_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    device = Rtl(3).open(BatchConfig(**CONFIG))
+    device.reset(seed=0)
+    device.recover()
+    monkeypatch.setattr(device._transport, "exchange", lambda *_: None)
+    for call in (lambda: device.step(actions(1)[0]), device.recover):
+        with pytest.raises(DeviceError, match=r"call reset\(\), or load a saved state, to go on"):
+            call()
+    device.close()
 
 
 @pytest.mark.parametrize(

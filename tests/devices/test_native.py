@@ -105,6 +105,23 @@ def test_a_copy_goes_on_by_itself(duplicate: Any, initial_states: str) -> None:
     assert other.rewards.tolist() == [1, 2]
 
 
+def test_a_ctrl_c_in_recv_leaves_the_step_under_way(monkeypatch: pytest.MonkeyPatch) -> None:
+    device, other = opened(), opened()
+    for one in (device, other):
+        one.reset(seed=0)
+    device.send(actions(1)[0])
+
+    def interrupted() -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(device._pending, "result", interrupted)
+        patch.setattr(device._pending, "done", lambda: False)
+        with pytest.raises(KeyboardInterrupt):
+            device.recv()
+    assert_same_trajectory([device.recv()], trajectory(other, actions(1)))
+
+
 def test_no_copy_between_send_and_recv() -> None:
     device = opened()
     device.reset(seed=0)

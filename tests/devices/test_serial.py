@@ -11,6 +11,7 @@ import time
 import tty
 import zlib
 from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -160,4 +161,23 @@ def test_an_unplugged_board_is_told(board: Fake) -> None:
     board.unplug()
     with pytest.raises(DeviceError, match=r"the serial port .* failed: Input/output error"):
         transport.read(0, np.zeros(4, np.uint8))
+    with pytest.raises(DeviceError, match=r"cannot be opened"):
+        transport.reconnect()
     transport.close()
+
+
+def test_a_board_that_is_plugged_in_again_is_found(board: Fake, tmp_path: Path) -> None:
+    port, word = tmp_path / "port", np.zeros(4, np.uint8)
+    port.symlink_to(board.port)
+    transport = SerialTransport(str(port), timeout=1)
+    board.unplug()
+    with pytest.raises(DeviceError, match=r"failed: Input/output error"):
+        transport.read(0, word)
+    again = Fake()
+    port.unlink()
+    port.symlink_to(again.port)
+    transport.reconnect()
+    transport.read(0, word)
+    assert word.view("<u4")[0] == MAGIC
+    transport.close()
+    again.unplug()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import threading
+from concurrent import futures
 from typing import Any
 
 import numpy as np
@@ -132,6 +133,24 @@ def test_a_part_that_fails_holds_the_others_back() -> None:
                 call()
         way_on(device)
         way_on(native)
+    assert_same_trajectory(trajectory(device, ACTIONS), trajectory(native, ACTIONS))
+
+
+def test_a_ctrl_c_waits_for_the_parts(monkeypatch: pytest.MonkeyPatch) -> None:
+    device, native = opened(Sharded(["native", "native"])), opened(Native())
+    waits: list[Any] = []
+
+    def wait(tasks: Any) -> None:
+        waits.append(tasks)
+        if len(waits) == 1:
+            raise KeyboardInterrupt
+        futures.wait(tasks)
+
+    monkeypatch.setattr("pearl_marl.devices.sharded.wait", wait)
+    with pytest.raises(KeyboardInterrupt):
+        device.step(ACTIONS[0])
+    assert all(task.done() for task in waits[0])
+    device.recover()
     assert_same_trajectory(trajectory(device, ACTIONS), trajectory(native, ACTIONS))
 
 

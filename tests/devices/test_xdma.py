@@ -22,6 +22,7 @@ from pearl_marl.devices.rtl import Simulation
 from pearl_marl.devices.served import ServedBoard
 from pearl_marl.devices.xdma_transport import XdmaTransport
 from pearl_marl.errors import ArgumentError, DeviceError
+from pearl_marl.memory_map import Doorbell
 from pearl_marl.testing import assert_same_trajectory, trajectory
 
 from .boards import OwnBoard, served
@@ -134,6 +135,25 @@ def test_a_doorbell_that_rings_before_the_server_looks(tmp_path: Path, expected:
     thread = threading.Thread(target=server.serve)
     thread.start()
     assert_same_trajectory([device.recv()], expected[:1])
+    device.close()
+    server.stop()
+    thread.join()
+    server.close()
+
+
+def test_the_next_program_waits_for_a_step_under_way(tmp_path: Path, expected: list[Any]) -> None:
+    """Which one left that was killed."""
+    server = ServedBoard(tmp_path, SPEC, N, pe_num=3)
+    killed = Xdma(tmp_path).open(CONFIG)
+    killed._doorbell[Doorbell.SEQUENCE] = 1
+    killed._transport.write(killed._write_base, killed._written[:-8])
+    killed.close()
+    thread = threading.Thread(target=server.serve)
+    threading.Timer(0.1, thread.start).start()
+    device = Xdma(tmp_path).open(CONFIG)
+    assert server.steps == 1
+    device.reset(seed=0)
+    assert_same_trajectory(trajectory(device, ACTIONS), expected)
     device.close()
     server.stop()
     thread.join()
@@ -343,6 +363,24 @@ def test_completion_on_the_hardware_itself(completion: str, monkeypatch: pytest.
     device.close()
 
 
+def test_hardware_that_was_reset_between_two_steps(monkeypatch: pytest.MonkeyPatch) -> None:
+    """By a button, say: it would go on from anywhere, and answer in time."""
+    monkeypatch.setattr(Xdma, "_transport_type", AxiLink)
+    config = BatchConfig(spec=SPEC, n_envs=N // 2, max_cycles=20)
+    device, native = Xdma(completion="event").open(config), Native().open(config)
+    device.reset(seed=0)
+    native.reset(seed=0)
+    actions = ACTIONS[:, : N // 2].copy()
+    assert_same_trajectory(trajectory(device, actions[:30]), trajectory(native, actions[:30]))
+    device._transport.close()
+    device._transport._open()
+    with pytest.raises(DeviceError, match=r"reports RESET: it was reset since the last call, and has lost"):
+        device.step(actions[30])
+    device.recover()
+    assert_same_trajectory(trajectory(device, actions[30:]), trajectory(native, actions[30:]))
+    device.close()
+
+
 def test_an_interrupt_that_is_not_wired(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Xdma, "_transport_type", AxiLink)
     monkeypatch.setattr(AxiLink, "wired", False)
@@ -355,11 +393,12 @@ def test_an_interrupt_that_is_not_wired(monkeypatch: pytest.MonkeyPatch) -> None
 
 @pytest.mark.slow
 def test_43008_agents_alike_on_every_device() -> None:
-    n, steps = 43008, 60
-    config = BatchConfig(spec=SPEC, n_envs=n, max_cycles=25)
+    """On few processing elements, which are compiled soon."""
+    n, steps = 43008, 25
+    config = BatchConfig(spec=SPEC, n_envs=n, max_cycles=10)
     actions = np.random.default_rng(1).integers(4, size=(steps, n), dtype=np.uint8)
     runs = []
-    for device in (Native(), make_device("rtl"), OwnBoard()):
+    for device in (Native(), Rtl(8, 64), OwnBoard(8, 64)):
         device.open(config).reset(seed=2)
         runs.append(trajectory(device, actions))
         device.close()

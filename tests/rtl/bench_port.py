@@ -12,7 +12,7 @@ from cocotb.triggers import FallingEdge, ReadOnly
 
 from pearl_marl.memory_map import REGION_NAMES
 
-WORD, WORDS = (harness.arguments()[k] for k in ("word", "words"))
+WORD, WORDS, ADDRESS_BITS = (harness.arguments()[k] for k in ("word", "words", "address_bits"))
 RESULTS = {"observations", "rewards", "ters"}
 READ_ONLY = RESULTS | {"status"}
 # What may be read while a step runs.
@@ -35,7 +35,10 @@ async def requests_reach_their_regions(dut: Any) -> None:
         dut.busy_i.value = busy
         fresh = None
         if source.random() < 0.8:
-            fresh = source.random() < 0.5, source.randrange(12 * WORDS), source.getrandbits(WORD)
+            address = source.randrange(12 * WORDS)
+            if source.random() < 0.1:  # far behind the map is a hole, whatever the lower bits are
+                address |= 1 << source.randrange((12 * WORDS).bit_length(), ADDRESS_BITS)
+            fresh = source.random() < 0.5, address, source.getrandbits(WORD)
             dut.we_i.value, dut.addr_i.value, dut.wdata_i.value = fresh
         dut.req_i.value = int(fresh is not None)
         # Regions that are not read answer something, too.

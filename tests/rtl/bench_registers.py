@@ -27,7 +27,7 @@ async def words_equal_the_model(dut: Any) -> None:
     inputs = ("index_i", "control_we_i", "doorbell_we_i", "wdata_i", "cycles_i", *flags)
     await start(dut, **dict.fromkeys(inputs, 0))
     source = random.Random(16)
-    control, doorbell, status = [*IDENTITY, *[0] * 8], [0, 0], [0, 0, 0]
+    control, doorbell, status = [*IDENTITY, *[0] * 8], [0, 0], [0, 0, int(StatusError.RESET)]
     rung, stale = 0, False
     for _ in range(3000):
         await FallingEdge(dut.clk_i)
@@ -66,6 +66,7 @@ async def words_equal_the_model(dut: Any) -> None:
             tick = (tick + 1) % (1 << 64)
             control[Control.TICK_LOW], control[Control.TICK_HIGH] = tick & 0xFFFFFFFF, tick >> 32
         if kind == "control":
+            status[Status.ERROR] &= ~StatusError.RESET
             for word in range(Control.SEED_0, Control.RESERVED_0):
                 control[word] = written.get(word, control[word])
         elif kind != "none":

@@ -40,10 +40,12 @@ class Design:
     sources: tuple[Path, ...]
     parameters: Mapping[str, int | str] = field(default_factory=dict)
     macros: Mapping[str, str] = field(default_factory=dict)
+    build_args: tuple[str, ...] = ()
+    """For Verilator, on top of those of all designs."""
 
     def digest(self) -> str:
         texts = [path.read_text() for path in self.sources]
-        return _digest(self.top, texts, dict(self.parameters), dict(self.macros))
+        return _digest(self.top, texts, dict(self.parameters), dict(self.macros), self.build_args)
 
 
 def build_args() -> list[str]:
@@ -109,7 +111,7 @@ def build(design: Design) -> Path:
                     hdl_toplevel=design.top,
                     parameters=dict(design.parameters),
                     defines=dict(design.macros),
-                    build_args=build_args(),
+                    build_args=[*build_args(), *design.build_args],
                     build_dir=scratch,
                     timescale=("1ns", "1ps"),
                     log_file=scratch / "build.log",

@@ -3,9 +3,9 @@
 module port_map
   import pearl_pkg::*;
 #(
-    parameter  int unsigned DATA_WL        = 32,
-    parameter  int unsigned REGION_WORDS   = 3,
-    localparam int unsigned WORD_ADDR_BITS = 8
+    parameter int unsigned DATA_WL = 32,
+    parameter int unsigned REGION_WORDS = 3,
+    parameter int unsigned WORD_ADDR_BITS = 8
 ) (
     input  logic                                    clk_i,
     input  logic                                    rst_ni,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import re
 import time
@@ -10,12 +11,15 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from harness import HERE, Design, run
 
 from pearl_marl import boards, toolchain
 from pearl_marl.boards import BOARDS, Board
-from pearl_marl.devices import Lockstep, Serial
+from pearl_marl.devices import BatchConfig, Lockstep, Native, Serial
+from pearl_marl.devices.serial import SerialTransport
+from pearl_marl.errors import DeviceError
 from pearl_marl.registry import get_spec
 from pearl_marl.spec import EnvSpec
 from pearl_marl.verification import runs, verify
@@ -84,10 +88,38 @@ def plugged_in(tmp_path: Path) -> Iterator[str]:
 
 def test_a_program_steps_the_ulx3s(plugged_in: str) -> None:
     """Every word of every step, in every mode, over a line of bits."""
-    for plan in runs(SPEC, SIZE[0], 24):
+    for plan in runs(SPEC, SIZE[0], 12, max_cycles=2):
         for _ in verify(plan, Lockstep(Serial(plugged_in), "native"), seed=5):
             pass
         assert plan.exact
+        assert plan.truncated
+
+
+def test_the_ulx3s_goes_on_after_damage(plugged_in: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whichever answer is damaged, steps go on as if nothing had happened."""
+    actions = np.random.default_rng(3).integers(0, 4, (4, SIZE[0]), np.uint8)
+    device, native = Serial(plugged_in, checkpoint_every=2), Native()
+    for each in (device, native):
+        each.open(BatchConfig(spec=SPEC, n_envs=SIZE[0]))
+        each.reset(seed=4)
+    whole = SerialTransport._receive
+    for step in range(len(actions)):
+        expected = native.step(actions[step])
+        calls = itertools.count()
+
+        def damaged(self: SerialTransport, length: int, step: int = step, calls: Any = calls) -> bytes:
+            answer = whole(self, length)
+            return bytes(len(answer)) if next(calls) == step % 3 else answer
+
+        monkeypatch.setattr(SerialTransport, "_receive", damaged)
+        with pytest.raises(DeviceError, match="is damaged"):
+            device.step(actions[step])
+        monkeypatch.setattr(SerialTransport, "_receive", whole)
+        device.recover()
+        taken = device.step(actions[step])
+        for name in ("obs", "rewards", "terminations", "truncations"):
+            assert np.array_equal(getattr(taken, name), getattr(expected, name))
+    device.close()
 
 
 def test_xdma_irq(tmp_path: Path) -> None:

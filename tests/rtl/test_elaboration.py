@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 from typing import Any
 
@@ -71,14 +72,40 @@ def test_lint_is_clean_with_options(env: str, options: dict[str, Any]) -> None:
         ({"DATA_WL": 16}, "powers of two from 32 to 1024"),
         ({"DATA_WL": 96}, "powers of two from 32 to 1024"),
         ({"OBS_BITS": 7}, "7 observation and 1 reward bits, the core 6, 2, 6 and 1"),
+        *(({f"{word}_BITS": 0}, "0 .* bits, the core 6") for word in ("STATE", "ACTION", "OBS", "REWARD")),
         ({"REWARDS_OFFSET": 35}, "offsets of the regions do not belong to"),
-        ({"ADDR_BITS": 7}, "bits of word address do not reach"),
+        ({"STATUS_OFFSET": 30}, "offsets of the regions do not belong to"),  # before the region it ends
+        ({"CONTROL_OFFSET": 5}, "offsets of the regions do not belong to"),
+        ({"END_OFFSET": 36}, "offsets of the regions do not belong to"),
+        ({"ADDR_BITS": 0}, "ADDR_BITS is 0; possible are 8, which reach the end of the map, to 64"),
+        ({"ADDR_BITS": 1}, "ADDR_BITS is 1; possible are 8"),
+        ({"ADDR_BITS": 7}, "ADDR_BITS is 7; possible are 8"),
+        ({"ADDR_BITS": 65}, "ADDR_BITS is 65; possible are 8"),
+        ({"ID_BITS": 0}, "ID_BITS is 0; there must be at least 1"),
     ],
 )
 def test_illegal_parameters_are_refused(parameters: dict[str, int], sentence: str) -> None:
     spec = get_spec("CliffWalking")
     with pytest.raises(DeviceError, match=sentence):
         lint(whole(spec, memory_map.memory_map(spec, 7, 4, 32)), **parameters)
+
+
+@pytest.mark.parametrize("states", ["LATENCY 0 and II 1", "LATENCY 2 and II 0"])
+def test_a_core_without_time_is_refused(states: str, tmp_path: Path) -> None:
+    design = whole(spec := get_spec("CliffWalking"), memory_map.memory_map(spec, 7, 4, 32))
+    core = hardware.core_path(spec)
+    latency, interval = states.split()[1::3]
+    text = core.read_text().replace("LATENCY = 2;", f"LATENCY = {latency};")
+    changed = tmp_path / core.name
+    changed.write_text(text.replace("II = 1;", f"II = {interval};"))
+    sources = tuple(changed if path == core else path for path in design.sources)
+    with pytest.raises(DeviceError, match=f"the core states {states}; both must be at least 1"):
+        lint(dataclasses.replace(design, sources=sources))
+
+
+def test_an_address_of_64_bits_is_legal() -> None:
+    spec = get_spec("CliffWalking")
+    lint(whole(spec, memory_map.memory_map(spec, 7, 4, 32)), ADDR_BITS=64)
 
 
 def test_formatter_has_nothing_to_change() -> None:
@@ -96,6 +123,8 @@ def test_package_says_what_the_map_says() -> None:
     for name in ("SEED_0", "SEED_1", "TICK_LOW", "TICK_HIGH", "FIRST_SLOT", "MAX_CYCLES"):
         assert f"CONTROL_{name}={control[name].value};" in words
     assert f"CONTROL_WORDS={len(control)};" in words
+    assert f"DOORBELL_WORDS={len(memory_map.Doorbell)};" in words
+    assert f"STATUS_WORDS={len(memory_map.Status)};" in words
     assert f"PROTOCOL_VERSION={memory_map.PROTOCOL_VERSION};" in words
     assert f"TER_BITS={memory_map.TER_BITS};" in words
     assert f"ELAPSED_BITS={memory_map.ELAPSED_BITS};" in words

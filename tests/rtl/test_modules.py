@@ -69,9 +69,11 @@ def test_axi_slave(word: int, tmp_path: Path) -> None:
     run(design, "bench_axi_slave", tmp_path, word=word)
 
 
-@pytest.mark.parametrize(("word", "words"), [(32, 3), (128, 1)])
-def test_port(word: int, words: int, tmp_path: Path) -> None:
-    run(module("port_map", DATA_WL=word, REGION_WORDS=words), "bench_port", tmp_path, word=word, words=words)
+# The narrow address is that of a small map, the wide one that of a bus of 64 bits.
+@pytest.mark.parametrize(("word", "words", "bits"), [(32, 3, 8), (128, 1, 60)])
+def test_port(word: int, words: int, bits: int, tmp_path: Path) -> None:
+    design = module("port_map", DATA_WL=word, REGION_WORDS=words, WORD_ADDR_BITS=bits)
+    run(design, "bench_port", tmp_path, word=word, words=words, address_bits=bits)
 
 
 @pytest.mark.parametrize("word", [32, 64, 128, 1024])

@@ -91,6 +91,9 @@ def check_backbone(
     word_bytes = layout.data_wl // 8
     word_address_bits = hardware.address_bits(layout) - (word_bytes.bit_length() - 1)
     parameters = {**hardware.parameters(spec, layout), "WORD_ADDR_BITS": word_address_bits}
+    # The backbone has the widths from its core.
+    for name in ("STATE_BITS", "ACTION_BITS", "OBS_BITS", "REWARD_BITS"):
+        del parameters[name]
     arguments = [f"-G {name}=32'd{value}" for name, value in parameters.items()]
     arguments += [f"-D {name}={value}" for name, value in hardware.macros(spec).items()]
     files = [
@@ -188,7 +191,11 @@ STATUS = {
 }
 
 ADDRESSES = {
-    "port": ("pearl_port.sv", "33'(addr_q) < 33'(OFFSETS[i+1])", "33'(addr_q) <= 33'(OFFSETS[i+1])"),
+    "port": (
+        "pearl_port.sv",
+        "BOUND_BITS'(addr_q) < BOUND_BITS'(OFFSETS[i+1])",
+        "BOUND_BITS'(addr_q) <= BOUND_BITS'(OFFSETS[i+1])",
+    ),
     "base": ("pearl_port.sv", "index_o = addr_q - base", "index_o = addr_q"),
     "groups": ("pearl_group_reader.sv", "active_q <= !last_o", "active_q <= 1'b1"),
     "unpacker": ("pearl_unpacker.sv", "re_o = active_q && 32'(count_q) != WORDS &&", "re_o = active_q &&"),

@@ -15,27 +15,22 @@ module pearl_xdma_irq (
     Idle,
     // Requested, and not sent yet.
     Request,
-    // Sent; the step's results have yet to be left for the next one.
+    // Sent; the host has yet to ring again.
     Serve
   } state_e;
 
   state_e state_d, state_q;
-  // The step that is requested for is over, and maybe another as well.
-  logic left_d, left_q;
   (* ASYNC_REG = "TRUE" *) logic [1:0] irq_q;
   logic irq;
   assign irq = irq_q[1];
 
   always_comb begin
     state_d = state_q;
-    left_d  = left_q || !irq;
     unique case (state_q)
-      Idle: begin
-        left_d = 1'b0;
-        if (irq) state_d = Request;
-      end
-      Request: if (usr_irq_ack_i) state_d = left_d ? Idle : Serve;
-      Serve:   if (!irq) state_d = Idle;
+      Idle: if (irq) state_d = Request;
+      // If the host has rung again by then, and that step has ended too, one is for both.
+      Request: if (usr_irq_ack_i) state_d = Serve;
+      Serve: if (!irq) state_d = Idle;
       default: state_d = Idle;
     endcase
   end
@@ -44,11 +39,9 @@ module pearl_xdma_irq (
     if (!rst_ni) begin
       irq_q   <= '0;
       state_q <= Idle;
-      left_q  <= 1'b0;
     end else begin
       irq_q   <= {irq_q[0], irq_i};
       state_q <= state_d;
-      left_q  <= left_d;
     end
   end
 

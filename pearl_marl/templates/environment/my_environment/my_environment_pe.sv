@@ -62,7 +62,7 @@ module my_environment_pe
   logic unused_rng;
 
   assign from_d = first_i ? state_t'{cell_number: FIRST_START + {1'b0, rng_i[0][31:29]}} : state_i;
-  assign moves_d = !hold_i & int'(rng_i[1][31:29]) >= SLIP;
+  assign moves_d = !hold_i & (int'(rng_i[1][31:29]) >= SLIP);
   assign unused_rng = ^{rng_i[0][28:0], rng_i[1][28:0]};
 
   always_ff @(posedge clk_i) begin
@@ -75,8 +75,8 @@ module my_environment_pe
   state_t state_d, state_q;
   logic left, right, goal_d, goal_q, pit_d, pit_q, valid_late_q;
 
-  assign left = moves_q & action_q == LEFT & from_q.cell_number != PIT;
-  assign right = moves_q & action_q == RIGHT & from_q.cell_number != GOAL;
+  assign left = moves_q & (action_q == LEFT) & (from_q.cell_number != PIT);
+  assign right = moves_q & (action_q == RIGHT) & (from_q.cell_number != GOAL);
   assign state_d.cell_number = from_q.cell_number + {3'b000, right} - {3'b000, left};
   assign goal_d = state_d.cell_number == GOAL;
   assign pit_d = state_d.cell_number == PIT;
