@@ -51,7 +51,7 @@ def load_policy(name: str, spec: EnvSpec, seed: int = 0) -> Policy:
     if name == RANDOM:
         return _random(spec, seed)
     path = Path(name)
-    if path.is_dir():
+    if name and path.is_dir():
         path /= "policy.safetensors"
     for suffixes, load in _LOADERS.items():
         if path.suffix in suffixes:

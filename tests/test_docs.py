@@ -105,8 +105,13 @@ def test_scripts_with_other_libraries_run(library, script, tmp_path):
     assert done.stdout.strip()
 
 
-SESSIONS = [(page, block) for page in PAGES for block in blocks(page, "console") if " &\n" in block]
-"""Commands of which one runs in the background while the others use what it serves."""
+SESSIONS = [
+    (page, block)
+    for page in PAGES
+    for block in blocks(page, "console")
+    if " &\n" in block or "pearl train" in block
+]
+"""Commands of which later ones use what an earlier one serves in the background, or has made."""
 
 
 @pytest.mark.parametrize(("page", "block"), SESSIONS, ids=[page.name for page, _ in SESSIONS])
