@@ -294,8 +294,8 @@ def kernel_source(spec: EnvSpec) -> str:
     restart = ["for j in range(count):", *_indented(each)]
     few = block + 1
     if spec.unpack is None:
-        # From about so many on (less if a start takes draws) SIMD code for all slots is faster. Not with large
-        # observations, of which all would be made anew.
+        # From about so many on, fewer where a start takes draws, SIMD code for all slots is faster. Not with
+        # large observations, of which all would be made anew.
         few = block // (4 + 3 * spec.reset_draws)
         clear = ["for i in range(m):", "    E[i] = np.uint32(0) if flag[i] else E[i]"]
         at_once = ["for i in range(m):", *_indented(copy_one), *start_over, *clear, *observe]

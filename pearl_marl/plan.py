@@ -89,11 +89,12 @@ def plan(
     ArgumentError
         A parameter is not possible, or no build fits the part.
     """
-    sizes = (
-        [1 << k for k in range(MAX_PE_NUM.bit_length()) if 1 << k <= n_envs] if pe_num is None else [pe_num]
-    )
+    memory_map(spec, n_envs, 1, DATA_WIDTHS[0])  # refuses what is no number of slots
+    sizes = [1 << k for k in range(MAX_PE_NUM.bit_length()) if 1 << k <= n_envs]
+    if pe_num is not None:
+        sizes = [pe_num]
     widths = DATA_WIDTHS if data_wl is None else (data_wl,)
-    layouts = [memory_map(spec, n_envs, size, width) for size in sizes or [1] for width in widths]
+    layouts = [memory_map(spec, n_envs, size, width) for size in sizes for width in widths]
     fitting = [layout for layout in layouts if part is None or modelled_bram36(layout) <= part.bram36]
     if part is not None and not fitting:
         least = min(map(modelled_bram36, layouts))

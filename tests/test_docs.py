@@ -161,10 +161,10 @@ def test_commands_run(page, command, output, tmp_path):
         assert done.returncode == 0, done.stderr
 
 
-def test_make_targets_of_the_readme_exist():
-    named = re.findall(r"^make (\w+)", (ROOT / "README.md").read_text(), re.MULTILINE)
-    assert named == ["demo", "test"]
-    for target in named:
+def test_make_targets_exist():
+    named = {page: re.findall(r"^make ([\w-]+)", page.read_text(), re.MULTILINE) for page in PAGES}
+    assert named[ROOT / "README.md"] == ["demo", "test"]
+    for target in set().union(*named.values()):
         subprocess.run(["make", "--dry-run", target], cwd=ROOT, check=True, capture_output=True)
 
 

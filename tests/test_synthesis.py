@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import json
+import re
 
 import pytest
 from typer.testing import CliRunner
@@ -11,8 +12,9 @@ from typer.testing import CliRunner
 from pearl_marl import hardware, synthesis, toolchain
 from pearl_marl.cli import app
 from pearl_marl.errors import ArgumentError, DeviceError
-from pearl_marl.memory_map import memory_map
-from pearl_marl.registry import get_spec
+from pearl_marl.memory_map import default_map, memory_map
+from pearl_marl.registry import get_spec, names
+from pearl_marl.spec import EnvSpec
 from pearl_marl.synthesis import PARTS, Family, Memory, Usage
 
 SPEC = get_spec("CliffWalking")
@@ -100,6 +102,36 @@ def test_refused_calls(arguments: list[str], sentence: str) -> None:
     result = CliRunner().invoke(app, ["synth", "CliffWalking", *arguments])
     assert isinstance(result.exception, ArgumentError)
     assert sentence in str(result.exception)
+
+
+def test_all_at_once(monkeypatch: pytest.MonkeyPatch, tmp_path) -> None:
+    """A row each, at its default size; a memory in the wrong place is told of any of them."""
+    memory = Memory("u_deep", 32, 600, "LUT RAM")
+
+    def synthesised(spec: EnvSpec, layout: synthesis.MemoryMap, family: Family) -> Usage:
+        memories = (memory,) if spec.name == "Taxi" else ()
+        return Usage(layout.n_envs, layout.pe_num, layout.data_wl, 10_000, 3_000, 1.5, 7, memories, {})
+
+    monkeypatch.setattr("pearl_marl.cli.synth.synthesise", synthesised)
+    arguments = ["synth", "--all", "--n-envs", "4096", "--out", str(tmp_path)]
+    result = CliRunner(env={"COLUMNS": "120"}).invoke(app, arguments)
+    assert result.exit_code == 1
+    assert "at 4,096 slots of Taxi u_deep of 600 words of 32 bits became LUT RAM" in result.stderr
+    for name in names():
+        layout = default_map(get_spec(name), 4096)
+        sizes = rf"{layout.pe_num} +│ +{layout.data_wl:,}"
+        assert re.search(rf"{name} +│ +{sizes} +│ +10,000 +│ +3,000 +│ +1.5 +│ +7 ", result.stdout), name
+    written = json.loads((tmp_path / "synth_all_xc7_4096.json").read_text())
+    assert [row["environment"] for row in written] == [get_spec(name).id for name in names()]
+    assert json.loads(CliRunner().invoke(app, [*arguments, "--json"]).stdout) == written
+
+
+@pytest.mark.parametrize(
+    "more", [["Taxi"], ["--fmax"], ["--fit", "vc707"], ["--confirm"], ["--option", "a=1"]]
+)
+def test_all_takes_no_more(more: list[str]) -> None:
+    result = CliRunner().invoke(app, ["synth", "--all", *more])
+    assert "leave out ENV, --option" in str(result.exception)
 
 
 def test_no_clock_rate_without_free_tools() -> None:

@@ -23,6 +23,7 @@ from pearl_marl.cli.common import (
 from pearl_marl.errors import ArgumentError
 from pearl_marl.memory_map import default_map, memory_map
 from pearl_marl.registry import get_spec, names
+from pearl_marl.spec import EnvSpec
 from pearl_marl.synthesis import (
     FMAX_DEVICE,
     PARTS,
@@ -80,9 +81,9 @@ def command(
     The exit status is 1 if a large memory did not become block RAM.
     """
     if every:
-        if env_id is not None or option or fmax or fit is not None:
+        if env_id is not None or option or fmax or fit is not None or confirmed:
             raise ArgumentError(
-                "--all takes every environment as it is: leave out ENV, --option, --fmax, --fit"
+                "--all takes every environment as it is: leave out ENV, --option, --fmax, --fit, --confirm"
             )
         _every(_numbers(n_envs)[0], pe_num, data_wl, part, out, as_json)
         return
@@ -130,11 +131,16 @@ def command(
         print_json(result)
     else:
         _show(spec.id, part, points, rates, fitting)
-    misplaced = [(usage, memory) for usage in points for memory in usage.misplaced]
-    for usage, memory in misplaced:
+    _exit_if_misplaced([(spec, usage) for usage in points])
+
+
+def _exit_if_misplaced(usages: list[tuple[EnvSpec, Usage]]) -> None:
+    """Name every large memory that did not become block RAM; exit with status 1 if there is one."""
+    misplaced = [(spec, usage, memory) for spec, usage in usages for memory in usage.misplaced]
+    for spec, usage, memory in misplaced:
         error_console.print(
-            f"[bold red]Not block RAM:[/] at {usage.n_envs:,} slots {memory.name} of {memory.depth:,} words "
-            f"of {memory.width} bits became {memory.kind}.",
+            f"[bold red]Not block RAM:[/] at {usage.n_envs:,} slots of {spec.name} {memory.name} of "
+            f"{memory.depth:,} words of {memory.width} bits became {memory.kind}.",
             soft_wrap=True,
         )
     if misplaced:
@@ -147,23 +153,23 @@ def _every(
     specs = [get_spec(name) for name in names()]
     layouts = [default_map(spec, n_envs, pe_num, data_wl) for spec in specs]
     work = progress(zip(specs, layouts, strict=True), len(specs), f"{n_envs:,} slots")
-    usages = [synthesise(spec, layout, part) for spec, layout in work]
-    result = [
-        {"environment": spec.id, "family": str(part), **usage.as_json()}
-        for spec, usage in zip(specs, usages, strict=True)
-    ]
+    usages = [(spec, synthesise(spec, layout, part)) for spec, layout in work]
+    result = [{"environment": spec.id, "family": str(part), **usage.as_json()} for spec, usage in usages]
     if out is not None:
         write_json(out, f"synth_all_{part}_{n_envs}.json", result)
     if as_json:
         print_json(result)
-        return
-    table = Table(title=f"{n_envs:,} slots, {part}")
-    for heading in ("environment", "PEs", "word", "LUT", "FF", "BRAM36", "DSP"):
-        table.add_column(heading, justify="left" if heading == "environment" else "right", no_wrap=True)
-    for spec, usage in zip(specs, usages, strict=True):
-        figures = (usage.pe_num, usage.data_wl, usage.lut, usage.ff)
-        table.add_row(spec.name, *(f"{figure:,}" for figure in figures), f"{usage.bram36:g}", f"{usage.dsp}")
-    console.print(table)
+    else:
+        table = Table(title=f"{n_envs:,} slots, {part}")
+        for heading in ("environment", "PEs", "word", "LUT", "FF", "BRAM36", "DSP"):
+            table.add_column(heading, justify="left" if heading == "environment" else "right", no_wrap=True)
+        for spec, usage in usages:
+            figures = (usage.pe_num, usage.data_wl, usage.lut, usage.ff)
+            table.add_row(
+                spec.name, *(f"{figure:,}" for figure in figures), f"{usage.bram36:g}", f"{usage.dsp}"
+            )
+        console.print(table)
+    _exit_if_misplaced(usages)
 
 
 def _numbers(texts: list[str]) -> list[int]:

@@ -275,6 +275,12 @@ async def a_running_step_is_left_alone(dut: Any) -> None:
         return model.step(Mode.RESET_ALL, nobody, actions)
 
     expected = await ring()
+    await host.finish()
+    results, status = await host.results()
+    assert (results, status[Status.ERROR]) == (expected, StatusError.RESET)
+    await host.control(SEED_0=0)  # from here on it holds a batch
+
+    expected = await ring()
     await host.write(LAYOUT["actions"].offset, bytes(WORD), AxiResp.SLVERR)
     await host.finish()
     results, status = await host.results()
