@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
-import shutil
 import tempfile
 import threading
 from collections import Counter
@@ -56,7 +55,8 @@ class OwnBoard(Xdma):
         self._server.enter_context(served(self.board, spec, n, *self._sizes))
 
     def _connect(self, config: BatchConfig) -> tuple[Transport, MemoryMap]:
-        self.board = tempfile.mkdtemp(prefix="pearl-test-", dir=IN_MEMORY)
+        self._folder = tempfile.TemporaryDirectory(prefix="pearl-test-", dir=IN_MEMORY)
+        self.board = self._folder.name
         self._batch = config.spec, config.n_envs
         self._serve()
         return super()._connect(config)
@@ -64,7 +64,7 @@ class OwnBoard(Xdma):
     def _close(self) -> None:
         super()._close()
         self._server.close()
-        shutil.rmtree(self.board)
+        self._folder.cleanup()
 
 
 NODE_ERRORS = (errno.EIO, errno.ETIMEDOUT, 512, errno.EINVAL, errno.EBUSY, errno.ENODEV)
