@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import pty
+import select
 import struct
 import threading
 import time
@@ -32,6 +33,7 @@ class Fake:
 
     def __init__(self) -> None:
         self._board, self._host = pty.openpty()
+        self._ending = os.eventfd(0)
         tty.setraw(self._host)
         self.port = os.ttyname(self._host)
         self.memory = bytearray(IDENTITY.ljust(1 << 20, b"\0"))
@@ -43,6 +45,8 @@ class Fake:
     def _take(self, count: int) -> bytes:
         taken = b""
         while len(taken) < count:
+            if self._ending in select.select([self._board, self._ending], [], [])[0]:
+                raise OSError("unplugged")
             taken += os.read(self._board, count - len(taken))
         return taken
 
@@ -61,16 +65,19 @@ class Fake:
                     answer = answer[os.write(self._board, answer) :]
 
     def unplug(self) -> None:
-        os.close(self._host)
-        os.close(self._board)
+        """End the board, and then close its files: another board may get their numbers."""
+        if self._thread.is_alive():
+            os.eventfd_write(self._ending, 1)
+            self._thread.join()
+            for file in (self._host, self._board, self._ending):
+                os.close(file)
 
 
 @pytest.fixture
 def board() -> Iterator[Fake]:
     fake = Fake()
     yield fake
-    with contextlib.suppress(OSError):
-        fake.unplug()
+    fake.unplug()
 
 
 def test_any_length_goes_through(board: Fake) -> None:
