@@ -82,6 +82,7 @@ class DQN:
         self.target = Policy(spec, "values", settings.width)
         self.target.load_state_dict(self.policy.state_dict())
         self.optimiser = torch.optim.Adam(self.policy.parameters(), lr=settings.learning_rate)
+        self.evaluated = 1000
         self.statistics = EpisodeStatistics(n)
         self.obs = torch.from_numpy(self.env.reset_batch(settings.seed))
         one = self.obs.shape[1:]

@@ -131,10 +131,15 @@ class Network(nn.Module):
         nn.init.zeros_(self.hidden.bias)
         nn.init.zeros_(self.output.bias)
 
+    def features(self, obs: Tensor) -> Tensor:
+        """Return what the output layer is given, shape ``(batch, width)``."""
+        made = self.activation(self.encoder(obs))
+        result: Tensor = self.activation(self.hidden(made))
+        return result
+
     def forward(self, obs: Tensor) -> Tensor:
         """Return the outputs, shape ``(batch, outputs)``."""
-        features = self.activation(self.encoder(obs))
-        result: Tensor = self.output(self.activation(self.hidden(features)))
+        result: Tensor = self.output(self.features(obs))
         return result
 
 
@@ -198,20 +203,24 @@ class Policy(nn.Module):
 
 
 class Table:
-    """What chooses actions by a table: a value for each observation and action.
+    """What chooses actions by tables: a value for each observation and action, one table a learner.
+
+    Of ``n`` observations, the first ``n / learners`` are the first learner's, and so on.
 
     Parameters
     ----------
     spec
         The environment that it is for. Its observations are numbers, or tuples of them.
+    learners
+        How many tables.
 
     Attributes
     ----------
     values
-        Shape ``(observations, actions)``, ``float64``.
+        Shape ``(learners, observations, actions)``, ``float32``.
     """
 
-    def __init__(self, spec: EnvSpec) -> None:
+    def __init__(self, spec: EnvSpec, learners: int = 1) -> None:
         self.spec, self.about = spec, {**_about(spec), "kind": "table"}
         space, actions = spec.observation_space, spec.action_space
         parts: list[Any] = list(space) if isinstance(space, Tuple) else [space]
@@ -222,19 +231,22 @@ class Table:
         self._starts = np.array([part.start for part in parts])
         self._sizes = [int(part.n) for part in parts]
         self._scalar = not isinstance(space, Tuple)
-        self.values = np.zeros((int(np.prod(self._sizes)), int(actions.n)))
+        self.values = np.zeros((learners, int(np.prod(self._sizes)), int(actions.n)), np.float32)
 
     def rows(self, obs: Array) -> Array:
-        """Return the number of the row of each observation."""
+        """Return the number of the row of each observation, counted through all tables."""
+        learners, size, _ = self.values.shape
         if self._scalar:
-            rows: Array = obs - self._starts[0]
-            return rows
-        digits = tuple((obs - self._starts).T)
-        return np.asarray(np.ravel_multi_index(digits, self._sizes))
+            rows = obs - self._starts[0]
+        else:
+            rows = np.ravel_multi_index(tuple((obs - self._starts).T), self._sizes)
+        if learners > 1:
+            rows = rows + np.arange(len(obs)) * learners // len(obs) * size
+        return np.asarray(rows)
 
     def choose(self, obs: Array) -> Array:
         """Return the best action for each observation."""
-        best: Array = self.values.argmax(1)[self.rows(obs)]
+        best: Array = self.values.reshape(-1, self.values.shape[2])[self.rows(obs)].argmax(1)
         return best
 
     def save(self, path: Path) -> None:
@@ -262,7 +274,7 @@ def load(path: Path) -> Policy | Table:
     about = json.loads(header["policy"])
     spec = get_spec(about["environment"]).with_options(**about["options"])
     if about["kind"] == "table":
-        table = Table(spec)
+        table = Table(spec, len(tensors["values"]))
         table.values[:] = tensors["values"].numpy()
         return table
     policy = Policy(spec, about["kind"], about["width"])

@@ -76,12 +76,20 @@ class PPO:
         self.env = pearl_marl.parallel_env(spec.name, settings.n_agents, device=device, **spec.options)
         self.continuous = not hasattr(spec.action_space, "n")
         self.policy = Policy(spec, "mean" if self.continuous else "logits", settings.width)
-        self.critic = Network(spec.observation_space, 1, settings.width)
+        encoder, width = self.policy.network.encoder, settings.width
+        # Of a picture, most of the work is to see what is on it: actor and critic do that together.
+        self.shared = encoder.kind == "picture"
+        self.encoders = [encoder]
+        self.critic: nn.Module = nn.Linear(width, 1)
+        if not self.shared:
+            network = Network(spec.observation_space, 1, width)
+            self.encoders, self.critic = [encoder, network.encoder], network
         self.log_deviation = nn.Parameter(torch.full((1,), -0.5))
         self.parameters = [*self.policy.parameters(), *self.critic.parameters()]
         if self.continuous:
             self.parameters.append(self.log_deviation)
         self.optimiser = torch.optim.Adam(self.parameters, lr=settings.learning_rate, eps=1e-5)
+        self.evaluated = 1000
         self.statistics = EpisodeStatistics(settings.n_agents)
         self.obs = torch.from_numpy(self.env.reset_batch(settings.seed))
         self.done = 0
@@ -91,9 +99,15 @@ class PPO:
         """Steps of single agents so far."""
         return self.done * self.settings.depth * self.settings.n_agents
 
-    def distribution(self, obs: Tensor) -> Categorical | Normal:
+    def judge(self, obs: Tensor) -> tuple[Tensor, Tensor]:
+        """Return the policy's outputs, and the critic's values, shape ``(batch,)``."""
+        if not self.shared:
+            return self.policy(obs), self.critic(obs)[:, 0]
+        features = self.policy.network.features(obs)
+        return self.policy.network.output(features), self.critic(features)[:, 0]
+
+    def distribution(self, outputs: Tensor) -> Categorical | Normal:
         """Return what actions are drawn from."""
-        outputs = self.policy(obs)
         if self.continuous:
             return Normal(outputs, self.log_deviation.exp())
         return Categorical(logits=outputs, validate_args=False)
@@ -131,9 +145,9 @@ class PPO:
         seen, taken, logs, rewards, ended, values = [], [], [], [], [], []
         for _ in range(depth):
             obs = self.obs
-            self.policy.network.encoder.see(obs)
-            self.critic.encoder.see(obs)
-            outputs = self.policy(obs)
+            for encoder in self.encoders:
+                encoder.see(obs)
+            outputs, value = self.judge(obs)
             if self.continuous:
                 noise = torch.randn(outputs.shape, generator=self.random)
                 actions = outputs + self.log_deviation.exp() * noise
@@ -146,12 +160,12 @@ class PPO:
             self.statistics.add(step)
             seen.append(obs)
             taken.append(actions)
-            logs.append(self.log_probabilities(self.distribution(obs), actions))
-            values.append(self.critic(obs)[:, 0])
+            logs.append(self.log_probabilities(self.distribution(outputs), actions))
+            values.append(value)
             rewards.append(self._rewards(step))
             ended.append(torch.from_numpy(step.ended))
             self.obs = torch.from_numpy(step.obs)
-        values.append(self.critic(self.obs)[:, 0])
+        values.append(self.judge(self.obs)[1])
 
         advantages = torch.empty(depth, n)
         advantage = torch.zeros(n)
@@ -170,7 +184,7 @@ class PPO:
         cut = np.flatnonzero(step.truncations & ~step.terminations)
         if cut.size:
             final = torch.from_numpy(step.final_obs[cut])
-            rewards[cut] += self.settings.discount * self.critic(final)[:, 0]
+            rewards[cut] += self.settings.discount * self.judge(final)[1]
         return rewards
 
     def _minibatches(self, *rollout: Tensor) -> Iterator[tuple[Tensor, ...]]:
@@ -185,11 +199,12 @@ class PPO:
     ) -> tuple[float, float, float, float]:
         """Take one step of gradient descent; return policy loss, value loss, entropy, share clipped."""
         clip = self.settings.clip
-        chosen = self.distribution(obs)
+        outputs, values = self.judge(obs)
+        chosen = self.distribution(outputs)
         ratio = (self.log_probabilities(chosen, actions) - old_logs).exp()
         advantages = (advantages - advantages.mean()) / (advantages.std() + 1e-8)
         policy_loss = -torch.min(ratio * advantages, ratio.clamp(1 - clip, 1 + clip) * advantages).mean()
-        value_loss = (self.critic(obs)[:, 0] - returns).square().mean()
+        value_loss = (values - returns).square().mean()
         entropy = chosen.entropy().mean()  # type: ignore[no-untyped-call]
         self.optimiser.zero_grad()
         (policy_loss + 0.5 * value_loss - self.settings.entropy * entropy).backward()

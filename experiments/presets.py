@@ -4,4 +4,34 @@ from __future__ import annotations
 
 from typing import Any
 
-PRESETS: dict[tuple[str, str], dict[str, Any]] = {}
+PRESETS: dict[tuple[str, str], dict[str, Any]] = {
+    ("ppo", "MountainCar"): {
+        # The goal is far: what follows from it has to be seen through some 200 steps.
+        "n_agents": 2048,
+        "depth": 16,
+        "iterations": 150,
+        "learning_rate": 1e-3,
+        "discount": 0.99,
+        "trace": 0.98,
+    },
+    ("ppo", "Pendulum"): {
+        "n_agents": 512,
+        "iterations": 120,
+        "epochs": 8,
+        "minibatch": 2048,
+        "learning_rate": 2e-3,
+        "reward_scale": 0.03,
+    },
+    ("ppo", "Seaquest"): {
+        "n_agents": 512,
+        "iterations": 300,
+        "minibatch": 1024,
+        "learning_rate": 1e-3,
+        "discount": 0.99,
+        "trace": 0.95,
+        "entropy": 0.01,
+        "width": 128,
+    },
+    # Rewards are random: entries have to become means of many targets.
+    ("q-learning", "Blackjack"): {"rate": 1.0, "fading": 0.2, "epsilon": 0.5},
+}

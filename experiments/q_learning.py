@@ -1,7 +1,8 @@
-"""Tabular Q-learning (Watkins and Dayan, 1992, doi:10.1007/BF00992698), one table for all agents.
+"""Tabular Q-learning (Watkins and Dayan, 1992, doi:10.1007/BF00992698), of one learner or of many thousands.
 
-All agents explore at once and write into one table. A step's updates are averaged for each entry, so that
-one step of all agents is one update of the table.
+A learner is a table and the agents that write into it, all at once: a step's updates are averaged for each
+entry, so that one step of all agents is one update of the table. With as many learners as agents, every
+agent learns for itself, from nothing but its own experience.
 """
 
 from __future__ import annotations
@@ -10,9 +11,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 import pearl_marl
 from pearl_marl.episodes import EpisodeStatistics
+from pearl_marl.errors import ArgumentError
 from pearl_marl.spec import EnvSpec
 
 from .policy import Table
@@ -25,7 +28,9 @@ class Settings:
     Attributes
     ----------
     n_agents
-        Agents that share the table.
+        Agents that gather experience, as many for each learner.
+    learners
+        Tables; from 1, which all agents share, to ``n_agents``.
     iterations
         Steps of every agent.
     epsilon
@@ -33,7 +38,7 @@ class Settings:
     rate
         How far an entry moves towards the mean of its targets, at its first update.
     fading
-        After as many updates of an entry, it moves half as far; 0 for always as far.
+        After ``1 / fading`` updates of an entry, it moves half as far; 0 for always as far.
     discount
         Gamma.
     seed
@@ -41,6 +46,7 @@ class Settings:
     """
 
     n_agents: int = 43008
+    learners: int = 1
     iterations: int = 300
     epsilon: float = 0.2
     rate: float = 0.5
@@ -53,17 +59,45 @@ EXPLORING = 0.8
 
 
 class QLearning:
-    """A run of Q-learning: :meth:`iterate` is a step of all agents and an update of the table."""
+    """A run of Q-learning: :meth:`iterate` is a step of all agents and an update of the tables.
 
-    def __init__(self, spec: EnvSpec, device: Any, settings: Settings) -> None:
+    Parameters
+    ----------
+    spec, device
+        The environment, and where it is stepped.
+    settings
+        The run's.
+    rates
+        What stands in for ``settings.rate``, shape ``(learners,)``: learners may differ.
+    rewards
+        What stands in for the environment's reward table, shape ``(learners, entries)``: learners may want
+        different things. The device hands out the numbers of entries instead, and each learner looks them up.
+    """
+
+    def __init__(
+        self,
+        spec: EnvSpec,
+        device: Any,
+        settings: Settings,
+        rates: npt.NDArray[Any] | None = None,
+        rewards: npt.NDArray[Any] | None = None,
+    ) -> None:
         self.settings = settings
-        n = settings.n_agents
+        n, learners = settings.n_agents, settings.learners
+        if not 1 <= learners <= n or n % learners:
+            raise ArgumentError(f"setting 'learners' is {learners}; it must divide n_agents, {n}")
+        self.policy = Table(spec, learners)
         self.env = pearl_marl.parallel_env(spec.name, n, device=device, **spec.options)
-        self.policy = Table(spec)
+        self.rewards = None if rewards is None else np.asarray(rewards, np.float32)
+        if self.rewards is not None:
+            self.env.set_rewards(np.arange(self.rewards.shape[1], dtype=np.float32))
+        self.learner = np.arange(n) * learners // n  # of every agent
+        self.rates = np.full(learners, settings.rate) if rates is None else np.asarray(rates)
         self.random = np.random.default_rng(settings.seed)
         self.statistics = EpisodeStatistics(n)
         self.rows = self.policy.rows(self.env.reset_batch(settings.seed))
-        self.updates = np.zeros(self.policy.values.shape)
+        self.updates = np.zeros(self.policy.values.shape, np.int32)
+        self.evaluated = max(10_000, learners)
         self.done = 0
 
     @property
@@ -72,23 +106,22 @@ class QLearning:
         return self.done * self.settings.n_agents
 
     def iterate(self) -> dict[str, float | None]:
-        """Step all agents and update the table; return figures for the metrics."""
-        settings, values, rows = self.settings, self.policy.values, self.rows
-        n, n_actions = settings.n_agents, values.shape[1]
+        """Step all agents and update the tables; return figures for the metrics."""
+        settings, rows = self.settings, self.rows
+        n_actions = self.policy.values.shape[2]
+        values = self.policy.values.reshape(-1, n_actions)  # of all learners, one below the other
+        n = settings.n_agents
         explored = max(0.0, settings.epsilon * (1 - self.done / (EXPLORING * settings.iterations)))
         random = self.random.random(n, np.float32) < explored
-        actions = np.where(random, self.random.integers(n_actions, size=n), values.argmax(1)[rows])
+        actions = np.where(random, self.random.integers(n_actions, size=n), values[rows].argmax(1))
         step = self.env.step_batch(actions)
+        if self.rewards is not None:
+            step = step._replace(rewards=self.rewards[self.learner, step.rewards.astype(np.intp)])
         # Where the step itself led; in its place there may be the next episode's start already.
-        later = values.max(1)[self.policy.rows(step.arrivals())]
-        targets = step.rewards + settings.discount * later * ~step.terminations
-        entries = rows * n_actions + actions
-        visits = np.bincount(entries, minlength=values.size).reshape(values.shape)
-        sums = np.bincount(entries, targets, minlength=values.size).reshape(values.shape)
-        visited = visits > 0
-        rate = settings.rate / (1 + settings.fading * self.updates)
-        values[visited] += (rate * (sums / np.maximum(visits, 1) - values))[visited]
-        self.updates += visited
+        later = values[self.policy.rows(step.arrivals())].max(1)
+        self._update(
+            rows * n_actions + actions, step.rewards + settings.discount * later * ~step.terminations
+        )
         self.statistics.add(step)
         self.rows = self.policy.rows(step.obs)
         self.done += 1
@@ -100,6 +133,20 @@ class QLearning:
             "episodes": summary["episodes"],
             "explored": explored,
         }
+
+    def _update(self, entries: npt.NDArray[Any], targets: npt.NDArray[Any]) -> None:
+        """Move the entries that agents visited towards the mean of their targets."""
+        settings = self.settings
+        values, updates = self.policy.values.reshape(-1), self.updates.reshape(-1)
+        if settings.learners < settings.n_agents:
+            visits = np.bincount(entries, minlength=values.size)
+            sums = np.bincount(entries, targets, minlength=values.size)
+            entries = np.flatnonzero(visits)
+            targets = sums[entries] / visits[entries]
+        rates = self.rates[entries // (values.size // settings.learners)]
+        rates = rates / (1 + settings.fading * updates[entries])
+        values[entries] += rates * (targets - values[entries])
+        updates[entries] += 1
 
     def state(self) -> dict[str, Any]:
         """Return all that the continuation depends on."""

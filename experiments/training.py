@@ -22,8 +22,6 @@ from .run_folder import RunFolder
 
 ALGORITHMS: dict[str, Any] = {"ppo": ppo.PPO, "dqn": dqn.DQN, "q-learning": q_learning.QLearning}
 SETTINGS: dict[str, Any] = {"ppo": ppo.Settings, "dqn": dqn.Settings, "q-learning": q_learning.Settings}
-EVALUATED = 1000
-"""Agents whose first episodes are an evaluation."""
 
 
 def settings_for(algorithm: str, env_id: str, given: dict[str, Any]) -> Any:
@@ -61,6 +59,7 @@ def train(
     evaluate_every: int | None = None,
     progress: Callable[[int, int, dict[str, Any]], None] = lambda done, total, row: None,
     checkpoint_seconds: float = 20.0,
+    evaluated: int | None = None,
 ) -> list[dict[str, Any]]:
     """Train, and write the run's folder; return the metrics.
 
@@ -82,6 +81,8 @@ def train(
         Called at every evaluation with the iterations done, those in all, and the metrics.
     checkpoint_seconds
         The least time between two checkpoints, which large replay memories take a while to write.
+    evaluated
+        Agents whose first episodes are an evaluation; by default as many as the algorithm suggests.
 
     Raises
     ------
@@ -115,7 +116,7 @@ def train(
         last = trainer.done == settings.iterations
         if trainer.done % every and not last:
             continue
-        mean, deviation = evaluate(trainer.policy, spec)
+        mean, deviation = evaluate(trainer.policy, spec, evaluated or trainer.evaluated)
         seconds = time.perf_counter() - began
         row = {"seconds": seconds, **figures, "eval_return": mean, "eval_deviation": deviation}
         run.report(trainer.agent_steps, **row)
@@ -131,9 +132,9 @@ def train(
     return run.rows
 
 
-def evaluate(policy: Any, spec: EnvSpec, seed: int = 1) -> tuple[float, float]:
-    """Return mean and standard deviation of the return of many agents' first episodes, by best actions."""
-    evaluation = Evaluation(spec, policy.choose, EVALUATED, seed=seed)
+def evaluate(policy: Any, spec: EnvSpec, n: int, seed: int = 1) -> tuple[float, float]:
+    """Return mean and standard deviation of the return of ``n`` agents' first episodes, by best actions."""
+    evaluation = Evaluation(spec, policy.choose, n, seed=seed)
     for _ in evaluation.run():
         pass
     return float(evaluation.returns.mean()), float(evaluation.returns.std())

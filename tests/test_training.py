@@ -21,6 +21,9 @@ torch = pytest.importorskip("torch", reason="torch is not installed: pip install
 training = importlib.import_module("pearl_marl.experiments.training")
 policy = importlib.import_module("pearl_marl.experiments.policy")
 
+EVALUATED = 50
+"""A thousand episodes take longer than such training."""
+
 SMALL: dict[str, dict[str, Any]] = {
     "ppo": {"n_agents": 32, "depth": 8, "iterations": 12, "minibatch": 64},
     "dqn": {
@@ -37,9 +40,8 @@ SMALL: dict[str, dict[str, Any]] = {
 
 
 @pytest.fixture(autouse=True)
-def small(monkeypatch: pytest.MonkeyPatch) -> Any:
-    """Sums of several threads may differ, and a thousand episodes take longer than the training."""
-    monkeypatch.setattr(training, "EVALUATED", 50)
+def one_thread() -> Any:
+    """Sums of several threads may differ."""
     before = torch.get_num_threads()
     torch.set_num_threads(1)
     yield
@@ -50,7 +52,9 @@ def run(
     algorithm: str, env: str, folder: Path, goal: float | None = None, every: int | None = None, **given: Any
 ) -> list[dict[str, Any]]:
     settings = training.settings_for(algorithm, env, given)
-    rows: list[dict[str, Any]] = training.train(env, {}, algorithm, settings, "native", folder, goal, every)
+    rows: list[dict[str, Any]] = training.train(
+        env, {}, algorithm, settings, "native", folder, goal, every, evaluated=EVALUATED
+    )
     return rows
 
 
@@ -60,12 +64,36 @@ def test_q_learning_finds_the_shortest_way_along_the_cliff(seed: int, tmp_path: 
     assert rows[-1]["eval_return"] == -13
 
 
+def test_every_agent_can_learn_for_itself(tmp_path: Path) -> None:
+    given = {"n_agents": 200, "learners": 200, "rate": 1.0, "epsilon": 0.1, "iterations": 2500}
+    rows = run("q-learning", "CliffWalking", tmp_path, every=2500, **given)
+    assert rows[-1]["eval_return"] == -13
+    assert rows[-1]["eval_deviation"] == 0
+    values = policy.load(tmp_path).values
+    assert len(np.unique(values, axis=0)) == 200, "no two have had the same experience"
+
+
+def test_learners_differ_in_rates_and_in_what_they_want() -> None:
+    settings = training.settings_for("q-learning", "CliffWalking", {"n_agents": 30, "learners": 3})
+    rewards, rates = [[-1, -100], [-1, -100], [1, 1]], [0.5, 0.0, 0.5]
+    make = training.ALGORITHMS["q-learning"]
+    learner = make(get_spec("CliffWalking"), "native", settings, rates=rates, rewards=rewards)
+    for _ in range(20):
+        learner.iterate()
+    values = learner.policy.values
+    assert values[0].min() < 0
+    assert values[0].max() == 0
+    assert not values[1].any()
+    assert values[2].min() == 0
+    assert values[2].max() > 0
+
+
 @pytest.mark.slow
 def test_ppo_balances_the_pole(tmp_path: Path) -> None:
     rows = run("ppo", "CartPole", tmp_path, goal=475.0)
     assert rows[-1]["eval_return"] >= 475
     best = policy.load(tmp_path)
-    assert training.evaluate(best, get_spec("CartPole"))[0] == rows[-1]["eval_return"]
+    assert training.evaluate(best, get_spec("CartPole"), EVALUATED)[0] == rows[-1]["eval_return"]
 
 
 @pytest.mark.parametrize("env", ["CartPole", "Taxi", "Blackjack", "Pendulum"])
@@ -93,13 +121,12 @@ from pathlib import Path
 training = importlib.import_module("pearl_marl.experiments.training")
 import torch
 torch.set_num_threads(1)
-training.EVALUATED = 50
 algorithm, folder, given = sys.argv[1], Path(sys.argv[2]), eval(sys.argv[3])
 settings = training.settings_for(algorithm, "FrozenLake", given)
 def slow(done, total, row):
     print(done, flush=True)
     time.sleep(0.05)
-arguments = {"progress": slow, "checkpoint_seconds": 0.2}
+arguments = {"progress": slow, "checkpoint_seconds": 0.2, "evaluated": 50}
 training.train("FrozenLake", {}, algorithm, settings, "native", folder, **arguments)
 """
 
@@ -148,6 +175,7 @@ def same(one: Any, other: Any) -> bool:
         ("ppo", {"n_agent": 5}, "'n_agent'.*'n_agents'"),
         ("ppo", {"depth": 1.5}, "'depth' is 1.5"),
         ("dqn", {"discount": -1}, "'discount' is -1"),
+        ("q-learning", {"n_agents": 10, "learners": 3}, "'learners' is 3; it must divide n_agents, 10"),
         ("dqn", {"discount": "high"}, "'discount' is 'high'"),
     ],
 )
