@@ -81,7 +81,7 @@ class DQN:
         self.policy = Policy(spec, "values", settings.width)
         self.target = Policy(spec, "values", settings.width)
         self.target.load_state_dict(self.policy.state_dict())
-        self.optimiser = torch.optim.Adam(self.policy.parameters(), lr=settings.learning_rate)
+        self.optimiser = torch.optim.Adam(self.policy.parameters(), lr=settings.learning_rate, fused=True)
         self.evaluated = 1000
         self.statistics = EpisodeStatistics(n)
         self.obs = torch.from_numpy(self.env.reset_batch(settings.seed))

@@ -88,7 +88,7 @@ class PPO:
         self.parameters = [*self.policy.parameters(), *self.critic.parameters()]
         if self.continuous:
             self.parameters.append(self.log_deviation)
-        self.optimiser = torch.optim.Adam(self.parameters, lr=settings.learning_rate, eps=1e-5)
+        self.optimiser = torch.optim.Adam(self.parameters, lr=settings.learning_rate, eps=1e-5, fused=True)
         self.evaluated = 1000
         self.statistics = EpisodeStatistics(settings.n_agents)
         self.obs = torch.from_numpy(self.env.reset_batch(settings.seed))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 PRESETS: dict[tuple[str, str], dict[str, Any]] = {
+    ("ppo", "CartPole"): {"n_agents": 256, "minibatch": 1024, "learning_rate": 1e-2},
     ("ppo", "MountainCar"): {
         # The goal is far: what follows from it has to be seen through some 200 steps.
         "n_agents": 2048,
@@ -31,6 +32,17 @@ PRESETS: dict[tuple[str, str], dict[str, Any]] = {
         "trace": 0.95,
         "entropy": 0.01,
         "width": 128,
+    },
+    # Some hundred updates suffice where each is of many agents, who explore for one another.
+    ("dqn", "CartPole"): {
+        "n_agents": 1024,
+        "iterations": 500,
+        "memory": 100,
+        "updates": 4,
+        "minibatch": 1024,
+        "learning_rate": 3e-3,
+        "refresh": 50,
+        "exploring": 0.2,
     },
     # Rewards are random: entries have to become means of many targets.
     ("q-learning", "Blackjack"): {"rate": 1.0, "fading": 0.2, "epsilon": 0.5},

@@ -1,0 +1,239 @@
+"""PPO and DQN of Stable-Baselines3 on this package's environments, and on the same ones of others.
+
+``python experiments/sb3_training.py CartPole --algo ppo --n-agents 256`` trains, and saves the model for
+``pearl eval --policy``. ``--source envpool`` and ``--source gymnasium`` change nothing but who steps the
+environments: this is the trainer of the paper's Figure 7.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated, Any
+
+import gymnasium
+import numpy as np
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+from stable_baselines3 import DQN, PPO
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv
+
+import pearl_marl
+from pearl_marl.errors import ArgumentError
+from pearl_marl.evaluation import Evaluation
+from pearl_marl.registry import get_spec
+
+MODELS: dict[str, Any] = {"ppo": PPO, "dqn": DQN}
+
+SETTINGS: dict[str, dict[str, Any]] = {
+    "ppo": {
+        "n_steps": 32,
+        "batch_size": 1024,
+        "n_epochs": 4,
+        "learning_rate": 2e-3,
+        "gamma": 0.98,
+        "gae_lambda": 0.9,
+    },
+    "dqn": {
+        "train_freq": 1,
+        "gradient_steps": 4,
+        "batch_size": 1024,
+        "learning_rate": 3e-3,
+        "learning_starts": 10_000,
+        "buffer_size": 100_000,
+        "exploration_fraction": 0.2,
+        "exploration_final_eps": 0.02,
+        "target_update_interval": 12_800,
+        "policy_kwargs": {"net_arch": [128, 128]},
+    },
+}
+"""For batches of hundreds of agents; the same whoever steps them."""
+
+SOURCES = ("pearl", "envpool", "gymnasium")
+EVALUATED = 200
+"""Agents whose first episodes are an evaluation."""
+EVALUATION_LIMIT = 500
+"""Steps after which an episode of an evaluation ends: there are policies that get nowhere for ever."""
+
+console = Console(stderr=True)
+
+
+class EnvPoolVecEnv(VecEnv):
+    """EnvPool's environments as Stable-Baselines3 wants them.
+
+    Those that ended are reset at once, all in one call.
+    """
+
+    def __init__(self, name: str, n: int, seed: int) -> None:
+        import envpool
+
+        self._envs = envpool.make(name, env_type="gymnasium", num_envs=n, seed=seed)
+        super().__init__(n, self._envs.observation_space, self._envs.action_space)
+        self._actions = np.zeros(n, self._envs.action_space.dtype)
+
+    def reset(self) -> Any:
+        """Return the first observations."""
+        return self._envs.reset()[0]
+
+    def step_async(self, actions: Any) -> None:
+        """Keep the actions."""
+        self._actions = actions.astype(self._actions.dtype)
+
+    def step_wait(self) -> Any:
+        """Step all; return observations, rewards, ends and infos."""
+        obs, rewards, terminations, truncations, _ = self._envs.step(self._actions)
+        ended = terminations | truncations
+        infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
+        slots = np.flatnonzero(ended)
+        if slots.size:
+            obs = obs.copy()
+            for slot in slots:
+                infos[slot]["terminal_observation"] = obs[slot].copy()
+                infos[slot]["TimeLimit.truncated"] = bool(truncations[slot] and not terminations[slot])
+            obs[slots] = self._envs.reset(slots.astype(np.int32))[0]
+        return obs, rewards.astype(np.float32), ended, infos
+
+    def close(self) -> None:
+        """Close them."""
+        self._envs.close()
+
+    def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
+        """Return an attribute, the same for every environment."""
+        return [getattr(self._envs, attr_name, None)] * self.num_envs
+
+    def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
+        """Refuse: EnvPool's environments have none to be set."""
+        raise NotImplementedError
+
+    def env_method(self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any) -> list[Any]:
+        """Refuse: EnvPool's environments have no methods of their own."""
+        raise NotImplementedError
+
+    def env_is_wrapped(self, wrapper_class: Any, indices: Any = None) -> list[bool]:
+        """Return that none is."""
+        return [False] * self.num_envs
+
+
+def vec_env(source: str, env_id: str, n: int, seed: int) -> VecEnv:
+    """Return ``n`` environments for Stable-Baselines3, stepped by one of :data:`SOURCES`."""
+    oracle = get_spec(env_id).oracle
+    if source == "pearl":
+        env: VecEnv = pearl_marl.wrappers.sb3_vec_env(pearl_marl.parallel_env(env_id, n_agents=n))
+        env.seed(seed)
+        return env
+    if oracle is None or ":" in oracle:
+        raise ArgumentError(f"--source {source} has no {env_id}")
+    if source == "envpool":
+        return EnvPoolVecEnv(oracle, n, seed)
+    if source == "gymnasium":
+        name: str = oracle
+        env = DummyVecEnv([lambda: gymnasium.make(name)] * n)
+        env.seed(seed)
+        return env
+    raise ArgumentError(f"--source is {source!r}; possible are {', '.join(map(repr, SOURCES))}")
+
+
+def mean_return(env_id: str, policy: Callable[[Any], Any]) -> float:
+    """Return the mean of :data:`EVALUATED` episodes."""
+    spec = get_spec(env_id)
+    limit = spec.max_cycles or EVALUATION_LIMIT
+    evaluation = Evaluation(spec, policy, EVALUATED, seed=1, max_cycles=limit)
+    for _ in evaluation.run():
+        pass
+    return float(evaluation.returns.mean())
+
+
+class Watch(BaseCallback):
+    """Evaluates now and then, with the clock stopped; ends the training once the goal is reached.
+
+    Attributes
+    ----------
+    points
+        Of every evaluation: seconds of training, agent-steps, mean return.
+    """
+
+    def __init__(self, env_id: str, goal: float, every: int, show: Callable[[int, float], None]) -> None:
+        super().__init__()
+        self.env_id, self.goal, self.every, self.show = env_id, goal, every, show
+        self.points: list[tuple[float, int, float]] = []
+        self._paused = 0.0
+
+    def _on_training_start(self) -> None:
+        self._began = time.perf_counter()
+        self._next = self.every
+
+    def _on_step(self) -> bool:
+        if self.num_timesteps < self._next:
+            return True
+        self._next += self.every
+        stopped = time.perf_counter()
+        mean = mean_return(self.env_id, self._best)
+        self.points.append((stopped - self._began - self._paused, self.num_timesteps, mean))
+        self.show(self.num_timesteps, mean)
+        self._paused += time.perf_counter() - stopped
+        return mean < self.goal
+
+    def _best(self, obs: Any) -> Any:
+        return self.model.predict(obs, deterministic=True)[0]
+
+
+def train(
+    source: str,
+    env_id: str,
+    algorithm: str,
+    n: int,
+    steps: int,
+    seed: int,
+    goal: float,
+    every: int,
+    settings: dict[str, Any] | None = None,
+    show: Callable[[int, float], None] = lambda done, mean: None,
+) -> tuple[Any, list[tuple[float, int, float]]]:
+    """Train until an evaluation reaches the goal; return the model, and what :class:`Watch` wrote down."""
+    env = vec_env(source, env_id, n, seed)
+    try:
+        given = SETTINGS[algorithm] if settings is None else settings
+        model = MODELS[algorithm]("MlpPolicy", env, seed=seed, device="cpu", **given)
+        watch = Watch(env_id, goal, every, show)
+        model.learn(steps, callback=watch)
+    finally:
+        env.close()
+    return model, watch.points
+
+
+def main(
+    env_id: Annotated[str, typer.Argument(metavar="ENV", help="An environment of `pearl envs`.")],
+    algo: Annotated[str, typer.Option(help="`ppo` or `dqn`.")] = "ppo",
+    n_agents: Annotated[int, typer.Option(help="How many.")] = 256,
+    steps: Annotated[int, typer.Option(help="Agent-steps at most.")] = 1_000_000,
+    goal: Annotated[float, typer.Option(help="The mean return that ends the training.")] = float("inf"),
+    every: Annotated[int, typer.Option(help="Agent-steps between evaluations.")] = 20_000,
+    seed: Annotated[int, typer.Option(help="Of the training.")] = 0,
+    source: Annotated[str, typer.Option(help="Who steps: `pearl`, `envpool` or `gymnasium`.")] = "pearl",
+    out: Annotated[Path, typer.Option(help="The model's file.")] = Path("out/sb3_training.zip"),
+) -> None:
+    """Train and save the model."""
+    if algo not in MODELS:
+        raise typer.BadParameter(f"{algo!r}; possible are 'ppo' and 'dqn'", param_hint="--algo")
+    columns = (BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TextColumn("{task.fields[note]}"))
+    with Progress(*columns, console=console) as bar:
+        task = bar.add_task(env_id, total=steps, note="")
+
+        def show(done: int, mean: float) -> None:
+            bar.update(task, completed=min(done, steps), note=f"return {mean:.1f}")
+
+        try:
+            model, points = train(source, env_id, algo, n_agents, steps, seed, goal, every, show=show)
+        except pearl_marl.PearlError as error:
+            console.print(f"Error: {error}", highlight=False)
+            raise typer.Exit(2) from None
+    model.save(out)
+    for seconds, done, mean in points[-1:]:
+        print(f"Mean return {mean:.1f} after {done:,} agent-steps, {seconds:.1f} s of training. Wrote {out}")
+
+
+if __name__ == "__main__":
+    typer.run(main)
