@@ -115,7 +115,7 @@ module pearl_top #(
       OBS_BITS != pearl_core_pkg::OBS_BITS || REWARD_BITS != pearl_core_pkg::REWARD_BITS)
   begin : gen_illegal_widths
     $error(
-        "the spec has %0d state, %0d action, %0d observation and %0d reward bits, the core %0d, %0d, %0d and %0d",
+        "the spec has %0d state, %0d action, %0d observation, %0d reward bits, the core %0d, %0d, %0d, %0d",
         STATE_BITS,
         ACTION_BITS,
         OBS_BITS,

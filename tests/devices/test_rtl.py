@@ -248,7 +248,7 @@ def test_no_verilator(own_cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     ("old", "new", "says"),
     [
         ("assign goal =", "assign gaol =", "gaol"),
-        ("STATE_BITS = 6", "STATE_BITS = 7", "the spec has 6 state, 2 action, 6 observation and 1 reward"),
+        ("STATE_BITS = 6", "STATE_BITS = 7", "the spec has 6 state, 2 action, 6 observation, 1 reward"),
         ("assign moved.row = from_q.row +", "assign moved.row = from_q.column +", "WIDTH"),
     ],
     ids=["syntax", "widths", "lint"],
