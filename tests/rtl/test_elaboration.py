@@ -61,6 +61,12 @@ def test_lint_is_clean_with_options(env: str, options: dict[str, Any]) -> None:
     lint(whole(spec, memory_map.memory_map(spec, 7, 4, 32)))
 
 
+@pytest.mark.parametrize("env", ["CliffWalking", "ShiftAdd"])
+def test_lint_is_clean_without_pipeline(env: str) -> None:
+    spec = spec_of(env, {})
+    lint(whole(spec, memory_map.memory_map(spec, 1000, 16, 64)), PIPELINED=0)
+
+
 @pytest.mark.parametrize(
     ("parameters", "sentence"),
     [
