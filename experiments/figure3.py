@@ -13,7 +13,7 @@ from pearl_marl.rendering import import_pyplot
 from pearl_marl.spec import EnvSpec, word_bits
 
 from . import paper
-from .section import BLUE, ORANGE, WIDTH, Progress, Row, select
+from .section import BLUE, HATCHES, ORANGE, SKY, WIDTH, Progress, Row, select
 
 TITLE = "Figure 3: data compression"
 TEXT = (
@@ -73,7 +73,9 @@ def _counted(spec: EnvSpec) -> list[Row]:
         "observation": _bits(spec.observation_space),
         "reward": 64,
         "ends": 2 * 8,
-        "state": 64 * len(spec.state),
+        "state": 64
+        if isinstance(spec.observation_space, gymnasium.spaces.Discrete)
+        else 64 * len(spec.state),
     }
     after = {
         "action": spec.action.bits,
@@ -85,7 +87,7 @@ def _counted(spec: EnvSpec) -> list[Row]:
     arrays = {
         "reward": "a float64",
         "ends": "two bools",
-        "state": "a 64-bit number for each of its variables, as Python keeps them",
+        "state": "64 bits for each of our variables, as Python keeps numbers; one where it is observed as one number",
     }
     return [
         {
@@ -105,7 +107,8 @@ def _bits(space: gymnasium.Space[Any]) -> int:
     """Return the bits of one element in the arrays of a batch."""
     if isinstance(space, gymnasium.spaces.Tuple):
         return sum(_bits(part) for part in space.spaces)
-    assert space.dtype is not None and space.shape is not None
+    assert space.dtype is not None
+    assert space.shape is not None
     return 8 * space.dtype.itemsize * int(np.prod(space.shape))
 
 
@@ -115,24 +118,24 @@ def draw(rows: list[Row]) -> Any:
     figure, grid = plt.subplots(2, 3, figsize=(WIDTH, 6.4), sharey=True, layout="constrained")
     panels = list(grid.flat)
     environments = list(dict.fromkeys(row["environment"] for row in rows))
-    height = 0.38
+    height = 0.27
+    bars = (
+        ("measured", "bits_before", ORANGE, -1),
+        ("measured", "bits_after", BLUE, 0),
+        ("quoted", "bits_after", SKY, 1),
+    )
     for axes, quantity in zip(panels, QUANTITIES, strict=False):
-        for row in select(rows, quantity=quantity, kind="measured"):
-            y = environments.index(row["environment"])
-            for key, shift, colour in (
-                ("bits_before", -height / 2, ORANGE),
-                ("bits_after", height / 2, BLUE),
-            ):
-                axes.barh(y + shift, row[key], height, color=colour)
-                axes.text(row[key] * 1.1, y + shift, f"{row[key]:,}", va="center", fontsize=7)
-        quoted = [row for row in select(rows, quantity=quantity, kind="quoted") if row.get("bits_after")]
-        axes.plot(
-            [row["bits_after"] for row in quoted],
-            [environments.index(row["environment"]) + height / 2 for row in quoted],
-            linestyle="",
-            marker="x",
-            color="black",
-        )
+        for kind, key, colour, place in bars:
+            points = [row for row in select(rows, quantity=quantity, kind=kind) if row.get(key) is not None]
+            drawn = axes.barh(
+                [environments.index(row["environment"]) + place * height for row in points],
+                [row[key] for row in points],
+                height,
+                color=colour,
+                edgecolor="white",
+                hatch=HATCHES[kind],
+            )
+            axes.bar_label(drawn, [f"{row[key]:,}" for row in points], fontsize=7, padding=2)
         axes.set(title=quantity, xscale="log", xlim=(0.7, 4e4), xlabel="bits a slot (log scale)")
         axes.spines[["top", "right"]].set_visible(False)
     panels[0].set_yticks(range(len(environments)), environments)
@@ -141,8 +144,16 @@ def draw(rows: list[Row]) -> Any:
     panels[5].legend(
         handles=[
             plt.Rectangle((0, 0), 1, 1, color=ORANGE, label="arrays of Gymnasium (counted)"),
-            plt.Rectangle((0, 0), 1, 1, color=BLUE, label="words of the hardware (counted)"),
-            plt.Line2D([], [], linestyle="", marker="x", color="black", label="the paper's words (quoted)"),
+            plt.Rectangle((0, 0), 1, 1, color=BLUE, label="words of our hardware (counted)"),
+            plt.Rectangle(
+                (0, 0),
+                1,
+                1,
+                facecolor=SKY,
+                edgecolor="white",
+                hatch=HATCHES["quoted"],
+                label="words of the paper's (quoted)",
+            ),
         ],
         loc="center",
         frameon=False,

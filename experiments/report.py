@@ -22,9 +22,10 @@ from pearl_marl.benchmark import machine
 from pearl_marl.errors import ArgumentError, PearlError
 from pearl_marl.rendering import import_pyplot
 
+from . import figure6
 from .section import KINDS, Progress, Row, Section
 
-SECTIONS = ("figure3",)
+SECTIONS = ("figure3", "equations", "figure6", "table3", "figure8", "figure9", "table1", "table2")
 """Modules of this package, in the page's order."""
 
 _TOOLS = (
@@ -95,6 +96,9 @@ def report(
     entries = [_entry(folder, name, found[name], problems.get(name)) for name in SECTIONS]
     page = template.render(sections=entries, kinds=KINDS)
     _write(folder / "index.html", page)
+    throughput = found["figure6"]
+    if throughput is not None:
+        _write(folder / "readme_table.md", figure6.readme_table(throughput))
     return made
 
 

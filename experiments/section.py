@@ -61,11 +61,9 @@ class Section(Protocol):
 WIDTH = 9.0
 """Inches: at 100 dots an inch as wide as the page."""
 
-# Okabe and Ito's colours, which people tell apart who do not see all of them.
-BLACK, ORANGE, SKY, GREEN, YELLOW, BLUE, RED, PINK = (
-    *("#000000", "#E69F00", "#56B4E9", "#009E73"),
-    *("#F0E442", "#0072B2", "#D55E00", "#CC79A7"),
-)
+# Okabe and Ito's colours, which people tell apart who do not see all of them; purple is darker than all but black.
+BLACK, ORANGE, SKY, GREEN = "#000000", "#E69F00", "#56B4E9", "#009E73"
+BLUE, RED, PINK, PURPLE = "#0072B2", "#D55E00", "#CC79A7", "#5B2A86"
 
 LINES: dict[str, dict[str, Any]] = {
     "measured": {"linestyle": "-", "marker": "o"},
