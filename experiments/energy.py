@@ -33,7 +33,10 @@ def unavailable() -> str | None:
 
 
 def spend(step: Callable[[], Any], seconds: float) -> Energy:
-    """Step for a while, and return what all processor packages took meanwhile, idle power and others' work included."""
+    """Step for a while; return what all processor packages took meanwhile.
+
+    That includes idle power, and other programs' work.
+    """
     packages = _packages()
     before = [_read(package / "energy_uj") for package in packages]
     began, steps = perf_counter(), 0

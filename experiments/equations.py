@@ -17,9 +17,10 @@ from .section import BLUE, GREEN, LINES, ORANGE, RED, WIDTH, Progress, Row, sele
 
 TITLE = "Eq. 1 to 3: the latency model"
 TEXT = (
-    "Eq. 1: what the host takes to pack actions (T1) and to unpack results (T7), measured over the bytes, and the line "
-    "alpha * k + beta through it. Eq. 2 and 3: clock cycles of all slots one after the other, and with a unit for "
-    "each, beside this design's. And this design's own model beside the simulated hardware."
+    "Eq. 1: what the host takes to pack actions (T1) and to unpack results (T7), measured over the bytes, "
+    "and the line alpha * k + beta through it. Eq. 2 and 3: clock cycles of all slots one after the other, "
+    "and with a unit for each, beside this design's. And this design's own model beside the simulated "
+    "hardware."
 )
 COLUMNS = {
     "what": "what",
@@ -142,7 +143,7 @@ def draw(rows: list[Row]) -> Any:
     host, model, loops = panels
     environments = list(dict.fromkeys(row["environment"] for row in rows if row.get("bytes") is not None))
     for what, colour in (("T1, pack", BLUE), ("T7, unpack", ORANGE)):
-        points = [row for row in select(rows, what=what, kind="measured")]
+        points = select(rows, what=what, kind="measured")
         x, y = [row["bytes"] for row in points], [row["microseconds"] for row in points]
         host.plot(x, y, color=colour, linestyle="", marker="o", markersize=4, label=f"{what} (measured)")
         for i, name in enumerate(environments):

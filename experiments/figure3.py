@@ -17,8 +17,9 @@ from .section import BLUE, HATCHES, ORANGE, SKY, WIDTH, Progress, Row, select
 
 TITLE = "Figure 3: data compression"
 TEXT = (
-    "Bits that one slot takes a step, as the arrays of a Gymnasium vector environment have them and as words of the "
-    "hardware. A step sends actions and brings observations, rewards and ends; the state stays on the device."
+    "Bits of one slot, as the arrays of a Gymnasium vector environment have them and as words of the "
+    "hardware. A step sends actions and brings observations, rewards and ends; the state stays on the "
+    "device."
 )
 COLUMNS = {
     "environment": "environment",
@@ -87,7 +88,7 @@ def _counted(spec: EnvSpec) -> list[Row]:
     arrays = {
         "reward": "a float64",
         "ends": "two bools",
-        "state": "64 bits for each of our variables, as Python keeps numbers; one where it is observed as one number",
+        "state": "64 bits, as Python keeps numbers, for each variable; one where it is observed as one",
     }
     return [
         {

@@ -20,9 +20,10 @@ from .section import BLACK, BLUE, GREEN, LINES, ORANGE, PINK, PURPLE, RED, SKY, 
 
 TITLE = "Figure 6: throughput"
 TEXT = (
-    "Agent-steps per second over the number of environments: Gymnasium's vector environments, MinAtar, EnvPool, "
-    "this package on the CPU, the FPGA design simulated by Verilator, and the same design predicted behind the "
-    "link of the paper's board (PCIe 2.0 x8, 125 MHz). The paper's own rates are of its machine."
+    "Agent-steps per second over the number of environments: Gymnasium's vector environments, MinAtar, "
+    "EnvPool, this package on the CPU, the FPGA design simulated by Verilator, and the same design "
+    "predicted behind the link of the paper's board (PCIe 2.0 x8, 125 MHz). The paper's own rates are of "
+    "its machine."
 )
 COLUMNS = {
     "environment": "environment",
@@ -39,7 +40,7 @@ SEEDS = (0,)
 SIZES = (64, 1024, 8192, 43008)
 QUICK_SIZES = (7, 64)
 LARGE_SIMULATION = 1024
-"""Models of more slots are built of :data:`README_ENV` alone: others have more to compile than it takes to run."""
+"""Models of more slots are built of :data:`README_ENV` alone: others take long to compile."""
 README_ENV = "CliffWalking"
 """What the README's first table is about: everything of ``pearl bench`` is timed, at the largest size."""
 
@@ -88,7 +89,9 @@ def throughput(spec: EnvSpec, n: int, known: Iterable[Row], quick: bool, progres
         for c in contenders(spec, n)
         if (spec.name, c.name, c.n) not in had
         and (
-            everything or c.name in (KERNEL, BATCH, *PEERS) or c.name == SIMULATED and _built(spec, n, quick)
+            everything
+            or c.name in (KERNEL, BATCH, *PEERS)
+            or (c.name == SIMULATED and _built(spec, n, quick))
         )
     ]
     rounds, seconds = (1, 0.01) if quick else (5, 0.2)
@@ -159,14 +162,14 @@ def predicted(spec: EnvSpec, n: int) -> list[Row]:
 
 def without_pipeline(spec: EnvSpec, n: int) -> list[Row]:
     """Return the same design without its pipeline: the seam for it, which yields no row yet."""
-    # SEAM: simulated, `Rtl(pe_num, data_wl, <the serial form>)` timed as a Contender like SIMULATED; predicted,
-    # `predict(spec, layout, LINK, host, CLOCK, <the serial form>)`. Contenders "simulated, without pipeline"
-    # and "predicted, without pipeline"; STYLES below has a line for each.
+    # SEAM: simulated, `Rtl(pe_num, data_wl, <the serial form>)` timed as a Contender like SIMULATED;
+    # predicted, `predict(spec, layout, LINK, host, CLOCK, <the serial form>)`. Contenders "simulated, without
+    # pipeline" and "predicted, without pipeline"; STYLES below has a line for each.
     return []
 
 
 def _over(row: Row, rows: list[Row], peer: str) -> float | None:
-    """Return how many times a peer's rate a row of ours has; the peer at its most environments up to as many."""
+    """Return how many times a peer's rate a row of ours has; the peer with as many slots, or its most."""
     if not row.get("ours") or row.get("steps_per_second") is None:
         return None
     rivals = [

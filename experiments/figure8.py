@@ -14,9 +14,9 @@ from .section import BLUE, HATCHES, ORANGE, RED, WIDTH, Progress, Row, select
 
 TITLE = "Figure 8: energy"
 TEXT = (
-    "Agent-steps per joule, where the processor's own counters (RAPL) can be read: of the whole processor, idle power "
-    "included. The FPGA's share is not known without a board: toggles of the simulated design say how busy it is, and "
-    "are never made into watts."
+    "Agent-steps per joule, where the processor's own counters (RAPL) can be read: of the whole processor, "
+    "idle power included. The FPGA's share is not known without a board: toggles of the simulated design "
+    "say how busy it is, and are never made into watts."
 )
 COLUMNS = {
     "environment": "environment",

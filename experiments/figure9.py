@@ -15,9 +15,10 @@ from .section import BLACK, BLUE, GREEN, LINES, ORANGE, PINK, RED, SKY, WIDTH, P
 
 TITLE = "Figure 9: FPGA utilisation"
 TEXT = (
-    "What a design takes of a Xilinx 7-series part as its slots grow, with fixed numbers of processing elements and bits "
-    "a word: synthesis by Yosys, before placement, which a vendor's tool makes somewhat smaller. Growth compares how "
-    "two designs grow, not their sizes; the paper's was implemented by the vendor's tool."
+    "What a design takes of a Xilinx 7-series part as its slots grow, with fixed numbers of processing "
+    "elements and bits a word: synthesis by Yosys, before placement, which a vendor's tool makes somewhat "
+    "smaller. Growth compares how two designs grow, not their sizes; the paper's was implemented by the "
+    "vendor's tool."
 )
 COLUMNS = {
     "environment": "environment",

@@ -34,7 +34,7 @@ ACTION_SHARE_SOURCE = "the paper, section III-B and Fig. 3"
 
 
 class Build(NamedTuple):
-    """A column of the paper's Table II: bits of state, action, observation, reward; word, PEs, ``c_c`` in ns."""
+    """A column of the paper's Table II: widths in bits, processing elements, and ``c_c`` in ns."""
 
     state: int
     action: int
@@ -131,9 +131,9 @@ MINATAR_SEAQUEST_DQN = 19.4
 """Return of MinAtar's DQN in Seaquest: mean over the last 100 of 5 million frames' episodes and 30 seeds, at
 the best of its step sizes (2**-13). Read off the picture, to 0.2; no table states it."""
 MINATAR_SEAQUEST_DQN_CURVE = 20.4
-"""The highest that the same DQN's learning curve comes to, in the last 0.3 million frames. Read off likewise."""
+"""The highest that the same DQN's learning curve comes to, in the last 0.3 million frames; read off too."""
 MINATAR_SOURCE = (
     "K. Young and T. Tian, arXiv:1903.03176, and github.com/kenjyoung/MinAtar at 4241f24: "
-    "img/sensitivity_curves.gif and img/learning_curves.gif (MinAtar 1.0.10 and lower, in which the oxygen bar "
-    "flashes to full before it runs out; its sticky actions, 0.1, and ramping difficulty are on)"
+    "img/sensitivity_curves.gif and img/learning_curves.gif (MinAtar 1.0.10 and lower, in which the oxygen "
+    "bar flashes to full before it runs out; its sticky actions, 0.1, and ramping difficulty are on)"
 )

@@ -1,7 +1,8 @@
 """The paper's tables and figures as one page, with its data beside it: what ``pearl report`` does.
 
-A section is measured once. Its data file is written whole, under another name first, so that a run that was killed
-goes on with the sections that it had not finished. Tables, pictures and the page are made of those files each time.
+A section is measured once. Its data file is written whole, under another name first, so that a run that was
+killed goes on with the sections that it had not finished. Tables, pictures and the page are made of those
+files each time.
 """
 
 from __future__ import annotations
@@ -87,8 +88,8 @@ def report(
             data = found[name]
             if data is not None and not data["quick"]:
                 raise ArgumentError(
-                    f"{folder / name}.json is of a full run, which --quick would replace: give another --out, or "
-                    "delete the file"
+                    f"{folder / name}.json is of a full run, which --quick would replace: give another "
+                    "--out, or delete the file"
                 )
     made = [_section(folder, name, quick, found[name], progress, say) for name in names]
     found |= {each.name: each.data for each in made if each.data is not None}

@@ -1,7 +1,7 @@
 """What a section of ``pearl report`` is: a module of this package with the attributes of :class:`Section`.
 
-To add one, write the module and put its name into ``SECTIONS`` of ``report.py``. Everything that it shows, picture and
-table alike, is made of the rows that :meth:`Section.collect` returned, since these are what is kept on disk.
+To add one, write the module and put its name into ``SECTIONS`` of ``report.py``. Everything that it shows,
+picture and table alike, is made of the rows that :meth:`Section.collect` returned: these are what is kept.
 """
 
 from __future__ import annotations
@@ -12,13 +12,13 @@ from typing import Any, Protocol, TypeVar
 T = TypeVar("T")
 
 Row = dict[str, Any]
-"""A flat dict of texts and numbers, as JSON and CSV have them. Each has ``kind``, one of :data:`KINDS`; ``None`` is for
-what a row has no value for."""
+"""A flat dict of texts and numbers, as JSON and CSV have them. Each has ``kind``, one of :data:`KINDS`; what a
+row has no value for is ``None``, or left out."""
 
 KINDS = {
     "measured": "timed or counted on the machine named under the section",
-    "simulated": "counted in the FPGA design as Verilator simulates it; a rate is that of the simulation here",
-    "predicted": "by a model: of latency, or a tool's estimate before or after placement; nothing ran at that rate",
+    "simulated": "counted in the FPGA design, which Verilator simulates; a rate is that of the simulation",
+    "predicted": "by a model of latency, or a tool's estimate of a design that has not been on a board",
     "quoted": "somebody else's figure, from the place named",
     "missing": "not measured here, for the reason named",
 }
@@ -27,7 +27,9 @@ KINDS = {
 class Progress(Protocol):
     """Iterates over items and shows how far it is; ``pearl_marl.cli.common.progress`` is one."""
 
-    def __call__(self, items: Iterable[T], total: int, label: str) -> Iterator[T]: ...
+    def __call__(self, items: Iterable[T], total: int, label: str) -> Iterator[T]:
+        """Yield the items."""
+        ...
 
 
 class Section(Protocol):
@@ -47,7 +49,7 @@ class Section(Protocol):
         Raises
         ------
         PearlError
-            It cannot be done here; the message says why and what to do. The other sections are made all the same.
+            It cannot be done here; the message says why and what to do. Other sections are made all the same.
         """
         ...
 
@@ -61,7 +63,7 @@ class Section(Protocol):
 WIDTH = 9.0
 """Inches: at 100 dots an inch as wide as the page."""
 
-# Okabe and Ito's colours, which people tell apart who do not see all of them; purple is darker than all but black.
+# Okabe and Ito's colours, which people tell apart who do not see all of them, and a dark purple.
 BLACK, ORANGE, SKY, GREEN = "#000000", "#E69F00", "#56B4E9", "#009E73"
 BLUE, RED, PINK, PURPLE = "#0072B2", "#D55E00", "#CC79A7", "#5B2A86"
 

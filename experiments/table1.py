@@ -16,10 +16,10 @@ from .section import Progress, Row
 
 TITLE = "Table I: compute time"
 TEXT = (
-    "From an action to its result in one core: clock cycles as the core states them and as its bench in simulation "
-    "checks, and nanoseconds at the clock rate that nextpnr reaches for a small build on an ECP5, the family that has "
-    "free tools for it. A VC707 has another rate. A core takes a new action every II cycles, so throughput does not "
-    "wait for the latency."
+    "From an action to its result in one core: clock cycles as the core states them and as its bench in "
+    "simulation checks, and nanoseconds at the clock rate that nextpnr reaches for a small build on an "
+    "ECP5, the family that has free tools for it. A VC707 has another rate. A core takes a new action every "
+    "II cycles, so throughput does not wait for the latency."
 )
 COLUMNS = {
     "environment": "environment",

@@ -14,8 +14,9 @@ from .section import Progress, Row
 
 TITLE = "Table II: environment parameters"
 TEXT = (
-    "Bits of state, action, observation and reward, bits of a word, and processing elements: of this package by "
-    "default with 43,008 slots, and of the paper. Rewards are categories here, looked up on the host."
+    "Bits of state, action, observation and reward, bits of a word, and processing elements: of this "
+    "package by default with 43,008 slots, and of the paper. Rewards are categories here, looked up on the "
+    "host."
 )
 COLUMNS = {
     "environment": "environment",

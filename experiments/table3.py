@@ -14,8 +14,8 @@ from .section import Progress, Row
 
 TITLE = "Table III: frameworks"
 TEXT = (
-    "Gymnasium's vector environment, EnvPool and this platform on CliffWalking: agent-steps per second, those per "
-    "joule, and how many environments each was run with or has room for."
+    "Gymnasium's vector environment, EnvPool and this platform on CliffWalking: agent-steps per second, "
+    "those per joule, and how many environments each was run with or has room for."
 )
 COLUMNS = {
     "framework": "framework",
@@ -86,7 +86,7 @@ def _most() -> Row:
         "framework": "this platform",
         "platform": "CPU + FPGA",
         "most_envs": fit.n_envs,
-        "counts": f"block RAM of a {fit.part.name}, {pe_num} PEs, {data_wl}-bit words: pearl synth --fit vc707",
+        "counts": f"block RAM of a {fit.part.name}, {pe_num} PEs, {data_wl}-bit words, as --fit predicts",
     }
 
 

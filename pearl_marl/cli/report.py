@@ -25,7 +25,7 @@ Only = Annotated[
 def command(quick: Quick = False, out: Folder = Path("out/report"), only: Only = None) -> None:
     """Measure every table and figure of the paper's evaluation, and write them as a page with its data.
 
-    A full run takes hours. Started again, it keeps the sections that it had finished. Exit status 1: a section
+    A full run takes hours. Started again, it keeps the sections that it had finished. Exit status 1: one
     could not be made.
     """
 
