@@ -13,7 +13,7 @@ from pearl_marl.rendering import import_pyplot
 from pearl_marl.spec import EnvSpec
 
 from . import latency_model
-from .section import BLUE, GREEN, LINES, ORANGE, RED, WIDTH, Progress, Row, select
+from .section import BLUE, GREEN, HATCHES, LINES, ORANGE, RED, WIDTH, Progress, Row, log_axis, select
 
 TITLE = "Eq. 1 to 3: the latency model"
 TEXT = (
@@ -139,60 +139,65 @@ def _simulated(name: str, n: int, pe_num: int, data_wl: int) -> list[Row]:
 def draw(rows: list[Row]) -> Any:
     """Draw T1 and T7 over bytes with their lines, the model over simulated cycles, and the three loops."""
     plt = import_pyplot()
-    figure, panels = plt.subplots(1, 3, figsize=(WIDTH, 3.9), layout="constrained")
-    host, model, loops = panels
-    environments = list(dict.fromkeys(row["environment"] for row in rows if row.get("bytes") is not None))
+    figure, panels = plt.subplots(1, 3, figsize=(WIDTH, 4.1), layout="constrained")
+    _draw_host(panels[0], rows)
+    _draw_model(panels[1], rows)
+    _draw_loops(panels[2], rows)
+    for axes in panels:
+        axes.spines[["top", "right"]].set_visible(False)
+        axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2), fontsize=7, frameon=False)
+    return figure
+
+
+def _draw_host(axes: Any, rows: list[Row]) -> None:
+    measured = [row for row in rows if row["kind"] == "measured"]
     for what, colour in (("T1, pack", BLUE), ("T7, unpack", ORANGE)):
-        points = select(rows, what=what, kind="measured")
-        x, y = [row["bytes"] for row in points], [row["microseconds"] for row in points]
-        host.plot(x, y, color=colour, linestyle="", marker="o", markersize=4, label=f"{what} (measured)")
-        for i, name in enumerate(environments):
-            mine = [row["bytes"] for row in points if row["environment"] == name]
-            (line,) = [
-                row for row in select(rows, what=what, environment=name) if row.get("alpha") is not None
-            ]
-            ends = np.geomspace(min(mine), max(mine), 50)
-            host.plot(
-                ends,
-                line["alpha"] * 1e-3 * ends + line["beta"],
+        points = select(measured, what=what)
+        moved, times = [row["bytes"] for row in points], [row["microseconds"] for row in points]
+        axes.plot(
+            moved, times, color=colour, linestyle="", marker="o", markersize=4, label=f"{what} (measured)"
+        )
+        for i, line in enumerate(row for row in select(rows, what=what, kind="predicted")):
+            mine = [row["bytes"] for row in select(points, environment=line["environment"])]
+            across = np.geomspace(min(mine), max(mine), 50)
+            axes.plot(
+                across,
+                line["alpha"] * 1e-3 * across + line["beta"],
                 color=colour,
                 linewidth=1,
                 linestyle=LINES["predicted"]["linestyle"],
                 label=f"{what}, Eq. 1 (fitted)" if i == 0 else None,
             )
-    host.set(
-        title="Eq. 1: the host", xscale="log", yscale="log", xlabel="bytes a step (log)", ylabel="us (log)"
-    )
+    log_axis(axes, "x", [row["bytes"] for row in measured])
+    log_axis(axes, "y", [row["microseconds"] for row in measured])
+    axes.set(title="Eq. 1: the host", xlabel="bytes a step (log scale)", ylabel="us (log scale)")
+
+
+def _draw_model(axes: Any, rows: list[Row]) -> None:
     for what, colour in (("a step", GREEN), ("over AXI", RED)):
-        x, y = (
+        simulated, predicted = (
             [row["cycles"] for row in select(rows, what=what, kind=kind)]
             for kind in ("simulated", "predicted")
         )
-        model.plot(
-            x, y, linestyle="", marker="s", markersize=5, markerfacecolor="none", color=colour, label=what
-        )
-    cycles = [row["cycles"] for row in rows if row["kind"] == "simulated"]
-    ends = [0.7 * min(cycles), 1.4 * max(cycles)]
-    model.plot(ends, ends, color="black", linewidth=0.8, label="model = simulation")
-    model.set(title="This design's model", xscale="log", yscale="log")
-    model.set(xlabel="cycles, simulated (log)", ylabel="cycles, predicted (log)")
-    names_ = list(dict.fromkeys(row["environment"] for row in select(rows, what="Eq. 2")))
+        style = {"linestyle": "", "marker": "s", "markersize": 5, "markerfacecolor": "none"}
+        axes.plot(simulated, predicted, color=colour, label=what, **style)
+    axes.axline((1, 1), (10, 10), color="black", linewidth=0.8, label="model = simulation")
+    for which in ("x", "y"):
+        log_axis(axes, which, [row["cycles"] for row in select(rows, kind="simulated")])
+    axes.set(title="This design's model", xlabel="cycles, simulated (log scale)")
+    axes.set_ylabel("cycles, predicted (log scale)")
+
+
+def _draw_loops(axes: Any, rows: list[Row]) -> None:
+    environments = list(dict.fromkeys(row["environment"] for row in select(rows, what="Eq. 2")))
     height = 0.27
     for i, (what, colour) in enumerate((("Eq. 2", RED), ("Eq. 3", ORANGE), ("this design", BLUE))):
-        found = [select(rows, what=what, environment=name)[0] for name in names_]
-        loops.barh(
-            [y + (i - 1) * height for y in range(len(names_))],
-            [row["cycles"] for row in found],
-            height,
-            color=colour,
-            hatch="...",
-            edgecolor="white",
-            label=f"{what} (predicted)",
-        )
-    loops.set_yticks(range(len(names_)), names_, fontsize=8)
-    loops.invert_yaxis()
-    loops.set(title=f"Eq. 2 and 3, {SIZES[-1]:,} slots", xscale="log", xlabel="cycles of all slots (log)")
-    for axes in panels:
-        axes.spines[["top", "right"]].set_visible(False)
-        axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2), fontsize=7, frameon=False)
-    return figure
+        found = [select(rows, what=what, environment=name)[0]["cycles"] for name in environments]
+        places = [y + (i - 1) * height for y in range(len(environments))]
+        style = {"color": colour, "hatch": HATCHES["predicted"], "edgecolor": "white"}
+        axes.barh(places, found, height, label=f"{what} (predicted)", **style)
+    axes.set_yticks(range(len(environments)), environments, fontsize=8)
+    axes.invert_yaxis()
+    axes.set(
+        title=f"Eq. 2 and 3, {SIZES[-1]:,} slots", xscale="log", xlabel="cycles of all slots (log scale)"
+    )

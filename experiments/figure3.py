@@ -116,7 +116,7 @@ def _bits(space: gymnasium.Space[Any]) -> int:
 def draw(rows: list[Row]) -> Any:
     """Draw bars before and after, a panel a quantity."""
     plt = import_pyplot()
-    figure, grid = plt.subplots(2, 3, figsize=(WIDTH, 6.4), sharey=True, layout="constrained")
+    figure, grid = plt.subplots(2, 3, figsize=(WIDTH, 8.0), sharey=True, layout="constrained")
     panels = list(grid.flat)
     environments = list(dict.fromkeys(row["environment"] for row in rows))
     height = 0.27

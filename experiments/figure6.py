@@ -16,7 +16,22 @@ from pearl_marl.spec import EnvSpec
 from pearl_marl.synthesis import PARTS
 
 from . import paper
-from .section import BLACK, BLUE, GREEN, LINES, ORANGE, PINK, PURPLE, RED, SKY, WIDTH, Progress, Row, select
+from .section import (
+    BLACK,
+    BLUE,
+    GREEN,
+    LINES,
+    ORANGE,
+    PINK,
+    PURPLE,
+    RED,
+    SKY,
+    WIDTH,
+    Progress,
+    Row,
+    log_axis,
+    select,
+)
 
 TITLE = "Figure 6: throughput"
 TEXT = (
@@ -285,9 +300,11 @@ def draw(rows: list[Row]) -> Any:
                     color="dimgrey",
                     va="bottom",
                 )
-        axes.set(title=name, xscale="log", yscale="log")
+        axes.set_title(name)
         axes.grid(alpha=0.3)
         axes.spines[["top", "right"]].set_visible(False)
+    log_axis(grid[0, 0], "x", [row["n_envs"] for row in rows if row["contender"] == BATCH], ticks=True)
+    log_axis(grid[0, 0], "y", [row["steps_per_second"] for row in rows if row.get("steps_per_second")])
     for axes in list(grid.flat)[len(environments) :]:
         axes.axis("off")
     figure.supxlabel("environments (log scale)", fontsize=10)
@@ -325,13 +342,13 @@ def readme_table(data: dict[str, Any]) -> str:
         "| --- | --: | --: | --: | --: | --- |",
     ]
     envpool = _rate(measured, README_ENV, [ENVPOOL])
-    for contender, (label, counts) in _README_ROWS.items():
+    for contender, (title, counts) in _README_ROWS.items():
         row = _largest(measured, README_ENV, [contender])
         if row is not None:
             steps, each = row["steps_per_second"], row["microseconds_per_step"] * 1e-6
             over = "-" if envpool is None else f"{_times(steps / envpool)}x"
-            figures = f"{row['n_envs']:,} | {rate(steps)} | {duration(each)} | {over}"
-            lines.append(f"| {label} | {figures} | {counts} |")
+            middle = f"{row['n_envs']:,} | {rate(steps)} | {duration(each)} | {over}"
+            lines.append(f"| {title} | {middle} | {counts} |")
     lines += [
         "",
         f"All, {largest:,} agents (peers of pure Python: fewer); x is `step_batch` over that peer:",

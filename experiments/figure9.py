@@ -11,7 +11,7 @@ from pearl_marl.rendering import import_pyplot
 from pearl_marl.synthesis import synthesise
 
 from . import paper
-from .section import BLACK, BLUE, GREEN, LINES, ORANGE, PINK, RED, SKY, WIDTH, Progress, Row, select
+from .section import BLACK, BLUE, GREEN, LINES, ORANGE, PINK, RED, SKY, WIDTH, Progress, Row, log_axis, select
 
 TITLE = "Figure 9: FPGA utilisation"
 TEXT = (
@@ -117,11 +117,13 @@ def draw(rows: list[Row]) -> Any:
             style = {**LINES["predicted"], "linestyle": "-" if colours.index(colour) % 2 else "--"}
             n = [row["n_envs"] for row in points]
             axes.plot(n, [row[key] for row in points], color=colour, label=name, markersize=5, **style)
-        axes.set(xscale="log", xlabel="environments (log scale)", ylabel=label)
-        if key == "bram36":
-            axes.set(yscale="symlog", ylim=(0, None), ylabel="BRAM36 (log scale above 1)")
+        values = [row[key] for row in rows if row.get(key) is not None]
+        log_axis(axes, "x", [row["n_envs"] for row in rows if row.get(key) is not None], ticks=True)
+        axes.set(xlabel="environments (log scale)", ylabel=f"{label} (log scale)")
+        if key == "bram36":  # a small design has none
+            axes.set(yscale="symlog", ylim=(-0.1, 2 * max(1, *values)), ylabel="BRAM36 (log scale above 1)")
         else:
-            axes.set(yscale="log", ylabel=f"{label} (log scale)")
+            log_axis(axes, "y", values)
         axes.grid(alpha=0.3)
         axes.spines[["top", "right"]].set_visible(False)
     growth = [row for row in rows if row.get("lut_growth") is not None]

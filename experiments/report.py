@@ -231,8 +231,10 @@ class Cell(NamedTuple):
 def _cell(value: Any) -> Cell:
     if value is None:
         return Cell("", None)
-    if isinstance(value, (bool, str)):
-        return Cell({True: "yes", False: "no"}.get(value, value) if isinstance(value, bool) else value, None)
+    if isinstance(value, bool):
+        return Cell("yes" if value else "no", None)
+    if isinstance(value, str):
+        return Cell(value, None)
     if isinstance(value, int):
         return Cell(f"{value:,}", repr(value))
     for factor, prefix in ((1e9, " G"), (1e6, " M"), (1e4, " k")):

@@ -6,14 +6,15 @@ picture and table alike, is made of the rows that :meth:`Section.collect` return
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any, Protocol, TypeVar
 
 T = TypeVar("T")
 
 Row = dict[str, Any]
-"""A flat dict of texts and numbers, as JSON and CSV have them. Each has ``kind``, one of :data:`KINDS`; what a
-row has no value for is ``None``, or left out."""
+"""A flat dict of texts and numbers, as JSON and CSV have them. Each has ``kind``, one of :data:`KINDS`; what
+a row has no value for is ``None``, or left out."""
 
 KINDS = {
     "measured": "timed or counted on the machine named under the section",
@@ -77,6 +78,19 @@ LINES: dict[str, dict[str, Any]] = {
 
 HATCHES = {"measured": "", "simulated": "///", "predicted": "...", "quoted": "xx"}
 """How a bar of each kind looks."""
+
+
+def log_axis(axes: Any, which: str, values: Iterable[float], ticks: bool = False) -> None:
+    """Make the ``"x"`` or ``"y"`` axis logarithmic: over whole decades, or with ``ticks`` one a value."""
+    found = sorted(set(values))
+    axes.set(**{f"{which}scale": "log"})
+    if ticks:
+        axis = axes.xaxis if which == "x" else axes.yaxis
+        axis.set_ticks(found, [f"{value:,}" for value in found], fontsize=8)
+        axis.set_ticks([], minor=True)
+    elif found:
+        low, high = math.floor(math.log10(found[0])), math.ceil(math.log10(found[-1]))
+        axes.set(**{f"{which}lim": (10.0**low, 10.0 ** max(high, low + 1))})
 
 
 def select(rows: Iterable[Row], **wanted: Any) -> list[Row]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import sys
 from pathlib import Path
 from typing import Annotated
@@ -11,7 +12,6 @@ from rich.markup import escape
 from rich.table import Table
 
 from pearl_marl.cli.common import console, error_console, progress
-from pearl_marl.experiments.report import report
 
 Quick = Annotated[bool, typer.Option("--quick", help="A small part of everything, in a minute or two.")]
 Folder = Annotated[
@@ -32,7 +32,9 @@ def command(quick: Quick = False, out: Folder = Path("out/report"), only: Only =
     def say(line: str) -> None:
         error_console.print(escape(line), highlight=False, soft_wrap=True)
 
-    made = report(out, quick, only or (), progress, say)
+    made = importlib.import_module("pearl_marl.experiments.report").report(
+        out, quick, only or (), progress, say
+    )
     table = Table(title="Report")
     for heading in ("section", "rows", "measured", "simulated", "predicted", "quoted", "missing"):
         table.add_column(heading, justify="left" if heading == "section" else "right", no_wrap=True)
