@@ -115,8 +115,8 @@ def throughput(spec: EnvSpec, n: int, known: Iterable[Row], quick: bool, progres
     return [_row(spec, c) for c in timed if not (c.unavailable or "").startswith(_NOT_OF_IT)]
 
 
-_NOT_OF_IT = ("MinAtar has no", "Gymnasium has no", "EnvPool has no")
-"""How a peer without the environment says so: that is no gap in the measurements."""
+_NOT_OF_IT = ("MinAtar has no", "Gymnasium has no")
+"""How those say so that have only some of the environments: it is no gap in the measurements."""
 
 
 def _built(spec: EnvSpec, n: int, quick: bool) -> bool:
@@ -250,8 +250,8 @@ STYLES = {
     "predicted, without pipeline": (PURPLE, "predicted, without pipeline"),
     ENVPOOL: (RED, "EnvPool, all cores"),
     SYNC: (ORANGE, "Gymnasium SyncVectorEnv"),
-    "Gymnasium's own vectorisation": (PINK, "Gymnasium's NumPy form"),
-    "MinAtar": (PINK, "MinAtar"),
+    "Gymnasium's own vectorisation": (PINK, "Gymnasium's NumPy form, or MinAtar"),
+    "MinAtar": (PINK, "Gymnasium's NumPy form, or MinAtar"),
 }
 """Colour and legend of a contender; a peer's line is thin."""
 
@@ -300,7 +300,8 @@ def draw(rows: list[Row]) -> Any:
                     color="dimgrey",
                     va="bottom",
                 )
-        axes.set_title(name)
+        axes.set_title(name, fontsize=10)
+        axes.tick_params(axis="x", labelsize=7)
         axes.grid(alpha=0.3)
         axes.spines[["top", "right"]].set_visible(False)
     log_axis(grid[0, 0], "x", [row["n_envs"] for row in rows if row["contender"] == BATCH], ticks=True)

@@ -10,7 +10,7 @@ from pearl_marl.rendering import import_pyplot
 from pearl_marl.spec import EnvSpec
 
 from . import energy, figure6, paper
-from .section import BLUE, HATCHES, ORANGE, RED, WIDTH, Progress, Row, select
+from .section import BLUE, HATCHES, ORANGE, WIDTH, Progress, Row, select
 
 TITLE = "Figure 8: energy"
 TEXT = (
@@ -119,11 +119,11 @@ def draw(rows: list[Row]) -> Any:
     measured = select(rows, kind="measured", contender=figure6.BATCH)
     width, shift = (0.38, 0.19) if measured else (0.6, 0.0)
     ours = f"step_batch ({'measured' if measured else 'not measured'} here)"
-    for axes, key, peer, colour in zip(
-        both, ("over_envpool", "over_vector_env"), ("EnvPool", "VectorEnv"), (RED, ORANGE), strict=True
+    for axes, key, peer in zip(
+        both, ("over_envpool", "over_vector_env"), ("EnvPool", "VectorEnv"), strict=True
     ):
         for place, kind, shade, label, chosen in (
-            (-shift, "quoted", colour, "the paper's board (quoted)", select(rows, kind="quoted")),
+            (-shift, "quoted", ORANGE, "the paper's board (quoted)", select(rows, kind="quoted")),
             (shift, "measured", BLUE, ours, measured),
         ):
             points = [row for row in chosen if row.get(key) is not None]

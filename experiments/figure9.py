@@ -155,6 +155,13 @@ def draw(rows: list[Row]) -> Any:
     axes.spines[["top", "right"]].set_visible(False)
     axes.legend(fontsize=8, frameon=False)
     handles, labels = panels[0].get_legend_handles_labels()
-    labels = [f"{label} (synthesis)" for label in labels]
-    figure.legend(handles, labels, loc="outside upper center", ncols=4, fontsize=8, frameon=False)
+    figure.legend(
+        handles,
+        labels,
+        title="predicted, by synthesis",
+        loc="outside upper center",
+        ncols=4,
+        fontsize=8,
+        frameon=False,
+    )
     return figure
