@@ -27,6 +27,7 @@ COLUMNS = {
     "bits_before": "bits in arrays",
     "bits_after": "bits in hardware",
     "saved": "saved",
+    "share": "share",
     "counts": "what is counted",
 }
 SEEDS = (0,)
@@ -48,6 +49,11 @@ def collect(quick: bool, progress: Progress) -> list[Row]:
         }
         for quantity in QUANTITIES
     ]
+    for spec in specs:
+        sent = spec.action.bits / (spec.action.bits + word_bits(spec.state))
+        rows.append(_share("measured", spec.name, sent, "bits in hardware"))
+    for name, sent in paper.ACTION_SHARE.items():
+        rows.append(_share("quoted", name, sent, paper.ACTION_SHARE_SOURCE))
     for name, build in paper.BUILDS.items():
         widths = {
             "action": build.action,
@@ -66,6 +72,16 @@ def collect(quick: bool, progress: Progress) -> list[Row]:
             for quantity, bits in widths.items()
         ]
     return rows
+
+
+def _share(kind: str, name: str, share: float, counts: str) -> Row:
+    return {
+        "kind": kind,
+        "environment": name,
+        "quantity": "action / (action + state)",
+        "share": share,
+        "counts": counts,
+    }
 
 
 def _counted(spec: EnvSpec) -> list[Row]:

@@ -9,7 +9,7 @@ from pearl_marl.benchmark import Contender, contenders, measure
 from pearl_marl.cli.common import duration, rate
 from pearl_marl.errors import ArgumentError
 from pearl_marl.latency import LINKS
-from pearl_marl.plan import plan
+from pearl_marl.plan import Plan, plan
 from pearl_marl.registry import get_spec, names
 from pearl_marl.rendering import import_pyplot
 from pearl_marl.spec import EnvSpec
@@ -48,6 +48,7 @@ COLUMNS = {
     "microseconds_per_step": "us a step of all",
     "over_envpool": "over EnvPool",
     "over_vector_env": "over SyncVectorEnv",
+    "over_no_pipeline": "over no pipeline",
     "counts": "what is counted, or from where",
 }
 SEEDS = (0,)
@@ -61,6 +62,9 @@ README_ENV = "CliffWalking"
 
 ENVPOOL, SYNC, KERNEL, BATCH = "EnvPool, sync", "Gymnasium SyncVectorEnv", "kernel only", "step_batch"
 SIMULATED = "step_batch, device='rtl'"
+SIMULATED_SERIAL = "simulated, without pipeline"
+SIMULATIONS = (SIMULATED, SIMULATED_SERIAL)
+BOARD_SERIAL = "predicted, without pipeline"
 BOARD, BOARD_OVERLAP = "predicted on a VC707", "predicted, two half-batches in flight"
 PEERS = (ENVPOOL, SYNC, "Gymnasium AsyncVectorEnv", "Gymnasium's own vectorisation", "MinAtar")
 LINK, CLOCK, PART = LINKS["gen2x8"], 125e6, PARTS["vc707"]
@@ -76,10 +80,10 @@ def collect(quick: bool, progress: Progress) -> list[Row]:
         for n in sizes:
             rows += throughput(spec, n, rows, quick, progress)
             rows += predicted(spec, n)
-            rows += without_pipeline(spec, n)
     for row in rows:
-        for key, peer in (("over_envpool", ENVPOOL), ("over_vector_env", SYNC)):
-            row[key] = _over(row, rows, peer)
+        serial = {SIMULATED: SIMULATED_SERIAL, BOARD: BOARD_SERIAL}.get(row["contender"], "")
+        rivals = {"over_envpool": ENVPOOL, "over_vector_env": SYNC, "over_no_pipeline": serial}
+        row |= {key: _over(row, rows, rival) for key, rival in rivals.items()}
     return rows + _quoted()
 
 
@@ -101,12 +105,12 @@ def throughput(spec: EnvSpec, n: int, known: Iterable[Row], quick: bool, progres
     had = {(row["environment"], row["contender"], row["n_envs"]) for row in known}
     timed = [
         c
-        for c in contenders(spec, n)
+        for c in [*contenders(spec, n), *simulated_without_pipeline(spec, n)]
         if (spec.name, c.name, c.n) not in had
         and (
             everything
             or c.name in (KERNEL, BATCH, *PEERS)
-            or (c.name == SIMULATED and _built(spec, n, quick))
+            or (c.name in SIMULATIONS and _built(spec, n, quick))
         )
     ]
     rounds, seconds = (1, 0.01) if quick else (5, 0.2)
@@ -127,7 +131,7 @@ def _built(spec: EnvSpec, n: int, quick: bool) -> bool:
 
 def _row(spec: EnvSpec, contender: Contender) -> Row:
     row: Row = {
-        "kind": "simulated" if contender.name == SIMULATED else "measured",
+        "kind": "simulated" if contender.name in SIMULATIONS else "measured",
         "environment": spec.name,
         "contender": contender.name,
         "ours": contender.ours,
@@ -172,24 +176,29 @@ def predicted(spec: EnvSpec, n: int) -> list[Row]:
                 "counts": f"{build}; two designs of half the slots, in turns",
             }
         )
-    return rows
+    return rows + predicted_without_pipeline(spec, chosen)
 
 
-def without_pipeline(spec: EnvSpec, n: int) -> list[Row]:
-    """Return the same design without its pipeline: the seam for it, which yields no row yet."""
-    # SEAM: simulated, `Rtl(pe_num, data_wl, <the serial form>)` timed as a Contender like SIMULATED;
-    # predicted, `predict(spec, layout, LINK, host, CLOCK, <the serial form>)`. Contenders "simulated, without
-    # pipeline" and "predicted, without pipeline"; STYLES below has a line for each.
+def simulated_without_pipeline(spec: EnvSpec, n: int) -> list[Contender]:
+    """Return the simulated design without its pipeline: the seam for it, which has none yet."""
+    # SEAM: one Contender named SIMULATED_SERIAL whose `make` opens Rtl(1, data_wl, pipelined=False).
     return []
 
 
-def _over(row: Row, rows: list[Row], peer: str) -> float | None:
-    """Return how many times a peer's rate a row of ours has; the peer with as many slots, or its most."""
+def predicted_without_pipeline(spec: EnvSpec, chosen: Plan) -> list[Row]:
+    """Return the prediction for the same design without its pipeline: the seam for it, which has none yet."""
+    # SEAM: one row of contender BOARD_SERIAL, kind "predicted", from predict(spec, memory_map(spec, n, 1,
+    # data_wl), LINK, chosen.host, CLOCK, pipelined=False).
+    return []
+
+
+def _over(row: Row, rows: list[Row], rival: str) -> float | None:
+    """Return how many times a rival's rate a row of ours has; the rival with as many slots, or its most."""
     if not row.get("ours") or row.get("steps_per_second") is None:
         return None
     rivals = [
         other
-        for other in select(rows, environment=row["environment"], contender=peer)
+        for other in select(rows, environment=row["environment"], contender=rival)
         if other.get("steps_per_second") is not None and other["n_envs"] <= row["n_envs"]
     ]
     if not rivals:
@@ -234,7 +243,8 @@ def _quoted() -> list[Row]:
             {
                 "kind": "quoted",
                 "environment": f"the {what} of five",
-                "contender": f"the paper: PEARL over itself without pipeline, {times:g} times",
+                "contender": "the paper: PEARL, their board",
+                "over_no_pipeline": times,
                 "counts": paper.THROUGHPUT_SOURCE,
             }
         )
@@ -246,8 +256,8 @@ STYLES = {
     BATCH: (BLUE, "step_batch, one thread"),
     SIMULATED: (SKY, "FPGA design, simulated"),
     BOARD: (GREEN, "FPGA design, predicted on a VC707"),
-    "simulated, without pipeline": (PURPLE, "simulated, without pipeline"),
-    "predicted, without pipeline": (PURPLE, "predicted, without pipeline"),
+    SIMULATED_SERIAL: (PURPLE, "simulated, without pipeline"),
+    BOARD_SERIAL: (PURPLE, "predicted, without pipeline"),
     ENVPOOL: (RED, "EnvPool, all cores"),
     SYNC: (ORANGE, "Gymnasium SyncVectorEnv"),
     "Gymnasium's own vectorisation": (PINK, "Gymnasium's NumPy form, or MinAtar"),

@@ -24,6 +24,7 @@ COLUMNS = {
     "n_envs": "environments",
     "steps_per_joule": "steps/J",
     "watts": "W",
+    "power_growth": "W grow by",
     "over_envpool": "over EnvPool",
     "over_vector_env": "over VectorEnv",
     "toggles_per_step": "toggles a step",
@@ -60,6 +61,15 @@ def collect(quick: bool, progress: Progress) -> list[Row]:
                 "counts": paper.ENERGY_SOURCE,
             }
         )
+    rows.append(
+        {
+            "kind": "quoted",
+            "environment": "CliffWalking",
+            "contender": f"the paper: {paper.GROWTH_SIZES[1]:,} over {paper.GROWTH_SIZES[0]:,} environments",
+            "power_growth": paper.GROWTH["power"],
+            "counts": paper.GROWTH_SOURCE,
+        }
+    )
     rows += [
         {
             "kind": "quoted",
