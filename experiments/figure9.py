@@ -85,7 +85,7 @@ def collect(quick: bool, progress: Progress) -> list[Row]:
                 "from_n_envs": first["n_envs"],
                 "lut_growth": last["lut"] / first["lut"],
                 "ff_growth": last["ff"] / first["ff"],
-                "counts": "of the two rows above",
+                "counts": "the largest design over the smallest, as above",
             }
         )
     rows.append(

@@ -197,9 +197,9 @@ def _entry(folder: Path, name: str, data: dict[str, Any] | None, problem: str | 
     rows: list[Row] = data["rows"]
     keys = list(dict.fromkeys(key for row in rows for key in row))
     with (folder / f"{name}.csv").open("w", newline="") as file:
-        table = csv.DictWriter(file, keys)
-        table.writeheader()
-        table.writerows(rows)
+        writer = csv.DictWriter(file, keys)
+        writer.writeheader()
+        writer.writerows(rows)
     figure = section.draw(rows)
     picture = folder / f"{name}.png"
     if figure is None:
@@ -212,11 +212,13 @@ def _entry(folder: Path, name: str, data: dict[str, Any] | None, problem: str | 
         for key, heading in section.COLUMNS.items()
         if any(row.get(key) is not None for row in rows)
     }
+    table = [[_cell(row.get(key)) for key in ("kind", *shown)] for row in rows]
+    numeric = [any(cell.number for cell in column) for column in zip(*table, strict=True)]
     return {
         **entry,
         "picture": None if figure is None else picture.name,
-        "headings": ["kind", *shown.values()],
-        "table": [[_cell(row.get(key)) for key in ("kind", *shown)] for row in rows],
+        "headings": list(zip(("kind", *shown.values()), numeric, strict=True)),
+        "table": table,
         "folded": len(rows) > _LONG,
     }
 
