@@ -213,7 +213,7 @@ def _entry(folder: Path, name: str, data: dict[str, Any] | None, problem: str | 
         if any(row.get(key) is not None for row in rows)
     }
     table = [[_cell(row.get(key)) for key in ("kind", *shown)] for row in rows]
-    numeric = [any(cell.number for cell in column) for column in zip(*table, strict=True)]
+    numeric = [any(cells[i].number for cells in table) for i in range(len(shown) + 1)]
     return {
         **entry,
         "picture": None if figure is None else picture.name,
