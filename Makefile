@@ -11,7 +11,7 @@ OUT ?= out
 CORES := $(shell nproc 2>/dev/null || echo 2)
 PACKAGE := pyproject.toml constraints.txt
 
-.PHONY: demo test test-rllib lint format bench ulx3s clean
+.PHONY: demo test test-rllib lint format bench figures ulx3s clean
 .DELETE_ON_ERROR:
 
 demo: $(VENV)/.render
@@ -38,6 +38,10 @@ bench: $(VENV)/.dev
 	$(BIN)/pearl bench CliffWalking --n-agents 43008 --out $(OUT)/bench
 	$(BIN)/python -m pytest --benchmark-enable --benchmark-only tests/benchmarks
 
+# Every table and figure of the paper, measured here, as a page. Takes hours; started again, it goes on.
+figures: $(VENV)/.report
+	$(BIN)/pearl report --out $(OUT)/report
+
 # A bitstream for a Radiona ULX3S, with the timing met; other sizes and boards: docs/boards.md.
 ulx3s: $(VENV)/.rtl
 	$(BIN)/pearl board ulx3s CliffWalking --n-envs 1024 --out $(OUT)/ulx3s
@@ -48,8 +52,9 @@ clean:
 # One stamp for each set of extras; asking for more adds to the same environment.
 $(VENV)/.render: EXTRAS := render
 $(VENV)/.rtl: EXTRAS := rtl
-$(VENV)/.dev: EXTRAS := render,train,bench,rtl,dev
-$(VENV)/.render $(VENV)/.rtl $(VENV)/.dev: $(PACKAGE) | $(BIN)/python
+$(VENV)/.report: EXTRAS := report
+$(VENV)/.dev: EXTRAS := report,dev
+$(VENV)/.render $(VENV)/.rtl $(VENV)/.report $(VENV)/.dev: $(PACKAGE) | $(BIN)/python
 	@echo "Installing pearl-marl[$(EXTRAS)] into $(VENV) ..."
 	@$(BIN)/python -W ignore -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[$(EXTRAS)]'
 	@touch $@

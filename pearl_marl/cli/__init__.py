@@ -7,7 +7,21 @@ import sys
 import typer
 from rich.markup import escape
 
-from pearl_marl.cli import bench, board, doctor, envs, eval, new, plan, run, serve, synth, train, verify
+from pearl_marl.cli import (
+    bench,
+    board,
+    doctor,
+    envs,
+    eval,
+    new,
+    plan,
+    report,
+    run,
+    serve,
+    synth,
+    train,
+    verify,
+)
 from pearl_marl.cli.common import error_console
 from pearl_marl.errors import PearlError
 
@@ -17,7 +31,7 @@ app = typer.Typer(
     no_args_is_help=True,
     pretty_exceptions_show_locals=False,
 )
-for module in (envs, doctor, run, train, eval, bench, verify, serve, synth, plan, board, new):
+for module in (envs, doctor, run, train, eval, bench, verify, serve, synth, plan, board, new, report):
     app.command(module.__name__.rpartition(".")[2])(module.command)
 
 

@@ -1,0 +1,203 @@
+"""Eq. 1 to 3: the latency model beside what was measured on the host, and counted in simulation."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from pearl_marl.latency import axi_cycles, draws_wait, loop_cycles, measure_host, step_cycles
+from pearl_marl.memory_map import default_map, memory_map
+from pearl_marl.registry import get_spec, names
+from pearl_marl.rendering import import_pyplot
+from pearl_marl.spec import EnvSpec
+
+from . import latency_model
+from .section import BLUE, GREEN, HATCHES, LINES, ORANGE, RED, WIDTH, Progress, Row, log_axis, select
+
+TITLE = "Eq. 1 to 3: the latency model"
+TEXT = (
+    "Eq. 1: what the host takes to pack actions (T1) and to unpack results (T7), measured over the bytes, "
+    "and the line alpha * k + beta through it. Eq. 2 and 3: clock cycles of all slots one after the other, "
+    "and with a unit for each, beside this design's. And this design's own model beside the simulated "
+    "hardware."
+)
+COLUMNS = {
+    "what": "what",
+    "environment": "environment",
+    "n_envs": "environments",
+    "pe_num": "PEs",
+    "data_wl": "word",
+    "bytes": "bytes",
+    "microseconds": "us",
+    "alpha": "alpha, s/GB",
+    "beta": "beta, us",
+    "cycles": "cycles",
+    "counts": "what is counted",
+}
+SEEDS = (0,)
+
+SIZES = (1024, 4096, 16384, 43008)
+HOST_ENVS = ("CliffWalking", "Blackjack", "CartPole", "Pendulum", "Seaquest")
+LOOPS = ((43008, 256, 1024), (43008, 128, 1024), (43008, 64, 256))
+"""Slots, processing elements and bits of a word of docs/latency.md's table."""
+QUICK_CONFIGURATION = ("CliffWalking", 7, 4, 32)
+
+
+def collect(quick: bool, progress: Progress) -> list[Row]:
+    """Measure the host, and simulate every configuration of ``latency_model``."""
+    environments = HOST_ENVS[:1] if quick else HOST_ENVS
+    rows: list[Row] = []
+    for name in progress(environments, len(environments), "T1 and T7"):
+        rows += _host(get_spec(name), quick)
+    configurations = (QUICK_CONFIGURATION,) if quick else latency_model.CONFIGURATIONS
+    for configuration in progress(configurations, len(configurations), "clock cycles"):
+        rows += _simulated(*configuration)
+    for name in names():
+        spec = get_spec(name)
+        layouts = [memory_map(spec, *loop) for loop in LOOPS] if name == "CliffWalking" else []
+        for layout in layouts or [default_map(spec, SIZES[-1])]:
+            cycles = loop_cycles(spec, layout)
+            for what, count, counts in (
+                ("Eq. 2", cycles.serial, "one unit, slot after slot"),
+                ("Eq. 3", cycles.parallel, "a unit for each slot, transfers one after the other"),
+                ("this design", cycles.ours, "reading, computing and writing at the same time"),
+            ):
+                rows.append(
+                    {
+                        "kind": "predicted",
+                        "what": what,
+                        "environment": name,
+                        "n_envs": layout.n_envs,
+                        "pe_num": layout.pe_num,
+                        "data_wl": layout.data_wl,
+                        "cycles": count,
+                        "counts": counts,
+                    }
+                )
+    return rows
+
+
+def _host(spec: EnvSpec, quick: bool) -> list[Row]:
+    sizes = SIZES[:2] if quick else SIZES
+    rows: list[Row] = []
+    for n in sizes:
+        times, layout = measure_host(spec, n, 20 if quick else 200), default_map(spec, n)
+        for what, seconds, moved in (
+            ("T1, pack", times.pack, layout.step_write[1]),
+            ("T7, unpack", times.unpack, layout.step_read[1]),
+        ):
+            rows.append(
+                {
+                    "kind": "measured",
+                    "what": what,
+                    "environment": spec.name,
+                    "n_envs": n,
+                    "bytes": moved,
+                    "microseconds": seconds * 1e6,
+                    "counts": "median processor time of one thread",
+                }
+            )
+    for what in ("T1, pack", "T7, unpack"):
+        points = select(rows, what=what)
+        slope, constant = np.polyfit(
+            [row["bytes"] for row in points], [row["microseconds"] for row in points], 1
+        )
+        rows.append(
+            {
+                "kind": "predicted",
+                "what": what,
+                "environment": spec.name,
+                "alpha": float(slope) * 1e3,
+                "beta": float(constant),
+                "counts": "Eq. 1, the line through the measurements (least squares)",
+            }
+        )
+    return rows
+
+
+def _simulated(name: str, n: int, pe_num: int, data_wl: int) -> list[Row]:
+    spec, layout = get_spec(name), memory_map(get_spec(name), n, pe_num, data_wl)
+    cycles, whole = latency_model.measure(name, n, pe_num, data_wl)
+    model = step_cycles(spec, layout) + draws_wait(spec, layout)
+    common = {"environment": name, "n_envs": n, "pe_num": pe_num, "data_wl": data_wl}
+    step, port = "doorbell to last result", "with every transfer over AXI"
+    return [
+        {"kind": "simulated", "what": "a step", **common, "cycles": cycles, "counts": step},
+        {"kind": "predicted", "what": "a step", **common, "cycles": model, "counts": step},
+        {"kind": "simulated", "what": "over AXI", **common, "cycles": whole, "counts": port},
+        {
+            "kind": "predicted",
+            "what": "over AXI",
+            **common,
+            "cycles": axi_cycles(spec, layout),
+            "counts": port,
+        },
+    ]
+
+
+def draw(rows: list[Row]) -> Any:
+    """Draw T1 and T7 over bytes with their lines, the model over simulated cycles, and the three loops."""
+    plt = import_pyplot()
+    figure, panels = plt.subplots(1, 3, figsize=(WIDTH, 4.1), layout="constrained")
+    _draw_host(panels[0], rows)
+    _draw_model(panels[1], rows)
+    _draw_loops(panels[2], rows)
+    for axes in panels:
+        axes.spines[["top", "right"]].set_visible(False)
+        axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2), fontsize=7, frameon=False)
+    return figure
+
+
+def _draw_host(axes: Any, rows: list[Row]) -> None:
+    measured = [row for row in rows if row["kind"] == "measured"]
+    for what, colour in (("T1, pack", BLUE), ("T7, unpack", ORANGE)):
+        points = select(measured, what=what)
+        moved, times = [row["bytes"] for row in points], [row["microseconds"] for row in points]
+        axes.plot(
+            moved, times, color=colour, linestyle="", marker="o", markersize=4, label=f"{what} (measured)"
+        )
+        for i, line in enumerate(row for row in select(rows, what=what, kind="predicted")):
+            mine = [row["bytes"] for row in select(points, environment=line["environment"])]
+            across = np.geomspace(min(mine), max(mine), 50)
+            axes.plot(
+                across,
+                line["alpha"] * 1e-3 * across + line["beta"],
+                color=colour,
+                linewidth=1,
+                linestyle=LINES["predicted"]["linestyle"],
+                label=f"{what}, Eq. 1 (fitted)" if i == 0 else None,
+            )
+    log_axis(axes, "x", [row["bytes"] for row in measured])
+    log_axis(axes, "y", [row["microseconds"] for row in measured])
+    axes.set(title="Eq. 1: the host", xlabel="bytes a step (log scale)", ylabel="us (log scale)")
+
+
+def _draw_model(axes: Any, rows: list[Row]) -> None:
+    for what, colour in (("a step", GREEN), ("over AXI", RED)):
+        simulated, predicted = (
+            [row["cycles"] for row in select(rows, what=what, kind=kind)]
+            for kind in ("simulated", "predicted")
+        )
+        style = {"linestyle": "", "marker": "s", "markersize": 5, "markerfacecolor": "none"}
+        axes.plot(simulated, predicted, color=colour, label=what, **style)
+    axes.axline((1, 1), (10, 10), color="black", linewidth=0.8, label="model = simulation")
+    for which in ("x", "y"):
+        log_axis(axes, which, [row["cycles"] for row in select(rows, kind="simulated")])
+    axes.set(title="This design's model", xlabel="cycles, simulated (log scale)")
+    axes.set_ylabel("cycles, predicted (log scale)")
+
+
+def _draw_loops(axes: Any, rows: list[Row]) -> None:
+    environments = list(dict.fromkeys(row["environment"] for row in select(rows, what="Eq. 2")))
+    height = 0.27
+    for i, (what, colour) in enumerate((("Eq. 2", RED), ("Eq. 3", ORANGE), ("this design", BLUE))):
+        found = [select(rows, what=what, environment=name)[0]["cycles"] for name in environments]
+        places = [y + (i - 1) * height for y in range(len(environments))]
+        style = {"color": colour, "hatch": HATCHES["predicted"], "edgecolor": "white"}
+        axes.barh(places, found, height, label=f"{what} (predicted)", **style)
+    axes.set_yticks(range(len(environments)), environments, fontsize=8)
+    axes.invert_yaxis()
+    axes.set(
+        title=f"Eq. 2 and 3, {SIZES[-1]:,} slots", xscale="log", xlabel="cycles of all slots (log scale)"
+    )

@@ -1,0 +1,178 @@
+"""Figure 3: bits of a slot's action, observation, reward, ends and state, before and after compression."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium
+import numpy as np
+
+from pearl_marl.memory_map import TER_BITS
+from pearl_marl.registry import get_spec, names
+from pearl_marl.rendering import import_pyplot
+from pearl_marl.spec import EnvSpec, word_bits
+
+from . import paper
+from .section import BLUE, HATCHES, ORANGE, SKY, WIDTH, Progress, Row, select
+
+TITLE = "Figure 3: data compression"
+TEXT = (
+    "Bits of one slot, as the arrays of a Gymnasium vector environment have them and as words of the "
+    "hardware. A step sends actions and brings observations, rewards and ends; the state stays on the "
+    "device."
+)
+COLUMNS = {
+    "environment": "environment",
+    "quantity": "quantity",
+    "bits_before": "bits in arrays",
+    "bits_after": "bits in hardware",
+    "saved": "saved",
+    "share": "share",
+    "counts": "what is counted",
+}
+SEEDS = (0,)
+
+QUANTITIES = ("action", "observation", "reward", "ends", "state")
+
+
+def collect(quick: bool, progress: Progress) -> list[Row]:
+    """Count the bits of every environment; beside them the paper's, where it states them."""
+    specs = [get_spec(name) for name in names()]
+    rows = [row for spec in progress(specs, len(specs), "bits") for row in _counted(spec)]
+    rows += [
+        {
+            "kind": "quoted",
+            "environment": "CliffWalking",
+            "quantity": quantity,
+            "saved": getattr(paper.SAVED, quantity),
+            "counts": paper.SAVED_SOURCE,
+        }
+        for quantity in QUANTITIES
+    ]
+    for spec in specs:
+        sent = spec.action.bits / (spec.action.bits + word_bits(spec.state))
+        rows.append(_share("measured", spec.name, sent, "bits in hardware"))
+    for name, sent in paper.ACTION_SHARE.items():
+        rows.append(_share("quoted", name, sent, paper.ACTION_SHARE_SOURCE))
+    for name, build in paper.BUILDS.items():
+        widths = {
+            "action": build.action,
+            "observation": build.observation,
+            "reward": build.reward,
+            "state": build.state,
+        }
+        rows += [
+            {
+                "kind": "quoted",
+                "environment": name,
+                "quantity": quantity,
+                "bits_after": bits,
+                "counts": paper.BUILDS_SOURCE,
+            }
+            for quantity, bits in widths.items()
+        ]
+    return rows
+
+
+def _share(kind: str, name: str, share: float, counts: str) -> Row:
+    return {
+        "kind": kind,
+        "environment": name,
+        "quantity": "action / (action + state)",
+        "share": share,
+        "counts": counts,
+    }
+
+
+def _counted(spec: EnvSpec) -> list[Row]:
+    before = {
+        "action": _bits(spec.action_space),
+        "observation": _bits(spec.observation_space),
+        "reward": 64,
+        "ends": 2 * 8,
+        "state": 64
+        if isinstance(spec.observation_space, gymnasium.spaces.Discrete)
+        else 64 * len(spec.state),
+    }
+    after = {
+        "action": spec.action.bits,
+        "observation": word_bits(spec.observation),
+        "reward": spec.reward.bits,
+        "ends": TER_BITS,
+        "state": word_bits(spec.state),
+    }
+    arrays = {
+        "reward": "a float64",
+        "ends": "two bools",
+        "state": "64 bits, as Python keeps numbers, for each variable; one where it is observed as one",
+    }
+    return [
+        {
+            "kind": "measured",
+            "environment": spec.name,
+            "quantity": quantity,
+            "bits_before": before[quantity],
+            "bits_after": after[quantity],
+            "saved": 1 - after[quantity] / before[quantity],
+            "counts": arrays.get(quantity, "an element of Gymnasium's batched space"),
+        }
+        for quantity in QUANTITIES
+    ]
+
+
+def _bits(space: gymnasium.Space[Any]) -> int:
+    """Return the bits of one element in the arrays of a batch."""
+    if isinstance(space, gymnasium.spaces.Tuple):
+        return sum(_bits(part) for part in space.spaces)
+    assert space.dtype is not None
+    assert space.shape is not None
+    return 8 * space.dtype.itemsize * int(np.prod(space.shape))
+
+
+def draw(rows: list[Row]) -> Any:
+    """Draw bars before and after, a panel a quantity."""
+    plt = import_pyplot()
+    figure, grid = plt.subplots(2, 3, figsize=(WIDTH, 8.0), sharey=True, layout="constrained")
+    panels = list(grid.flat)
+    environments = list(dict.fromkeys(row["environment"] for row in rows))
+    height = 0.27
+    bars = (
+        ("measured", "bits_before", ORANGE, -1),
+        ("measured", "bits_after", BLUE, 0),
+        ("quoted", "bits_after", SKY, 1),
+    )
+    for axes, quantity in zip(panels, QUANTITIES, strict=False):
+        for kind, key, colour, place in bars:
+            points = [row for row in select(rows, quantity=quantity, kind=kind) if row.get(key) is not None]
+            drawn = axes.barh(
+                [environments.index(row["environment"]) + place * height for row in points],
+                [row[key] for row in points],
+                height,
+                color=colour,
+                edgecolor="white",
+                hatch=HATCHES[kind],
+            )
+            axes.bar_label(drawn, [f"{row[key]:,}" for row in points], fontsize=7, padding=2)
+        axes.set(title=quantity, xscale="log", xlim=(0.7, 4e4), xlabel="bits a slot (log scale)")
+        axes.spines[["top", "right"]].set_visible(False)
+    panels[0].set_yticks(range(len(environments)), environments)
+    panels[0].invert_yaxis()
+    panels[5].axis("off")
+    panels[5].legend(
+        handles=[
+            plt.Rectangle((0, 0), 1, 1, color=ORANGE, label="arrays of Gymnasium (counted)"),
+            plt.Rectangle((0, 0), 1, 1, color=BLUE, label="words of our hardware (counted)"),
+            plt.Rectangle(
+                (0, 0),
+                1,
+                1,
+                facecolor=SKY,
+                edgecolor="white",
+                hatch=HATCHES["quoted"],
+                label="words of the paper's (quoted)",
+            ),
+        ],
+        loc="center",
+        frameon=False,
+    )
+    return figure

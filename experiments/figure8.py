@@ -1,0 +1,153 @@
+"""Figure 8: energy, where the machine can measure it; and how busy the FPGA design is, which is no energy."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from pearl_marl.benchmark import UnavailableError, contenders
+from pearl_marl.registry import get_spec
+from pearl_marl.rendering import import_pyplot
+from pearl_marl.spec import EnvSpec
+
+from . import energy, figure6, paper
+from .section import BLUE, HATCHES, ORANGE, WIDTH, Progress, Row, select
+
+TITLE = "Figure 8: energy"
+TEXT = (
+    "Agent-steps per joule, where the processor's own counters (RAPL) can be read: of the whole processor, "
+    "idle power included. The FPGA's share is not known without a board: toggles of the simulated design "
+    "say how busy it is, and are never made into watts."
+)
+COLUMNS = {
+    "environment": "environment",
+    "contender": "contender",
+    "n_envs": "environments",
+    "steps_per_joule": "steps/J",
+    "watts": "W",
+    "power_growth": "W grow by",
+    "over_envpool": "over EnvPool",
+    "over_vector_env": "over VectorEnv",
+    "toggles_per_step": "toggles a step",
+    "counts": "what is counted, or from where",
+}
+SEEDS = (0,)
+
+CONTENDERS = (figure6.BATCH, figure6.ENVPOOL, figure6.SYNC)
+N_ENVS = 43008
+
+
+def collect(quick: bool, progress: Progress) -> list[Row]:
+    """Measure what the CPU contenders take, if that is possible; count toggles; add the paper's figures."""
+    environments = list(paper.ENERGY_OVER_ENVPOOL)
+    missing = energy.unavailable()
+    rows: list[Row] = []
+    if missing is not None:
+        rows.append({"kind": "missing", "environment": "all", "contender": "all", "counts": missing})
+    else:
+        seconds = 0.1 if quick else 5.0
+        chosen = environments[:1] if quick else environments
+        for name in progress(chosen, len(chosen), "energy"):
+            rows += _measured(get_spec(name), 1024 if quick else N_ENVS, seconds)
+    for name in environments:
+        rows += activity(get_spec(name), quick)
+    for name in environments:
+        rows.append(
+            {
+                "kind": "quoted",
+                "environment": name,
+                "contender": "the paper: PEARL, their board",
+                "over_envpool": paper.ENERGY_OVER_ENVPOOL[name],
+                "over_vector_env": paper.ENERGY_OVER_VECTOR_ENV[name],
+                "counts": paper.ENERGY_SOURCE,
+            }
+        )
+    rows.append(
+        {
+            "kind": "quoted",
+            "environment": "CliffWalking",
+            "contender": f"the paper: {paper.GROWTH_SIZES[1]:,} over {paper.GROWTH_SIZES[0]:,} environments",
+            "power_growth": paper.GROWTH["power"],
+            "counts": paper.GROWTH_SOURCE,
+        }
+    )
+    rows += [
+        {
+            "kind": "quoted",
+            "environment": "CliffWalking",
+            "contender": f"the paper: {name}",
+            "steps_per_joule": framework.steps_per_joule,
+            "counts": paper.FRAMEWORKS_SOURCE,
+        }
+        for name, framework in paper.FRAMEWORKS.items()
+    ]
+    return rows
+
+
+def _measured(spec: EnvSpec, n: int, seconds: float) -> list[Row]:
+    rows: list[Row] = []
+    for contender in contenders(spec, n):
+        if contender.name not in CONTENDERS:
+            continue
+        try:
+            step = contender.make()
+        except UnavailableError:  # figure 6 says why
+            continue
+        step()
+        spent = energy.spend(step, seconds)
+        common: Row = {"environment": spec.name, "contender": contender.name, "n_envs": contender.n}
+        if not spent.joules:  # some virtual machines have counters that stand still
+            rows.append({**common, "kind": "missing", "counts": "not measured here: RAPL counts nothing"})
+            continue
+        rows.append(
+            {
+                **common,
+                "kind": "measured",
+                "steps_per_joule": spent.steps * contender.n / spent.joules,
+                "watts": spent.joules / spent.seconds,
+                "counts": f"RAPL of the whole processor for {seconds:g} s; {contender.counts}",
+            }
+        )
+    measured = select(rows, kind="measured")
+    rates = {row["contender"]: row["steps_per_joule"] for row in measured}
+    for row in measured:
+        if row["contender"] == figure6.BATCH:
+            for key, peer in (("over_envpool", figure6.ENVPOOL), ("over_vector_env", figure6.SYNC)):
+                row[key] = row["steps_per_joule"] / rates[peer] if peer in rates else None
+    return rows
+
+
+def activity(spec: EnvSpec, quick: bool) -> list[Row]:
+    """Return toggles of the simulated design's signals: the seam for them, which yields no row yet."""
+    # SEAM: a row {"kind": "simulated", "environment": spec.name, "contender": "toggles, FPGA design",
+    # "n_envs": n, "toggles_per_step": toggles of one slot's step, "counts": ...}. With `quick` nothing that
+    # has a model to be compiled.
+    return []
+
+
+def draw(rows: list[Row]) -> Any:
+    """Draw how many more steps a joule makes than a peer's: the paper's, and ours where measured."""
+    plt = import_pyplot()
+    figure, both = plt.subplots(1, 2, figsize=(WIDTH, 3.4), sharey=True, layout="constrained")
+    environments = list(paper.ENERGY_OVER_ENVPOOL)
+    measured = select(rows, kind="measured", contender=figure6.BATCH)
+    width, shift = (0.38, 0.19) if measured else (0.6, 0.0)
+    ours = f"step_batch ({'measured' if measured else 'not measured'} here)"
+    for axes, key, peer in zip(
+        both, ("over_envpool", "over_vector_env"), ("EnvPool", "VectorEnv"), strict=True
+    ):
+        for place, kind, shade, label, chosen in (
+            (-shift, "quoted", ORANGE, "the paper's board (quoted)", select(rows, kind="quoted")),
+            (shift, "measured", BLUE, ours, measured),
+        ):
+            points = [row for row in chosen if row.get(key) is not None]
+            x = [environments.index(row["environment"]) + place for row in points]
+            y = [row[key] for row in points]
+            bars = axes.bar(x, y, width, color=shade, edgecolor="white", hatch=HATCHES[kind], label=label)
+            axes.bar_label(bars, [f"{value:,.0f}" for value in y], fontsize=7)
+        axes.set_xticks(range(len(environments)), environments, rotation=20)
+        axes.set(title=f"over {peer}", yscale="log")
+        axes.spines[["top", "right"]].set_visible(False)
+    both[0].set_ylabel("times as many steps a joule (log scale)")
+    handles, labels = both[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=2, frameon=False, fontsize=8)
+    return figure

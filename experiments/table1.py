@@ -1,0 +1,87 @@
+"""Table I: how long a core computes a step, in clock cycles and in nanoseconds."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from pearl_marl import hardware
+from pearl_marl.errors import DeviceError
+from pearl_marl.memory_map import memory_map
+from pearl_marl.registry import get_spec, names
+from pearl_marl.spec import EnvSpec
+from pearl_marl.synthesis import FMAX_DEVICE, Family, synthesise
+
+from . import paper
+from .section import Progress, Row
+
+TITLE = "Table I: compute time"
+TEXT = (
+    "From an action to its result in one core: clock cycles as the core states them and as its bench in "
+    "simulation checks, and nanoseconds at the clock rate that nextpnr reaches for a small build on an "
+    "ECP5, the family that has free tools for it. A VC707 has another rate. A core takes a new action every "
+    "II cycles, so throughput does not wait for the latency."
+)
+COLUMNS = {
+    "environment": "environment",
+    "latency_cycles": "cycles",
+    "interval_cycles": "II, cycles",
+    "fmax_mhz": "MHz",
+    "compute_ns": "ns",
+    "counts": "what is counted, or from where",
+}
+SEEDS = (0,)
+
+N_ENVS, PE_NUM, DATA_WL = 64, 1, 32
+"""The build that is placed and routed: one core, and little around it."""
+
+
+def collect(quick: bool, progress: Progress) -> list[Row]:
+    """Read the cores' latencies; place and route each for its clock rate, unless ``quick``."""
+    specs = [get_spec(name) for name in names()]
+    rows: list[Row] = []
+    for spec in progress(specs, len(specs), "place and route"):
+        timing = hardware.core_timing(spec)
+        common: Row = {
+            "environment": spec.name,
+            "latency_cycles": timing.latency,
+            "interval_cycles": timing.interval,
+        }
+        rows.append(
+            {
+                **common,
+                "kind": "simulated",
+                "counts": "stated by the core, checked by its bench in simulation",
+            }
+        )
+        if not quick:
+            rows.append(_placed(spec, common))
+        rows.append(
+            {
+                "kind": "quoted",
+                "environment": spec.name,
+                "compute_ns": paper.COMPUTE_NS[spec.name],
+                "counts": paper.COMPUTE_NS_SOURCE,
+            }
+        )
+    return rows
+
+
+def _placed(spec: EnvSpec, common: Row) -> Row:
+    build = f"{N_ENVS} slots, {PE_NUM} PE, {DATA_WL}-bit words"
+    try:
+        usage = synthesise(spec, memory_map(spec, N_ENVS, PE_NUM, DATA_WL), Family.ECP5, fmax=True)
+    except DeviceError as error:  # too large for the device, or a tool is missing
+        return {**common, "kind": "missing", "counts": f"{build}: {error}"}
+    assert usage.fmax_mhz is not None
+    return {
+        **common,
+        "kind": "predicted",
+        "fmax_mhz": usage.fmax_mhz,
+        "compute_ns": common["latency_cycles"] * 1e3 / usage.fmax_mhz,
+        "counts": f"{build}, {FMAX_DEVICE}: nextpnr's estimate after routing, without pads",
+    }
+
+
+def draw(rows: list[Row]) -> Any:
+    """Return nothing: it is a table."""
+    return None

@@ -1,0 +1,95 @@
+"""Table III: frameworks of parallel environments beside each other, on CliffWalking."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from pearl_marl.memory_map import memory_map
+from pearl_marl.registry import get_spec
+from pearl_marl.synthesis import largest_fit, synthesise
+
+from . import energy, figure6, paper
+from .figure9 import BUILDS
+from .section import Progress, Row
+
+TITLE = "Table III: frameworks"
+TEXT = (
+    "Gymnasium's vector environment, EnvPool and this platform on CliffWalking: agent-steps per second, "
+    "those per joule, and how many environments each was run with or has room for."
+)
+COLUMNS = {
+    "framework": "framework",
+    "platform": "on",
+    "n_envs": "environments",
+    "steps_per_second": "steps/s",
+    "steps_per_joule": "steps/J",
+    "most_envs": "most environments",
+    "counts": "what is counted, or from where",
+}
+SEEDS = (0,)
+
+ENV = "CliffWalking"
+
+
+def collect(quick: bool, progress: Progress) -> list[Row]:
+    """Time the frameworks at the largest size; predict the board, and how many slots fit it."""
+    spec = get_spec(ENV)
+    n = figure6.QUICK_SIZES[-1] if quick else figure6.SIZES[-1]
+    timed = figure6.throughput(spec, n, (), quick, progress) + figure6.predicted(spec, n)
+    shown = {
+        figure6.SYNC: ("Gymnasium SyncVectorEnv", "CPU"),
+        figure6.ENVPOOL: ("EnvPool", "CPU"),
+        figure6.BATCH: ("this platform, step_batch", "CPU"),
+        figure6.SIMULATED: ("this platform, simulated", "FPGA, by Verilator"),
+        figure6.BOARD: ("this platform, predicted", "CPU + FPGA"),
+    }
+    rows: list[Row] = []
+    for row in timed:
+        if row["contender"] in shown:
+            framework, platform = shown[row["contender"]]
+            rows.append(
+                {
+                    "kind": row["kind"],
+                    "framework": framework,
+                    "platform": platform,
+                    "n_envs": row["n_envs"],
+                    "steps_per_second": row.get("steps_per_second"),
+                    "counts": row["counts"],
+                }
+            )
+    if not quick:
+        rows.append(_most())
+    missing = energy.unavailable()
+    if missing is not None:
+        rows.append({"kind": "missing", "framework": "steps/J of any of them", "counts": missing})
+    rows += [
+        {
+            "kind": "quoted",
+            "framework": name,
+            "platform": "CPU + FPGA" if "board" in name else "CPU",
+            "steps_per_second": framework.steps_per_second,
+            "steps_per_joule": framework.steps_per_joule,
+            "most_envs": framework.n_envs,
+            "counts": paper.FRAMEWORKS_SOURCE,
+        }
+        for name, framework in paper.FRAMEWORKS.items()
+    ]
+    return rows
+
+
+def _most() -> Row:
+    spec, (pe_num, data_wl) = get_spec(ENV), BUILDS[ENV]
+    usage = synthesise(spec, memory_map(spec, figure6.SIZES[-1], pe_num, data_wl))
+    fit = largest_fit(spec, [usage], figure6.PART)
+    return {
+        "kind": "predicted",
+        "framework": "this platform",
+        "platform": "CPU + FPGA",
+        "most_envs": fit.n_envs,
+        "counts": f"block RAM of a {fit.part.name}, {pe_num} PEs, {data_wl}-bit words, as --fit predicts",
+    }
+
+
+def draw(rows: list[Row]) -> Any:
+    """Return nothing: it is a table."""
+    return None
