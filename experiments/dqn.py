@@ -52,18 +52,18 @@ class Settings:
         Of everything random.
     """
 
-    n_agents: int = 256
-    iterations: int = 600
-    memory: int = 400
+    n_agents: int = 512
+    iterations: int = 1000
+    memory: int = 200
     warm_up: int = 10
-    updates: int = 8
+    updates: int = 4
     minibatch: int = 512
-    learning_rate: float = 1e-3
+    learning_rate: float = 2e-3
     discount: float = 0.99
-    refresh: int = 200
+    refresh: int = 50
     explore_first: float = 1.0
     explore_last: float = 0.02
-    exploring: float = 0.3
+    exploring: float = 0.2
     reward_scale: float = 1.0
     width: int = 128
     seed: int = 0

@@ -33,17 +33,6 @@ PRESETS: dict[tuple[str, str], dict[str, Any]] = {
         "entropy": 0.01,
         "width": 128,
     },
-    # Some hundred updates suffice where each is of many agents, who explore for one another.
-    ("dqn", "CartPole"): {
-        "n_agents": 1024,
-        "iterations": 500,
-        "memory": 100,
-        "updates": 4,
-        "minibatch": 1024,
-        "learning_rate": 3e-3,
-        "refresh": 50,
-        "exploring": 0.2,
-    },
     # Rewards are random: entries have to become means of many targets.
     ("q-learning", "Blackjack"): {"rate": 1.0, "fading": 0.2, "epsilon": 0.5},
 }

@@ -26,7 +26,10 @@ from pearl_marl.rendering import import_pyplot
 from . import figure6
 from .section import KINDS, Progress, Row, Section
 
-SECTIONS = ("figure3", "equations", "figure6", "table3", "figure8", "figure9", "table1", "table2")
+SECTIONS = (
+    *("figure3", "equations", "figure6", "table3", "figure7", "figure8", "figure9", "table1", "table2"),
+    *("goals", "population"),
+)
 """Modules of this package, in the page's order."""
 
 _TOOLS = (

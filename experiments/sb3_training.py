@@ -1,8 +1,8 @@
 """PPO and DQN of Stable-Baselines3 on this package's environments, and on the same ones of others.
 
-``python experiments/sb3_training.py CartPole --algo ppo --n-agents 256`` trains, and saves the model for
-``pearl eval --policy``. ``--source envpool`` and ``--source gymnasium`` change nothing but who steps the
-environments: this is the trainer of the paper's Figure 7.
+``python experiments/sb3_training.py CartPole --algo ppo --n-agents 256`` trains, and saves the model; that of
+PPO is one for ``pearl eval --policy``. ``--source envpool`` and ``--source gymnasium`` change nothing but who
+steps the environments: this is the trainer of the paper's Figure 7.
 """
 
 from __future__ import annotations
@@ -15,11 +15,13 @@ from typing import Annotated, Any
 import gymnasium
 import numpy as np
 import typer
+from gymnasium.spaces import Box
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from stable_baselines3 import DQN, PPO
 from stable_baselines3.common.callbacks import BaseCallback
-from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv
+from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecNormalize
+from torch import nn
 
 import pearl_marl
 from pearl_marl.errors import ArgumentError
@@ -40,14 +42,14 @@ SETTINGS: dict[str, dict[str, Any]] = {
     "dqn": {
         "train_freq": 1,
         "gradient_steps": 4,
-        "batch_size": 1024,
-        "learning_rate": 3e-3,
+        "batch_size": 512,
+        "learning_rate": 2e-3,
         "learning_starts": 10_000,
         "buffer_size": 100_000,
         "exploration_fraction": 0.2,
         "exploration_final_eps": 0.02,
-        "target_update_interval": 12_800,
-        "policy_kwargs": {"net_arch": [128, 128]},
+        "target_update_interval": 6400,
+        "policy_kwargs": {"net_arch": [128, 128], "activation_fn": nn.Tanh},
     },
 }
 """For batches of hundreds of agents; the same whoever steps them."""
@@ -177,6 +179,9 @@ class Watch(BaseCallback):
         return mean < self.goal
 
     def _best(self, obs: Any) -> Any:
+        normalised = self.model.get_vec_normalize_env()
+        if normalised is not None:
+            obs = normalised.normalize_obs(obs)
         return self.model.predict(obs, deterministic=True)[0]
 
 
@@ -194,6 +199,8 @@ def train(
 ) -> tuple[Any, list[tuple[float, int, float]]]:
     """Train until an evaluation reaches the goal; return the model, and what :class:`Watch` wrote down."""
     env = vec_env(source, env_id, n, seed)
+    if algorithm == "dqn" and isinstance(env.observation_space, Box):
+        env = VecNormalize(env, norm_reward=False)  # without it, few seeds learn
     try:
         given = SETTINGS[algorithm] if settings is None else settings
         model = MODELS[algorithm]("MlpPolicy", env, seed=seed, device="cpu", **given)
@@ -231,6 +238,9 @@ def main(
             console.print(f"Error: {error}", highlight=False)
             raise typer.Exit(2) from None
     model.save(out)
+    normalised = model.get_vec_normalize_env()
+    if normalised is not None:
+        normalised.save(str(out.with_suffix(".normalize.pkl")))
     for seconds, done, mean in points[-1:]:
         print(f"Mean return {mean:.1f} after {done:,} agent-steps, {seconds:.1f} s of training. Wrote {out}")
 
