@@ -35,6 +35,14 @@ CONFIGURATIONS = (
 )
 """Environment, slots, processing elements, bits of a word."""
 
+SERIAL = (
+    ("CliffWalking", 70, 1, 32),
+    ("CliffWalking", 70, 4, 32),
+    ("Blackjack", 70, 1, 32),
+    ("CartPole", 70, 1, 32),
+)
+"""The same of builds without pipeline."""
+
 STEPS = 10
 
 

@@ -11,7 +11,8 @@ T1 and T7 are measured on this machine, by stepping the host's half of the proto
 for a call, so much for a byte.
 
 Where the paper's hardware takes T3, T4 and T5 partly one after the other (its Eq. 2 and 3, see
-:class:`Loop`), this one does all three at the same time.
+:class:`Loop`), this one does all three at the same time. Its form without pipeline, which the paper compares
+with, is :func:`predict` with ``pipelined=False``.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ from pearl_marl.devices.batch import BatchConfig
 from pearl_marl.devices.comm_bram import CommBram, Transport, identity
 from pearl_marl.errors import ArgumentError
 from pearl_marl.memory_map import TER_BITS, MemoryMap, Status, default_map
-from pearl_marl.spec import EnvSpec
+from pearl_marl.spec import EnvSpec, word_bits
 
 # ---- Clock cycles of the hardware ----
 
@@ -44,11 +45,13 @@ _RESULTS = ("observations", "rewards", "ters")
 _INPUTS = ("actions", "reset_mask")
 
 
-def step_cycles(spec: EnvSpec, layout: MemoryMap) -> int:
+def step_cycles(spec: EnvSpec, layout: MemoryMap, pipelined: bool = True) -> int:
     """Return the clock cycles of a step in the hardware, from doorbell to last result.
 
     In closed form, from what happens in ``rtl/``: groups are issued one every ``II`` cycles, and not
     before their actions have come, a word a cycle; results leave in three banks, a word a cycle each.
+    Not pipelined, a group is issued when the one before has been read, computed and written: with one
+    processing element the paper's Eq. 2, ``env_num * (c_r + c_c + c_w)``.
     The random draws are there in time; where a link is as short as a simulated one, see :func:`draws_wait`.
 
     It is what ``Rtl.cycles`` counts. Where words do not divide into rows, nor rows into words, it may be a
@@ -62,11 +65,16 @@ def step_cycles(spec: EnvSpec, layout: MemoryMap) -> int:
     def row(name: str) -> int:
         return layout.pe_num * layout[name].slot_bits
 
+    interval = timing.interval
+    if not pipelined:
+        written = max(-(-row(name) // word) for name in _RESULTS)
+        interval = max(interval, fetch + timing.latency + written)
+
     def issued(count: int) -> int:
         """Return the cycle in which that many groups have been issued, were there room for results."""
         came = [min(-(-count * row(name) // word), layout[name].words) for name in _INPUTS]
         first = max(min(-(-row(name) // word), layout[name].words) for name in _INPUTS)
-        return _FIRST_ISSUE + max(*came, first + (count - 1) * timing.interval)
+        return _FIRST_ISSUE + max(*came, first + (count - 1) * interval)
 
     ends = []
     for name in _RESULTS:
@@ -138,9 +146,9 @@ def draws_wait(spec: EnvSpec, layout: MemoryMap) -> int:
     return max(0, keys - write_cycles(layout) - read_cycles(layout))
 
 
-def axi_cycles(spec: EnvSpec, layout: MemoryMap) -> int:
+def axi_cycles(spec: EnvSpec, layout: MemoryMap, pipelined: bool = True) -> int:
     """Return the clock cycles of a whole step of ``Rtl(path="axi")``: write, step, read."""
-    step = max(1, draws_wait(spec, layout) + step_cycles(spec, layout) - _UNTIL_RUNNING)
+    step = max(1, draws_wait(spec, layout) + step_cycles(spec, layout, pipelined) - _UNTIL_RUNNING)
     return write_cycles(layout) + step + read_cycles(layout)
 
 
@@ -299,7 +307,8 @@ LINKS = {
 class Prediction:
     """The stages of a step, in seconds, named after the paper's times.
 
-    T3, T4 and T5 overlap: :attr:`device` is what they take together.
+    T3, T4 and T5 overlap: :attr:`device` is what they take together. Where they do not, it is their sum
+    and what lies between them.
     """
 
     n_envs: int
@@ -335,8 +344,14 @@ class Prediction:
         return {**result, "total": self.total, "rate": self.rate, "bottleneck": self.bottleneck}
 
 
-def predict(spec: EnvSpec, layout: MemoryMap, link: Link, host: HostTimes, clock: float) -> Prediction:
+def predict(
+    spec: EnvSpec, layout: MemoryMap, link: Link, host: HostTimes, clock: float, pipelined: bool = True
+) -> Prediction:
     """Predict a step.
+
+    Not pipelined is what the paper calls PEARL without pipeline, with one processing element in ``layout``:
+    no group overlaps with another, and the states are not kept in the hardware, but go to it with the
+    actions and come back with the results, packed, at no cost to the host.
 
     Parameters
     ----------
@@ -348,13 +363,21 @@ def predict(spec: EnvSpec, layout: MemoryMap, link: Link, host: HostTimes, clock
         What the host takes for so many slots.
     clock
         Of the hardware, in hertz.
+    pipelined
+        Whether groups of slots overlap, and states stay in the hardware.
     """
     if not clock > 0:
         raise ArgumentError(f"the clock is {clock} Hz; it must be positive")
     timing = hardware.core_timing(spec)
+    states = 0 if pipelined else -(-layout.n_envs * word_bits(spec.state) // 8)
+    beat = layout.data_wl // 8
+    states_in, states_out = (
+        _burst_cycles(0, states, beat, overhead) for overhead in (_WRITE_BURST, _READ_BURST)
+    )
     # A link can be no faster than the port at its end.
-    write = max(layout.step_write[1] / link.write_rate, write_cycles(layout) / clock)
-    read = max(layout.step_read[1] / link.read_rate, read_cycles(layout) / clock)
+    write = max((layout.step_write[1] + states) / link.write_rate, (write_cycles(layout) + states_in) / clock)
+    read = max((layout.step_read[1] + states) / link.read_rate, (read_cycles(layout) + states_out) / clock)
+    compute = (layout.groups - 1) * (timing.interval if pipelined else timing.latency) + timing.latency
     return Prediction(
         layout.n_envs,
         layout.pe_num,
@@ -362,9 +385,9 @@ def predict(spec: EnvSpec, layout: MemoryMap, link: Link, host: HostTimes, clock
         pack=host.pack,
         write=link.call + write,
         words_in=layout["actions"].words / clock,
-        compute=((layout.groups - 1) * timing.interval + timing.latency) / clock,
+        compute=compute / clock,
         words_out=max(layout[name].words for name in _RESULTS) / clock,
-        device=step_cycles(spec, layout) / clock,
+        device=step_cycles(spec, layout, pipelined) / clock,
         read=link.call + read,
         unpack=host.unpack,
     )

@@ -15,6 +15,9 @@ module pearl_backbone
     parameter int unsigned DRAWS = 0,
     // Names the environment and its options: a host refuses a build that is for another one.
     parameter logic [31:0] ENV_HASH = 32'h0,
+    // Whether groups overlap. If not, one is read, computed and written after the other: the results
+    // are the same, later.
+    parameter bit PIPELINED = 1'b1,
     // Where each region starts, in words, and where the last one ends. They come from
     // pearl_marl/memory_map.py, which explains the layout.
     parameter int unsigned CONTROL_OFFSET = 0,
@@ -77,6 +80,13 @@ module pearl_backbone
   localparam int unsigned OBS_WORDS = stream_words(N_ENVS, OBS_BITS, DATA_WL);
   localparam int unsigned REWARD_WORDS = stream_words(N_ENVS, REWARD_BITS, DATA_WL);
   localparam int unsigned TER_WORDS = stream_words(N_ENVS, TER_BITS, DATA_WL);
+  // From one group's issue to the next one's. Not pipelined, a group is read, computed, and written a
+  // word a cycle in each bank, before the next one is issued. Only the words of actions are fetched
+  // ahead in either form.
+  localparam int unsigned WIDER = OBS_BITS > REWARD_BITS ? OBS_BITS : REWARD_BITS;
+  localparam int unsigned WIDEST = WIDER > TER_BITS ? WIDER : TER_BITS;
+  localparam int unsigned SERIAL = FETCH + LATENCY + stream_words(PE_NUM, WIDEST, DATA_WL);
+  localparam int unsigned INTERVAL = PIPELINED || SERIAL < II ? II : SERIAL;
   // A row memory's words per row are a power of two.
   localparam int unsigned INIT_COLUMNS_LOG2 = $clog2(stream_words(PE_NUM, STATE_BITS, DATA_WL));
   localparam int unsigned STATE_COLUMNS_LOG2 = $clog2(stream_words(PE_NUM, SLOT_BITS, DATA_WL));
@@ -277,7 +287,7 @@ module pearl_backbone
       .GROUPS     (GROUPS),
       .PE_NUM     (PE_NUM),
       .DATA_WL    (DATA_WL),
-      .II         (II),
+      .II         (INTERVAL),
       .OBS_BITS   (OBS_BITS),
       .REWARD_BITS(REWARD_BITS)
   ) u_group_reader (

@@ -2,7 +2,8 @@
 // tick and draw index, once with each of two initial values.
 //
 // One multiplier pair serves both chains, and a round takes two cycles, one for each multiplier: so
-// the keys take 4 * (4 + DRAWS) cycles. That is hidden: they are made anew as soon as seed or tick change, which is right after a step, not before one.
+// the keys take 4 * (4 + DRAWS) cycles. That is hidden: they are made anew as soon as seed or tick
+// change, which is right after a step, not before one.
 module pearl_rng
   import pearl_pkg::*;
 #(

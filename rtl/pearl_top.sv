@@ -16,6 +16,9 @@ module pearl_top #(
     parameter int unsigned DRAWS = 0,
     // Names the environment and its options: a host refuses a build that is for another one.
     parameter logic [31:0] ENV_HASH = 32'h0,
+    // Whether groups overlap. If not, one is read, computed and written after the other: the results
+    // are the same, later.
+    parameter bit PIPELINED = 1'b1,
     // Where each region starts, in words, and where the last one ends. They come from
     // pearl_marl/memory_map.py, which explains the layout.
     parameter int unsigned CONTROL_OFFSET = 0,
@@ -115,7 +118,7 @@ module pearl_top #(
       OBS_BITS != pearl_core_pkg::OBS_BITS || REWARD_BITS != pearl_core_pkg::REWARD_BITS)
   begin : gen_illegal_widths
     $error(
-        "the spec has %0d state, %0d action, %0d observation and %0d reward bits, the core %0d, %0d, %0d and %0d",
+        "the spec has %0d state, %0d action, %0d observation, %0d reward bits, the core %0d, %0d, %0d, %0d",
         STATE_BITS,
         ACTION_BITS,
         OBS_BITS,
@@ -183,6 +186,7 @@ module pearl_top #(
       .DATA_WL(WORD_BITS),
       .DRAWS(DRAWS),
       .ENV_HASH(ENV_HASH),
+      .PIPELINED(PIPELINED),
       .CONTROL_OFFSET(CONTROL_OFFSET),
       .INITIAL_STATES_OFFSET(INITIAL_STATES_OFFSET),
       .CURRENT_STATES_OFFSET(CURRENT_STATES_OFFSET),

@@ -38,19 +38,21 @@ SPEC = get_spec("CliffWalking")
 
 
 @pytest.mark.parametrize(
-    ("spec", "size"),
+    ("spec", "size", "pipelined"),
     [
-        (SPEC, (7, 4, 32)),
-        (SPEC, (7, 3, 128)),
-        (get_spec("Blackjack"), (70, 3, 32)),
-        (SHIFT_ADD, (23, 5, 64)),  # four cycles a slot; it waits for its draws
+        (SPEC, (7, 4, 32), True),
+        (SPEC, (7, 3, 128), True),
+        (get_spec("Blackjack"), (70, 3, 32), True),
+        (SHIFT_ADD, (23, 5, 64), True),  # four cycles a slot; it waits for its draws
+        (SPEC, (7, 1, 32), False),
+        (SHIFT_ADD, (23, 5, 64), False),
     ],
     ids=lambda value: getattr(value, "name", None),
 )
-def test_clock_cycles_over_axi(spec: Any, size: tuple[int, int, int]) -> None:
+def test_clock_cycles_over_axi(spec: Any, size: tuple[int, int, int], pipelined: bool) -> None:
     """Other builds: experiments/latency_model.py."""
     n, pe_num, data_wl = size
-    device = Rtl(pe_num, data_wl, path="axi").open(BatchConfig(spec=spec, n_envs=n))
+    device = Rtl(pe_num, data_wl, path="axi", pipelined=pipelined).open(BatchConfig(spec=spec, n_envs=n))
     device.reset(seed=0)
     rng = np.random.default_rng(0)
     device.step(random_actions(spec, rng, n))  # writes the settings too
@@ -58,8 +60,8 @@ def test_clock_cycles_over_axi(spec: Any, size: tuple[int, int, int]) -> None:
     for _ in range(3):
         began = device.clock
         device.step(random_actions(spec, rng, n))
-        assert device.cycles == step_cycles(spec, layout) + draws_wait(spec, layout)
-        assert device.clock - began == axi_cycles(spec, layout)
+        assert device.cycles == step_cycles(spec, layout, pipelined) + draws_wait(spec, layout)
+        assert device.clock - began == axi_cycles(spec, layout, pipelined)
     device.close()
 
 

@@ -37,7 +37,7 @@ _FAST = "-O3 -march=native -fno-semantic-interposition"
 _MAKE = (f"OPT_FAST={_FAST}", "OPT_SLOW=-O0", "OPT_GLOBAL=-O1", "LDFLAGS=-shared")
 
 
-def library(spec: EnvSpec, layout: MemoryMap, traced: bool = False) -> Path:
+def library(spec: EnvSpec, layout: MemoryMap, traced: bool = False, pipelined: bool = True) -> Path:
     """Return the library of a simulated device; build it unless the cache has it.
 
     Parameters
@@ -46,13 +46,19 @@ def library(spec: EnvSpec, layout: MemoryMap, traced: bool = False) -> Path:
         Say what the hardware is.
     traced
         Whether it can write waveforms and keeps every signal, at the cost of some speed.
+    pipelined
+        Whether groups of slots overlap in it.
 
     Raises
     ------
     DeviceError
         The environment has no core, a tool is missing, or a tool failed: then with its words.
     """
-    parameters = {**hardware.parameters(spec, layout), "ADDR_BITS": hardware.address_bits(layout)}
+    parameters = {
+        **hardware.parameters(spec, layout),
+        "ADDR_BITS": hardware.address_bits(layout),
+        "PIPELINED": int(pipelined),
+    }
     arguments = [
         *_VERILATOR,
         *(["--trace", "--public-flat-rw"] if traced else []),
@@ -64,7 +70,7 @@ def library(spec: EnvSpec, layout: MemoryMap, traced: bool = False) -> Path:
     texts = [code, *(path.read_text() for path in (*sources, Path(pyverilator_mends.__file__)))]
     digest = _digest(_tools(), arguments, _MAKE, traced, texts)
     folder = cache_folder("rtl")
-    title = f"{spec.name}-{layout.n_envs}-{layout.pe_num}-{layout.data_wl}"
+    title = f"{spec.name}-{layout.n_envs}-{layout.pe_num}-{layout.data_wl}{'' if pipelined else '-serial'}"
     entry = folder / f"{title}{'-traced' if traced else ''}-{digest}"
     with _locked(folder / f"{entry.name}.lock"):
         if not _whole(entry):

@@ -51,6 +51,9 @@ class Rtl(CommBram):
         states out, ``"axi"`` every one of them over the AXI port. The results are the same.
     trace
         A file to write the waveforms of all signals to (VCD). Slow, and large.
+    pipelined
+        Whether groups of slots overlap in the hardware. If not, one is read, computed and written after the
+        other, as in the paper's form without pipeline: the same answers in more clock cycles.
     """
 
     name = "rtl"
@@ -61,16 +64,21 @@ class Rtl(CommBram):
         data_wl: int | None = None,
         path: str = "backdoor",
         trace: str | os.PathLike[str] | None = None,
+        *,
+        pipelined: bool = True,
     ) -> None:
         for name, value in (("pe_num", pe_num), ("data_wl", data_wl)):
             if value is not None and (isinstance(value, bool) or not isinstance(value, (int, np.integer))):
                 raise ArgumentError(f"{name} is {value!r}; it must be an integer or None")
         if path not in PATHS:
             raise ArgumentError(f"path is {path!r}; possible are {', '.join(map(repr, PATHS))}")
+        if not isinstance(pipelined, bool):
+            raise ArgumentError(f"pipelined is {pipelined!r}; it must be True or False")
         self._trace = None if trace is None else os.fspath(trace)
         if self._trace is not None and not (isinstance(self._trace, str) and self._trace.isascii()):
             raise ArgumentError(f"trace is {trace!r}; it must be a file name in ASCII")
         self._pe_num, self._data_wl, self._path = pe_num, data_wl, path
+        self._pipelined = pipelined
 
     @property
     def clock(self) -> int:
@@ -96,7 +104,7 @@ class Rtl(CommBram):
         spec, n = config.spec, int(config.n_envs)
         pe_num, data_wl = (None if value is None else int(value) for value in (self._pe_num, self._data_wl))
         layout = default_map(spec, n, pe_num, data_wl)
-        built = library(spec, layout, traced=self._trace is not None)
+        built = library(spec, layout, traced=self._trace is not None, pipelined=self._pipelined)
         self._simulation = Simulation(built, layout, self._path == "backdoor", self._trace)
         return self._simulation, layout
 

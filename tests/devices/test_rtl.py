@@ -73,6 +73,7 @@ def test_device_by_name() -> None:
         ({"data_wl": True}, "data_wl is True; it must be an integer"),
         ({"path": "front"}, "path is 'front'; possible are 'backdoor', 'axi'"),
         ({"trace": "wäve.vcd"}, "it must be a file name in ASCII"),
+        ({"pipelined": 0}, "pipelined is 0; it must be True or False"),
     ],
 )
 def test_illegal_parameters(options: dict, says: str) -> None:
@@ -121,15 +122,16 @@ def test_snapshots_move_between_devices() -> None:
 
 @pytest.mark.parametrize("initial_states", ["random", "stored"])
 @pytest.mark.parametrize("mode", [AutoresetMode.SAME_STEP, AutoresetMode.NEXT_STEP], ids=lambda m: m.name)
+@pytest.mark.parametrize("pipelined", [True, False], ids=["pipelined", "serial"])
 def test_random_starts_odd_widths_and_a_core_of_several_cycles(
-    mode: AutoresetMode, initial_states: str
+    pipelined: bool, mode: AutoresetMode, initial_states: str
 ) -> None:
     """What CliffWalking has none of, with everything that can happen between steps."""
     n = 23
     config = BatchConfig(
         spec=SHIFT_ADD, n_envs=n, autoreset_mode=mode, initial_states=initial_states, first_slot=2**31
     )
-    rtl, native = Rtl(5, 64).open(config), Native().open(config)
+    rtl, native = Rtl(5, 64, pipelined=pipelined).open(config), Native().open(config)
     generator = np.random.default_rng(1)
     np.testing.assert_array_equal(rtl.reset(seed=4), native.reset(seed=4))
     ends = 0
@@ -248,7 +250,7 @@ def test_no_verilator(own_cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     ("old", "new", "says"),
     [
         ("assign goal =", "assign gaol =", "gaol"),
-        ("STATE_BITS = 6", "STATE_BITS = 7", "the spec has 6 state, 2 action, 6 observation and 1 reward"),
+        ("STATE_BITS = 6", "STATE_BITS = 7", "the spec has 6 state, 2 action, 6 observation, 1 reward"),
         ("assign moved.row = from_q.row +", "assign moved.row = from_q.column +", "WIDTH"),
     ],
     ids=["syntax", "widths", "lint"],
@@ -362,6 +364,7 @@ def test_the_hash_sees_what_matters(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     layout = memory_map(SPEC, 7, 1, 32)
     model_build.library(SPEC, layout)
     model_build.library(SPEC, layout, traced=True)
+    model_build.library(SPEC, layout, pipelined=False)
     model_build.library(SPEC.with_options(is_slippery=True), layout)
     model_build.library(SPEC, memory_map(SPEC, 7, 1, 64))
     with monkeypatch.context() as patch:
@@ -369,4 +372,4 @@ def test_the_hash_sees_what_matters(tmp_path: Path, monkeypatch: pytest.MonkeyPa
         model_build.library(SPEC, layout)
     core(tmp_path, monkeypatch, "// First stage:", "// 1st stage:")
     model_build.library(SPEC, layout)
-    assert len(set(entries)) == len(entries) == 6
+    assert len(set(entries)) == len(entries) == 7

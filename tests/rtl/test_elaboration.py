@@ -61,6 +61,12 @@ def test_lint_is_clean_with_options(env: str, options: dict[str, Any]) -> None:
     lint(whole(spec, memory_map.memory_map(spec, 7, 4, 32)))
 
 
+@pytest.mark.parametrize("env", ["CliffWalking", "ShiftAdd"])
+def test_lint_is_clean_without_pipeline(env: str) -> None:
+    spec = spec_of(env, {})
+    lint(whole(spec, memory_map.memory_map(spec, 1000, 16, 64)), PIPELINED=0)
+
+
 @pytest.mark.parametrize(
     ("parameters", "sentence"),
     [
@@ -71,7 +77,7 @@ def test_lint_is_clean_with_options(env: str, options: dict[str, Any]) -> None:
         ({"DATA_WL": 0}, "powers of two from 32 to 1024"),
         ({"DATA_WL": 16}, "powers of two from 32 to 1024"),
         ({"DATA_WL": 96}, "powers of two from 32 to 1024"),
-        ({"OBS_BITS": 7}, "7 observation and 1 reward bits, the core 6, 2, 6 and 1"),
+        ({"OBS_BITS": 7}, "7 observation, 1 reward bits, the core 6, 2, 6, 1"),
         *(({f"{word}_BITS": 0}, "0 .* bits, the core 6") for word in ("STATE", "ACTION", "OBS", "REWARD")),
         ({"REWARDS_OFFSET": 35}, "offsets of the regions do not belong to"),
         ({"STATUS_OFFSET": 30}, "offsets of the regions do not belong to"),  # before the region it ends
