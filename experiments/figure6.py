@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import Any
 
-from pearl_marl.benchmark import Contender, contenders, measure
+import numpy as np
+
+from pearl_marl.actions import random_actions
+from pearl_marl.benchmark import Contender, UnavailableError, contenders, measure
 from pearl_marl.cli.common import duration, rate
-from pearl_marl.errors import ArgumentError
-from pearl_marl.latency import LINKS
+from pearl_marl.devices import Rtl
+from pearl_marl.errors import ArgumentError, DeviceError
+from pearl_marl.latency import LINKS, predict
+from pearl_marl.memory_map import memory_map
+from pearl_marl.parallel_env import parallel_env
 from pearl_marl.plan import Plan, plan
 from pearl_marl.registry import get_spec, names
 from pearl_marl.rendering import import_pyplot
@@ -105,7 +111,7 @@ def throughput(spec: EnvSpec, n: int, known: Iterable[Row], quick: bool, progres
     had = {(row["environment"], row["contender"], row["n_envs"]) for row in known}
     timed = [
         c
-        for c in [*contenders(spec, n), *simulated_without_pipeline(spec, n)]
+        for c in [*contenders(spec, n), simulated_without_pipeline(spec, n)]
         if (spec.name, c.name, c.n) not in had
         and (
             everything
@@ -176,20 +182,42 @@ def predicted(spec: EnvSpec, n: int) -> list[Row]:
                 "counts": f"{build}; two designs of half the slots, in turns",
             }
         )
-    return rows + predicted_without_pipeline(spec, chosen)
+    return [*rows, predicted_without_pipeline(spec, chosen)]
 
 
-def simulated_without_pipeline(spec: EnvSpec, n: int) -> list[Contender]:
-    """Return the simulated design without its pipeline: the seam for it, which has none yet."""
-    # SEAM: one Contender named SIMULATED_SERIAL whose `make` opens Rtl(1, data_wl, pipelined=False).
-    return []
+def simulated_without_pipeline(spec: EnvSpec, n: int) -> Contender:
+    """Return the simulated design in the paper's form without pipeline: one slot after the other."""
+
+    def make() -> Callable[[], Any]:
+        try:
+            env = parallel_env(
+                spec.name, n, device=Rtl(pe_num=1, pipelined=False), copy=False, **spec.options
+            )
+            env.reset_batch(seed=0)
+        except DeviceError as error:
+            raise UnavailableError(str(error).splitlines()[0]) from None
+        actions = random_actions(spec, np.random.default_rng(0), n)
+        return lambda: env.step_batch(actions)
+
+    counts = "the FPGA design with one PE and no overlap, under Verilator, by backdoor; one thread"
+    return Contender(SIMULATED_SERIAL, counts, n, make, ours=True)
 
 
-def predicted_without_pipeline(spec: EnvSpec, chosen: Plan) -> list[Row]:
-    """Return the prediction for the same design without its pipeline: the seam for it, which has none yet."""
-    # SEAM: one row of contender BOARD_SERIAL, kind "predicted", from predict(spec, memory_map(spec, n, 1,
-    # data_wl), LINK, chosen.host, CLOCK, pipelined=False).
-    return []
+def predicted_without_pipeline(spec: EnvSpec, chosen: Plan) -> Row:
+    """Predict the same form behind the same link: states go to it and come back with every step."""
+    layout = memory_map(spec, chosen.chosen.layout.n_envs, 1, chosen.chosen.layout.data_wl)
+    prediction = predict(spec, layout, LINK, chosen.host, CLOCK, pipelined=False)
+    build = f"1 PE, {layout.data_wl}-bit words, {CLOCK / 1e6:g} MHz, {LINK.name}"
+    return {
+        "kind": "predicted",
+        "environment": spec.name,
+        "contender": BOARD_SERIAL,
+        "ours": True,
+        "n_envs": layout.n_envs,
+        "steps_per_second": prediction.rate,
+        "microseconds_per_step": prediction.total * 1e6,
+        "counts": f"{build}; no overlap, states moved with every step; T1 and T7 measured here",
+    }
 
 
 def _over(row: Row, rows: list[Row], rival: str) -> float | None:
