@@ -94,19 +94,22 @@ def _measured(spec: EnvSpec, n: int, seconds: float) -> list[Row]:
             continue
         step()
         spent = energy.spend(step, seconds)
+        common: Row = {"environment": spec.name, "contender": contender.name, "n_envs": contender.n}
+        if not spent.joules:  # some virtual machines have counters that stand still
+            rows.append({**common, "kind": "missing", "counts": "not measured here: RAPL counts nothing"})
+            continue
         rows.append(
             {
+                **common,
                 "kind": "measured",
-                "environment": spec.name,
-                "contender": contender.name,
-                "n_envs": contender.n,
                 "steps_per_joule": spent.steps * contender.n / spent.joules,
                 "watts": spent.joules / spent.seconds,
                 "counts": f"RAPL of the whole processor for {seconds:g} s; {contender.counts}",
             }
         )
-    rates = {row["contender"]: row["steps_per_joule"] for row in rows}
-    for row in rows:
+    measured = select(rows, kind="measured")
+    rates = {row["contender"]: row["steps_per_joule"] for row in measured}
+    for row in measured:
         if row["contender"] == figure6.BATCH:
             for key, peer in (("over_envpool", figure6.ENVPOOL), ("over_vector_env", figure6.SYNC)):
                 row[key] = row["steps_per_joule"] / rates[peer] if peer in rates else None

@@ -116,12 +116,20 @@ def draw(rows: list[Row]) -> Any:
             points = [row for row in select(rows, environment=name) if row.get(key) is not None]
             style = {**LINES["predicted"], "linestyle": "-" if colours.index(colour) % 2 else "--"}
             n = [row["n_envs"] for row in points]
-            axes.plot(n, [row[key] for row in points], color=colour, label=name, markersize=5, **style)
+            axes.plot(
+                n,
+                [row[key] for row in points],
+                color=colour,
+                label=name,
+                markersize=5,
+                clip_on=False,
+                **style,
+            )
         values = [row[key] for row in rows if row.get(key) is not None]
         log_axis(axes, "x", [row["n_envs"] for row in rows if row.get(key) is not None], ticks=True)
         axes.set(xlabel="environments (log scale)", ylabel=f"{label} (log scale)")
         if key == "bram36":  # a small design has none
-            axes.set(yscale="symlog", ylim=(-0.1, 2 * max(1, *values)), ylabel="BRAM36 (log scale above 1)")
+            axes.set(yscale="symlog", ylim=(0, 2 * max(1, *values)), ylabel="BRAM36 (log scale above 1)")
         else:
             log_axis(axes, "y", values)
         axes.grid(alpha=0.3)

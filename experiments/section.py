@@ -86,7 +86,7 @@ def log_axis(axes: Any, which: str, values: Iterable[float], ticks: bool = False
     axes.set(**{f"{which}scale": "log"})
     if ticks:
         axis = axes.xaxis if which == "x" else axes.yaxis
-        axis.set_ticks(found, [f"{value:,}" for value in found], fontsize=8)
+        axis.set_ticks(found, [f"{value:,}" for value in found])
         axis.set_ticks([], minor=True)
     elif found:
         low, high = math.floor(math.log10(found[0])), math.ceil(math.log10(found[-1]))

@@ -11,11 +11,11 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from pearl_marl.experiments import energy, figure6, report
+from pearl_marl.experiments import energy, figure6, figure8, report
 from pearl_marl.experiments.section import KINDS, Row
 from typer.testing import CliRunner
 
-from pearl_marl.benchmark import contenders
+from pearl_marl.benchmark import Contender, contenders
 from pearl_marl.cli import app
 from pearl_marl.errors import ArgumentError, DeviceError
 from pearl_marl.registry import get_spec, names
@@ -248,6 +248,27 @@ def test_energy_is_that_of_all_packages(tmp_path: Path, monkeypatch: pytest.Monk
     assert spent.joules == pytest.approx(2.0 + 1.0)
     assert spent.steps >= 1
     assert spent.seconds > 0
+
+
+def test_figure_8_where_energy_is_counted(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Half as many joules are twice the steps per joule; counters that stand still are no measurement."""
+    joules = iter([1.0, 2.0, 0.0])
+    monkeypatch.setattr(energy, "unavailable", lambda: None)
+    monkeypatch.setattr(energy, "spend", lambda step, seconds: energy.Energy(next(joules), 0.5, 10))
+    monkeypatch.setattr(figure8, "contenders", lambda spec, n: STEPPED)
+    rows = figure8.collect(True, lambda items, total, label: iter(items))
+    ours, envpool, sync = (row for row in rows if row.get("n_envs"))
+    assert (ours["kind"], ours["steps_per_joule"], ours["watts"]) == ("measured", 10 * 100, 2.0)
+    assert (ours["over_envpool"], ours["over_vector_env"]) == (2.0, None)
+    assert envpool["steps_per_joule"] == 500
+    assert sync["kind"] == "missing"
+    assert len(figure8.draw(rows).axes) == 2
+
+
+STEPPED = [
+    Contender(name, "nothing", 100, lambda: lambda: None)
+    for name in (figure6.KERNEL, figure6.BATCH, figure6.ENVPOOL, figure6.SYNC)
+]
 
 
 def test_counters_that_cannot_be_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
