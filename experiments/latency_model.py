@@ -51,23 +51,25 @@ def main() -> None:
     lines = ["| environment | slots | PEs | word | a step | model | over AXI | model | off by |"]
     lines += ["| --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: |"]
     worst = 0.0
-    for env_id, n, pe_num, data_wl in track(CONFIGURATIONS, "measure", console=Console(stderr=True)):
+    rows = [(*size, True) for size in CONFIGURATIONS] + [(*size, False) for size in SERIAL]
+    for env_id, n, pe_num, data_wl, pipelined in track(rows, "measure", console=Console(stderr=True)):
         spec, layout = get_spec(env_id), memory_map(get_spec(env_id), n, pe_num, data_wl)
-        cycles, whole = measure(env_id, n, pe_num, data_wl)
-        predicted = axi_cycles(spec, layout)
+        cycles, whole = measure(env_id, n, pe_num, data_wl, pipelined)
+        predicted = axi_cycles(spec, layout, pipelined)
         error = predicted / whole - 1
         worst = max(worst, abs(error))
-        step = step_cycles(spec, layout) + draws_wait(spec, layout)
+        step = step_cycles(spec, layout, pipelined) + draws_wait(spec, layout)
         figures = (n, pe_num, data_wl, cycles, step, whole, predicted)
-        lines.append(f"| {env_id} | {' | '.join(f'{figure:,}' for figure in figures)} | {error:+.1%} |")
+        form = "" if pipelined else ", serial"
+        lines.append(f"| {env_id}{form} | {' | '.join(f'{figure:,}' for figure in figures)} | {error:+.1%} |")
     print("\n".join(lines))
     print(f"\nThe largest error is {worst:.1%}.")
 
 
-def measure(env_id: str, n: int, pe_num: int, data_wl: int) -> tuple[int, int]:
+def measure(env_id: str, n: int, pe_num: int, data_wl: int, pipelined: bool = True) -> tuple[int, int]:
     """Return the clock cycles of a step by the hardware's own count, and those of the whole step over AXI."""
     spec, rng = get_spec(env_id), np.random.default_rng(0)
-    device = Rtl(pe_num, data_wl, path="axi").open(BatchConfig(spec=spec, n_envs=n))
+    device = Rtl(pe_num, data_wl, path="axi", pipelined=pipelined).open(BatchConfig(spec=spec, n_envs=n))
     device.reset(seed=0)
     device.step(random_actions(spec, rng, n))  # which also writes the settings
     began = device.clock

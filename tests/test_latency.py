@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import json
 from pathlib import Path
 from typing import Any
@@ -33,6 +34,8 @@ from pearl_marl.memory_map import DATA_WIDTHS, memory_map
 from pearl_marl.synthesis import PARTS, Memory, Usage, modelled_bram36
 
 from .rtl.shift_add import SPEC as SHIFT_ADD
+
+pipeline = importlib.import_module("pearl_marl.experiments.pipeline")
 
 SPEC = get_spec("CliffWalking")
 
@@ -136,6 +139,35 @@ def test_a_prediction() -> None:
     assert step.total == pytest.approx(step.pack + step.write + step.device + step.read + step.unpack)
     assert step.rate == pytest.approx(43008 / step.total)
     assert step.bottleneck == "read"
+
+
+def test_a_prediction_without_the_pipeline() -> None:
+    layout, link = memory_map(SPEC, 43008, 1, 256), Link("mine", 20e-6, 2e9, 1e9, "")
+    step = predict(SPEC, layout, link, HOST, 100e6, pipelined=False)
+    # And states of 32,256 bytes each way.
+    assert step.write == pytest.approx(20e-6 + 43_040 / 2e9)
+    assert step.read == pytest.approx(20e-6 + 80_672 / 1e9)
+    assert step.compute == pytest.approx(43008 * 2 / 100e6)
+    assert step.device == pytest.approx(step_cycles(SPEC, layout, pipelined=False) / 100e6)
+    # c_r, c_c and c_w of a slot, as Eq. 2 has them; and a step's constant cycles.
+    assert 43008 * (1 + 2 + 1) <= step.device * 100e6 <= 43008 * (1 + 2 + 1) + 10
+    # The same on a port that is slower than the link.
+    fast = predict(SPEC, layout, Link("fast", 0.0, 1e12, 1e12, ""), HOST, 100e6, pipelined=False)
+    assert fast.write == pytest.approx((write_cycles(layout) + 1008 + 8 * 6) / 100e6)
+    assert fast.read == pytest.approx((read_cycles(layout) + 1008 + 8 * 5) / 100e6)
+
+
+def test_with_and_without_the_pipeline(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(pipeline, "measure_host", lambda spec, n: HOST)
+    found = pipeline.compare("CliffWalking")
+    assert (found.pipelined.n_envs, found.pipelined.pe_num, found.serial.pe_num) == (43008, 256, 1)
+    assert found.factor == pytest.approx(found.serial.total / found.pipelined.total)
+    assert 2.7 < found.factor < 13.5, "the paper's range"
+    spec = get_spec("Seaquest")
+    assert modelled_bram36(memory_map(spec, n := pipeline.fitting(spec, 16, 1024), 16, 1024)) <= 1030
+    assert modelled_bram36(memory_map(spec, n + 1024, 16, 1024)) > 1030
+    rate = pipeline.simulated_rate(SPEC, 70, 1, 32, 100e6, pipelined=False)
+    assert rate == pytest.approx(70 * 100e6 / 287), "docs/latency.md has it measured"
 
 
 def test_a_link_is_no_faster_than_the_port_behind_it() -> None:

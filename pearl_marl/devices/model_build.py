@@ -32,6 +32,8 @@ _CODE = Path(__file__).with_name("simulation.cpp")
 
 # --flatten gives every signal a name that does not depend on how Verilator would cut the design.
 _VERILATOR = ("-O3", "--flatten", "--x-assign", "fast", "--x-initial", "fast")
+# Signals of more than 256 bits would be left out otherwise.
+_TRACED = ("--trace", "--trace-max-width", "65536", "--public-flat-rw")
 # The library is loaded as one piece, and nobody replaces its functions: calls within it are direct.
 _FAST = "-O3 -march=native -fno-semantic-interposition"
 _MAKE = (f"OPT_FAST={_FAST}", "OPT_SLOW=-O0", "OPT_GLOBAL=-O1", "LDFLAGS=-shared")
@@ -61,7 +63,7 @@ def library(spec: EnvSpec, layout: MemoryMap, traced: bool = False, pipelined: b
     }
     arguments = [
         *_VERILATOR,
-        *(["--trace", "--public-flat-rw"] if traced else []),
+        *(_TRACED if traced else []),
         *(f"-G{name}={value}" for name, value in parameters.items()),
         *(f"+define+{name}={value}" for name, value in hardware.macros(spec).items()),
     ]

@@ -1,0 +1,152 @@
+"""How often registers of the simulated hardware change in a step: an activity, and no measure of power.
+
+Counted are the bits of all registers (flip-flops) of the design that change at a clock edge: pipeline,
+packers, counters, the AXI port and the output registers of the memories. Not counted are the clock, the
+reset, the cells of memories, and everything combinational. So figures compare builds of this design with
+each other, and nothing else: what a toggle costs depends on the wires behind it.
+
+A step is all of its clock cycles over the AXI port: the write of its random actions, itself, and the read of
+its results. Cycles in which a board waits for its host are not in it.
+
+``python experiments/activity.py`` prints the table of docs/simulation.md. It compiles a model for each row.
+"""
+
+from __future__ import annotations
+
+import re
+import tempfile
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import typer
+from rich.console import Console
+from rich.progress import track
+
+from pearl_marl import get_spec, hardware
+from pearl_marl.actions import random_actions
+from pearl_marl.devices import BatchConfig, Rtl
+
+CONFIGURATIONS = (
+    ("CliffWalking", 64, 4, 32),
+    ("CliffWalking", 256, 4, 32),
+    ("CliffWalking", 1024, 4, 32),
+    ("FrozenLake", 64, 4, 32),
+    ("Blackjack", 64, 4, 32),
+    ("CartPole", 64, 2, 32),
+)
+"""Environment, slots, processing elements, bits of a word."""
+
+STEPS, WARM_UP = 10, 3
+
+# simulation.cpp writes what an edge changed at this time, in the waveform's units.
+_PERIOD, _FIRST = 10, 10
+
+
+@dataclass(frozen=True, slots=True)
+class Activity:
+    """What was counted of a build, as means of :data:`STEPS` steps."""
+
+    environment: str
+    n_envs: int
+    pe_num: int
+    data_wl: int
+    registers: int
+    """Bits of registers in the simulated design; some of them never change."""
+    cycles: float
+    """Clock cycles of a step over AXI."""
+    toggles: float
+    """Changes of these bits in a step of all slots."""
+
+    @property
+    def toggles_per_slot(self) -> float:
+        """Of a step of one slot."""
+        return self.toggles / self.n_envs
+
+
+def measure(env_id: str, n_envs: int, pe_num: int, data_wl: int) -> Activity:
+    """Simulate a build and count.
+
+    Parameters
+    ----------
+    env_id, n_envs, pe_num, data_wl
+        The build. It takes random actions from a seed of its own, so the figures are the same every time.
+
+    Raises
+    ------
+    DeviceError
+        The model cannot be built.
+    """
+    spec, rng = get_spec(env_id), np.random.default_rng(0)
+    with tempfile.TemporaryDirectory(prefix="pearl_activity_") as folder:
+        waves = Path(folder) / "waves.vcd"
+        device = Rtl(pe_num, data_wl, path="axi", trace=waves).open(BatchConfig(spec=spec, n_envs=n_envs))
+        device.reset(seed=0)
+        began = 0
+        for step in range(WARM_UP + STEPS):
+            if step == WARM_UP:
+                began = device.clock
+            device.step(random_actions(spec, rng, n_envs))
+        cycles = device.clock - began
+        device.close()
+        core = hardware.core_path(spec).read_text()
+        # Some cores have registers as ports, which are not named as such.
+        ports = set(re.findall(r"^ +(\w+_o)(?:\.\w+)? <= ", core, re.MULTILINE))
+        registers, toggles = _count(waves, ports, _FIRST + _PERIOD * began)
+    return Activity(env_id, n_envs, pe_num, data_wl, registers, cycles / STEPS, toggles / STEPS)
+
+
+def _count(waves: Path, ports: set[str], after: int) -> tuple[int, int]:
+    """Return the bits of all registers in a waveform file, and their changes after a time.
+
+    A register is what is named ``_q``, and of the cores also ``ports``.
+    """
+    with waves.open() as file:
+        widths = dict(_registers(file, ports))
+        now = dict.fromkeys(widths, 0)
+        time = toggles = 0
+        for line in file:
+            if line[0] == "#":
+                time = int(line[1:])
+                continue
+            bits, _, code = line[1:-1].partition(" ") if line[0] == "b" else (line[0], "", line[1:-1])
+            if code in now:
+                value = int(bits, 2)
+                if time > after:
+                    toggles += (value ^ now[code]).bit_count()
+                now[code] = value
+    return sum(widths.values()), toggles
+
+
+def _registers(header: Iterator[str], ports: set[str]) -> Iterator[tuple[str, int]]:
+    """Yield code and width of every register that the header of a waveform file declares."""
+    scope = [""]
+    for line in header:
+        match line.split():
+            case ["$scope", _, name, _]:
+                scope.append(name)
+            case ["$upscope", _]:
+                scope.pop()
+            case ["$var", _, width, code, name, *_]:
+                stem = name.partition("[")[0]
+                if stem.endswith("_q") or (scope[-1] == "u_core" and stem in ports):
+                    yield code, int(width)
+            case ["$enddefinitions", *_]:
+                return
+
+
+def main() -> None:
+    """Count every configuration, and print a table in Markdown."""
+    lines = ["| environment | slots | PEs | word | register bits | cycles | toggles a step | a slot |"]
+    lines += ["| --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: |"]
+    for size in track(CONFIGURATIONS, "count", console=Console(stderr=True)):
+        found = measure(*size)
+        build = f"{found.environment} | {found.n_envs:,} | {found.pe_num} | {found.data_wl}"
+        counts = f"{found.registers:,} | {found.cycles:,.0f} | {found.toggles:,.0f}"
+        lines.append(f"| {build} | {counts} | {found.toggles_per_slot:,.1f} |")
+    print("\n".join(lines))
+
+
+if __name__ == "__main__":
+    typer.run(main)
