@@ -12,8 +12,7 @@ from pearl_marl.benchmark import Contender, UnavailableError, contenders, measur
 from pearl_marl.cli.common import duration, rate
 from pearl_marl.devices import Rtl
 from pearl_marl.errors import ArgumentError, DeviceError
-from pearl_marl.latency import LINKS, predict
-from pearl_marl.memory_map import memory_map
+from pearl_marl.latency import LINKS
 from pearl_marl.parallel_env import parallel_env
 from pearl_marl.plan import Plan, plan
 from pearl_marl.registry import get_spec, names
@@ -21,7 +20,7 @@ from pearl_marl.rendering import import_pyplot
 from pearl_marl.spec import EnvSpec
 from pearl_marl.synthesis import PARTS
 
-from . import paper
+from . import paper, pipeline
 from .section import (
     BLACK,
     BLUE,
@@ -91,6 +90,8 @@ def collect(quick: bool, progress: Progress) -> list[Row]:
         serial = {SIMULATED: SIMULATED_SERIAL, BOARD: BOARD_SERIAL}.get(row["contender"], "")
         rivals = {"over_envpool": ENVPOOL, "over_vector_env": SYNC, "over_no_pipeline": serial}
         row |= {key: _over(row, rows, rival) for key, rival in rivals.items()}
+    for name in list(pipeline.SIZES)[: 1 if quick else None]:
+        rows += compared(name)
     return rows + _quoted()
 
 
@@ -206,8 +207,8 @@ def simulated_without_pipeline(spec: EnvSpec, n: int) -> Contender:
 
 def predicted_without_pipeline(spec: EnvSpec, chosen: Plan) -> Row:
     """Predict the same form behind the same link: states go to it and come back with every step."""
-    layout = memory_map(spec, chosen.chosen.layout.n_envs, 1, chosen.chosen.layout.data_wl)
-    prediction = predict(spec, layout, LINK, chosen.host, CLOCK, pipelined=False)
+    layout = chosen.chosen.layout
+    prediction = pipeline.predicted(spec, layout.n_envs, 1, layout.data_wl, False, chosen.host)
     build = f"1 PE, {layout.data_wl}-bit words, {CLOCK / 1e6:g} MHz, {LINK.name}"
     return {
         "kind": "predicted",
@@ -219,6 +220,28 @@ def predicted_without_pipeline(spec: EnvSpec, chosen: Plan) -> Row:
         "microseconds_per_step": prediction.total * 1e6,
         "counts": f"{build}; no overlap, states moved with every step; T1 and T7 measured here",
     }
+
+
+def compared(name: str) -> list[Row]:
+    """Predict both forms in the processing elements and word of the paper, which compares them, too."""
+    found = pipeline.compare(name)
+    return [
+        {
+            "kind": "predicted",
+            "environment": name,
+            "contender": f"predicted in the paper's sizes, {form}",
+            "ours": True,
+            "n_envs": prediction.n_envs,
+            "steps_per_second": prediction.rate,
+            "microseconds_per_step": prediction.total * 1e6,
+            "over_no_pipeline": over,
+            "counts": f"{prediction.pe_num} PEs, {prediction.data_wl}-bit words, as many slots as fit",
+        }
+        for form, prediction, over in (
+            ("with pipeline", found.pipelined, found.factor),
+            ("without", found.serial, None),
+        )
+    ]
 
 
 def _over(row: Row, rows: list[Row], rival: str) -> float | None:
@@ -373,7 +396,8 @@ _README_ROWS = {
 
 def readme_table(data: dict[str, Any]) -> str:
     """Return the README's two tables in Markdown, of this section's data file."""
-    measured = [row for row in data["rows"] if row.get("ours") is not None and row.get("steps_per_second")]
+    kinds = ("measured", "simulated")
+    measured = [row for row in data["rows"] if row["kind"] in kinds and row.get("steps_per_second")]
     largest = max(row["n_envs"] for row in measured)
     lines = [
         f"{README_ENV}:",
