@@ -125,7 +125,7 @@ def _activity(progress: Progress) -> list[Row]:
             "contender": f"FPGA design, {found.pe_num} PEs, {found.data_wl}-bit words",
             "n_envs": found.n_envs,
             "toggles_per_step": found.toggles_per_slot,
-            "counts": f"changes of {found.registers:,} register bits, a slot's share of a step over AXI; no energy",
+            "counts": f"changes of {found.registers:,} register bits, a slot's share over AXI; no energy",
         }
         for found in (activity.measure(*size) for size in progress(sizes, len(sizes), "toggles"))
     ]
