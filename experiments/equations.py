@@ -50,9 +50,12 @@ def collect(quick: bool, progress: Progress) -> list[Row]:
     rows: list[Row] = []
     for name in progress(environments, len(environments), "T1 and T7"):
         rows += _host(get_spec(name), quick)
-    configurations = (QUICK_CONFIGURATION,) if quick else latency_model.CONFIGURATIONS
-    for configuration in progress(configurations, len(configurations), "clock cycles"):
-        rows += _simulated(*configuration)
+    builds = [(*size, True) for size in latency_model.CONFIGURATIONS]
+    builds += [(*size, False) for size in latency_model.SERIAL]
+    if quick:
+        builds = [(*QUICK_CONFIGURATION, True)]
+    for build in progress(builds, len(builds), "clock cycles"):
+        rows += _simulated(*build)
     for name in names():
         spec = get_spec(name)
         layouts = [memory_map(spec, *loop) for loop in LOOPS] if name == "CliffWalking" else []
@@ -116,12 +119,13 @@ def _host(spec: EnvSpec, quick: bool) -> list[Row]:
     return rows
 
 
-def _simulated(name: str, n: int, pe_num: int, data_wl: int) -> list[Row]:
+def _simulated(name: str, n: int, pe_num: int, data_wl: int, pipelined: bool) -> list[Row]:
     spec, layout = get_spec(name), memory_map(get_spec(name), n, pe_num, data_wl)
-    cycles, whole = latency_model.measure(name, n, pe_num, data_wl)
-    model = step_cycles(spec, layout) + draws_wait(spec, layout)
+    cycles, whole = latency_model.measure(name, n, pe_num, data_wl, pipelined)
+    model = step_cycles(spec, layout, pipelined) + draws_wait(spec, layout)
     common = {"environment": name, "n_envs": n, "pe_num": pe_num, "data_wl": data_wl}
-    step, port = "doorbell to last result", "with every transfer over AXI"
+    form = "" if pipelined else "; without pipeline"
+    step, port = f"doorbell to last result{form}", f"with every transfer over AXI{form}"
     return [
         {"kind": "simulated", "what": "a step", **common, "cycles": cycles, "counts": step},
         {"kind": "predicted", "what": "a step", **common, "cycles": model, "counts": step},
@@ -130,7 +134,7 @@ def _simulated(name: str, n: int, pe_num: int, data_wl: int) -> list[Row]:
             "kind": "predicted",
             "what": "over AXI",
             **common,
-            "cycles": axi_cycles(spec, layout),
+            "cycles": axi_cycles(spec, layout, pipelined),
             "counts": port,
         },
     ]

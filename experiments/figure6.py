@@ -2,20 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import Any
 
-from pearl_marl.benchmark import Contender, contenders, measure
+import numpy as np
+
+from pearl_marl.actions import random_actions
+from pearl_marl.benchmark import Contender, UnavailableError, contenders, measure
 from pearl_marl.cli.common import duration, rate
-from pearl_marl.errors import ArgumentError
+from pearl_marl.devices import Rtl
+from pearl_marl.errors import ArgumentError, DeviceError
 from pearl_marl.latency import LINKS
+from pearl_marl.parallel_env import parallel_env
 from pearl_marl.plan import Plan, plan
 from pearl_marl.registry import get_spec, names
 from pearl_marl.rendering import import_pyplot
 from pearl_marl.spec import EnvSpec
 from pearl_marl.synthesis import PARTS
 
-from . import paper
+from . import paper, pipeline
 from .section import (
     BLACK,
     BLUE,
@@ -85,6 +90,8 @@ def collect(quick: bool, progress: Progress) -> list[Row]:
         serial = {SIMULATED: SIMULATED_SERIAL, BOARD: BOARD_SERIAL}.get(row["contender"], "")
         rivals = {"over_envpool": ENVPOOL, "over_vector_env": SYNC, "over_no_pipeline": serial}
         row |= {key: _over(row, rows, rival) for key, rival in rivals.items()}
+    for name in list(pipeline.SIZES)[: 1 if quick else None]:
+        rows += compared(name)
     return rows + _quoted()
 
 
@@ -106,7 +113,7 @@ def throughput(spec: EnvSpec, n: int, known: Iterable[Row], quick: bool, progres
     had = {(row["environment"], row["contender"], row["n_envs"]) for row in known}
     timed = [
         c
-        for c in [*contenders(spec, n), *simulated_without_pipeline(spec, n)]
+        for c in [*contenders(spec, n), simulated_without_pipeline(spec, n)]
         if (spec.name, c.name, c.n) not in had
         and (
             everything
@@ -177,20 +184,64 @@ def predicted(spec: EnvSpec, n: int) -> list[Row]:
                 "counts": f"{build}; two designs of half the slots, in turns",
             }
         )
-    return rows + predicted_without_pipeline(spec, chosen)
+    return [*rows, predicted_without_pipeline(spec, chosen)]
 
 
-def simulated_without_pipeline(spec: EnvSpec, n: int) -> list[Contender]:
-    """Return the simulated design without its pipeline: the seam for it, which has none yet."""
-    # SEAM: one Contender named SIMULATED_SERIAL whose `make` opens Rtl(1, data_wl, pipelined=False).
-    return []
+def simulated_without_pipeline(spec: EnvSpec, n: int) -> Contender:
+    """Return the simulated design in the paper's form without pipeline: one slot after the other."""
+
+    def make() -> Callable[[], Any]:
+        try:
+            env = parallel_env(
+                spec.name, n, device=Rtl(pe_num=1, pipelined=False), copy=False, **spec.options
+            )
+            env.reset_batch(seed=0)
+        except DeviceError as error:
+            raise UnavailableError(str(error).splitlines()[0]) from None
+        actions = random_actions(spec, np.random.default_rng(0), n)
+        return lambda: env.step_batch(actions)
+
+    counts = "the FPGA design with one PE and no overlap, under Verilator, by backdoor; one thread"
+    return Contender(SIMULATED_SERIAL, counts, n, make, ours=True)
 
 
-def predicted_without_pipeline(spec: EnvSpec, chosen: Plan) -> list[Row]:
-    """Return the prediction for the same design without its pipeline: the seam for it, which has none yet."""
-    # SEAM: one row of contender BOARD_SERIAL, kind "predicted", from predict(spec, memory_map(spec, n, 1,
-    # data_wl), LINK, chosen.host, CLOCK, pipelined=False).
-    return []
+def predicted_without_pipeline(spec: EnvSpec, chosen: Plan) -> Row:
+    """Predict the same form behind the same link: states go to it and come back with every step."""
+    layout = chosen.chosen.layout
+    prediction = pipeline.predicted(spec, layout.n_envs, 1, layout.data_wl, False, chosen.host)
+    build = f"1 PE, {layout.data_wl}-bit words, {CLOCK / 1e6:g} MHz, {LINK.name}"
+    return {
+        "kind": "predicted",
+        "environment": spec.name,
+        "contender": BOARD_SERIAL,
+        "ours": True,
+        "n_envs": layout.n_envs,
+        "steps_per_second": prediction.rate,
+        "microseconds_per_step": prediction.total * 1e6,
+        "counts": f"{build}; no overlap, states moved with every step; T1 and T7 measured here",
+    }
+
+
+def compared(name: str) -> list[Row]:
+    """Predict both forms in the processing elements and word of the paper, which compares them, too."""
+    found = pipeline.compare(name)
+    return [
+        {
+            "kind": "predicted",
+            "environment": name,
+            "contender": f"predicted in the paper's sizes, {form}",
+            "ours": True,
+            "n_envs": prediction.n_envs,
+            "steps_per_second": prediction.rate,
+            "microseconds_per_step": prediction.total * 1e6,
+            "over_no_pipeline": over,
+            "counts": f"{prediction.pe_num} PEs, {prediction.data_wl}-bit words, as many slots as fit",
+        }
+        for form, prediction, over in (
+            ("with pipeline", found.pipelined, found.factor),
+            ("without", found.serial, None),
+        )
+    ]
 
 
 def _over(row: Row, rows: list[Row], rival: str) -> float | None:
@@ -345,7 +396,8 @@ _README_ROWS = {
 
 def readme_table(data: dict[str, Any]) -> str:
     """Return the README's two tables in Markdown, of this section's data file."""
-    measured = [row for row in data["rows"] if row.get("ours") is not None and row.get("steps_per_second")]
+    kinds = ("measured", "simulated")
+    measured = [row for row in data["rows"] if row["kind"] in kinds and row.get("steps_per_second")]
     largest = max(row["n_envs"] for row in measured)
     lines = [
         f"{README_ENV}:",

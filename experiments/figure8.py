@@ -9,7 +9,7 @@ from pearl_marl.registry import get_spec
 from pearl_marl.rendering import import_pyplot
 from pearl_marl.spec import EnvSpec
 
-from . import energy, figure6, paper
+from . import activity, energy, figure6, paper
 from .section import BLUE, HATCHES, ORANGE, WIDTH, Progress, Row, select
 
 TITLE = "Figure 8: energy"
@@ -27,7 +27,7 @@ COLUMNS = {
     "power_growth": "W grow by",
     "over_envpool": "over EnvPool",
     "over_vector_env": "over VectorEnv",
-    "toggles_per_step": "toggles a step",
+    "toggles_per_step": "toggles a slot's step",
     "counts": "what is counted, or from where",
 }
 SEEDS = (0,)
@@ -48,8 +48,8 @@ def collect(quick: bool, progress: Progress) -> list[Row]:
         chosen = environments[:1] if quick else environments
         for name in progress(chosen, len(chosen), "energy"):
             rows += _measured(get_spec(name), 1024 if quick else N_ENVS, seconds)
-    for name in environments:
-        rows += activity(get_spec(name), quick)
+    if not quick:  # a model each to compile
+        rows += _activity(progress)
     for name in environments:
         rows.append(
             {
@@ -116,12 +116,19 @@ def _measured(spec: EnvSpec, n: int, seconds: float) -> list[Row]:
     return rows
 
 
-def activity(spec: EnvSpec, quick: bool) -> list[Row]:
-    """Return toggles of the simulated design's signals: the seam for them, which yields no row yet."""
-    # SEAM: a row {"kind": "simulated", "environment": spec.name, "contender": "toggles, FPGA design",
-    # "n_envs": n, "toggles_per_step": toggles of one slot's step, "counts": ...}. With `quick` nothing that
-    # has a model to be compiled.
-    return []
+def _activity(progress: Progress) -> list[Row]:
+    sizes = activity.CONFIGURATIONS
+    return [
+        {
+            "kind": "simulated",
+            "environment": found.environment,
+            "contender": f"FPGA design, {found.pe_num} PEs, {found.data_wl}-bit words",
+            "n_envs": found.n_envs,
+            "toggles_per_step": found.toggles_per_slot,
+            "counts": f"changes of {found.registers:,} register bits, a slot's share over AXI; no energy",
+        }
+        for found in (activity.measure(*size) for size in progress(sizes, len(sizes), "toggles"))
+    ]
 
 
 def draw(rows: list[Row]) -> Any:

@@ -99,7 +99,10 @@ def test_quick(tmp_path: Path) -> None:
     assert kinds[figure6.BATCH] == "measured"
     assert kinds[figure6.SIMULATED] == "simulated"
     assert kinds[figure6.BOARD] == "predicted"
+    assert kinds[figure6.SIMULATED_SERIAL] == "simulated"
+    assert kinds[figure6.BOARD_SERIAL] == "predicted"
     assert kinds["the paper: EnvPool"] == "quoted"
+    assert all(row["over_no_pipeline"] > 1 for row in rows["figure6"] if row["contender"] == figure6.BOARD)
     assert {row["kind"] for row in rows["figure9"]} == {"predicted", "quoted"}
     cycles = {
         (row["what"], row["kind"]): row["cycles"] for row in rows["equations"] if row.get("pe_num") == 4
