@@ -1,4 +1,4 @@
-"""Many learners at once: 43,008 that learn alone, and populations that differ in rates or in what they want."""
+"""Many learners at once: 43,008 that learn alone, and populations that differ in rates or rewards."""
 
 from __future__ import annotations
 

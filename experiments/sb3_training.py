@@ -24,7 +24,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecNormalize
 from torch import nn
 
 import pearl_marl
-from pearl_marl.errors import ArgumentError
+from pearl_marl.errors import ArgumentError, PearlError
 from pearl_marl.evaluation import Evaluation
 from pearl_marl.registry import get_spec
 
@@ -234,7 +234,7 @@ def main(
 
         try:
             model, points = train(source, env_id, algo, n_agents, steps, seed, goal, every, show=show)
-        except pearl_marl.PearlError as error:
+        except PearlError as error:
             console.print(f"Error: {error}", highlight=False)
             raise typer.Exit(2) from None
     model.save(out)
