@@ -11,25 +11,24 @@ import numpy.typing as npt
 from pearl_marl.evaluation import Evaluation
 from pearl_marl.registry import get_spec
 from pearl_marl.rendering import import_pyplot
-from pearl_marl.spec import EnvSpec
 
 from .q_learning import QLearning, Settings
-from .section import BLUE, GREEN, ORANGE, WIDTH, Progress, Row, select
+from .section import BLUE, ORANGE, WIDTH, Progress, Row, log_axis, select
 
 TITLE = "Many learners at once"
 TEXT = (
-    "CliffWalking, Q-learning, one step of all 43,008 agents at a time. Rates: 32 learners of 1,344 agents "
-    "each, every one with a learning rate of its own. Rewards: 32 learners on slippery ground, for whom a "
-    "fall from the cliff costs from 1 to 300 and a step 1; the more it costs, the farther they keep away. "
-    "Alone: 43,008 learners, each with its own table and nobody's experience but its own. By best actions; "
-    "an episode of an evaluation ends after 1,000 steps."
+    "Q-learning, one step of all 43,008 agents at a time. Rates: CliffWalking, 32 learners of 1,344 agents "
+    "each, every one with a learning rate of its own. Alone: 43,008 learners, each with its own table and "
+    "nobody's experience but its own. Rewards: CliffWalking, 32 learners for whom a fall from the cliff is "
+    "worth from -10 to 10 and a step -1; as soon as falling costs nothing, they jump for ever. All by best "
+    "actions; an episode of an evaluation ends after 1,000 steps."
 )
 COLUMNS = {
     "part": "part",
     "n_agents": "agents",
     "learners": "learners",
     "rate": "learning rate",
-    "fall_costs": "a fall costs",
+    "fall_worth": "a fall is worth",
     "iterations": "steps of all",
     "falls": "falls an episode",
     "length": "steps an episode",
@@ -73,38 +72,31 @@ def _rates(n: int, quick: bool, progress: Progress) -> list[Row]:
 
 
 def _rewards(n: int, quick: bool, progress: Progress) -> list[Row]:
-    """Return how learners behave for whom falling from the cliff costs more or less."""
-    spec = get_spec("CliffWalking").with_options(is_slippery=True)
-    costs = np.geomspace(1, 300, POPULATION)
-    assert spec.rewards is not None
-    step, fall = spec.rewards
-    tables = np.stack([np.full(POPULATION, step), -costs], 1)
-    most = 300 if quick else 3000
-    settings = Settings(
-        n_agents=n, learners=POPULATION, iterations=most, rate=1.0, fading=0.05, epsilon=0.3, discount=0.99
-    )
+    """Return what learners do for whom falling from the cliff is worth less or more."""
+    spec = get_spec("CliffWalking")
+    worth = np.linspace(-10, 10, POPULATION)
+    step, fall = np.array(spec.rewards)
+    tables = np.stack([np.full(POPULATION, step), worth], 1)
+    settings = Settings(n_agents=n, learners=POPULATION, iterations=100 if quick else 600, discount=0.99)
     trainer = QLearning(spec, "native", settings, rewards=tables)
-    for _ in progress(_iterations(trainer), most, "reward tables"):
+    for _ in progress(_iterations(trainer), settings.iterations, "reward tables"):
         pass
-    each = 10 if quick else 500
-    evaluation = _evaluated(trainer, spec, each)
-    returns, lengths = (
-        values.reshape(POPULATION, each) for values in (evaluation.returns, evaluation.lengths)
-    )
-    falls = (returns - step * lengths) / (fall - step)
+    evaluation = _evaluated(trainer)
+    # By the environment's own rewards, from which falls can be told.
+    falls = (evaluation.returns - step * evaluation.lengths) / (fall - step)
     return [
         {
             "kind": "measured",
             "part": "rewards",
             "n_agents": n,
             "learners": POPULATION,
-            "fall_costs": float(cost),
-            "iterations": most,
-            "falls": float(mean_falls),
-            "length": float(length),
-            "counts": f"means of {each} episodes",
+            "fall_worth": float(value),
+            "iterations": settings.iterations,
+            "falls": float(falls_of_one),
+            "length": int(length),
+            "counts": "the one episode of its best actions: nothing in it is random",
         }
-        for cost, mean_falls, length in zip(costs, falls.mean(1), lengths.mean(1), strict=True)
+        for value, falls_of_one, length in zip(worth, falls, evaluation.lengths, strict=True)
     ]
 
 
@@ -140,12 +132,12 @@ def _trained(trainer: QLearning, every: int, progress: Progress, label: str) -> 
     """Train to the end; yield an evaluation, an episode a learner, now and then."""
     for done in progress(_iterations(trainer), trainer.settings.iterations, label):
         if done % every == 0:
-            yield _evaluated(trainer, trainer.policy.spec)
+            yield _evaluated(trainer)
 
 
-def _evaluated(trainer: QLearning, spec: EnvSpec, each: int = 1) -> Evaluation:
-    """Evaluate the best actions of all learners, some episodes of each, the first learner's first."""
-    evaluation = Evaluation(spec, trainer.policy.choose, trainer.settings.learners * each, seed=1)
+def _evaluated(trainer: QLearning) -> Evaluation:
+    """Evaluate the best actions of all learners, an episode each."""
+    evaluation = Evaluation(trainer.policy.spec, trainer.policy.choose, trainer.settings.learners, seed=1)
     for _ in evaluation.run():
         pass
     return evaluation
@@ -158,27 +150,21 @@ def draw(rows: list[Row]) -> Any:
 
     found = [row for row in select(rows, part="rates") if row["iterations"] is not None]
     left.plot(*_columns(found, "rate", "iterations"), "o-", color=BLUE, markersize=3)
+    log_axis(left, "y", [row["iterations"] for row in found])
     left.set(
         xscale="log",
-        yscale="log",
         xlabel="learning rate (log scale)",
         ylabel="steps of all agents (log scale)",
         title="until the shortest way is known",
     )
 
     wanted = select(rows, part="rewards")
-    middle.plot(*_columns(wanted, "fall_costs", "length"), "o-", color=GREEN, markersize=3, label="steps")
+    middle.plot(*_columns(wanted, "fall_worth", "falls"), "s-", color=ORANGE, markersize=3)
     middle.set(
-        xscale="log",
-        xlabel="what a fall costs (log scale)",
-        ylabel="steps an episode",
+        xlabel="what a fall is worth, a step is -1",
+        ylabel="falls in an episode",
         title="learners who want different things",
     )
-    other = middle.twinx()
-    other.plot(*_columns(wanted, "fall_costs", "falls"), "s--", color=ORANGE, markersize=3, label="falls")
-    other.set(ylabel="falls an episode")
-    lines = [*middle.get_lines(), *other.get_lines()]
-    middle.legend(lines, [line.get_label() for line in lines], fontsize=8, loc="center right")
 
     alone = select(rows, part="alone")
     right.plot(*_columns(alone, "iterations", "reached"), "o-", color=BLUE, markersize=3)
@@ -191,8 +177,7 @@ def draw(rows: list[Row]) -> Any:
     for axes in (left, middle, right):
         axes.grid(alpha=0.3)
         axes.title.set_fontsize(10)
-        axes.spines["top"].set_visible(False)
-    other.spines["top"].set_visible(False)
+        axes.spines[["top", "right"]].set_visible(False)
     return figure
 
 

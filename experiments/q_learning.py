@@ -97,7 +97,7 @@ class QLearning:
         self.statistics = EpisodeStatistics(n)
         self.rows = self.policy.rows(self.env.reset_batch(settings.seed))
         self.updates = np.zeros(self.policy.values.shape, np.int32)
-        self.evaluated = max(10_000, learners)
+        self.evaluated = max(2_000, learners)
         self.done = 0
 
     @property

@@ -237,6 +237,7 @@ def main(
         except PearlError as error:
             console.print(f"Error: {error}", highlight=False)
             raise typer.Exit(2) from None
+    out.parent.mkdir(parents=True, exist_ok=True)
     model.save(out)
     normalised = model.get_vec_normalize_env()
     if normalised is not None:

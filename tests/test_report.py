@@ -11,8 +11,8 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from pearl_marl.experiments import energy, figure6, figure8, report
-from pearl_marl.experiments.section import KINDS, Row
+from pearl_marl.experiments import energy, figure6, figure7, figure8, report
+from pearl_marl.experiments.section import KINDS, Row, select
 from typer.testing import CliRunner
 
 from pearl_marl.benchmark import Contender, contenders
@@ -72,7 +72,9 @@ def check(folder: Path, name: str, page: Page) -> dict[str, Any]:
         assert row["kind"] in KINDS
         for key, (text, behind) in zip(keys, cells, strict=True):
             value = row.get(key)
-            if isinstance(value, (int, float)):
+            if isinstance(value, bool):
+                assert text == ("yes" if value else "no")
+            elif isinstance(value, (int, float)):
                 assert float(behind or "nan") == value
                 assert number(text) == pytest.approx(value, rel=1e-3)
             else:
@@ -92,7 +94,7 @@ def test_quick(tmp_path: Path) -> None:
     rows = {name: check(tmp_path, name, page)["rows"] for name in report.SECTIONS}
     for link in page.links:
         assert (tmp_path / link).exists() if not link.startswith("#") else link[1:] in report.SECTIONS
-    for name in ("figure3", "equations", "figure6", "figure8", "figure9"):
+    for name in ("figure3", "equations", "figure6", "figure7", "figure8", "figure9", "goals", "population"):
         assert (tmp_path / f"{name}.png").stat().st_size > 10_000
 
     kinds = {row["contender"]: row["kind"] for row in rows["figure6"] if row.get("steps_per_second")}
@@ -114,6 +116,14 @@ def test_quick(tmp_path: Path) -> None:
     }
     assert bits["CliffWalking", "action"]["bits_after"] == 2
     assert bits["Seaquest", "observation"]["bits_before"] == 8000, "bools of 8 bits"
+    assert all(row["reached"] for row in rows["goals"])
+    (blackjack,) = select(rows["goals"], environment="Blackjack")
+    optimum = blackjack["wanted"] + 0.02
+    assert abs(blackjack["mean_return"] - optimum) < 3 * blackjack["ci95"], "nobody beats the optimal policy"
+    summaries = {row["contender"]: row for row in rows["figure7"] if row.get("what") == "median of 1"}
+    assert summaries[figure7.BATCHED]["reached"]
+    assert summaries[figure7.OURS]["common_seconds"] < summaries["SB3 on Gymnasium"]["common_seconds"]
+    assert select(rows["population"], part="alone")[-1]["reached"] == 1
     assert "| `step_batch` | 64 |" in (tmp_path / "readme_table.md").read_text()
 
     before = {path.name: path.read_bytes() for path in tmp_path.glob("*.json")}
