@@ -70,8 +70,10 @@ class EnvPoolVecEnv(VecEnv):
     """
 
     def __init__(self, name: str, n: int, seed: int) -> None:
-        import envpool
-
+        try:
+            import envpool
+        except ImportError:
+            raise ArgumentError("EnvPool is not installed: pip install 'pearl-marl[bench]'") from None
         self._envs = envpool.make(name, env_type="gymnasium", num_envs=n, seed=seed)
         super().__init__(n, self._envs.observation_space, self._envs.action_space)
         self._actions = np.zeros(n, self._envs.action_space.dtype)
