@@ -30,14 +30,15 @@ PRESETS: dict[tuple[str, str], dict[str, Any]] = {
         "learning_rate": 2e-3,
         "reward_scale": 0.03,
     },
+    # To come up for air is of no use until the air is gone: much entropy, and a long view.
     ("ppo", "Seaquest"): {
         "n_agents": 512,
-        "iterations": 300,
+        "iterations": 250,
         "minibatch": 1024,
         "learning_rate": 1e-3,
-        "discount": 0.99,
+        "discount": 0.995,
         "trace": 0.95,
-        "entropy": 0.01,
+        "entropy": 0.03,
         "width": 128,
     },
     # Rewards are random: entries have to become means of many targets.
