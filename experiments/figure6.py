@@ -87,7 +87,8 @@ def collect(quick: bool, progress: Progress) -> list[Row]:
             rows += throughput(spec, n, rows, quick, progress)
             rows += predicted(spec, n)
     for row in rows:
-        serial = {SIMULATED: SIMULATED_SERIAL, BOARD: BOARD_SERIAL}.get(row["contender"], "")
+        # How long Verilator takes for either form says nothing of hardware.
+        serial = BOARD_SERIAL if row["contender"] == BOARD else ""
         rivals = {"over_envpool": ENVPOOL, "over_vector_env": SYNC, "over_no_pipeline": serial}
         row |= {key: _over(row, rows, rival) for key, rival in rivals.items()}
     for name in list(pipeline.SIZES)[: 1 if quick else None]:
@@ -95,7 +96,14 @@ def collect(quick: bool, progress: Progress) -> list[Row]:
     return rows + _quoted()
 
 
-def throughput(spec: EnvSpec, n: int, known: Iterable[Row], quick: bool, progress: Progress) -> list[Row]:
+def throughput(
+    spec: EnvSpec,
+    n: int,
+    known: Iterable[Row],
+    quick: bool,
+    progress: Progress,
+    only: Iterable[str] | None = None,
+) -> list[Row]:
     """Time the contenders of ``pearl bench`` at one size, but for those that ``known`` has at theirs.
 
     Parameters
@@ -108,6 +116,8 @@ def throughput(spec: EnvSpec, n: int, known: Iterable[Row], quick: bool, progres
         One short round.
     progress
         Shows how far it is.
+    only
+        Names of contenders; all that suit the size, if not given.
     """
     everything = spec.name == README_ENV and n == SIZES[-1]
     had = {(row["environment"], row["contender"], row["n_envs"]) for row in known}
@@ -115,6 +125,7 @@ def throughput(spec: EnvSpec, n: int, known: Iterable[Row], quick: bool, progres
         c
         for c in [*contenders(spec, n), simulated_without_pipeline(spec, n)]
         if (spec.name, c.name, c.n) not in had
+        and (only is None or c.name in only)
         and (
             everything
             or c.name in (KERNEL, BATCH, *PEERS)

@@ -47,7 +47,7 @@ def collect(quick: bool, progress: Progress) -> list[Row]:
         seconds = 0.1 if quick else 5.0
         chosen = environments[:1] if quick else environments
         for name in progress(chosen, len(chosen), "energy"):
-            rows += _measured(get_spec(name), 1024 if quick else N_ENVS, seconds)
+            rows += measured(get_spec(name), 1024 if quick else N_ENVS, seconds)
     if not quick:  # a model each to compile
         rows += _activity(progress)
     for name in environments:
@@ -83,18 +83,20 @@ def collect(quick: bool, progress: Progress) -> list[Row]:
     return rows
 
 
-def _measured(spec: EnvSpec, n: int, seconds: float) -> list[Row]:
+def measured(spec: EnvSpec, n: int, seconds: float) -> list[Row]:
+    """Return steps per joule and watts of the contenders, each stepped for some seconds."""
     rows: list[Row] = []
     for contender in contenders(spec, n):
         if contender.name not in CONTENDERS:
             continue
+        common: Row = {"environment": spec.name, "contender": contender.name, "n_envs": contender.n}
         try:
             step = contender.make()
-        except UnavailableError:  # figure 6 says why
+        except UnavailableError as error:
+            rows.append({**common, "kind": "missing", "counts": str(error)})
             continue
         step()
         spent = energy.spend(step, seconds)
-        common: Row = {"environment": spec.name, "contender": contender.name, "n_envs": contender.n}
         if not spent.joules:  # some virtual machines have counters that stand still
             rows.append({**common, "kind": "missing", "counts": "not measured here: RAPL counts nothing"})
             continue
@@ -107,9 +109,9 @@ def _measured(spec: EnvSpec, n: int, seconds: float) -> list[Row]:
                 "counts": f"RAPL of the whole processor for {seconds:g} s; {contender.counts}",
             }
         )
-    measured = select(rows, kind="measured")
-    rates = {row["contender"]: row["steps_per_joule"] for row in measured}
-    for row in measured:
+    found = select(rows, kind="measured")
+    rates = {row["contender"]: row["steps_per_joule"] for row in found}
+    for row in found:
         if row["contender"] == figure6.BATCH:
             for key, peer in (("over_envpool", figure6.ENVPOOL), ("over_vector_env", figure6.SYNC)):
                 row[key] = row["steps_per_joule"] / rates[peer] if peer in rates else None

@@ -17,8 +17,8 @@ from .section import BLUE, ORANGE, WIDTH, Progress, Row, log_axis, select
 
 TITLE = "Many learners at once"
 TEXT = (
-    "Q-learning, one step of all 43,008 agents at a time. Rates: CliffWalking, 32 learners of 1,344 agents "
-    "each, every one with a learning rate of its own. Alone: 43,008 learners, each with its own table and "
+    "Q-learning, one step of all agents at a time. Rates: CliffWalking, 32 learners, each of as many agents "
+    "and with a learning rate of its own. Alone: as many learners as agents, each with its own table and "
     "nobody's experience but its own. Rewards: CliffWalking, 32 learners for whom a fall from the cliff is "
     "worth from -10 to 10 and a step -1; as soon as falling costs nothing, they jump for ever. All by best "
     "actions; an episode of an evaluation ends after 1,000 steps."

@@ -89,6 +89,13 @@ class QLearning:
         self.policy = Table(spec, learners)
         self.env = pearl_marl.parallel_env(spec.name, n, device=device, **spec.options)
         self.rewards = None if rewards is None else np.asarray(rewards, np.float32)
+        entries = len(spec.rewards or ())
+        for name, given, shape in (
+            ("rates", rates, (learners,)),
+            ("rewards", self.rewards, (learners, entries)),
+        ):
+            if given is not None and np.shape(given) != shape:
+                raise ArgumentError(f"{name} have the shape {np.shape(given)}; of {spec.name} it is {shape}")
         if self.rewards is not None:
             self.env.set_rewards(np.arange(self.rewards.shape[1], dtype=np.float32))
         self.learner = np.arange(n) * learners // n  # of every agent

@@ -13,6 +13,7 @@ import difflib
 import importlib
 import json
 import os
+import sys
 import time
 from collections.abc import Callable, Sequence
 from importlib import metadata, resources
@@ -107,8 +108,19 @@ def report(
 
 
 def load(name: str) -> Section:
-    """Return a section's module."""
-    return cast(Section, importlib.import_module(f"{__package__}.{name}"))
+    """Return a section's module.
+
+    Raises
+    ------
+    ArgumentError
+        A package that it needs is missing.
+    """
+    try:
+        return cast(Section, importlib.import_module(f"{__package__}.{name}"))
+    except ModuleNotFoundError as error:
+        raise ArgumentError(
+            f"it needs the Python package {error.name}: pip install 'pearl-marl[report]'"
+        ) from None
 
 
 def _make(folder: Path) -> None:
@@ -158,9 +170,9 @@ def _section(
         return Made(name, found)
     if path.exists():
         say(f"{name}: {path} is {'of a quick run' if found else 'damaged'}; measured again")
-    section = load(name)
     began = time.perf_counter()
     try:
+        section = load(name)
         rows = section.collect(quick, progress)
     except PearlError as error:
         say(f"{name}: not made: {error}")
@@ -172,7 +184,7 @@ def _section(
         "quick": quick,
         "date": datetime.datetime.now().astimezone().isoformat(timespec="seconds"),
         "seconds": round(seconds, 1),
-        "seeds": list(section.SEEDS),
+        "seeds": sorted({row["seed"] for row in rows if row.get("seed") is not None}) or list(section.SEEDS),
         "machine": _machine(),
         "rows": rows,
     }
@@ -183,6 +195,9 @@ def _section(
 
 def _machine() -> dict[str, Any]:
     facts = machine()
+    torch = sys.modules.get("torch")
+    if torch is not None:
+        facts["torch_threads"] = torch.get_num_threads()
     for package in _TOOLS:
         try:
             facts["versions"][package] = metadata.version(package)
@@ -193,7 +208,10 @@ def _machine() -> dict[str, Any]:
 
 def _entry(folder: Path, name: str, data: dict[str, Any] | None, problem: str | None) -> dict[str, Any]:
     """Write a section's table and picture, and return what the page says of it."""
-    section = load(name)
+    try:
+        section = load(name)
+    except ArgumentError as error:
+        return {"name": name, "title": name, "text": "", "data": None, "problem": str(error)}
     entry = {"name": name, "title": section.TITLE, "text": section.TEXT, "data": data, "problem": problem}
     if data is None:
         return entry

@@ -1,7 +1,7 @@
 """PPO and DQN of Stable-Baselines3 on this package's environments, and on the same ones of others.
 
-``python experiments/sb3_training.py CartPole --algo ppo --n-agents 256`` trains, and saves the model; that of
-PPO is one for ``pearl eval --policy``. ``--source envpool`` and ``--source gymnasium`` change nothing but who
+``python -m pearl_marl.experiments.sb3_training CartPole --algo ppo`` trains, and writes a folder;
+PPO's model in it is one for ``pearl eval --policy``. ``--source envpool`` and ``--source gymnasium`` change nothing but who
 steps the environments: this is the trainer of the paper's Figure 7.
 """
 
@@ -27,6 +27,8 @@ import pearl_marl
 from pearl_marl.errors import ArgumentError, PearlError
 from pearl_marl.evaluation import Evaluation
 from pearl_marl.registry import get_spec
+
+from .run_folder import RunFolder
 
 MODELS: dict[str, Any] = {"ppo": PPO, "dqn": DQN}
 
@@ -90,13 +92,13 @@ class EnvPoolVecEnv(VecEnv):
         """Step all; return observations, rewards, ends and infos."""
         obs, rewards, terminations, truncations, _ = self._envs.step(self._actions)
         ended = terminations | truncations
-        infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
+        infos: list[dict[str, Any]] = [{}] * self.num_envs
         slots = np.flatnonzero(ended)
         if slots.size:
             obs = obs.copy()
             for slot in slots:
-                infos[slot]["terminal_observation"] = obs[slot].copy()
-                infos[slot]["TimeLimit.truncated"] = bool(truncations[slot] and not terminations[slot])
+                cut = bool(truncations[slot] and not terminations[slot])
+                infos[slot] = {"terminal_observation": obs[slot].copy(), "TimeLimit.truncated": cut}
             obs[slots] = self._envs.reset(slots.astype(np.int32))[0]
         return obs, rewards.astype(np.float32), ended, infos
 
@@ -123,6 +125,8 @@ class EnvPoolVecEnv(VecEnv):
 
 def vec_env(source: str, env_id: str, n: int, seed: int) -> VecEnv:
     """Return ``n`` environments for Stable-Baselines3, stepped by one of :data:`SOURCES`."""
+    if source not in SOURCES:
+        raise ArgumentError(f"--source is {source!r}; possible are {', '.join(map(repr, SOURCES))}")
     oracle = get_spec(env_id).oracle
     if source == "pearl":
         env: VecEnv = pearl_marl.wrappers.sb3_vec_env(pearl_marl.parallel_env(env_id, n_agents=n))
@@ -132,12 +136,10 @@ def vec_env(source: str, env_id: str, n: int, seed: int) -> VecEnv:
         raise ArgumentError(f"--source {source} has no {env_id}")
     if source == "envpool":
         return EnvPoolVecEnv(oracle, n, seed)
-    if source == "gymnasium":
-        name: str = oracle
-        env = DummyVecEnv([lambda: gymnasium.make(name)] * n)
-        env.seed(seed)
-        return env
-    raise ArgumentError(f"--source is {source!r}; possible are {', '.join(map(repr, SOURCES))}")
+    name: str = oracle
+    env = DummyVecEnv([lambda: gymnasium.make(name)] * n)
+    env.seed(seed)
+    return env
 
 
 def mean_return(env_id: str, policy: Callable[[Any], Any]) -> float:
@@ -159,7 +161,9 @@ class Watch(BaseCallback):
         Of every evaluation: seconds of training, agent-steps, mean return.
     """
 
-    def __init__(self, env_id: str, goal: float, every: int, show: Callable[[int, float], None]) -> None:
+    def __init__(
+        self, env_id: str, goal: float | None, every: int, show: Callable[[int, float], None]
+    ) -> None:
         super().__init__()
         self.env_id, self.goal, self.every, self.show = env_id, goal, every, show
         self.points: list[tuple[float, int, float]] = []
@@ -170,7 +174,7 @@ class Watch(BaseCallback):
         self._next = self.every
 
     def _on_step(self) -> bool:
-        if self.num_timesteps < self._next:
+        if self.num_timesteps <= self._next:  # in the step after, the rollout has been learned from
             return True
         self._next += self.every
         stopped = time.perf_counter()
@@ -178,7 +182,7 @@ class Watch(BaseCallback):
         self.points.append((stopped - self._began - self._paused, self.num_timesteps, mean))
         self.show(self.num_timesteps, mean)
         self._paused += time.perf_counter() - stopped
-        return mean < self.goal
+        return self.goal is None or mean < self.goal
 
     def _best(self, obs: Any) -> Any:
         normalised = self.model.get_vec_normalize_env()
@@ -194,7 +198,7 @@ def train(
     n: int,
     steps: int,
     seed: int,
-    goal: float,
+    goal: float | None,
     every: int,
     settings: dict[str, Any] | None = None,
     show: Callable[[int, float], None] = lambda done, mean: None,
@@ -218,34 +222,43 @@ def main(
     algo: Annotated[str, typer.Option(help="`ppo` or `dqn`.")] = "ppo",
     n_agents: Annotated[int, typer.Option(help="How many.")] = 256,
     steps: Annotated[int, typer.Option(help="Agent-steps at most.")] = 1_000_000,
-    goal: Annotated[float, typer.Option(help="The mean return that ends the training.")] = float("inf"),
+    goal: Annotated[
+        float | None, typer.Option(help="The mean return that ends the training.", show_default="none")
+    ] = None,
     every: Annotated[int, typer.Option(help="Agent-steps between evaluations.")] = 20_000,
     seed: Annotated[int, typer.Option(help="Of the training.")] = 0,
     source: Annotated[str, typer.Option(help="Who steps: `pearl`, `envpool` or `gymnasium`.")] = "pearl",
-    out: Annotated[Path, typer.Option(help="The model's file.")] = Path("out/sb3_training.zip"),
+    out: Annotated[Path, typer.Option(help="The run's folder.")] = Path("out/sb3_training"),
 ) -> None:
-    """Train and save the model."""
+    """Train, and write model.zip, metrics and a learning curve; such a run cannot be gone on with."""
     if algo not in MODELS:
         raise typer.BadParameter(f"{algo!r}; possible are 'ppo' and 'dqn'", param_hint="--algo")
+    about = {"environment": env_id, "algorithm": algo, "n_agents": n_agents, "steps": steps, "goal": goal}
     columns = (BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TextColumn("{task.fields[note]}"))
-    with Progress(*columns, console=console) as bar:
-        task = bar.add_task(env_id, total=steps, note="")
+    try:
+        run = RunFolder(out, {**about, "every": every, "seed": seed, "source": source})
+        with Progress(*columns, console=console) as bar:
+            task = bar.add_task(env_id, total=steps, note="")
 
-        def show(done: int, mean: float) -> None:
-            bar.update(task, completed=min(done, steps), note=f"return {mean:.1f}")
+            def show(done: int, mean: float) -> None:
+                bar.update(task, completed=min(done, steps), note=f"return {mean:.1f}")
 
-        try:
             model, points = train(source, env_id, algo, n_agents, steps, seed, goal, every, show=show)
-        except PearlError as error:
-            console.print(f"Error: {error}", highlight=False)
-            raise typer.Exit(2) from None
-    out.parent.mkdir(parents=True, exist_ok=True)
-    model.save(out)
+    except PearlError as error:
+        console.print(f"Error: {error}", highlight=False)
+        raise typer.Exit(2) from None
+    for seconds, done, mean in points:
+        run.report(done, seconds=seconds, eval_return=mean)
+    run.write_metrics()
+    run.draw_curve(f"{env_id}: {algo} of Stable-Baselines3 on {source}, {n_agents:,} agents", goal)
+    model.save(out / "model.zip")
     normalised = model.get_vec_normalize_env()
     if normalised is not None:
-        normalised.save(str(out.with_suffix(".normalize.pkl")))
-    for seconds, done, mean in points[-1:]:
-        print(f"Mean return {mean:.1f} after {done:,} agent-steps, {seconds:.1f} s of training. Wrote {out}")
+        normalised.save(str(out / "normalize.pkl"))
+    if points:
+        seconds, done, mean = points[-1]
+        print(f"Mean return {mean:.1f} after {done:,} agent-steps, {seconds:.1f} s of training.")
+    print(f"Wrote {out}: model.zip, metrics.csv, learning_curve.png")
 
 
 if __name__ == "__main__":

@@ -8,7 +8,7 @@ from pearl_marl.memory_map import memory_map
 from pearl_marl.registry import get_spec
 from pearl_marl.synthesis import largest_fit, synthesise
 
-from . import energy, figure6, paper
+from . import energy, figure6, figure8, paper
 from .figure9 import BUILDS
 from .section import Progress, Row
 
@@ -35,7 +35,6 @@ def collect(quick: bool, progress: Progress) -> list[Row]:
     """Time the frameworks at the largest size; predict the board, and how many slots fit it."""
     spec = get_spec(ENV)
     n = figure6.QUICK_SIZES[-1] if quick else figure6.SIZES[-1]
-    timed = figure6.throughput(spec, n, (), quick, progress) + figure6.predicted(spec, n)
     shown = {
         figure6.SYNC: ("Gymnasium SyncVectorEnv", "CPU"),
         figure6.ENVPOOL: ("EnvPool", "CPU"),
@@ -43,6 +42,7 @@ def collect(quick: bool, progress: Progress) -> list[Row]:
         figure6.SIMULATED: ("this platform, simulated", "FPGA, by Verilator"),
         figure6.BOARD: ("this platform, predicted", "CPU + FPGA"),
     }
+    timed = figure6.throughput(spec, n, (), quick, progress, list(shown)) + figure6.predicted(spec, n)
     rows: list[Row] = []
     for row in timed:
         if row["contender"] in shown:
@@ -62,6 +62,11 @@ def collect(quick: bool, progress: Progress) -> list[Row]:
     missing = energy.unavailable()
     if missing is not None:
         rows.append({"kind": "missing", "framework": "steps/J of any of them", "counts": missing})
+    else:
+        rows += [
+            {**row, "framework": row["contender"], "platform": "CPU"}
+            for row in figure8.measured(spec, n, 0.1 if quick else 5.0)
+        ]
     rows += [
         {
             "kind": "quoted",

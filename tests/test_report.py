@@ -61,7 +61,9 @@ def check(folder: Path, name: str, page: Page) -> dict[str, Any]:
     data: dict[str, Any] = json.loads((folder / f"{name}.json").read_text())
     assert data["machine"]["processor"]
     assert data["machine"]["versions"]["pearl-marl"]
-    assert data["seeds"]
+    assert data["seeds"] == sorted({row["seed"] for row in data["rows"] if row.get("seed") is not None}) or [
+        0
+    ]
     assert data["date"] > "2020-01-01T00:00:00+00:00"
     columns = report.load(name).COLUMNS
     heading, *table = page.sections[name]
@@ -131,6 +133,18 @@ def test_quick(tmp_path: Path) -> None:
     assert again.exit_code == 0
     assert again.stderr.count(": kept, of ") == len(report.SECTIONS)
     assert {path.name: path.read_bytes() for path in tmp_path.glob("*.json")} == before
+
+
+def test_without_torch_the_rest_is_made(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in [name for name in sys.modules if name.startswith("pearl_marl.experiments.")]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, "torch", None)
+    only = ["--only", "goals", "--only", "table2"]
+    result = CliRunner().invoke(app, ["report", "--quick", "--out", str(tmp_path), *only])
+    assert result.exit_code == 1
+    assert "it needs the Python package torch: pip install 'pearl-marl[report]'" in result.output
+    assert json.loads((tmp_path / "table2.json").read_text())["rows"]
+    assert "the Python package torch" in (tmp_path / "index.html").read_text()
 
 
 # ---- The machinery, with sections of no work ----

@@ -49,11 +49,17 @@ def one_thread() -> Any:
 
 
 def run(
-    algorithm: str, env: str, folder: Path, goal: float | None = None, every: int | None = None, **given: Any
+    algorithm: str,
+    env: str,
+    folder: Path,
+    goal: float | None = None,
+    every: int | None = None,
+    evaluated: int = EVALUATED,
+    **given: Any,
 ) -> list[dict[str, Any]]:
     settings = training.settings_for(algorithm, env, given)
     rows: list[dict[str, Any]] = training.train(
-        env, {}, algorithm, settings, "native", folder, goal, every, evaluated=EVALUATED
+        env, {}, algorithm, settings, "native", folder, goal, every, evaluated=evaluated
     )
     return rows
 
@@ -66,7 +72,7 @@ def test_q_learning_finds_the_shortest_way_along_the_cliff(seed: int, tmp_path: 
 
 def test_every_agent_can_learn_for_itself(tmp_path: Path) -> None:
     given = {"n_agents": 200, "learners": 200, "rate": 1.0, "epsilon": 0.1, "iterations": 2500}
-    rows = run("q-learning", "CliffWalking", tmp_path, every=2500, **given)
+    rows = run("q-learning", "CliffWalking", tmp_path, every=2500, evaluated=200, **given)
     assert rows[-1]["eval_return"] == -13
     assert rows[-1]["eval_deviation"] == 0
     values = policy.load(tmp_path).values
@@ -86,6 +92,50 @@ def test_learners_differ_in_rates_and_in_what_they_want() -> None:
     assert not values[1].any()
     assert values[2].min() == 0
     assert values[2].max() > 0
+
+
+@pytest.mark.parametrize(("name", "shape"), [("rates", (3, 1)), ("rewards", (3, 3)), ("rewards", (2, 2))])
+def test_what_learners_differ_in_has_to_be_of_them_all(name: str, shape: tuple[int, int]) -> None:
+    settings = training.settings_for("q-learning", "CliffWalking", {"n_agents": 6, "learners": 3})
+    with pytest.raises(ArgumentError, match=rf"{name} have the shape \({shape[0]}, {shape[1]}\)"):
+        training.ALGORITHMS["q-learning"](
+            get_spec("CliffWalking"), "native", settings, **{name: np.zeros(shape)}
+        )
+
+
+def test_envpool_as_stable_baselines_wants_it() -> None:
+    pytest.importorskip("envpool")
+    sb3 = importlib.import_module("pearl_marl.experiments.sb3_training")
+    env = sb3.vec_env("envpool", "CartPole", 4, 0)
+    obs = env.reset()
+    ends = 0
+    for _ in range(60):
+        before = obs
+        obs, rewards, ended, infos = env.step(np.ones(4, np.int64))
+        assert (rewards == 1).all()
+        for i in range(4):
+            assert bool(infos[i]) == ended[i]
+            if ended[i]:
+                ends += 1
+                assert not infos[i]["TimeLimit.truncated"]
+                assert abs(infos[i]["terminal_observation"][2]) > 0.2, "the pole has fallen"
+                assert np.abs(obs[i]).max() <= 0.05, "and a new episode has begun"
+            else:
+                assert np.abs(obs[i] - before[i]).max() < 0.5, "nobody else is reset"
+    assert ends > 4
+    env.close()
+
+
+def test_envpool_says_when_it_was_only_the_time() -> None:
+    pytest.importorskip("envpool")
+    sb3 = importlib.import_module("pearl_marl.experiments.sb3_training")
+    env = sb3.vec_env("envpool", "CartPole", 2, 0)
+    obs = env.reset()
+    for t in range(500):
+        # Keeps the pole up: push where it leans and moves.
+        obs, _, ended, infos = env.step((3 * obs[:, 2] + obs[:, 3] + 0.1 * obs[:, 1] > 0).astype(np.int64))
+        assert ended.all() == (t == 499)
+    assert all(info["TimeLimit.truncated"] for info in infos)
 
 
 @pytest.mark.slow
