@@ -1,8 +1,8 @@
 """PPO and DQN of Stable-Baselines3 on this package's environments, and on the same ones of others.
 
-``python -m pearl_marl.experiments.sb3_training CartPole --algo ppo`` trains, and writes a folder;
-PPO's model in it is one for ``pearl eval --policy``. ``--source envpool`` and ``--source gymnasium`` change nothing but who
-steps the environments: this is the trainer of the paper's Figure 7.
+``python -m pearl_marl.experiments.sb3_training CartPole --algo ppo`` trains, and writes a folder; PPO's model
+in it is one for ``pearl eval --policy``. With ``--source envpool`` or ``--source gymnasium`` nothing changes
+but who steps the environments: this is the trainer of the paper's Figure 7.
 """
 
 from __future__ import annotations

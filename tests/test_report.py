@@ -61,9 +61,8 @@ def check(folder: Path, name: str, page: Page) -> dict[str, Any]:
     data: dict[str, Any] = json.loads((folder / f"{name}.json").read_text())
     assert data["machine"]["processor"]
     assert data["machine"]["versions"]["pearl-marl"]
-    assert data["seeds"] == sorted({row["seed"] for row in data["rows"] if row.get("seed") is not None}) or [
-        0
-    ]
+    seeds = {row["seed"] for row in data["rows"] if row.get("seed") is not None}
+    assert data["seeds"] == (sorted(seeds) or [0])
     assert data["date"] > "2020-01-01T00:00:00+00:00"
     columns = report.load(name).COLUMNS
     heading, *table = page.sections[name]
