@@ -61,7 +61,7 @@ SEEDS = (0,)
 
 SIZES = (64, 1024, 8192, 43008)
 QUICK_SIZES = (7, 64)
-LARGE_SIMULATION = 1024
+LARGE_SIMULATION = 64
 """Models of more slots are built of :data:`README_ENV` alone: others take long to compile."""
 README_ENV = "CliffWalking"
 """What the README's first table is about: everything of ``pearl bench`` is timed, at the largest size."""

@@ -39,15 +39,16 @@ SEEDS = (0,)
 SIZES = (1024, 8192, 43008)
 BUILDS = {
     "CliffWalking": (32, 128),
-    "FrozenLake": (32, 128),
-    "Taxi": (32, 128),
-    "Blackjack": (16, 256),
-    "CartPole": (4, 512),
-    "MountainCar": (4, 256),
-    "Pendulum": (4, 512),
-    "Seaquest": (2, 1024),
+    "FrozenLake": (8, 32),
+    "Taxi": (8, 32),
+    "Blackjack": (4, 64),
+    "CartPole": (1, 128),
+    "MountainCar": (1, 64),
+    "Pendulum": (1, 128),
+    "Seaquest": (1, 512),
 }
-"""Processing elements and bits of a word, which stay as they are while the slots grow."""
+"""Processing elements and bits of a word, which stay as they are while the slots grow. These are small
+builds: the fewer elements, which do not grow, the more of a design is what grows."""
 QUICK_SIZES, QUICK_BUILDS = (16, 64), {"CliffWalking": (4, 32)}
 
 

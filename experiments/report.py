@@ -221,7 +221,14 @@ def _entry(folder: Path, name: str, data: dict[str, Any] | None, problem: str | 
         writer = csv.DictWriter(file, keys)
         writer.writeheader()
         writer.writerows(rows)
-    figure = section.draw(rows)
+    try:
+        figure = section.draw(rows)
+    except KeyError as error:
+        return {
+            **entry,
+            "data": None,
+            "problem": f"{folder / name}.json has no {error}: an older version made it; delete it",
+        }
     picture = folder / f"{name}.png"
     if figure is None:
         picture.unlink(missing_ok=True)
