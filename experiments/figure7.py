@@ -75,10 +75,14 @@ STYLES = {
     LARGE: (GREEN, ":"),
 }
 
-LARGE_SETTINGS: dict[str, dict[str, Any]] = {
-    "ppo": {"n_agents": 4096, "depth": 8, "minibatch": 2048},
-    "dqn": {"n_agents": 4096, "memory": 50},
+OWN_SETTINGS: dict[str, dict[str, dict[str, Any]]] = {
+    BATCHED: {"ppo": {"n_agents": 256, "minibatch": 256, "iterations": 120}, "dqn": {}},
+    LARGE: {
+        "ppo": {"n_agents": 4096, "depth": 8, "minibatch": 2048},
+        "dqn": {"n_agents": 4096, "memory": 50},
+    },
 }
+"""Of the batched trainers, beyond those of ``pearl train``."""
 
 ZOO_SETTINGS: dict[str, Any] = {
     "n_steps": 32,
@@ -141,8 +145,7 @@ class Run(NamedTuple):
 
 def _train(task: Task, contender: str, seed: int) -> Run:
     if contender in (BATCHED, LARGE):
-        given = LARGE_SETTINGS[task.algorithm] if contender == LARGE else {}
-        return _batched(task, contender, seed, given)
+        return _batched(task, contender, seed, OWN_SETTINGS[contender][task.algorithm])
     n, settings, steps = task.n_agents, None, task.most
     if contender == ZOO:
         n, settings, steps = 8, ZOO_SETTINGS, ZOO_STEPS
@@ -278,8 +281,8 @@ def draw(rows: list[Row]) -> Any:
         axes.axhline(goals[task], color="grey", linestyle=":", linewidth=1)
         log_axis(axes, "x", seconds)
         axes.set(title=f"{task}, to {goals[task]:g}", xlabel="seconds of training (log scale)")
-        if goals[task] < 0:
-            axes.set(yscale="symlog")
+        if goals[task] < 0:  # with less than nothing on the axis, there is no room lost above
+            axes.set(yscale="symlog", ylim=(None, goals[task] / 2))
         axes.grid(alpha=0.3)
         axes.spines[["top", "right"]].set_visible(False)
     grid[0, 0].set(ylabel="mean return of 200 episodes")

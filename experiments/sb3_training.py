@@ -44,14 +44,14 @@ SETTINGS: dict[str, dict[str, Any]] = {
     "dqn": {
         "train_freq": 1,
         "gradient_steps": 4,
-        "batch_size": 512,
+        "batch_size": 256,
         "learning_rate": 2e-3,
         "learning_starts": 10_000,
         "buffer_size": 100_000,
         "exploration_fraction": 0.2,
         "exploration_final_eps": 0.02,
         "target_update_interval": 6400,
-        "policy_kwargs": {"net_arch": [128, 128], "activation_fn": nn.Tanh},
+        "policy_kwargs": {"net_arch": [64, 64], "activation_fn": nn.Tanh},
     },
 }
 """For batches of hundreds of agents; the same whoever steps them."""
