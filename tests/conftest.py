@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 from unittest import mock
 
@@ -12,6 +13,11 @@ import pytest
 
 # Rendering needs no screen in a test; SDL reads this when pygame starts it.
 os.environ.setdefault("SDL_VIDEODRIVER", "dummy")
+# Without a GPU, numba's simulator is one. Numba reads this when numba.cuda is imported, here and in the processes
+# that tests start.
+GPU = Path("/dev/nvidiactl").exists() or Path("/dev/dxg").exists()
+if not GPU:
+    os.environ.setdefault("NUMBA_ENABLE_CUDASIM", "1")
 
 import pearl_marl
 from pearl_marl import cli, registry

@@ -75,3 +75,11 @@ def make_device(device: str | Device) -> Device:
             "pearl_marl.devices"
         )
     return _BY_NAME[name]()
+
+
+def make_host_device(device: str | Device) -> Device:
+    """Do the same for whoever works on results with NumPy; refuse a device that keeps them as tensors."""
+    made = make_device(device)
+    if isinstance(made, Cuda) and made.results != "numpy":
+        raise ArgumentError("its results are needed on the host: give Cuda(results='numpy'), or 'cuda'")
+    return made

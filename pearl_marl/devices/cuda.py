@@ -117,6 +117,7 @@ class Cuda(Device):
     def _open(self, config: BatchConfig) -> None:
         self._gpu = available()
         self._torch = _torch() if self.results == "torch" else None
+        self._next_step = config.autoreset_mode is AutoresetMode.NEXT_STEP
         spec, n = config.spec, config.n_envs
         with _failures():
             _check_memory(self._gpu, config, self.results)
@@ -141,7 +142,6 @@ class Cuda(Device):
                 self._tensors = None if config.copy else self._in_tensors(self._block)
         self._streams: dict[int, Any] = {}
         self._uploaded: Array | None = None
-        self._next_step = config.autoreset_mode is AutoresetMode.NEXT_STEP
 
     def _reset(self, mask: Array | None) -> Array:
         self.synchronize()
