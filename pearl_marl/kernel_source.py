@@ -455,8 +455,10 @@ def _rows(spec: EnvSpec) -> str:
 
 
 def indented(lines: list[str]) -> list[str]:
+    """Return lines of source one level further in."""
     return [f"    {line}" for line in lines]
 
 
 def listed(pattern: str, numbers: range) -> str:
+    """Return names with commas between them: ``"s0, s1"`` for ``"s{}"`` and two numbers."""
     return ", ".join(pattern.format(k) for k in numbers)

@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from concurrent.futures import Future
 from contextlib import contextmanager
 from dataclasses import replace
+from importlib import import_module
 from importlib.util import find_spec
 from typing import Any, NamedTuple
 
@@ -19,7 +20,7 @@ from gymnasium.spaces import Box
 from gymnasium.vector import AutoresetMode
 
 from pearl_marl import slot_memory
-from pearl_marl.actions import limits, refusal
+from pearl_marl.actions import limits
 from pearl_marl.cuda_kernels import THREADS, compile_cuda_kernels, simulated
 from pearl_marl.devices.base import Device
 from pearl_marl.devices.batch import Array, BatchConfig, BatchStep
@@ -63,15 +64,16 @@ class Cuda(Device):
         Parameters
         ----------
         actions
-            Of shape ``(n, *action_space.shape)``. With ``results="torch"`` they may be on the GPU, a tensor or
-            anything with ``__cuda_array_interface__``, of any dtype of integers, or for a ``Box`` of numbers.
+            Of shape ``(n, *action_space.shape)``. With ``results="torch"`` they may be on the GPU, a tensor
+            or anything with ``__cuda_array_interface__``, of any dtype of integers, or for a ``Box`` of
+            numbers.
 
         Raises
         ------
         ActionError
             Actions on the host: names the first agent whose action is not in the action space, and no slot
-            has stepped. Actions on the GPU are checked there: the slot takes the least action instead, and the
-            next call that waits for the GPU raises (:meth:`synchronize`, :meth:`reset`, :meth:`state`,
+            has stepped. Actions on the GPU are checked there: the slot takes the least action instead, and
+            the next call that waits for the GPU raises (:meth:`synchronize`, :meth:`reset`, :meth:`state`,
             :meth:`snapshot`).
         OrderError
             Before the first reset, after ``close``, or between ``send`` and ``recv``.
@@ -109,9 +111,9 @@ class Cuda(Device):
             self._wrong.copy_to_device(np.array([NOTHING_REFUSED]))
         tick, slot = divmod(first, 1 << 32)
         raise ActionError(
-            f"agent_{self.config.first_slot + slot}: its action at step {tick}, which was on the GPU, is out of "
-            f"range; {limits(self.config.spec.action_space)}. The slot took the least one instead, and all since "
-            "follows from that"
+            f"agent_{self.config.first_slot + slot}: its action at step {tick}, which was on the GPU, is out "
+            f"of range; {limits(self.config.spec.action_space)}. The slot took the least one instead, and "
+            "all since follows from that"
         )
 
     def _open(self, config: BatchConfig) -> None:
@@ -159,7 +161,9 @@ class Cuda(Device):
         flags = self._gpu.to_device(flags, stream=self._stream())
         block = self._block if self._block is not None else self._new_block()
         place = (*self._seed, self._tick, self.config.first_slot)
-        self._launch(self._kernels.reset, self._memory, self._stored, flags, self._array(block), *place, again, n)
+        self._launch(
+            self._kernels.reset, self._memory, self._stored, flags, self._array(block), *place, again, n
+        )
         if self._torch is not None:
             return self._in_tensors(block).obs if self._tensors is None else self._tensors.obs
         memory, results = self._arrays.take_block()
@@ -241,7 +245,9 @@ class Cuda(Device):
     def _in_tensors(self, block: Any) -> BatchStep:
         layout = self._layout
         parts = zip(layout.pieces(block), layout.dtypes, layout.shapes, strict=True)
-        tensors = [piece.view(getattr(self._torch, str(dtype))).reshape(shape) for piece, dtype, shape in parts]
+        tensors = [
+            piece.view(getattr(self._torch, str(dtype))).reshape(shape) for piece, dtype, shape in parts
+        ]
         if self._next_step:
             tensors[4] = tensors[0]
         return BatchStep(*tensors)
@@ -262,13 +268,15 @@ class Cuda(Device):
         else:
             return None
         space, n = self.config.spec.action_space, self.config.n_envs
-        if tuple(array.shape) != (n, *(space.shape or ())):
-            raise refusal(actions, space, n, self.config.first_slot)
+        whole = (n, *(space.shape or ()))
+        if tuple(array.shape) != whole:
+            raise ActionError(
+                f"actions have shape {tuple(array.shape)}; {n} agents take {whole}: {limits(space)}"
+            )
         box = isinstance(space, Box)
         if array.dtype.kind not in ("iuf" if box else "iu"):
             raise ActionError(f"actions are {array.dtype}; {limits(space)}")
         return _OnGpu(array.reshape(n), box)
-
 
 
 def available() -> Any:
@@ -280,9 +288,10 @@ def available() -> Any:
         Says what is missing, and what to do.
     """
     if find_spec("numba_cuda") is None:
-        raise DeviceError("cuda: numba-cuda is not installed; install it with: pip install 'pearl-marl[cuda]'")
-    from numba import cuda
-
+        raise DeviceError(
+            "cuda: numba-cuda is not installed; install it with: pip install 'pearl-marl[cuda]'"
+        )
+    cuda: Any = import_module("numba.cuda")
     if simulated():
         return cuda
     if not cuda.is_available():
@@ -292,16 +301,21 @@ def available() -> Any:
                 "cuda: the GPU's compiler was not found; install it with: pip install 'pearl-marl[cuda]'"
             )
         raise DeviceError(
-            f"cuda: there is no GPU that programs can use ({' '.join(str(error).split())}); `nvidia-smi` has to "
-            "list one: install NVIDIA's driver, or take device='native'"
+            f"cuda: there is no GPU that programs can use ({' '.join(str(error).split())}); `nvidia-smi` has "
+            "to list one: install NVIDIA's driver, or take device='native'"
         )
-    driver, toolkit = cuda.cudadrv.driver.get_version(), cuda.runtime.get_version()
+    driver, toolkit = _versions(cuda)
     if driver < (toolkit[0], 0):
         raise DeviceError(
-            f"cuda: the driver is too old: it knows CUDA {driver[0]}.{driver[1]}, and the compiler here is that of "
-            f"CUDA {toolkit[0]}; update the driver, or pip install 'numba-cuda[cu{driver[0]}]'"
+            f"cuda: the driver is too old: it knows CUDA {driver[0]}.{driver[1]}, and the compiler here is "
+            f"that of CUDA {toolkit[0]}; update the driver, or pip install 'numba-cuda[cu{driver[0]}]'"
         )
     return cuda
+
+
+def _versions(gpu: Any) -> tuple[tuple[int, int], tuple[int, int]]:
+    """Return which CUDA the driver knows, and which one the compiler is of."""
+    return gpu.cudadrv.driver.get_version(), gpu.runtime.get_version()
 
 
 def memory_needed(config: BatchConfig, results: str = "numpy") -> int:
@@ -325,9 +339,9 @@ def _check_memory(gpu: Any, config: BatchConfig, results: str) -> None:
 
     fits = bisect_right(range(config.n_envs), free, key=takes) - 1
     raise DeviceError(
-        f"cuda: {config.n_envs:,} agents of {config.spec.name} take {needed / 2**30:,.2f} GiB of the GPU's memory, "
-        f"{needed / config.n_envs:,.0f} bytes each, and {free / 2**30:,.2f} of its {total / 2**30:,.2f} GiB are "
-        f"free; {max(fits, 0):,} agents fit"
+        f"cuda: {config.n_envs:,} agents of {config.spec.name} take {needed / 2**30:,.2f} GiB of the GPU's "
+        f"memory, {needed / config.n_envs:,.0f} bytes each, and {free / 2**30:,.2f} of its "
+        f"{total / 2**30:,.2f} GiB are free; {max(fits, 0):,} agents fit"
     )
 
 
@@ -341,13 +355,15 @@ def _grid(gpu: Any, n: int) -> tuple[int, int]:
 
 def _torch() -> Any:
     if find_spec("torch") is None:
-        raise DeviceError("cuda: results='torch' needs torch; install it with: pip install 'pearl-marl[train]'")
+        raise DeviceError(
+            "cuda: results='torch' needs torch; install it with: pip install 'pearl-marl[train]'"
+        )
     import torch
 
     if not (simulated() or torch.cuda.is_available()):
         raise DeviceError(
-            f"cuda: results='torch' needs a torch that can use the GPU, and torch {torch.__version__} cannot; "
-            "https://pytorch.org/get-started has one for your CUDA, or take results='numpy'"
+            f"cuda: results='torch' needs a torch that can use the GPU, and torch {torch.__version__} "
+            "cannot; https://pytorch.org/get-started has one for your CUDA, or take results='numpy'"
         )
     return torch
 

@@ -46,14 +46,15 @@ class TestToys(ContractSuite):
 
 @pytest.mark.usefixtures("toys")
 class TestSlowDevices(ContractSuite):
-    """The devices that compare. Above, every environment is compared with them.
+    """The devices that compare, with which every environment is compared above, and the GPU.
 
     What is left to show is that they are devices as the others are, and for that the toys, which have
-    one of everything, do as well as all environments.
+    one of everything, do as well as all environments. ``tests/devices/test_cuda.py`` holds the GPU against
+    the reference for every environment.
     """
 
     environments = ("CliffWalking", *(spec.name for spec in TOYS))
-    devices = ("reference", "lockstep")
+    devices = ("reference", "lockstep", "cuda")
 
 
 MADE: dict[str, Callable[[int], Device]] = {
