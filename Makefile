@@ -48,7 +48,7 @@ clean:
 # One stamp for each set of extras; asking for more adds to the same environment.
 $(VENV)/.render: EXTRAS := render
 $(VENV)/.rtl: EXTRAS := rtl
-$(VENV)/.dev: EXTRAS := render,train,bench,rtl,dev
+$(VENV)/.dev: EXTRAS := render,train,bench,rtl,cuda,dev
 $(VENV)/.render $(VENV)/.rtl $(VENV)/.dev: $(PACKAGE) | $(BIN)/python
 	@echo "Installing pearl-marl[$(EXTRAS)] into $(VENV) ..."
 	@$(BIN)/python -W ignore -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[$(EXTRAS)]'

@@ -124,7 +124,7 @@ class Cuda(Device):
         with _failures():
             _check_memory(self._gpu, config, self.results)
             self._kernels = compile_cuda_kernels(spec)
-            self._grid = _grid(self._gpu, n)
+            self._grid = grid(self._gpu, n)
             self._memory = self._gpu.to_device(slot_memory.allocate(spec, n))
             # Without stored initial states the kernels get the memory itself, and do not look.
             stored = config.initial_states == "stored"
@@ -345,7 +345,7 @@ def _check_memory(gpu: Any, config: BatchConfig, results: str) -> None:
     )
 
 
-def _grid(gpu: Any, n: int) -> tuple[int, int]:
+def grid(gpu: Any, n: int) -> tuple[int, int]:
     """Return the blocks and threads of a launch: a slot a thread, up to the threads that a GPU holds."""
     if simulated():  # a thread of Python's each, which are slow to start
         return 2, 2
