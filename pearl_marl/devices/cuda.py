@@ -347,8 +347,10 @@ def _check_memory(gpu: Any, config: BatchConfig, results: str) -> None:
 
 def grid(gpu: Any, n: int) -> tuple[int, int]:
     """Return the blocks and threads of a launch: a slot a thread, up to the threads that a GPU holds."""
-    if simulated():  # a thread of Python's each, which are slow to start
-        return 2, 2
+    if simulated():
+        # A thread is one of Python's, slow to start. And two of a block may get two arrays for the one that
+        # they are to share: the simulator looks for it and makes it without a lock.
+        return 2, 1
     processors = gpu.get_current_device().MULTIPROCESSOR_COUNT
     return min(-(-n // THREADS), processors * (RESIDENT_THREADS // THREADS)), THREADS
 

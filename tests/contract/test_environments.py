@@ -46,15 +46,25 @@ class TestToys(ContractSuite):
 
 @pytest.mark.usefixtures("toys")
 class TestSlowDevices(ContractSuite):
-    """The devices that compare, with which every environment is compared above, and the GPU.
+    """The devices that compare. Above, every environment is compared with them.
 
     What is left to show is that they are devices as the others are, and for that the toys, which have
-    one of everything, do as well as all environments. ``tests/devices/test_cuda.py`` holds the GPU against
-    the reference for every environment.
+    one of everything, do as well as all environments.
     """
 
     environments = ("CliffWalking", *(spec.name for spec in TOYS))
-    devices = ("reference", "lockstep", "cuda")
+    devices = ("reference", "lockstep")
+
+
+@pytest.mark.usefixtures("toys")
+class TestGpu(ContractSuite):
+    """A GPU, or where there is none the simulator, which is slow: one small environment that draws.
+
+    ``tests/devices/test_cuda.py`` holds every environment on it against the reference.
+    """
+
+    environments = ("Ladder",)
+    devices = ("cuda",)
 
 
 MADE: dict[str, Callable[[int], Device]] = {

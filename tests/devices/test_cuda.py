@@ -5,6 +5,7 @@ What runs on a real GPU only is marked ``gpu``; ``pytest -m gpu -rs`` runs it, o
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import sys
@@ -18,6 +19,7 @@ from gymnasium.vector import AutoresetMode
 import pearl_marl
 from pearl_marl import wrappers
 from pearl_marl.actions import random_actions
+from pearl_marl.benchmark import contenders, measure
 from pearl_marl.cuda_kernels import cuda_source
 from pearl_marl.devices import BatchConfig, Cuda, Lockstep, Native, Sharded, cuda
 from pearl_marl.errors import ActionError, ArgumentError, DeviceError
@@ -246,6 +248,25 @@ class TestUnavailable:
             pytest.raises(DeviceError, match=r"torch .* cannot; .*results='numpy'"),
         ):
             opened()
+
+
+def test_the_command_line_says_why_there_is_nothing_to_measure(pearl: Any) -> None:
+    rows = [c for c in contenders(pearl_marl.get_spec("CliffWalking"), 4) if "device='cuda'" in c.name]
+    assert len(rows) == 2, "kernel only, and what step_batch returns"
+    list(measure(rows, 1, 0.0))
+    for row in rows:
+        if cuda.simulated():
+            assert "its times mean nothing" in row.row()["unavailable"]
+        else:
+            assert row.row()["steps_per_second"] > 0
+    with mock.patch.object(cuda, "find_spec", return_value=None):
+        status, output, _ = pearl("doctor", "--json")
+    found = json.loads(output)["GPU"]
+    assert found == {
+        "ok": False,
+        "found": "numba-cuda is not installed",
+        "mend": "install it with: pip install 'pearl-marl[cuda]'",
+    }
 
 
 COMPILE = """
