@@ -6,6 +6,7 @@ for as tensors: then a step only queues its launch and returns, and nothing wait
 
 from __future__ import annotations
 
+import warnings
 from bisect import bisect_right
 from collections.abc import Iterator
 from concurrent.futures import Future
@@ -143,6 +144,7 @@ class Cuda(Device):
                 self._block = None if config.copy else self._new_block()
                 self._tensors = None if config.copy else self._in_tensors(self._block)
         self._streams: dict[int, Any] = {}
+        self._launches: dict[tuple[Any, Any], Any] = {}
         self._uploaded: Array | None = None
 
     def _reset(self, mask: Array | None) -> Array:
@@ -219,7 +221,13 @@ class Cuda(Device):
             self.__dict__.pop(name, None)
 
     def _launch(self, kernel: Any, *arguments: Any) -> None:
-        kernel[(*self._grid, self._stream())](*arguments)
+        stream = self._stream()
+        launch = self._launches.get((kernel, stream))
+        if launch is None:
+            with warnings.catch_warnings():  # numba's of small grids; a batch is as large as its user wants
+                warnings.filterwarnings("ignore", "Grid size")
+                launch = self._launches[kernel, stream] = kernel[(*self._grid, stream)]
+        launch(*arguments)
 
     def _stream(self) -> Any:
         """Return the stream of all that is queued here; what comes back to the host waits for it first."""

@@ -260,7 +260,7 @@ def test_the_command_line_says_why_there_is_nothing_to_measure(pearl: Any) -> No
         else:
             assert row.row()["steps_per_second"] > 0
     with mock.patch.object(cuda, "find_spec", return_value=None):
-        status, output, _ = pearl("doctor", "--json")
+        _, output, _ = pearl("doctor", "--json")
     found = json.loads(output)["GPU"]
     assert found == {
         "ok": False,
