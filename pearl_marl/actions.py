@@ -80,7 +80,7 @@ def refuse_first(agents: Iterable[str], actions: Iterable[Any], space: Discrete 
     pairs = list(zip(agents, actions, strict=True))
     agent, action = next((pair for pair in pairs if why_not(pair[1], space)), pairs[0])
     why = why_not(action, space) or "is of the wrong dtype"
-    return ActionError(f"{agent}: action {action!r} {why}; {_limits(space)}")
+    return ActionError(f"{agent}: action {action!r} {why}; {limits(space)}")
 
 
 def why_not(action: Any, space: Discrete | Box) -> str:
@@ -108,7 +108,7 @@ def refusal(actions: Any, space: Discrete | Box, n: int, first_slot: int = 0) ->
         shape = (len(actions),)
     whole = (n, *(space.shape or ()))
     if shape != whole:
-        wanted = f"{n} agents take {whole}: {_limits(space)}"
+        wanted = f"{n} agents take {whole}: {limits(space)}"
         return ActionError(f"actions have shape {shape}; {wanted}")
     return refuse_first((f"agent_{first_slot + i}" for i in range(n)), values, space)
 
@@ -133,7 +133,8 @@ def random_numbers(space: Discrete | Box, draws: npt.NDArray[np.uint32]) -> npt.
     return numbers
 
 
-def _limits(space: Discrete | Box) -> str:
+def limits(space: Discrete | Box) -> str:
+    """Return in words what a space takes."""
     if isinstance(space, Box):
         low, high = space.low[0], space.high[0]
         return f"{space} takes arrays of shape {space.shape} with numbers from {low} to {high}"

@@ -24,7 +24,8 @@ import numpy.typing as npt
 
 from pearl_marl import slot_memory
 from pearl_marl.actions import encode, random_actions
-from pearl_marl.devices import BatchConfig, Native, Rtl
+from pearl_marl.cuda_kernels import compile_cuda_kernels, simulated
+from pearl_marl.devices import BatchConfig, Cuda, Native, Rtl, cuda
 from pearl_marl.devices.base import padded_rewards
 from pearl_marl.errors import DeviceError
 from pearl_marl.kernels import compile_kernels
@@ -59,6 +60,8 @@ class Contender:
         Returns the function to time, which steps every slot once.
     ours
         Whether it is this package.
+    wait
+        Waits for what steps have only started.
     """
 
     name: str
@@ -66,6 +69,7 @@ class Contender:
     n: int
     make: Callable[[], Callable[[], Any]]
     ours: bool = False
+    wait: Callable[[], Any] = lambda: None
     unavailable: str | None = None
     seconds: list[float] = field(default_factory=list)
 
@@ -108,17 +112,19 @@ def measure(contenders: list[Contender], rounds: int, seconds: float) -> Iterato
             contender.unavailable = str(error)
             continue
         step()  # compilation and first use of memory
-        running.append((contender, step, max(1, round(seconds / _time(step, 1)))))
+        contender.wait()
+        running.append((contender, step, max(1, round(seconds / _time(step, 1, contender.wait)))))
     for _ in range(rounds):
         for contender, step, count in running:
             yield contender.name
-            contender.seconds.append(_time(step, count))
+            contender.seconds.append(_time(step, count, contender.wait))
 
 
-def _time(step: Callable[[], Any], count: int) -> float:
+def _time(step: Callable[[], Any], count: int, wait: Callable[[], Any]) -> float:
     began = time.perf_counter()
     for _ in range(count):
         step()
+    wait()
     return (time.perf_counter() - began) / count
 
 
@@ -144,7 +150,7 @@ def machine() -> dict[str, Any]:
 
 def contenders(spec: EnvSpec, n: int) -> list[Contender]:
     """Return this package at each of its levels, and its peers, for one environment."""
-    return [*_ours(spec, n), *_peers(spec, n)]
+    return [*_ours(spec, n), *_on_gpu(spec, n), *_peers(spec, n)]
 
 
 def _ours(spec: EnvSpec, n: int) -> list[Contender]:
@@ -222,6 +228,60 @@ def _ours(spec: EnvSpec, n: int) -> list[Contender]:
         ("(memory) filling the result arrays", "writing zeros over what a step returns: the floor", fill),
     ]
     return [Contender(name, counts, n, make, ours=True) for name, counts, make in rows]
+
+
+def _on_gpu(spec: EnvSpec, n: int) -> list[Contender]:
+    def gpu() -> Any:
+        try:
+            found = cuda.available()
+        except DeviceError as error:
+            raise UnavailableError(str(error)) from None
+        if simulated():
+            raise UnavailableError(
+                "cuda: numba's simulator stands in for a GPU here, and its times mean nothing"
+            )
+        return found
+
+    def kernel() -> Callable[[], Any]:
+        module = gpu()
+        advance = compile_cuda_kernels(spec).advance
+        memory = module.to_device(slot_memory.allocate(spec, n))
+        words = encode(
+            random_actions(spec, np.random.default_rng(0), n), spec, np.empty(n, spec.action.dtype)
+        )
+        actions = module.to_device(words)
+        table = module.to_device(
+            padded_rewards(spec, spec.rewards or ()) if spec.rewards else np.zeros(1, np.float32)
+        )
+        rewards, terminations = module.device_array(n, np.float32), module.device_array(n, np.uint8)
+        launch = advance[cuda.grid(module, n)]
+        return lambda: launch(memory, actions, table, rewards, terminations, n)
+
+    def tensors() -> Callable[[], Any]:
+        gpu()
+        try:
+            env = parallel_env(spec.name, n, device=Cuda(results="torch"), **spec.options)
+            env.reset_batch(seed=0)
+        except DeviceError as error:
+            raise UnavailableError(str(error)) from None
+        import torch
+
+        actions = torch.from_numpy(random_actions(spec, np.random.default_rng(0), n)).cuda()
+        return lambda: env.step_batch(actions)
+
+    def wait() -> None:
+        importlib.import_module("numba.cuda").synchronize()
+
+    what = "golden step and float32 rewards; no observations, no resets"
+    rows = [
+        ("kernel only, device='cuda'", what, kernel),
+        (
+            "step_batch, device='cuda'",
+            "all results, yours to keep, as tensors on the GPU; actions there",
+            tensors,
+        ),
+    ]
+    return [Contender(name, counts, n, make, ours=True, wait=wait) for name, counts, make in rows]
 
 
 def _peers(spec: EnvSpec, n: int) -> list[Contender]:

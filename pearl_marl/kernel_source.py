@@ -238,7 +238,7 @@ def kernel_source(spec: EnvSpec) -> str:
     def choose(sources: list[str]) -> list[str]:
         if _crowded(spec):  # a branch for each field takes long to compile, and few slots end
             stores = (f"S{k}[i] = np.{spec.state[k].dtype}(s{k})" for k in fields)
-            return ["for i in range(m):", "    if flag[i]:", *_indented(_indented([*sources, *stores]))]
+            return ["for i in range(m):", "    if flag[i]:", *indented(indented([*sources, *stores]))]
         return [
             "for i in range(m):",
             "    c = flag[i]",
@@ -253,7 +253,7 @@ def kernel_source(spec: EnvSpec) -> str:
         *(f"    {line}" for line in choose([f"s{k} = stored_{k}[b + i]" for k in fields])),
         "else:",
         *(f"    {line}" for line in draw(reset_draws)),
-        *(f"    {line}" for line in choose([f"{new_state} = initial({_list('draw_{}[i]', reset_draws)})"])),
+        *(f"    {line}" for line in choose([f"{new_state} = initial({listed('draw_{}[i]', reset_draws)})"])),
     ]
 
     rows = _rows(spec)
@@ -265,20 +265,13 @@ def kernel_source(spec: EnvSpec) -> str:
 
     def deliver(word: str) -> list[str]:
         if spec.unpack is not None:
-            words = (f"np.{f.dtype}({word.format(k)})" for k, f in enumerate(spec.observation))
-            return [f"unpack({', '.join(words)}, O[i])"]
-        dtype = spec.observation_dtype
-        lines = []
-        for k, f in enumerate(spec.observation):
-            scale = f" * np.{dtype}({2.0**-f.fraction!r})" if f.fraction else ""
-            value = f"np.{dtype}(np.{f.dtype}({word.format(k)})){scale}"
-            lines.append(f"{element('O', k)} = {value}")
-        return lines
+            return [f"unpack({', '.join(observation_words(spec, word))}, O[i])"]
+        return [f"{element('O', k)} = {value}" for k, value in enumerate(observation_values(spec, word))]
 
-    observe_slot = [f"{_list('o{}', observed)} = observe({state})", *deliver("o{}")]
-    observe = ["for i in range(m):", *_indented(observe_slot)]
+    observe_slot = [f"{listed('o{}', observed)} = observe({state})", *deliver("o{}")]
+    observe = ["for i in range(m):", *indented(observe_slot)]
     # For one slot, of those that ended.
-    observe_one = [f"{_list('o{}', observed)} = observe({new_state})", *deliver("o{}")]
+    observe_one = [f"{listed('o{}', observed)} = observe({new_state})", *deliver("o{}")]
     copy_one = [f"{element('F', k)} = {element('O', k)}" for k in observed]
     if spec.unpack is not None:
         copy_one = ["F[i, :] = O[i, :]"]
@@ -287,19 +280,19 @@ def kernel_source(spec: EnvSpec) -> str:
         *(f"    s{k} = stored_{k}[b + i]" for k in fields),
         "else:",
         *(f"    d{d} = draw(u32(slot_0 + i), key_a{d}, key_b{d})" for d in reset_draws),
-        f"    {new_state} = initial({_list('d{}', reset_draws)})",
+        f"    {new_state} = initial({listed('d{}', reset_draws)})",
     ]
     store_one = [*(f"S{k}[i] = np.{f.dtype}(s{k})" for k, f in enumerate(spec.state)), "E[i] = np.uint32(0)"]
     each = ["i = np.int64(ended_slots[j])", *copy_one, *start_one, *store_one, *observe_one]
-    restart = ["for j in range(count):", *_indented(each)]
+    restart = ["for j in range(count):", *indented(each)]
     few = block + 1
     if spec.unpack is None:
         # From about so many on, fewer where a start takes draws, SIMD code for all slots is faster. Not with
         # large observations, of which all would be made anew.
         few = block // (4 + 3 * spec.reset_draws)
         clear = ["for i in range(m):", "    E[i] = np.uint32(0) if flag[i] else E[i]"]
-        at_once = ["for i in range(m):", *_indented(copy_one), *start_over, *clear, *observe]
-        restart = [f"if count < {few}:", *_indented(restart), "else:", *_indented(at_once)]
+        at_once = ["for i in range(m):", *indented(copy_one), *start_over, *clear, *observe]
+        restart = [f"if count < {few}:", *indented(restart), "else:", *indented(at_once)]
 
     categories = 0 if spec.rewards is None else 1 << spec.reward.bits
     if not categories:
@@ -364,15 +357,33 @@ def kernel_source(spec: EnvSpec) -> str:
         "FINAL": rows.format("final_observations"),
         "BLOCK_ROWS": block_rows,
         "FEW": str(few),
-        "words": _list("words_{}", observed),
+        "words": listed("words_{}", observed),
     }
-    text = re.sub(r"\$([A-Z_]+|words)", lambda match: words[match[1]], TEMPLATE)
+    return filled(TEMPLATE, words, parts)
+
+
+def filled(template: str, words: dict[str, str], parts: dict[str, list[str]]) -> str:
+    """Return a template with ``$WORD`` replaced anywhere, and each line that is only ``$part`` by lines."""
+    text = re.sub(r"\$([A-Z_]+|words)", lambda match: words[match[1]], template)
     return re.sub(
         r"^( *)\$([a-z_]+)\n",
         lambda match: "".join(f"{match[1]}{line}\n" for line in parts[match[2]]),
         text,
         flags=re.MULTILINE,
     )
+
+
+def observation_words(spec: EnvSpec, word: str) -> list[str]:
+    """Return the words of one observation, in their fields' dtypes; ``word`` is a pattern of their names."""
+    return [f"np.{f.dtype}({word.format(k)})" for k, f in enumerate(spec.observation)]
+
+
+def observation_values(spec: EnvSpec, word: str) -> list[str]:
+    """Return the elements of one observation, where there is no ``unpack``."""
+    dtype = spec.observation_dtype
+    scales = (f" * np.{dtype}({2.0**-f.fraction!r})" if f.fraction else "" for f in spec.observation)
+    words = observation_words(spec, word)
+    return [f"np.{dtype}({word}){scale}" for word, scale in zip(words, scales, strict=True)]
 
 
 def _golden_step(spec: EnvSpec) -> list[str]:
@@ -386,7 +397,7 @@ def _golden_step(spec: EnvSpec) -> list[str]:
     names = [*(f"s{k}" for k in fields), "r", "t"]
 
     def loop(*lines: str) -> list[str]:
-        return ["for i in range(m):", *_indented(list(lines))]
+        return ["for i in range(m):", *indented(list(lines))]
 
     if not _crowded(spec):
         call = f"{', '.join(names)} = golden_step({', '.join(f'{name}[i]' for name, _ in sources)})"
@@ -443,9 +454,11 @@ def _rows(spec: EnvSpec) -> str:
     return rows
 
 
-def _indented(lines: list[str]) -> list[str]:
+def indented(lines: list[str]) -> list[str]:
+    """Return lines of source one level further in."""
     return [f"    {line}" for line in lines]
 
 
-def _list(pattern: str, numbers: range) -> str:
+def listed(pattern: str, numbers: range) -> str:
+    """Return names with commas between them: ``"s0, s1"`` for ``"s{}"`` and two numbers."""
     return ", ".join(pattern.format(k) for k in numbers)

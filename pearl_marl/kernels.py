@@ -13,7 +13,8 @@ import os
 import sys
 import tempfile
 import types
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -65,14 +66,19 @@ class Kernels(NamedTuple):
 def compile_kernels(spec: EnvSpec) -> Kernels:
     """Return the kernels of an environment; those in the cache are loaded at their first call."""
     source = kernel_source(spec)
-    digest = hashlib.sha256(source.encode())
-    for part in (numba.__version__, llvmlite.__version__, np.__version__, f"{_FORCE_INLINE=}"):
-        digest.update(part.encode())
-    for function in _functions(spec).values():
-        digest.update(_fingerprint(function))
-    name = f"{spec.name}_{digest.hexdigest()[:16]}"
+    versions = (numba.__version__, llvmlite.__version__, np.__version__, f"{_FORCE_INLINE=}")
+    name = kernel_name(spec, source, versions)
     if name not in _loaded:
-        _loaded[name] = _load(name, source, _functions(spec))
+        compiled: dict[types.FunctionType, Any] = {}
+        module, path = load(
+            name,
+            source,
+            kernel=numba.njit(nogil=True, cache=True, error_model="numpy"),
+            **{called: _compiled(function, compiled) for called, function in functions(spec).items()},
+        )
+        _loaded[name] = Kernels(
+            module.reset, module.step, module.deliver, module.results, module.advance, path
+        )
     return _loaded[name]
 
 
@@ -80,7 +86,7 @@ _loaded: dict[str, Kernels] = {}
 """By name, which is a hash of all that a kernel depends on."""
 
 
-def _functions(spec: EnvSpec) -> dict[str, GoldenFunction]:
+def functions(spec: EnvSpec) -> dict[str, GoldenFunction]:
     """Return the functions that a kernel's source calls, by the names it has for them."""
     initial, step, observe = spec.golden
     functions: dict[str, GoldenFunction] = {
@@ -93,44 +99,64 @@ def _functions(spec: EnvSpec) -> dict[str, GoldenFunction]:
     return functions if spec.unpack is None else {**functions, "unpack": spec.unpack}
 
 
-def _load(name: str, source: str, functions: dict[str, GoldenFunction]) -> Kernels:
+def kernel_name(spec: EnvSpec, source: str, versions: Iterable[str]) -> str:
+    """Return a name with a hash of all that a kernel depends on."""
+    digest = hashlib.sha256(source.encode())
+    for part in versions:
+        digest.update(part.encode())
+    for function in functions(spec).values():
+        digest.update(_fingerprint(function))
+    return f"{spec.name}_{digest.hexdigest()[:16]}"
+
+
+def load(name: str, source: str, **names: Any) -> tuple[Any, Path]:
+    """Return the module of a kernel's source, in which ``names`` are known, and its file in the cache."""
     path = cache_folder("kernels") / f"{name}.py"
     if not path.exists():
         # Written beside and renamed, so that another process never reads half a file.
         with tempfile.NamedTemporaryFile("w", dir=path.parent, suffix=".tmp", delete=False) as file:
             file.write(source)
         os.replace(file.name, path)
-    compiled: dict[types.FunctionType, Any] = {}
     # Numba's cache finds a function again by its module's name, so the module has to be a real one.
     module = types.ModuleType(f"pearl_marl_kernel_{name}")
     module.__file__ = str(path)
     sys.modules[module.__name__] = module
-    vars(module).update(
-        np=np,
-        u32=np.uint32,
-        kernel=numba.njit(nogil=True, cache=True, error_model="numpy"),
-        **{called: _compiled(function, compiled) for called, function in functions.items()},
-    )
+    vars(module).update(np=np, u32=np.uint32, **names)
     exec(compile(source, str(path), "exec"), vars(module))
-    return Kernels(module.reset, module.step, module.deliver, module.results, module.advance, path)
+    return module, path
 
 
 def _compiled(function: Any, done: dict[types.FunctionType, Any]) -> Any:
+    return with_callees(function, done, partial(numba.njit, forceinline=_FORCE_INLINE))
+
+
+def with_callees(
+    function: Any, done: dict[types.FunctionType, Any], jit: Callable[[types.FunctionType], Any]
+) -> Any:
     """Give a plain function to Numba, and with it every plain function that it calls.
 
     Numba compiles a callee only if that is one of its own. So the function is made again over
     names that stand for compiled callees, and golden functions need to know nothing of Numba.
+
+    Parameters
+    ----------
+    function
+        What is no plain function is returned as it is.
+    done
+        What has been made already, by function.
+    jit
+        Makes Numba's function of a plain one.
     """
     if not isinstance(function, types.FunctionType):
         return function
     if function not in done:
         code, named = function.__code__, function.__globals__
-        names = {name: _compiled(named[name], done) for name in code.co_names if name in named}
+        names = {name: with_callees(named[name], done, jit) for name in code.co_names if name in named}
         cells = tuple(
-            types.CellType(_compiled(cell.cell_contents, done)) for cell in function.__closure__ or ()
+            types.CellType(with_callees(cell.cell_contents, done, jit)) for cell in function.__closure__ or ()
         )
         again = types.FunctionType(code, {**named, **names}, code.co_name, function.__defaults__, cells)
-        done[function] = numba.njit(again, forceinline=_FORCE_INLINE)
+        done[function] = jit(again)
     return done[function]
 
 

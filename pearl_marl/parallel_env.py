@@ -17,6 +17,7 @@ from pettingzoo.utils.wrappers import OrderEnforcingWrapper
 
 from pearl_marl.actions import refuse_first, why_not
 from pearl_marl.devices import BatchConfig, BatchStep, Device, make_device
+from pearl_marl.devices.batch import on_host
 from pearl_marl.errors import ArgumentError, OrderError
 from pearl_marl.parallel_interface import ParallelInterface
 from pearl_marl.registry import get_spec
@@ -123,7 +124,7 @@ class PearlParallelEnv(ParallelInterface):
     def _stepped(self, result: BatchStep) -> BatchStep:
         """Take note of who leaves in a step, and show it."""
         if not self._autoreset:
-            leaving = result.ended & self._live
+            leaving = on_host(result.ended) & self._live
             if leaving.any():
                 self._set_live(self._live & ~leaving)
         if self.render_mode == "human":
@@ -249,8 +250,9 @@ class PearlParallelEnv(ParallelInterface):
 
     def _without_left(self, actions: npt.ArrayLike) -> npt.ArrayLike:
         """Return actions with a possible one where an agent has left: nobody looks at what was there."""
+        given: Any = actions
         try:
-            array = np.asarray(actions)
+            array = np.asarray(given.cpu() if hasattr(given, "cpu") else given)
         except ValueError:  # a ragged list, for the device to refuse
             return actions
         if (

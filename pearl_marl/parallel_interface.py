@@ -14,6 +14,7 @@ from gymnasium.spaces import Box, Discrete, Space
 from pearl_marl.actions import refuse_first
 from pearl_marl.agent_dict import AgentDict, ended_infos, observations_in, python_values
 from pearl_marl.devices import BatchStep
+from pearl_marl.devices.batch import on_host
 from pearl_marl.errors import ActionError
 
 Array = npt.NDArray[Any]
@@ -91,7 +92,7 @@ class ParallelInterface(pettingzoo.ParallelEnv):  # type: ignore[misc]
         -------
         Observations and infos, dicts by agent; the infos are empty.
         """
-        obs = self.reset_batch(seed)
+        obs = on_host(self.reset_batch(seed))
         nobody = np.zeros(len(obs), np.bool_)
         return (
             AgentDict(self._agents, obs, self._observations),
@@ -125,7 +126,7 @@ class ParallelInterface(pettingzoo.ParallelEnv):  # type: ignore[misc]
             if not agents and not actions:  # PettingZoo's convention, which SuperSuit's black_death needs
                 return {}, {}, {}, {}, {}
             given = self._action_array(actions)
-        result = self.step_batch(given)
+        result = self.step_batch(given).on_host()
         obs, rewards, terminations, truncations, final_obs = result
         ended = result.ended
         if not self._autoreset:

@@ -42,17 +42,21 @@ def columns(spec: EnvSpec) -> tuple[Column, ...]:
 
 def allocate(spec: EnvSpec, n: int) -> npt.NDArray[np.uint8]:
     """Return zeroed memory for ``n`` slots, aligned."""
+    return aligned_bytes(size(spec, n))
+
+
+def size(spec: EnvSpec, n: int) -> int:
+    """Return the bytes that ``n`` slots take."""
     last = columns(spec)[-1]
     padded = -(-n // ALIGNMENT) * ALIGNMENT
-    size = padded * (last.bytes_before + last.dtype.itemsize)
-    return aligned_bytes(size)
+    return padded * (last.bytes_before + last.dtype.itemsize)
 
 
-def aligned_bytes(size: int) -> npt.NDArray[np.uint8]:
+def aligned_bytes(count: int) -> npt.NDArray[np.uint8]:
     """Return zeroed bytes that begin on a cache line: stores that straddle two cost a kernel 15 %."""
-    whole = np.zeros(size + ALIGNMENT, np.uint8)
+    whole = np.zeros(count + ALIGNMENT, np.uint8)
     start = -whole.ctypes.data % ALIGNMENT
-    return whole[start : start + size]
+    return whole[start : start + count]
 
 
 def views(spec: EnvSpec, n: int, memory: npt.NDArray[np.uint8]) -> dict[str, npt.NDArray[Any]]:

@@ -13,6 +13,7 @@ from gymnasium.vector.utils import batch_space
 
 from pearl_marl.agent_dict import observations_in
 from pearl_marl.devices import BatchStep
+from pearl_marl.devices.batch import on_host
 from pearl_marl.errors import ArgumentError, OrderError
 
 Array = npt.NDArray[Any]
@@ -70,7 +71,7 @@ class VectorInterface(VectorEnv[Any, Any, Any]):
         mask = options.get("reset_mask")
         if mask is not None and not (mask := np.asarray(mask)).any():
             raise ArgumentError("reset_mask resets nothing: at least one element must be True")
-        obs = self.reset_batch(seed, mask)
+        obs = on_host(self.reset_batch(seed, mask))
         if seed is not None:
             self._np_random_seed = int(seed)
         if self._mode is AutoresetMode.DISABLED:
@@ -117,6 +118,7 @@ class VectorInterface(VectorEnv[Any, Any, Any]):
         self, result: BatchStep
     ) -> tuple[Array | tuple[Array, ...], Array, Array, Array, dict[str, Any]]:
         """Return a step's results as Gymnasium has them."""
+        result = result.on_host()
         obs, rewards, terminations, truncations, final_obs = result
         infos: dict[str, Any] = {}
         if self._mode is AutoresetMode.DISABLED:

@@ -12,6 +12,9 @@ import pytest
 
 # Rendering needs no screen in a test; SDL reads this when pygame starts it.
 os.environ.setdefault("SDL_VIDEODRIVER", "dummy")
+# Without a GPU, numba's simulator stands in for one. Numba reads this when numba.cuda is imported, here and
+# in the processes that tests start.
+os.environ.setdefault("NUMBA_ENABLE_CUDASIM", "0" if os.path.exists("/dev/nvidiactl") else "1")
 
 import pearl_marl
 from pearl_marl import cli, registry
@@ -21,6 +24,7 @@ from .toy import TOYS
 
 def pytest_configure(config: pytest.Config) -> None:
     config.addinivalue_line("markers", "slow: takes seconds or gigabytes; runs where --slow is given")
+    config.addinivalue_line("markers", "gpu: needs an NVIDIA GPU; skipped, and said so, where there is none")
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -28,6 +32,10 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    if os.environ["NUMBA_ENABLE_CUDASIM"] == "1":
+        for item in items:
+            if "gpu" in item.keywords:
+                item.add_marker(pytest.mark.skip(reason="no GPU here: not run on a real one, only simulated"))
     if not config.getoption("--slow"):
         for item in items:
             if "slow" in item.keywords:

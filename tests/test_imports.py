@@ -9,7 +9,16 @@ from typing import Any
 
 import pytest
 
-HEAVY = ("torch", "matplotlib", "pygame", "supersuit", "stable_baselines3", "tensorboard", "envpool")
+HEAVY = (
+    "torch",
+    "matplotlib",
+    "pygame",
+    "supersuit",
+    "stable_baselines3",
+    "tensorboard",
+    "envpool",
+    "numba.cuda",
+)
 
 SCRIPT = """
 import json, sys

@@ -16,7 +16,7 @@ from gymnasium.vector import AutoresetMode
 
 from pearl_marl import rng
 from pearl_marl.actions import refusal, refuse_first
-from pearl_marl.devices import BatchStep
+from pearl_marl.devices import BatchStep, make_host_device
 from pearl_marl.errors import ArgumentError, OrderError, SavedStateError
 from pearl_marl.parallel_interface import ParallelInterface
 from pearl_marl.vector_interface import VectorInterface
@@ -415,6 +415,8 @@ def wrap(env: Env, make: Callable[[Batch, Space[Any], Discrete | Box], Transform
     An environment of the same interface.
     """
     inside: Any = env
+    if isinstance(env, (ParallelInterface, VectorInterface)):
+        make_host_device(inside.unwrapped.device)  # a transform is NumPy's work
     if isinstance(env, ParallelInterface):
         return WrappedParallelEnv(inside, make(inside, inside._observation_space, inside._action_space))
     if isinstance(env, VectorInterface):

@@ -15,6 +15,7 @@ from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvStepReturn
 
 from pearl_marl import slot_memory
+from pearl_marl.devices import make_host_device
 from pearl_marl.errors import ArgumentError, OrderError
 from pearl_marl.parallel_interface import ParallelInterface
 from pearl_marl.vector_interface import VectorInterface
@@ -67,7 +68,7 @@ class PearlVecEnv(VecEnv):
         self.env = env
         self._show, observation_space = _observations_for_sb3(spaces[0])
         super().__init__(n, observation_space, spaces[1])
-        device = env.unwrapped.device
+        device = make_host_device(env.unwrapped.device)
         if not isinstance(staggered, bool):
             raise ArgumentError(f"staggered is {staggered!r}; it must be True or False")
         if staggered and not device.config.limit:

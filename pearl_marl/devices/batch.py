@@ -17,7 +17,7 @@ Array = npt.NDArray[Any]
 
 
 class BatchStep(NamedTuple):
-    """The results of one step, a row a slot.
+    """The results of one step, a row a slot: NumPy arrays, or tensors of a device that was asked for them.
 
     Parameters
     ----------
@@ -41,16 +41,28 @@ class BatchStep(NamedTuple):
     @property
     def ended(self) -> npt.NDArray[np.bool_]:
         """Which slots' episodes ended in this step, shape ``(n,)``."""
-        return np.logical_or(self.terminations, self.truncations)
+        return self.terminations | self.truncations
 
     def arrivals(self) -> Array:
         """Return where the step itself took every slot: ``final_obs`` where it ended, else ``obs``."""
+        if not isinstance(self.obs, np.ndarray):  # tensors; to ask which slots ended would wait for them
+            final: Any = self.final_obs
+            return final.where(self.ended.reshape(-1, *(1,) * (final.ndim - 1)), self.obs)
         slots = np.flatnonzero(self.ended)
         if not slots.size:
             return self.obs
         obs = self.obs.copy()  # few slots end in most steps
         obs[slots] = self.final_obs[slots]
         return obs
+
+    def on_host(self) -> BatchStep:
+        """Return the results as NumPy arrays: these, or copies of tensors."""
+        return BatchStep(*map(on_host, self))
+
+
+def on_host(array: Any) -> Array:
+    """Return a NumPy array: this one, or a copy of a tensor."""
+    return array if isinstance(array, np.ndarray) else array.cpu().numpy()
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -67,7 +67,7 @@ class Lockstep(Device):
             isinstance(state_every, bool) or not isinstance(state_every, int) or state_every < 1
         ):
             raise ArgumentError(f"state_every is {state_every!r}; it must be a positive integer or None")
-        self.device, self.reference = devices.make_device(device), devices.make_device(reference)
+        self.device, self.reference = devices.make_host_device(device), devices.make_host_device(reference)
         if self.device is self.reference:
             raise ArgumentError("a device is not its own reference: lockstep takes two")
         self.name = f"lockstep of {self.device.name} and {self.reference.name}"

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 from gymnasium.vector import AutoresetMode
 
 from pearl_marl.devices.batch import BatchConfig, BatchStep
@@ -15,26 +17,59 @@ MAX_SETS = 8
 """How many sets are kept for use again. Whoever holds on to more gets fresh memory for them."""
 
 
-class _Set:
-    """One allocation and the five arrays in it; knows whether anybody else refers to them."""
+class Layout:
+    """Where the five arrays of a step's results lie in one block of bytes, each from a cache line on.
+
+    Parameters
+    ----------
+    config
+        Says the shapes, and whether final observations have a place of their own: in NEXT_STEP mode the
+        observation of an ending step is the final one.
+
+    Attributes
+    ----------
+    shapes, dtypes
+        Of each array, in the order of :class:`BatchStep`.
+    starts
+        The first byte of each.
+    size
+        Bytes of them all, a multiple of :data:`ALIGNMENT`.
+    """
 
     def __init__(self, config: BatchConfig) -> None:
         n, spec = config.n_envs, config.spec
         observation: tuple[tuple[int, ...], Any] = (n, *spec.observation_shape), spec.observation_dtype
         pieces = [observation, ((n,), np.float32), ((n,), np.bool_), ((n,), np.bool_), observation]
-        lengths = [int(np.prod(shape)) * np.dtype(dtype).itemsize for shape, dtype in pieces]
-        starts = np.cumsum([0] + [-(-length // ALIGNMENT) * ALIGNMENT for length in lengths])
-        memory = aligned_bytes(int(starts[-1]))
-        arrays = [
-            memory[start : start + length].view(dtype).reshape(shape)
-            for (shape, dtype), start, length in zip(pieces, starts.tolist(), lengths, strict=False)
-        ]
+        self.shapes = [shape for shape, _ in pieces]
+        self.dtypes = [np.dtype(dtype) for _, dtype in pieces]
+        self.starts, self.size = [], 0
+        for shape, dtype in zip(self.shapes, self.dtypes, strict=True):
+            self.starts.append(self.size)
+            self.size += -(-math.prod(shape) * dtype.itemsize // ALIGNMENT) * ALIGNMENT
         if config.autoreset_mode is AutoresetMode.NEXT_STEP:
-            arrays[4] = arrays[0]  # the observation of an ending step is the final one
+            self.starts[4], self.size = self.starts[0], self.starts[4]
+
+    def pieces(self, memory: Any) -> list[Any]:
+        """Return the part of a block, of whatever kind, that belongs to each array."""
+        return [
+            memory[start : start + math.prod(shape) * dtype.itemsize]
+            for start, shape, dtype in zip(self.starts, self.shapes, self.dtypes, strict=True)
+        ]
+
+
+class _Set:
+    """One allocation and the five arrays in it; knows whether anybody else refers to them."""
+
+    def __init__(self, layout: Layout) -> None:
+        self.memory = aligned_bytes(layout.size)
+        parts = zip(layout.pieces(self.memory), layout.dtypes, layout.shapes, strict=True)
+        arrays = [piece.view(dtype).reshape(shape) for piece, dtype, shape in parts]
+        if layout.starts[4] == layout.starts[0]:
+            arrays[4] = arrays[0]
         self.arrays = BatchStep(*arrays)
         # NumPy lets a view of a view refer to what owns the memory, so the owner tells of all of them.
-        self._owner = memory.base
-        del memory, arrays
+        self._owner = self.memory.base
+        del arrays, parts
         self._references_unshared = self._references()
 
     def _references(self) -> tuple[int, ...]:
@@ -59,18 +94,28 @@ class ResultArrays:
     """
 
     def __init__(self, config: BatchConfig) -> None:
-        self._config = config
-        self._sets = [_Set(config)]
+        self.layout = Layout(config)
+        self._copy = config.copy
+        self._sets = [_Set(self.layout)]
 
     def take(self) -> BatchStep:
         """Return arrays to write the next results into; their content is of no meaning."""
-        if not self._config.copy:
-            return self._sets[0].arrays
+        results = self._next()
+        return BatchStep(*results.arrays) if self._copy else results.arrays
+
+    def take_block(self) -> tuple[npt.NDArray[np.uint8], BatchStep]:
+        """Do the same; return also the bytes that the arrays lie in, as :attr:`layout` has them."""
+        results = self._next()
+        return results.memory, BatchStep(*results.arrays) if self._copy else results.arrays
+
+    def _next(self) -> _Set:
+        if not self._copy:
+            return self._sets[0]
         for results in self._sets:
             if not results.shared():
                 break
         else:
-            results = _Set(self._config)
+            results = _Set(self.layout)
             if len(self._sets) < MAX_SETS:
                 self._sets.append(results)
-        return BatchStep(*results.arrays)
+        return results

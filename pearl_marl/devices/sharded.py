@@ -58,7 +58,7 @@ class Sharded(Recoverable):
         super().__init__(checkpoint_every)
         if isinstance(parts, (str, Device)) or not len(parts):
             raise ArgumentError(f"parts is {parts!r}; it must be a list of at least one device")
-        self.parts = [devices.make_device(part) for part in parts]
+        self.parts = [devices.make_host_device(part) for part in parts]
         if len(set(map(id, self.parts))) < len(self.parts):
             raise ArgumentError("the same device is among the parts twice; each takes up one share of slots")
         if sizes is not None and (len(sizes) != len(self.parts) or min(sizes) < 1):

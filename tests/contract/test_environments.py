@@ -56,6 +56,17 @@ class TestSlowDevices(ContractSuite):
     devices = ("reference", "lockstep")
 
 
+@pytest.mark.usefixtures("toys")
+class TestGpu(ContractSuite):
+    """A GPU, or where there is none the simulator, which is slow: one small environment that draws.
+
+    ``tests/devices/test_cuda.py`` holds every environment on it against the reference.
+    """
+
+    environments = ("Ladder",)
+    devices = ("cuda",)
+
+
 MADE: dict[str, Callable[[int], Device]] = {
     "xdma": lambda n: OwnBoard(3 if n > HALF else 1),
     "sharded": lambda n: Sharded(["native", "native"] if n > 1 else ["native"]),

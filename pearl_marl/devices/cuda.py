@@ -1,0 +1,398 @@
+"""A GPU as a device: the golden step compiled by numba-cuda, one launch a step.
+
+The slots stay on the GPU, in the columns of :mod:`pearl_marl.slot_memory`. So do results, if they are asked
+for as tensors: then a step only queues its launch and returns, and nothing waits for the GPU.
+"""
+
+from __future__ import annotations
+
+import warnings
+from bisect import bisect_right
+from collections.abc import Iterator
+from concurrent.futures import Future
+from contextlib import contextmanager
+from dataclasses import replace
+from importlib import import_module
+from importlib.util import find_spec
+from typing import Any, NamedTuple
+
+import numpy as np
+from gymnasium.spaces import Box
+from gymnasium.vector import AutoresetMode
+
+from pearl_marl import slot_memory
+from pearl_marl.actions import limits
+from pearl_marl.cuda_kernels import THREADS, compile_cuda_kernels, simulated
+from pearl_marl.devices.base import Device
+from pearl_marl.devices.batch import Array, BatchConfig, BatchStep
+from pearl_marl.devices.results import Layout, ResultArrays
+from pearl_marl.errors import ActionError, ArgumentError, DeviceError
+
+RESIDENT_THREADS = 2048
+"""Threads that a processor of a GPU holds at most. More are not started: each takes slot after slot."""
+
+NOTHING_REFUSED = (1 << 63) - 1
+
+
+class _OnGpu(NamedTuple):
+    """Actions on the GPU as a kernel takes them, and whether they are numbers rather than words."""
+
+    array: Any
+    numbers: bool
+
+
+class Cuda(Device):
+    """An NVIDIA GPU.
+
+    Parameters
+    ----------
+    results
+        ``"numpy"``: results are copied to the host, as those of any other device. ``"torch"``: they are
+        tensors on the GPU, and so may actions be. Nothing waits for the GPU then, an action out of
+        range is reported late: see :meth:`step`.
+    """
+
+    name = "cuda"
+
+    def __init__(self, results: str = "numpy") -> None:
+        if results not in ("numpy", "torch"):
+            raise ArgumentError(f"results is {results!r}; possible are 'numpy' and 'torch'")
+        self.results = results
+
+    def step(self, actions: Any) -> BatchStep:
+        """Step every slot once.
+
+        Parameters
+        ----------
+        actions
+            Of shape ``(n, *action_space.shape)``. With ``results="torch"`` they may be on the GPU, a tensor
+            or anything with ``__cuda_array_interface__``, of any dtype of integers, or for a ``Box`` of
+            numbers.
+
+        Raises
+        ------
+        ActionError
+            Actions on the host: names the first agent whose action is not in the action space, and no slot
+            has stepped. Actions on the GPU are checked there: the slot takes the least action instead, and
+            the next call that waits for the GPU raises (:meth:`synchronize`, :meth:`reset`, :meth:`state`,
+            :meth:`snapshot`).
+        OrderError
+            Before the first reset, after ``close``, or between ``send`` and ``recv``.
+        """
+        self._check_idle("step", ready=True)
+        given = self._on_gpu(actions)
+        return super().step(actions) if given is None else self.step_words(given)  # type: ignore[arg-type]
+
+    def send(self, actions: Any) -> None:
+        """Start a step and return at once; :meth:`recv` has its results. Raises as :meth:`step` does."""
+        self._check_idle("send", ready=True)
+        given = self._on_gpu(actions)
+        if given is None:
+            super().send(actions)
+            return
+        self._pending = Future()
+        self._pending.set_result(self._step(given))
+
+    def synchronize(self) -> None:
+        """Wait until the GPU has done every step.
+
+        Raises
+        ------
+        ActionError
+            An action that was on the GPU was out of range: names the first step and its first agent.
+        """
+        self._check_idle("synchronize")
+        if self._torch is None:  # every step has waited
+            return
+        with _failures():
+            self._gpu.synchronize()
+            first = int(self._wrong.copy_to_host()[0])
+            if first == NOTHING_REFUSED:
+                return
+            self._wrong.copy_to_device(np.array([NOTHING_REFUSED]))
+        tick, slot = divmod(first, 1 << 32)
+        raise ActionError(
+            f"agent_{self.config.first_slot + slot}: its action at step {tick}, which was on the GPU, is out "
+            f"of range; {limits(self.config.spec.action_space)}. The slot took the least one instead, and "
+            "all since follows from that"
+        )
+
+    def _open(self, config: BatchConfig) -> None:
+        self._gpu = available()
+        self._torch = _torch() if self.results == "torch" else None
+        self._next_step = config.autoreset_mode is AutoresetMode.NEXT_STEP
+        spec, n = config.spec, config.n_envs
+        with _failures():
+            _check_memory(self._gpu, config, self.results)
+            self._kernels = compile_cuda_kernels(spec)
+            self._grid = grid(self._gpu, n)
+            self._memory = self._gpu.to_device(slot_memory.allocate(spec, n))
+            # Without stored initial states the kernels get the memory itself, and do not look.
+            stored = config.initial_states == "stored"
+            self._stored = self._gpu.to_device(slot_memory.allocate(spec, n)) if stored else self._memory
+            self._words = self._gpu.device_array(n, spec.action.dtype)
+            self._wrong = self._gpu.to_device(np.array([NOTHING_REFUSED]))
+            if self._torch is None:
+                self._arrays = ResultArrays(config)
+                self._layout = self._arrays.layout
+                self._block = self._gpu.device_array(self._layout.size, np.uint8)
+                self._parts = self._layout.pieces(self._block)
+                split = self._layout.starts[4] or self._layout.size
+                self._seen = self._block[:split]  # all but the final observations, if those are apart
+            else:
+                self._layout = Layout(config)
+                self._block = None if config.copy else self._new_block()
+                self._tensors = None if config.copy else self._in_tensors(self._block)
+        self._streams: dict[int, Any] = {}
+        self._launches: dict[tuple[Any, Any], Any] = {}
+        self._uploaded: Array | None = None
+
+    def _reset(self, mask: Array | None) -> Array:
+        self.synchronize()
+        use_stored = self._stored is not self._memory
+        with _failures():
+            obs = self._observe(mask, again=use_stored and mask is not None)
+            if use_stored and mask is None:
+                self._stored.copy_to_device(self._memory, stream=self._stream())
+        return obs
+
+    def _observe(self, mask: Array | None, again: bool) -> Array:
+        """Start the masked slots over (all, if ``None``); return all observations."""
+        n = self.config.n_envs
+        flags = np.ones(n, np.uint8) if mask is None else mask.astype(np.uint8)
+        flags = self._gpu.to_device(flags, stream=self._stream())
+        block = self._block if self._block is not None else self._new_block()
+        place = (*self._seed, self._tick, self.config.first_slot)
+        self._launch(
+            self._kernels.reset, self._memory, self._stored, flags, self._array(block), *place, again, n
+        )
+        if self._torch is not None:
+            return self._in_tensors(block).obs if self._tensors is None else self._tensors.obs
+        memory, results = self._arrays.take_block()
+        self._parts[0].copy_to_host(self._layout.pieces(memory)[0])
+        return results.obs
+
+    def _step(self, actions: Array | _OnGpu) -> BatchStep:
+        config, layout = self.config, self._layout
+        with _failures():
+            if self._uploaded is not self._table:
+                # Where rewards are computed there is no table, and the kernel does not look.
+                table = self._table if self._table.size else np.zeros(1, np.float32)
+                self._table_there = self._gpu.to_device(table, stream=self._stream())
+                self._uploaded = self._table
+            if isinstance(actions, _OnGpu):
+                words, numbers = actions
+            else:
+                self._words.copy_to_device(actions, stream=self._stream())
+                words, numbers = self._words, False
+            block = self._block if self._block is not None else self._new_block()
+            self._launch(
+                self._kernels.step,
+                *(self._memory, self._stored, words, self._table_there, self._array(block), self._wrong),
+                *layout.starts[1:],
+                *(*self._seed, self._tick, config.first_slot, config.limit),
+                *(self._next_step, self._stored is not self._memory, numbers, config.n_envs),
+            )
+            if self._torch is not None:
+                return self._in_tensors(block) if self._tensors is None else self._tensors
+            memory, results = self._arrays.take_block()
+            self._seen.copy_to_host(memory[: self._seen.size])
+            if not self._next_step and results.ended.any():
+                self._parts[4].copy_to_host(layout.pieces(memory)[4])
+        return results
+
+    def _read(self) -> tuple[Array, Array]:
+        self.synchronize()
+        with _failures():
+            memory = self._memory.copy_to_host()
+            return memory, memory[:0] if self._stored is self._memory else self._stored.copy_to_host()
+
+    def _write(self, memory: Array, stored: Array) -> Array:
+        with _failures():
+            self._memory.copy_to_device(memory, stream=self._stream())
+            if stored.size:
+                self._stored.copy_to_device(stored, stream=self._stream())
+            self._wrong.copy_to_device(np.array([NOTHING_REFUSED]), stream=self._stream())
+            return self._observe(np.zeros(self.config.n_envs, np.bool_), again=False)
+
+    def _close(self) -> None:
+        # What the GPU's memory is known by; it is freed once tensors that were handed out are gone too.
+        for name in ("_memory", "_stored", "_words", "_block", "_tensors", "_parts", "_seen"):
+            self.__dict__.pop(name, None)
+
+    def _launch(self, kernel: Any, *arguments: Any) -> None:
+        stream = self._stream()
+        launch = self._launches.get((kernel, stream))
+        if launch is None:
+            with warnings.catch_warnings():  # numba's of small grids; a batch is as large as its user wants
+                warnings.filterwarnings("ignore", "Grid size")
+                launch = self._launches[kernel, stream] = kernel[(*self._grid, stream)]
+        launch(*arguments)
+
+    def _stream(self) -> Any:
+        """Return the stream of all that is queued here; what comes back to the host waits for it first."""
+        if self._torch is None or simulated():
+            return 0
+        # After all that torch has queued there, and before what it queues next.
+        number = self._torch.cuda.current_stream().cuda_stream
+        if number not in self._streams:  # made once: a launch is prepared once a stream
+            self._streams[number] = self._gpu.external_stream(number) if number else 0
+        return self._streams[number]
+
+    def _new_block(self) -> Any:
+        where = "cpu" if simulated() else "cuda"
+        assert self._torch is not None
+        return self._torch.empty(self._layout.size, dtype=self._torch.uint8, device=where)
+
+    def _array(self, block: Any) -> Any:
+        """Return what a kernel takes for a block or tensor."""
+        if self._torch is None:
+            return block
+        return block.numpy() if simulated() else self._gpu.as_cuda_array(block, sync=False)
+
+    def _in_tensors(self, block: Any) -> BatchStep:
+        layout = self._layout
+        parts = zip(layout.pieces(block), layout.dtypes, layout.shapes, strict=True)
+        tensors = [
+            piece.view(getattr(self._torch, str(dtype))).reshape(shape) for piece, dtype, shape in parts
+        ]
+        if self._next_step:
+            tensors[4] = tensors[0]
+        return BatchStep(*tensors)
+
+    def _on_gpu(self, actions: Any) -> _OnGpu | None:
+        """Return actions that are on the GPU as a kernel takes them; ``None`` for those on the host."""
+        if self._torch is None:
+            return None
+        if isinstance(actions, self._torch.Tensor):
+            if not (actions.is_cuda or simulated()):
+                return None
+            actions = actions.detach().contiguous()
+            array = self._array(actions.float() if actions.dtype == self._torch.float16 else actions)
+        elif hasattr(actions, "__cuda_array_interface__"):
+            array = self._gpu.as_cuda_array(actions)
+            if not array.is_c_contiguous():
+                raise ActionError("actions on the GPU are not contiguous; copy them into an array that is")
+        else:
+            return None
+        space, n = self.config.spec.action_space, self.config.n_envs
+        whole = (n, *(space.shape or ()))
+        if tuple(array.shape) != whole:
+            raise ActionError(
+                f"actions have shape {tuple(array.shape)}; {n} agents take {whole}: {limits(space)}"
+            )
+        box = isinstance(space, Box)
+        if array.dtype.kind not in ("iuf" if box else "iu"):
+            raise ActionError(f"actions are {array.dtype}; {limits(space)}")
+        return _OnGpu(array.reshape(n), box)
+
+
+def available() -> Any:
+    """Return the module ``numba.cuda`` where it can launch kernels, or numba's simulator can.
+
+    Raises
+    ------
+    DeviceError
+        Says what is missing, and what to do.
+    """
+    if find_spec("numba_cuda") is None:
+        raise DeviceError(
+            "cuda: numba-cuda is not installed; install it with: pip install 'pearl-marl[cuda]'"
+        )
+    cuda: Any = import_module("numba.cuda")
+    if simulated():
+        return cuda
+    if not cuda.is_available():
+        error = cuda.cuda_error()
+        if error is None:
+            raise DeviceError(
+                "cuda: the GPU's compiler was not found; install it with: pip install 'pearl-marl[cuda]'"
+            )
+        raise DeviceError(
+            f"cuda: there is no GPU that programs can use ({' '.join(str(error).split())}); `nvidia-smi` has "
+            "to list one: install NVIDIA's driver, or take device='native'"
+        )
+    driver, toolkit = _versions(cuda)
+    if driver < (toolkit[0], 0):
+        raise DeviceError(
+            f"cuda: the driver is too old: it knows CUDA {driver[0]}.{driver[1]}, and the compiler here is "
+            f"that of CUDA {toolkit[0]}; update the driver, or pip install 'numba-cuda[cu{driver[0]}]'"
+        )
+    return cuda
+
+
+def _versions(gpu: Any) -> tuple[tuple[int, int], tuple[int, int]]:
+    """Return which CUDA the driver knows, and which one the compiler is of."""
+    return gpu.cudadrv.driver.get_version(), gpu.runtime.get_version()
+
+
+def memory_needed(config: BatchConfig, results: str = "numpy") -> int:
+    """Return the bytes that a batch takes on the GPU."""
+    slots = slot_memory.size(config.spec, config.n_envs)
+    stored = slots if config.initial_states == "stored" else 0
+    # Tensors that are kept for one step only are two blocks: the last step's, and those of the next.
+    blocks = 2 if results == "torch" and config.copy else 1
+    others = config.n_envs * (config.spec.action.dtype.itemsize + 1)  # actions, and a reset's mask
+    return slots + stored + blocks * Layout(config).size + others
+
+
+def _check_memory(gpu: Any, config: BatchConfig, results: str) -> None:
+    free, total = gpu.current_context().get_memory_info()
+    needed = memory_needed(config, results)
+    if needed <= free:
+        return
+
+    def takes(n: int) -> int:
+        return memory_needed(replace(config, n_envs=max(n, 1)), results)
+
+    fits = bisect_right(range(config.n_envs), free, key=takes) - 1
+    raise DeviceError(
+        f"cuda: {config.n_envs:,} agents of {config.spec.name} take {needed / 2**30:,.2f} GiB of the GPU's "
+        f"memory, {needed / config.n_envs:,.0f} bytes each, and {free / 2**30:,.2f} of its "
+        f"{total / 2**30:,.2f} GiB are free; {max(fits, 0):,} agents fit"
+    )
+
+
+def grid(gpu: Any, n: int) -> tuple[int, int]:
+    """Return the blocks and threads of a launch: a slot a thread, up to the threads that a GPU holds."""
+    if simulated():
+        # A thread is one of Python's, slow to start. And two of a block may get two arrays for the one that
+        # they are to share: the simulator looks for it and makes it without a lock.
+        return 2, 1
+    processors = gpu.get_current_device().MULTIPROCESSOR_COUNT
+    return min(-(-n // THREADS), processors * (RESIDENT_THREADS // THREADS)), THREADS
+
+
+def _torch() -> Any:
+    if find_spec("torch") is None:
+        raise DeviceError(
+            "cuda: results='torch' needs torch; install it with: pip install 'pearl-marl[train]'"
+        )
+    import torch
+
+    if not (simulated() or torch.cuda.is_available()):
+        raise DeviceError(
+            f"cuda: results='torch' needs a torch that can use the GPU, and torch {torch.__version__} "
+            "cannot; https://pytorch.org/get-started has one for your CUDA, or take results='numpy'"
+        )
+    return torch
+
+
+@contextmanager
+def _failures() -> Iterator[None]:
+    """Turn errors of the driver and the compiler into DeviceError."""
+    try:
+        yield
+    except Exception as error:
+        name, text = type(error).__name__, " ".join(str(error).split())
+        if "out of memory" in text or "OUT_OF_MEMORY" in text or name == "OutOfMemoryError":
+            raise DeviceError(
+                f"cuda: the GPU's memory is full ({text[:200]}); take fewer agents, or end what else uses it"
+            ) from error
+        if "UNSUPPORTED_PTX_VERSION" in text:
+            raise DeviceError(
+                f"cuda: the driver is too old for the code that numba-cuda makes ({text[:200]}); update it"
+            ) from error
+        if type(error).__module__.startswith(("numba.cuda", "cuda.")):
+            raise DeviceError(f"cuda: {name}: {text}") from error
+        raise
