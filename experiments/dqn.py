@@ -57,7 +57,7 @@ class Settings:
     memory: int = 200
     warm_up: int = 10
     updates: int = 4
-    minibatch: int = 512
+    minibatch: int = 256
     learning_rate: float = 2e-3
     discount: float = 0.99
     refresh: int = 50
@@ -65,7 +65,7 @@ class Settings:
     explore_last: float = 0.02
     exploring: float = 0.2
     reward_scale: float = 1.0
-    width: int = 128
+    width: int = 64
     seed: int = 0
 
 

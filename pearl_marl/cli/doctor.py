@@ -79,6 +79,7 @@ def _compiler() -> Check:
 
 
 def _gpu() -> Check:
+    from pearl_marl.cuda_kernels import simulated
     from pearl_marl.devices import cuda
 
     try:
@@ -86,7 +87,7 @@ def _gpu() -> Check:
     except DeviceError as error:
         found, _, mend = str(error).removeprefix("cuda: ").partition("; ")
         return False, found, mend
-    name = module.get_current_device().name if not cuda.simulated() else "numba's simulator, for tests"
+    name = module.get_current_device().name if not simulated() else "numba's simulator, for tests"
     return True, name.decode() if isinstance(name, bytes) else name, ""
 
 
