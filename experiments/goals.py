@@ -22,8 +22,8 @@ TITLE = "What the trainers reach"
 TEXT = (
     "Each environment learned by the algorithm named, with the settings that `pearl train` has for it, and "
     "stopped at the first evaluation that reaches `--goal`; then the best policy's mean return over fresh "
-    "episodes of another seed. Seconds are of the whole training, its evaluations included, on the machine "
-    "named below."
+    "episodes of another seed, of at most 1,000 steps where an environment has no limit. Seconds are of the "
+    "whole training, its evaluations included, on the machine named below."
 )
 COLUMNS = {
     "environment": "environment",

@@ -197,6 +197,16 @@ def test_a_damaged_file_is_made_again(sections: Any, tmp_path: Path) -> None:
     check(tmp_path, "one", Page((tmp_path / "index.html").read_text()))
 
 
+def test_a_file_of_an_older_version_is_told(sections: Any, tmp_path: Path) -> None:
+    """Its rows lack what is drawn now; the rest of the page is made."""
+    run(tmp_path)
+    report.load("one").draw = lambda rows: rows[0]["new"]
+    assert run(tmp_path).exit_code == 0
+    page = (tmp_path / "index.html").read_text()
+    assert f"{tmp_path / 'one.json'} has no &#39;new&#39;: an older version made it; delete it" in page
+    assert len(Page(page).sections["two"]) == 2
+
+
 def test_quick_never_replaces_full(sections: Any, tmp_path: Path) -> None:
     run(tmp_path, "--quick")
     assert "one.json is of a quick run; measured again" in run(tmp_path).stderr
