@@ -9,15 +9,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
 import torch
 from torch import Tensor, nn
 
-import pearl_marl
-from pearl_marl.episodes import EpisodeStatistics
 from pearl_marl.spec import EnvSpec
 
 from .policy import Policy
+from .rollout import Agents, Returns
 
 
 @dataclass(frozen=True)
@@ -75,24 +73,28 @@ class DQN:
     def __init__(self, spec: EnvSpec, device: Any, settings: Settings) -> None:
         self.settings = settings
         torch.manual_seed(settings.seed)
-        self.random = torch.Generator().manual_seed(settings.seed)
         n, depth = settings.n_agents, settings.memory
-        self.env = pearl_marl.parallel_env(spec.name, n, device=device, **spec.options)
         self.policy = Policy(spec, "values", settings.width)
         self.target = Policy(spec, "values", settings.width)
+        self.agents = Agents(spec, device, n, settings.seed)
+        obs = self.agents.obs
+        where = self.where = obs.device
+        self.random = torch.Generator(where).manual_seed(settings.seed)
+        self.policy.to(where)
+        self.target.to(where)
         self.target.load_state_dict(self.policy.state_dict())
         self.optimiser = torch.optim.Adam(self.policy.parameters(), lr=settings.learning_rate, fused=True)
         self.evaluated = 1000
-        self.statistics = EpisodeStatistics(n)
-        self.obs = torch.from_numpy(self.env.reset_batch(settings.seed))
-        one = self.obs.shape[1:]
+        self.episodes = Returns(n, where)
+        self.losses: list[Tensor] = []
+        one = obs.shape[1:]
         # A row a step: what was seen, done, got, where it led, and whether that was the end of it.
         self.memory = {
-            "obs": torch.zeros((depth, n, *one), dtype=self.obs.dtype),
-            "actions": torch.zeros((depth, n), dtype=torch.int64),
-            "rewards": torch.zeros((depth, n)),
-            "arrivals": torch.zeros((depth, n, *one), dtype=self.obs.dtype),
-            "over": torch.zeros((depth, n), dtype=torch.bool),
+            "obs": torch.zeros((depth, n, *one), dtype=obs.dtype, device=where),
+            "actions": torch.zeros((depth, n), dtype=torch.int64, device=where),
+            "rewards": torch.zeros((depth, n), device=where),
+            "arrivals": torch.zeros((depth, n, *one), dtype=obs.dtype, device=where),
+            "over": torch.zeros((depth, n), dtype=torch.bool, device=where),
         }
         self.done = self.updated = 0
 
@@ -101,22 +103,16 @@ class DQN:
         """Steps of single agents so far."""
         return self.done * self.settings.n_agents
 
-    def iterate(self) -> dict[str, float | None]:
-        """Step all agents and learn; return figures for the metrics."""
-        settings = self.settings
+    def iterate(self) -> None:
+        """Step all agents and learn."""
         self._step()
-        losses = []
-        if self.done > settings.warm_up:
-            losses = [self._learn() for _ in range(settings.updates)]
-        summary = self.statistics.summary()
-        self.statistics.clear()
-        return {
-            "train_return": summary["return_mean"],
-            "train_length": summary["length_mean"],
-            "episodes": summary["episodes"],
-            "loss": float(np.mean(losses)) if losses else None,
-            "explored": self.explored,
-        }
+        if self.done > self.settings.warm_up:
+            self.losses = [self._learn() for _ in range(self.settings.updates)]
+
+    def figures(self) -> dict[str, float | None]:
+        """Return figures for the metrics: of episodes since they were last asked for, and the last losses."""
+        loss = torch.stack(self.losses).mean().item() if self.losses else None
+        return {**self.episodes.take(), "loss": loss, "explored": self.explored}
 
     @property
     def explored(self) -> float:
@@ -126,29 +122,30 @@ class DQN:
         return settings.explore_first + passed * (settings.explore_last - settings.explore_first)
 
     def _step(self) -> None:
-        settings, n = self.settings, self.settings.n_agents
-        self.policy.network.encoder.see(self.obs)
-        random = torch.rand(n, generator=self.random) < self.explored
-        anything = torch.randint(self.policy.outputs, (n,), generator=self.random)
-        actions = torch.where(random, anything, self.policy.best(self.obs))
-        step = self.env.step_batch(actions.numpy())
-        self.statistics.add(step)
+        settings, n, obs = self.settings, self.settings.n_agents, self.agents.obs
+        self.policy.network.encoder.see(obs)
+        random = torch.rand(n, generator=self.random, device=self.where) < self.explored
+        anything = torch.randint(self.policy.outputs, (n,), generator=self.random, device=self.where)
+        actions = torch.where(random, anything, self.policy.best(obs))
+        step: Any = self.agents.step(actions)
+        self.episodes.add(step.rewards[None], step.ended[None])
         row = self.done % settings.memory
         for name, value in (
-            ("obs", self.obs),
+            ("obs", obs),
             ("actions", actions),
-            ("rewards", torch.from_numpy(step.rewards) * settings.reward_scale),
-            ("arrivals", torch.from_numpy(step.arrivals())),
-            ("over", torch.from_numpy(step.terminations)),
+            ("rewards", step.rewards * settings.reward_scale),
+            ("arrivals", step.arrivals()),
+            ("over", step.terminations),
         ):
             self.memory[name][row] = value
-        self.obs = torch.from_numpy(step.obs)
         self.done += 1
 
-    def _learn(self) -> float:
+    def _learn(self) -> Tensor:
         settings = self.settings
         rows = min(self.done, settings.memory)
-        chosen = torch.randint(rows * settings.n_agents, (settings.minibatch,), generator=self.random)
+        chosen = torch.randint(
+            rows * settings.n_agents, (settings.minibatch,), generator=self.random, device=self.where
+        )
         obs, actions, rewards, arrivals, over = (
             part[:rows].reshape(-1, *part.shape[2:])[chosen] for part in self.memory.values()
         )
@@ -165,7 +162,7 @@ class DQN:
         self.updated += 1
         if self.updated % settings.refresh == 0:
             self.target.load_state_dict(self.policy.state_dict())
-        return loss.item()
+        return loss.detach()
 
     def state(self) -> dict[str, Any]:
         """Return all that the continuation depends on."""
@@ -177,16 +174,17 @@ class DQN:
             "optimiser": self.optimiser.state_dict(),
             "memory": self.memory,
             "random": self.random.get_state(),
-            "env": self.env.save_state(),
-            "statistics": self.statistics,
+            "agents": self.agents.state(),
+            "episodes": self.episodes.state(),
         }
 
     def load(self, state: dict[str, Any]) -> None:
         """Go on from what :meth:`state` returned."""
-        self.done, self.updated, self.statistics = state["done"], state["updated"], state["statistics"]
+        self.done, self.updated = state["done"], state["updated"]
         self.policy.load_state_dict(state["policy"])
         self.target.load_state_dict(state["target"])
         self.optimiser.load_state_dict(state["optimiser"])
         self.memory = state["memory"]
         self.random.set_state(state["random"])
-        self.obs = torch.from_numpy(self.env.load_state(state["env"]))
+        self.agents.load(state["agents"])
+        self.episodes.load(state["episodes"])

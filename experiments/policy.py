@@ -101,8 +101,9 @@ class Encoder(nn.Module):
             planes = obs.permute(0, 3, 1, 2).float()
             made: Tensor = self.linear(torch.relu(self.convolution(planes)).flatten(1))
             return made
-        scaled = (obs.reshape(len(obs), -1) - self.mean) / (self.variance + 1e-8).sqrt()
-        result: Tensor = self.linear(scaled.clamp(-10, 10).float())
+        scale = (self.variance + 1e-8).rsqrt().float()
+        scaled = (obs.reshape(len(obs), -1) - self.mean.float()) * scale
+        result: Tensor = self.linear(scaled.clamp(-10, 10))
         return result
 
 
@@ -190,7 +191,7 @@ class Policy(nn.Module):
 
     def choose(self, obs: Array) -> Array:
         """Return the best action for each observation, as ``step_batch`` takes them."""
-        actions: Array = self.best(torch.from_numpy(obs)).numpy()
+        actions: Array = self.best(torch.from_numpy(obs).to(self.bound.device)).cpu().numpy()
         return actions
 
     def within_bounds(self, outputs: Tensor) -> Tensor:
@@ -202,7 +203,7 @@ class Policy(nn.Module):
         _save(path, self.state_dict(), self.about)
 
 
-class Table:
+class Table(nn.Module):
     """What chooses actions by tables: a value for each observation and action, one table a learner.
 
     Of ``n`` observations, the first ``n / learners`` are the first learner's, and so on.
@@ -220,7 +221,10 @@ class Table:
         Shape ``(learners, observations, actions)``, ``float32``.
     """
 
+    values: Tensor
+
     def __init__(self, spec: EnvSpec, learners: int = 1) -> None:
+        super().__init__()
         self.spec, self.about = spec, {**_about(spec), "kind": "table"}
         space, actions = spec.observation_space, spec.action_space
         parts: list[Any] = list(space) if isinstance(space, Tuple) else [space]
@@ -228,30 +232,30 @@ class Table:
             raise ArgumentError(
                 f"a table has a row for each observation, and {spec.name}'s are in {space}: use ppo or dqn"
             )
-        self._starts = np.array([part.start for part in parts])
-        self._sizes = [int(part.n) for part in parts]
-        self._scalar = not isinstance(space, Tuple)
-        self.values = np.zeros((learners, int(np.prod(self._sizes)), int(actions.n)), np.float32)
+        sizes = [int(part.n) for part in parts]
+        # The number of a row is a sum, of each part's offset from its start times the rows between two of it.
+        self._strides = [int(np.prod(sizes[i + 1 :])) for i in range(len(sizes))]
+        self._first = sum(int(part.start) * stride for part, stride in zip(parts, self._strides, strict=True))
+        self.register_buffer("values", torch.zeros(learners, int(np.prod(sizes)), int(actions.n)))
 
-    def rows(self, obs: Array) -> Array:
+    def rows(self, obs: Tensor) -> Tensor:
         """Return the number of the row of each observation, counted through all tables."""
         learners, size, _ = self.values.shape
-        if self._scalar:
-            rows = obs - self._starts[0]
-        else:
-            rows = np.ravel_multi_index(tuple((obs - self._starts).T), self._sizes)
+        columns = obs.reshape(len(obs), -1).unbind(1)
+        rows = sum((part * stride for part, stride in zip(columns, self._strides, strict=True)), -self._first)
         if learners > 1:
-            rows = rows + np.arange(len(obs)) * learners // len(obs) * size
-        return np.asarray(rows)
+            rows = rows + torch.arange(len(obs), device=obs.device) * learners // len(obs) * size
+        return torch.as_tensor(rows)
 
     def choose(self, obs: Array) -> Array:
         """Return the best action for each observation."""
-        best: Array = self.values.reshape(-1, self.values.shape[2])[self.rows(obs)].argmax(1)
+        rows = self.rows(torch.from_numpy(obs).to(self.values.device))
+        best: Array = self.values.view(-1, self.values.shape[2])[rows].argmax(1).cpu().numpy()
         return best
 
     def save(self, path: Path) -> None:
         """Write what :func:`load` reads."""
-        _save(path, {"values": torch.from_numpy(self.values)}, self.about)
+        _save(path, self.state_dict(), self.about)
 
 
 def load(path: Path) -> Policy | Table:
@@ -275,7 +279,7 @@ def load(path: Path) -> Policy | Table:
     spec = get_spec(about["environment"]).with_options(**about["options"])
     if about["kind"] == "table":
         table = Table(spec, len(tensors["values"]))
-        table.values[:] = tensors["values"].numpy()
+        table.load_state_dict(tensors)
         return table
     policy = Policy(spec, about["kind"], about["width"])
     policy.load_state_dict(tensors)

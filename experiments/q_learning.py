@@ -12,13 +12,14 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import torch
+from torch import Tensor
 
-import pearl_marl
-from pearl_marl.episodes import EpisodeStatistics
 from pearl_marl.errors import ArgumentError
 from pearl_marl.spec import EnvSpec
 
 from .policy import Table
+from .rollout import Agents, Returns
 
 
 @dataclass(frozen=True)
@@ -87,23 +88,27 @@ class QLearning:
         if not 1 <= learners <= n or n % learners:
             raise ArgumentError(f"setting 'learners' is {learners}; it must divide n_agents, {n}")
         self.policy = Table(spec, learners)
-        self.env = pearl_marl.parallel_env(spec.name, n, device=device, **spec.options)
-        self.rewards = None if rewards is None else np.asarray(rewards, np.float32)
         entries = len(spec.rewards or ())
-        for name, given, shape in (
-            ("rates", rates, (learners,)),
-            ("rewards", self.rewards, (learners, entries)),
-        ):
+        for name, given, shape in (("rates", rates, (learners,)), ("rewards", rewards, (learners, entries))):
             if given is not None and np.shape(given) != shape:
                 raise ArgumentError(f"{name} have the shape {np.shape(given)}; of {spec.name} it is {shape}")
-        if self.rewards is not None:
-            self.env.set_rewards(np.arange(self.rewards.shape[1], dtype=np.float32))
-        self.learner = np.arange(n) * learners // n  # of every agent
-        self.rates = np.full(learners, settings.rate) if rates is None else np.asarray(rates)
-        self.random = np.random.default_rng(settings.seed)
-        self.statistics = EpisodeStatistics(n)
-        self.rows = self.policy.rows(self.env.reset_batch(settings.seed))
-        self.updates = np.zeros(self.policy.values.shape, np.int32)
+        self.agents = Agents(spec, device, n, settings.seed)
+        where = self.agents.obs.device
+        self.policy.to(where)
+        if rates is None:
+            rates = np.full(learners, settings.rate)
+        self.rates = torch.as_tensor(np.asarray(rates, np.float32), device=where)
+        self.rewards: Tensor | None = None
+        if rewards is not None:
+            self.rewards = torch.as_tensor(np.asarray(rewards, np.float32), device=where)
+            self.agents.device.set_rewards(np.arange(entries, dtype=np.float32))
+        self.learner = torch.arange(n, device=where) * learners // n  # of every agent
+        self.random = torch.Generator(where).manual_seed(settings.seed)
+        self.episodes = Returns(n, where)
+        self.rows = self.policy.rows(self.agents.obs)
+        # An entry of each table's: updates so far; of the step, visits and the sum of targets.
+        self.updates, self.visits = (torch.zeros_like(self.policy.values).flatten() for _ in range(2))
+        self.sums = torch.zeros_like(self.visits, dtype=torch.float64)
         self.evaluated = max(2_000, learners)
         self.done = 0
 
@@ -112,48 +117,48 @@ class QLearning:
         """Steps of single agents so far."""
         return self.done * self.settings.n_agents
 
-    def iterate(self) -> dict[str, float | None]:
-        """Step all agents and update the tables; return figures for the metrics."""
-        settings, rows = self.settings, self.rows
-        n_actions = self.policy.values.shape[2]
-        values = self.policy.values.reshape(-1, n_actions)  # of all learners, one below the other
-        n = settings.n_agents
-        explored = max(0.0, settings.epsilon * (1 - self.done / (EXPLORING * settings.iterations)))
-        random = self.random.random(n, np.float32) < explored
-        actions = np.where(random, self.random.integers(n_actions, size=n), values[rows].argmax(1))
-        step = self.env.step_batch(actions)
+    @property
+    def explored(self) -> float:
+        """The share of actions that is random now."""
+        settings = self.settings
+        return max(0.0, settings.epsilon * (1 - self.done / (EXPLORING * settings.iterations)))
+
+    def iterate(self) -> None:
+        """Step all agents and update the tables."""
+        settings, rows, where = self.settings, self.rows, self.rows.device
+        n, n_actions = settings.n_agents, self.policy.values.shape[2]
+        values = self.policy.values.view(-1, n_actions)  # of all learners, one below the other
+        random = torch.rand(n, generator=self.random, device=where) < self.explored
+        anything = torch.randint(n_actions, (n,), generator=self.random, device=where)
+        actions = torch.where(random, anything, values[rows].argmax(1))
+        step = self.agents.step(actions)
+        rewards = step.rewards
         if self.rewards is not None:
-            step = step._replace(rewards=self.rewards[self.learner, step.rewards.astype(np.intp)])
+            rewards = self.rewards[self.learner, rewards.long()]
         # Where the step itself led; in its place there may be the next episode's start already.
-        later = values[self.policy.rows(step.arrivals())].max(1)
-        self._update(
-            rows * n_actions + actions, step.rewards + settings.discount * later * ~step.terminations
-        )
-        self.statistics.add(step)
+        later = values[self.policy.rows(step.arrivals())].amax(1)
+        self._update(rows * n_actions + actions, rewards + settings.discount * later * ~step.terminations)
+        self.episodes.add(rewards[None], step.ended[None])
         self.rows = self.policy.rows(step.obs)
         self.done += 1
-        summary = self.statistics.summary()
-        self.statistics.clear()
-        return {
-            "train_return": summary["return_mean"],
-            "train_length": summary["length_mean"],
-            "episodes": summary["episodes"],
-            "explored": explored,
-        }
 
-    def _update(self, entries: npt.NDArray[Any], targets: npt.NDArray[Any]) -> None:
+    def figures(self) -> dict[str, float | None]:
+        """Return figures for the metrics: of episodes since they were last asked for."""
+        return {**self.episodes.take(), "explored": self.explored}
+
+    def _update(self, entries: Tensor, targets: Tensor) -> None:
         """Move the entries that agents visited towards the mean of their targets."""
-        settings = self.settings
-        values, updates = self.policy.values.reshape(-1), self.updates.reshape(-1)
-        if settings.learners < settings.n_agents:
-            visits = np.bincount(entries, minlength=values.size)
-            sums = np.bincount(entries, targets, minlength=values.size)
-            entries = np.flatnonzero(visits)
-            targets = sums[entries] / visits[entries]
-        rates = self.rates[entries // (values.size // settings.learners)]
-        rates = rates / (1 + settings.fading * updates[entries])
-        values[entries] += rates * (targets - values[entries])
-        updates[entries] += 1
+        values, updates = self.policy.values.view(-1), self.updates
+        self.visits.index_add_(0, entries, torch.ones_like(targets))
+        self.sums.index_add_(0, entries, targets.double())
+        # Who visited the same entry computes the same for it, so that it matters not whose is kept.
+        mean = (self.sums[entries] / self.visits[entries]).float()
+        rates = self.rates[self.learner] / (1 + self.settings.fading * updates[entries])
+        old = values[entries]
+        values[entries] = old + rates * (mean - old)
+        updates[entries] = updates[entries] + 1
+        self.visits[entries] = 0
+        self.sums[entries] = 0
 
     def state(self) -> dict[str, Any]:
         """Return all that the continuation depends on."""
@@ -161,14 +166,16 @@ class QLearning:
             "done": self.done,
             "values": self.policy.values,
             "updates": self.updates,
-            "random": self.random.bit_generator.state,
-            "env": self.env.save_state(),
-            "statistics": self.statistics,
+            "random": self.random.get_state(),
+            "agents": self.agents.state(),
+            "episodes": self.episodes.state(),
         }
 
     def load(self, state: dict[str, Any]) -> None:
         """Go on from what :meth:`state` returned."""
-        self.done, self.updates, self.statistics = state["done"], state["updates"], state["statistics"]
+        self.done, self.updates = state["done"], state["updates"]
         self.policy.values[:] = state["values"]
-        self.random.bit_generator.state = state["random"]
-        self.rows = self.policy.rows(self.env.load_state(state["env"]))
+        self.random.set_state(state["random"])
+        self.agents.load(state["agents"])
+        self.rows = self.policy.rows(self.agents.obs)
+        self.episodes.load(state["episodes"])

@@ -112,13 +112,13 @@ def train(
     began, kept = time.perf_counter() - seconds, time.perf_counter()
     finished = goal is not None and best >= goal
     while trainer.done < settings.iterations and not finished:
-        figures = trainer.iterate()
+        trainer.iterate()
         last = trainer.done == settings.iterations
         if trainer.done % every and not last:
             continue
         mean, deviation = evaluate(trainer.policy, spec, evaluated or trainer.evaluated)
         seconds = time.perf_counter() - began
-        row = {"seconds": seconds, **figures, "eval_return": mean, "eval_deviation": deviation}
+        row = {"seconds": seconds, **trainer.figures(), "eval_return": mean, "eval_deviation": deviation}
         run.report(trainer.agent_steps, **row)
         progress(trainer.done, settings.iterations, row)
         finished = goal is not None and mean >= goal
