@@ -45,11 +45,13 @@ class Agents:
     def __init__(self, spec: EnvSpec, device: str | Device, n: int, seed: int, first: int = 0) -> None:
         self.device = Cuda(results="torch") if device == Cuda.name else make_device(device)
         self.device.open(BatchConfig(spec=spec, n_envs=n, first_slot=first))
-        self.obs = torch.as_tensor(self.device.reset(seed))
+        obs = self.device.reset(seed)
+        self._takes_tensors = isinstance(obs, Tensor)
+        self.obs = torch.as_tensor(obs)
 
     def step(self, actions: Tensor) -> Any:
         """Step every agent; return a :class:`BatchStep` of tensors."""
-        given: Any = actions if actions.is_cuda else actions.numpy()
+        given: Any = actions if self._takes_tensors else actions.numpy()
         results: Any = map(torch.as_tensor, self.device.step(given))
         step: Any = BatchStep(*results)
         self.obs = step.obs

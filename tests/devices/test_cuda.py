@@ -5,6 +5,7 @@ What runs on a real GPU only is marked ``gpu``; ``pytest -m gpu -rs`` runs it, o
 
 from __future__ import annotations
 
+import importlib
 import json
 import os
 import subprocess
@@ -76,6 +77,34 @@ def test_tensors_hold_what_arrays_hold(name: str, copy: bool, mode: AutoresetMod
         np.testing.assert_array_equal(device.state(), native.state())
     device.send(on_gpu(actions))
     np.testing.assert_array_equal(device.recv().obs.cpu(), native.step(actions).obs)
+
+
+@pytest.mark.parametrize("algorithm", ["ppo", "dqn", "q-learning"])
+def test_trainers_work_where_the_agents_are(algorithm: str) -> None:
+    """With the numbers of a training on the host, where the simulator computes as that does."""
+    training = importlib.import_module("pearl_marl.experiments.training")
+    small: dict[str, dict[str, Any]] = {
+        "ppo": {"depth": 4, "minibatch": 8, "blocks": 2},
+        "dqn": {"memory": 3, "warm_up": 1, "minibatch": 8},
+        "q-learning": {},
+    }
+    settings = training.settings_for(
+        algorithm, "Blackjack", {"n_agents": N, "iterations": 4, **small[algorithm]}
+    )
+    trainers = [
+        training.ALGORITHMS[algorithm](pearl_marl.get_spec("Blackjack"), *pair)
+        for pair in (("cuda", settings), ("native", settings))
+    ]
+    for _ in range(4):
+        for trainer in trainers:
+            trainer.iterate()
+    ours, theirs = (trainer.policy.state_dict() for trainer in trainers)
+    assert trainers[0].figures()["episodes"] > 0
+    for name, tensor in ours.items():
+        assert tensor.is_cuda == torch.cuda.is_available()
+        assert tensor.isfinite().all()
+        if not tensor.is_cuda:
+            assert torch.equal(tensor, theirs[name]), name
 
 
 def test_tensors_are_kept_or_written_over() -> None:
