@@ -6,6 +6,7 @@ what lets one device continue where another stopped.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -86,3 +87,31 @@ def state_values(spec: EnvSpec, n: int, memory: npt.NDArray[np.uint8]) -> npt.ND
         if f.fraction:
             values[:, i] *= 2.0**-f.fraction
     return values
+
+
+def join(
+    spec: EnvSpec, shares: Sequence[npt.NDArray[np.uint8]], sizes: Sequence[int]
+) -> npt.NDArray[np.uint8]:
+    """Return one memory of the slots of all shares, in their order; an empty one of empty ones."""
+    if not shares[0].size:
+        return shares[0]
+    n = sum(sizes)
+    memory = allocate(spec, n)
+    whole, first = views(spec, n, memory), 0
+    for share, count in zip(shares, sizes, strict=True):
+        for name, values in views(spec, count, share).items():
+            whole[name][first : first + count] = values
+        first += count
+    return memory
+
+
+def cut(spec: EnvSpec, n: int, memory: npt.NDArray[np.uint8], slots: slice) -> npt.NDArray[np.uint8]:
+    """Return the memory of some of the ``n`` slots; an empty one of an empty one."""
+    if not memory.size:
+        return memory
+    size = slots.stop - slots.start
+    share = allocate(spec, size)
+    whole = views(spec, n, memory)
+    for name, values in views(spec, size, share).items():
+        values[:] = whole[name][slots]
+    return share

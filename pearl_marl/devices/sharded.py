@@ -140,9 +140,9 @@ class Sharded(Recoverable):
     def _read(self) -> tuple[Array, Array]:
         self._check_known()
         saved = self._on_all(lambda part, _: part.snapshot())
-        return self._joined([share.memory for share in saved]), self._joined(
-            [share.stored for share in saved]
-        )
+        spec, sizes = self.config.spec, [slots.stop - slots.start for slots in self._slots]
+        memory = slot_memory.join(spec, [share.memory for share in saved], sizes)
+        return memory, slot_memory.join(spec, [share.stored for share in saved], sizes)
 
     def _write(self, memory: Array, stored: Array) -> Array:
         def write(part: Device, slots: slice) -> Array:
@@ -154,13 +154,14 @@ class Sharded(Recoverable):
                     seed=self._seed,
                     tick=self._tick,
                     rewards=rewards,
-                    memory=self._share(memory, slots),
-                    stored=self._share(stored, slots),
+                    memory=slot_memory.cut(spec, n, memory, slots),
+                    stored=slot_memory.cut(spec, n, stored, slots),
                     live=memory[:0],
                 )
             )
 
         rewards = tuple(self.rewards.tolist())
+        spec, n = self.config.spec, self.config.n_envs
         return self._joined_obs(self._change(write))
 
     def _close(self) -> None:
@@ -203,26 +204,3 @@ class Sharded(Recoverable):
         for slots, share in zip(self._slots, shares, strict=True):
             obs[slots] = share
         return obs
-
-    def _joined(self, shares: list[Array]) -> Array:
-        """Return slot memory (or none) that holds what those of the parts hold."""
-        if not shares[0].size:
-            return shares[0]
-        spec = self.config.spec
-        memory = slot_memory.allocate(spec, self.config.n_envs)
-        columns = slot_memory.views(spec, self.config.n_envs, memory)
-        for slots, share in zip(self._slots, shares, strict=True):
-            for name, values in slot_memory.views(spec, slots.stop - slots.start, share).items():
-                columns[name][slots] = values
-        return memory
-
-    def _share(self, memory: Array, slots: slice) -> Array:
-        """Return the slot memory of a part (or none)."""
-        if not memory.size:
-            return memory
-        spec, size = self.config.spec, slots.stop - slots.start
-        share = slot_memory.allocate(spec, size)
-        columns = slot_memory.views(spec, self.config.n_envs, memory)
-        for name, values in slot_memory.views(spec, size, share).items():
-            values[:] = columns[name][slots]
-        return share
