@@ -16,6 +16,7 @@ from torch import Tensor, nn
 from pearl_marl.errors import ArgumentError
 from pearl_marl.spec import EnvSpec
 
+from .distributed import RayWorkers
 from .rollout import ActorCritic, Returns, RolloutWorker
 
 
@@ -79,15 +80,21 @@ class PPO:
         Where it is stepped. Learned is where that has its observations: with ``"cuda"``, on the GPU.
     settings
         The run's.
+    shards
+        How many processes gather experience, by Ray; ``None`` for this one. What is learned is the same.
     """
 
-    def __init__(self, spec: EnvSpec, device: Any, settings: Settings) -> None:
+    def __init__(self, spec: EnvSpec, device: Any, settings: Settings, shards: int | None = None) -> None:
         if not 1 <= settings.blocks <= settings.n_agents:
             raise ArgumentError(f"setting 'blocks' is {settings.blocks}; it must be 1 to {settings.n_agents}")
         self.settings = settings
         torch.manual_seed(settings.seed)
         self.model = ActorCritic(spec, settings.width)
-        self.worker = RolloutWorker(spec, device, settings, self.model)
+        self.worker: Any = (
+            RolloutWorker(spec, device, settings, self.model)
+            if shards is None
+            else RayWorkers(spec, device, settings, self.model, shards)
+        )
         self.where = self.worker.where
         self.model.to(self.where)
         self.policy = self.model.policy

@@ -263,7 +263,8 @@ class RolloutWorker:
             final = torch.stack([step.final_obs for step in steps])
             for block in self.blocks:
                 rows = cut[:, block].nonzero(as_tuple=True)
-                wanted[:, block][rows] += settings.discount * self._values(final[:, block][rows])
+                if len(rows[0]):
+                    wanted[:, block][rows] += settings.discount * self._values(final[:, block][rows])
         ended = terminations | truncations
         advantages = self._advantages(wanted, values, ended)
         return Experience(obs[:-1], actions, logs, advantages, advantages + values[:-1], rewards, ended)

@@ -24,8 +24,14 @@ ALGORITHMS: dict[str, Any] = {"ppo": ppo.PPO, "dqn": dqn.DQN, "q-learning": q_le
 SETTINGS: dict[str, Any] = {"ppo": ppo.Settings, "dqn": dqn.Settings, "q-learning": q_learning.Settings}
 
 
-def settings_for(algorithm: str, env_id: str, given: dict[str, Any]) -> Any:
+BLOCKS = 8
+"""Into how many blocks agents are divided for shards, unless said otherwise: see ``ppo.Settings``."""
+
+
+def settings_for(algorithm: str, env_id: str, given: dict[str, Any], shards: int | None = None) -> Any:
     """Return an algorithm's settings for an environment: its preset, and over it those given.
+
+    With ``shards``, agents are in blocks, as many for any number of shards.
 
     Raises
     ------
@@ -44,8 +50,11 @@ def settings_for(algorithm: str, env_id: str, given: dict[str, Any]) -> Any:
         number = (int, float) if kinds[name] is float else kinds[name]
         if isinstance(value, bool) or not isinstance(value, number) or value < 0:
             raise ArgumentError(f"setting {name!r} is {value!r}; it must be a number like {kinds[name](1)}")
+    if shards is not None and "blocks" not in kinds:
+        raise ArgumentError(f"{algorithm} does not learn with --shards: leave it out, or use ppo")
     preset = PRESETS.get((algorithm, get_spec(env_id).name), {})
-    return SETTINGS[algorithm](**{**preset, **given})
+    blocks = {} if shards is None else {"blocks": BLOCKS}
+    return SETTINGS[algorithm](**{**preset, **blocks, **given})
 
 
 def train(
@@ -60,6 +69,7 @@ def train(
     progress: Callable[[int, int, dict[str, Any]], None] = lambda done, total, row: None,
     checkpoint_seconds: float = 20.0,
     evaluated: int | None = None,
+    shards: int | None = None,
 ) -> list[dict[str, Any]]:
     """Train, and write the run's folder; return the metrics.
 
@@ -83,6 +93,9 @@ def train(
         The least time between two checkpoints, which large replay memories take a while to write.
     evaluated
         Agents whose first episodes are an evaluation; by default as many as the algorithm suggests.
+    shards
+        How many processes step agents, by Ray; ``None`` for this one. Whatever it is, and whatever it was
+        before a run was killed, the result is the same.
 
     Raises
     ------
@@ -92,7 +105,8 @@ def train(
     """
     every = evaluate_every or max(1, settings.iterations // 50)
     spec = get_spec(env_id).with_options(**options)
-    trainer = ALGORITHMS[algorithm](spec, device, settings)
+    spread = {} if shards is None else {"shards": shards}
+    trainer = ALGORITHMS[algorithm](spec, device, settings, **spread)
     run = RunFolder(
         folder,
         {

@@ -43,6 +43,12 @@ Every = Annotated[
         "--evaluate-every", min=1, help="Iterations between evaluations.", show_default="50 evaluations"
     ),
 ]
+Shards = Annotated[
+    int | None,
+    typer.Option(
+        "--shards", help="How many processes step agents, by Ray; `ppo` only.", show_default="this process"
+    ),
+]
 Folder = Annotated[Path, typer.Option("--out", metavar="DIR", help="The run's folder, new or to go on with.")]
 
 
@@ -57,6 +63,7 @@ def command(
     device: DeviceName = "native",
     goal: Goal = None,
     evaluate_every: Every = None,
+    shards: Shards = None,
     option: Options = None,
     as_json: AsJson = False,
 ) -> None:
@@ -70,7 +77,7 @@ def command(
     options = dict(spec_of(env_id, option).options)
     given: dict[str, Any] = {"n_agents": n_agents, "iterations": iterations}
     given = {name: value for name, value in given.items() if value is not None}
-    settings = training.settings_for(algo, env_id, {**env_options(setting), **given, "seed": seed})
+    settings = training.settings_for(algo, env_id, {**env_options(setting), **given, "seed": seed}, shards)
 
     columns = (
         TextColumn(f"{env_id}, {algo}"),
@@ -89,7 +96,9 @@ def command(
             )
             bar.update(task, completed=done, total=total, note=note)
 
-        rows = training.train(env_id, options, algo, settings, device, out, goal, evaluate_every, show)
+        rows = training.train(
+            env_id, options, algo, settings, device, out, goal, evaluate_every, show, shards=shards
+        )
     best = max(rows, key=lambda row: row["eval_return"])
     result = {"environment": env_id, "algorithm": algo, "folder": str(out), "best": best, "last": rows[-1]}
     if as_json:

@@ -1,0 +1,185 @@
+"""Rollouts of one training run, gathered by many processes: weights travel instead of steps.
+
+::
+
+    learner --- weights, number of the rollout ---> worker 0, with the agents of blocks 0 to a
+       ^    --- weights, number of the rollout ---> worker 1, with the agents of blocks a to b
+       |                                               |
+       +------------- experience, state ---------------+
+
+What a worker gathers depends on what it is sent and on its agents' state, which comes back each time. A
+worker that was lost is replaced by one that is given that state, and gathers the same.
+"""
+
+from __future__ import annotations
+
+import itertools
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import torch
+
+from pearl_marl import cluster, slot_memory
+from pearl_marl.errors import ArgumentError, DeviceError
+from pearl_marl.registry import get_spec
+from pearl_marl.saved_state import SavedState
+from pearl_marl.spec import EnvSpec
+
+from .policy import Array
+from .rollout import ActorCritic, Experience, RolloutWorker, block_edges
+
+RESOURCES: dict[str, dict[str, float]] = {"cuda": {"GPU": 1}, "xdma": {"fpga": 1}, "serial": {"fpga": 1}}
+"""What a worker takes up of the machine that it is placed on, by its device."""
+
+ATTEMPTS = 3
+"""How often in a row a worker may be lost in the same rollout, or while it starts."""
+
+
+class Worker:
+    """What runs in a process of its own: a :class:`RolloutWorker` that is sent weights."""
+
+    def begin(
+        self, env_id: str, options: dict[str, Any], device: str, settings: Any, blocks: range
+    ) -> SavedState:
+        """Make the agents; return their state. Arguments are those of :class:`RolloutWorker`."""
+        torch.set_num_threads(1)
+        spec = get_spec(env_id).with_options(**options)
+        self.model = ActorCritic(spec, settings.width)
+        self.worker = RolloutWorker(spec, device, settings, self.model, blocks)
+        self.model.to(self.worker.where)
+        return self.worker.state()
+
+    def gather(
+        self, rollout: int, weights: dict[str, Array], state: SavedState | None
+    ) -> tuple[list[Array], SavedState]:
+        """Return the experience of a rollout as arrays, and the agents' state after it.
+
+        Parameters
+        ----------
+        rollout
+            Its number.
+        weights
+            Of the model.
+        state
+            Of the agents, to begin with; ``None`` to go on.
+        """
+        if state is not None:
+            self.worker.load(state)
+        # Copies: what comes out of the object store cannot be written to.
+        self.model.load_state_dict({name: torch.tensor(array) for name, array in weights.items()})
+        experience = self.worker.gather(rollout)
+        return [part.cpu().numpy() for part in experience], self.worker.state()
+
+
+class RayWorkers:
+    """Gathers as one :class:`RolloutWorker` of all agents would, with actors of Ray that share them.
+
+    Parameters
+    ----------
+    spec, device, settings, model
+        As of :class:`RolloutWorker`.
+    shards
+        How many actors. Each takes as many blocks of agents as any other, or one more.
+
+    Raises
+    ------
+    ArgumentError
+        There are fewer blocks than shards.
+    DeviceError
+        There is no Ray, or no place for a worker.
+    """
+
+    def __init__(self, spec: EnvSpec, device: str, settings: Any, model: ActorCritic, shards: int) -> None:
+        if not 1 <= shards <= settings.blocks:
+            raise ArgumentError(
+                f"--shards is {shards}; the agents are in {settings.blocks} blocks, and a shard has at least "
+                f"one: --set blocks={max(shards, 1)}, with which the run is another"
+            )
+        self.spec, self.settings, self.model, self.device = spec, settings, model, device
+        learns_on_gpu = device == "cuda" and torch.cuda.is_available()
+        self.where = torch.device("cuda" if learns_on_gpu else "cpu")
+        edges = [i * settings.blocks // shards for i in range(shards + 1)]
+        self._blocks = [range(edges[i], edges[i + 1]) for i in range(shards)]
+        ray = cluster.connect()
+        self._sent = ray.put
+        with ThreadPoolExecutor(shards) as pool:  # each takes seconds
+            started = list(pool.map(self._start, range(shards)))
+        self._actors, self._states = map(list, zip(*started, strict=True))
+        self._apart = [False] * shards  # whether an actor's agents are not in the state noted here
+
+    def _start(self, i: int) -> tuple[Any, SavedState]:
+        """Return an actor for a shard, and its agents' first state."""
+        options = dict(self.spec.options)
+        for attempt in itertools.count(1):
+            try:
+                actor = cluster.start_actor(Worker, resources=RESOURCES.get(self.device))
+                begun = actor.begin.remote(
+                    self.spec.name, options, self.device, self.settings, self._blocks[i]
+                )
+                return actor, cluster.get(begun)
+            except cluster.lost() as error:
+                self._give_up(i, attempt, "while it started", error)
+        raise AssertionError
+
+    def gather(self, rollout: int) -> Experience:
+        """Have all agents stepped; return the experience of the rollout of that number."""
+        weights = self._sent({name: tensor.cpu().numpy() for name, tensor in self.model.state_dict().items()})
+        under_way = [self._ask(i, rollout, weights) for i in range(len(self._actors))]
+        shares: list[list[Array]] = []
+        for i, asked in enumerate(under_way):
+            attempt = 0
+            while len(shares) == i:
+                try:
+                    share, self._states[i] = cluster.get(asked)
+                    shares.append(share)
+                except cluster.lost() as error:
+                    attempt += 1
+                    self._give_up(i, attempt, f"in rollout {rollout}", error)
+                    cluster.kill(self._actors[i])
+                    self._actors[i], _ = self._start(i)
+                    self._apart[i] = True
+                    asked = self._ask(i, rollout, weights)
+        parts = zip(*shares, strict=True)
+        return Experience(*(torch.from_numpy(np.concatenate(part, 1)).to(self.where) for part in parts))
+
+    def _give_up(self, i: int, attempt: int, when: str, error: BaseException) -> None:
+        if attempt == ATTEMPTS:
+            raise DeviceError(
+                f"the worker of shard {i} was lost {ATTEMPTS} times {when}, last by: "
+                f"{str(error).splitlines()[0]} With the same --out the run goes on from its last checkpoint"
+            ) from error
+
+    def _ask(self, i: int, rollout: int, weights: Any) -> Any:
+        state = self._states[i] if self._apart[i] else None
+        self._apart[i] = False
+        return self._actors[i].gather.remote(rollout, weights, state)
+
+    def state(self) -> SavedState:
+        """Return all that the agents' continuation depends on: the same, however many shards there are."""
+        states, sizes = self._states, [slots.stop - slots.start for slots in self._slots()]
+        first, n = states[0], self.settings.n_agents
+        return replace(
+            first,
+            identity={**first.identity, "n_agents": n},
+            memory=slot_memory.join(self.spec, [state.memory for state in states], sizes),
+            stored=slot_memory.join(self.spec, [state.stored for state in states], sizes),
+        )
+
+    def load(self, state: SavedState) -> None:
+        """Go on from what :meth:`state` returned, or that of a :class:`RolloutWorker`."""
+        n = self.settings.n_agents
+        for i, slots in enumerate(self._slots()):
+            share = {"n_agents": slots.stop - slots.start, "first_slot": slots.start}
+            self._states[i] = replace(
+                state,
+                identity={**state.identity, **share},
+                memory=slot_memory.cut(self.spec, n, state.memory, slots),
+                stored=slot_memory.cut(self.spec, n, state.stored, slots),
+            )
+            self._apart[i] = True
+
+    def _slots(self) -> list[slice]:
+        edges = [block_edges(self.settings, blocks) for blocks in self._blocks]
+        return [slice(edge[0], edge[-1]) for edge in edges]
