@@ -106,7 +106,8 @@ class RayWorkers:
         self._sent = ray.put
         with ThreadPoolExecutor(shards) as pool:  # each takes seconds
             started = list(pool.map(self._start, range(shards)))
-        self._actors, self._states = map(list, zip(*started, strict=True))
+        self._actors = [actor for actor, _ in started]
+        self._states = [state for _, state in started]
         self._apart = [False] * shards  # whether an actor's agents are not in the state noted here
 
     def _start(self, i: int) -> tuple[Any, SavedState]:
@@ -118,7 +119,8 @@ class RayWorkers:
                 begun = actor.begin.remote(
                     self.spec.name, options, self.device, self.settings, self._blocks[i]
                 )
-                return actor, cluster.get(begun)
+                state: SavedState = cluster.get(begun)
+                return actor, state
             except cluster.lost() as error:
                 self._give_up(i, attempt, "while it started", error)
         raise AssertionError

@@ -1,14 +1,87 @@
-"""Joules that the processor counts (RAPL), where the machine lets them be read."""
+"""Joules that the machine itself counts: of the processor (RAPL), of a GPU (NVML)."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
 from time import perf_counter
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 POWERCAP = Path("/sys/class/powercap")
-"""Where Linux has the counters; ``intel-rapl:0`` is a processor package, also of AMD's."""
+"""Where Linux has the processor's counters; ``intel-rapl:0`` is a package, also of AMD's."""
+
+
+class UnmeasuredError(Exception):
+    """No energy can be measured here; the message says why."""
+
+
+class Meter(Protocol):
+    """Counts energy."""
+
+    counts: str
+
+    def start(self) -> None:
+        """Count from now."""
+
+    def joules(self) -> float:
+        """Return what was spent since."""
+
+
+class Rapl:
+    """All processor packages, idle power and other programs' work included."""
+
+    counts = "RAPL of the whole processor"
+
+    def __init__(self) -> None:
+        self._packages = sorted(POWERCAP.glob("intel-rapl:[0-9]"))
+        if not self._packages:
+            raise UnmeasuredError(f"the machine has no RAPL counters ({POWERCAP}/intel-rapl:*)")
+        for package in self._packages:
+            try:
+                _read(package / "energy_uj")
+            except OSError as error:
+                raise UnmeasuredError(f"{package}/energy_uj cannot be read: {error.strerror}") from None
+
+    def start(self) -> None:
+        """Count from now."""
+        self._before = [_read(package / "energy_uj") for package in self._packages]
+
+    def joules(self) -> float:
+        """Return what was spent since: some seconds at most, in which a counter starts over at most once."""
+        total = 0
+        for package, before in zip(self._packages, self._before, strict=True):
+            spent = _read(package / "energy_uj") - before
+            total += spent if spent >= 0 else spent + _read(package / "max_energy_range_uj")
+        return total * 1e-6
+
+
+class Nvml:
+    """The first GPU's whole board, idle power included."""
+
+    counts = "NVML of the GPU's whole board, without the processor"
+
+    def __init__(self) -> None:
+        try:
+            from cuda.bindings import nvml
+
+            nvml.init_v2()
+            self._board = nvml.device_get_handle_by_index_v2(0)
+            self._read = nvml.device_get_total_energy_consumption
+            self.start()
+        except ImportError as error:
+            raise UnmeasuredError(
+                f"NVML is not installed ({error}): pip install 'pearl-marl[cuda]'"
+            ) from None
+        except Exception as error:  # NVML has a class for each of its errors, and others find its library
+            raise UnmeasuredError(f"the machine has no GPU that NVML can read: {error}") from None
+
+    def start(self) -> None:
+        """Count from now."""
+        self._before = self._read(self._board)
+
+    def joules(self) -> float:
+        """Return what was spent since."""
+        return float(self._read(self._board) - self._before) * 1e-3
 
 
 class Energy(NamedTuple):
@@ -19,41 +92,15 @@ class Energy(NamedTuple):
     steps: int
 
 
-def unavailable() -> str | None:
-    """Return why no energy can be measured here, or ``None`` if it can."""
-    packages = _packages()
-    if not packages:
-        return f"not measured here: the machine has no RAPL counters ({POWERCAP}/intel-rapl:*)"
-    for package in packages:
-        try:
-            _read(package / "energy_uj")
-        except OSError as error:
-            return f"not measured here: {package}/energy_uj cannot be read: {error.strerror}"
-    return None
-
-
-def spend(step: Callable[[], Any], seconds: float) -> Energy:
-    """Step for a while; return what all processor packages took meanwhile.
-
-    That includes idle power, and other programs' work.
-    """
-    packages = _packages()
-    before = [_read(package / "energy_uj") for package in packages]
+def spend(meter: Meter, step: Callable[[], Any], wait: Callable[[], Any], seconds: float) -> Energy:
+    """Step for a while, and wait for what steps have only started; return what was spent meanwhile."""
+    meter.start()
     began, steps = perf_counter(), 0
     while perf_counter() - began < seconds:
         step()
         steps += 1
-    elapsed = perf_counter() - began
-    total = 0
-    for package, start in zip(packages, before, strict=True):
-        spent = _read(package / "energy_uj") - start
-        # The counter starts over from zero; within some seconds it does so once at most.
-        total += spent if spent >= 0 else spent + _read(package / "max_energy_range_uj")
-    return Energy(total * 1e-6, elapsed, steps)
-
-
-def _packages() -> list[Path]:
-    return sorted(POWERCAP.glob("intel-rapl:[0-9]"))
+    wait()
+    return Energy(meter.joules(), perf_counter() - began, steps)
 
 
 def _read(path: Path) -> int:

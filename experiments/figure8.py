@@ -14,9 +14,9 @@ from .section import BLUE, HATCHES, ORANGE, WIDTH, Progress, Row, select
 
 TITLE = "Figure 8: energy"
 TEXT = (
-    "Agent-steps per joule, where the processor's own counters (RAPL) can be read: of the whole processor, "
-    "idle power included. The FPGA's share is not known without a board: toggles of the simulated design "
-    "say how busy it is, and are never made into watts."
+    "Agent-steps per joule, where the machine's own counters can be read: of the whole processor (RAPL), or "
+    "of the whole GPU (NVML), idle power included. The FPGA's share is not known without a board: toggles of "
+    "the simulated design say how busy it is, and are never made into watts."
 )
 COLUMNS = {
     "environment": "environment",
@@ -32,22 +32,18 @@ COLUMNS = {
 }
 SEEDS = (0,)
 
-CONTENDERS = (figure6.BATCH, figure6.ENVPOOL, figure6.SYNC)
+METERS: dict[type[energy.Meter], tuple[str, ...]] = {
+    energy.Rapl: (figure6.BATCH, figure6.ENVPOOL, figure6.SYNC),
+    energy.Nvml: ("step_batch, device='cuda'",),
+}
+"""Whose energy is counted by what."""
 N_ENVS = 43008
 
 
 def collect(quick: bool, progress: Progress) -> list[Row]:
     """Measure what the CPU contenders take, if that is possible; count toggles; add the paper's figures."""
     environments = list(paper.ENERGY_OVER_ENVPOOL)
-    missing = energy.unavailable()
-    rows: list[Row] = []
-    if missing is not None:
-        rows.append({"kind": "missing", "environment": "all", "contender": "all", "counts": missing})
-    else:
-        seconds = 0.1 if quick else 5.0
-        chosen = environments[:1] if quick else environments
-        for name in progress(chosen, len(chosen), "energy"):
-            rows += measured(get_spec(name), 1024 if quick else N_ENVS, seconds)
+    rows = measured(environments[:1] if quick else environments, quick, progress)
     if not quick:  # a model each to compile
         rows += _activity(progress)
     for name in environments:
@@ -83,11 +79,27 @@ def collect(quick: bool, progress: Progress) -> list[Row]:
     return rows
 
 
-def measured(spec: EnvSpec, n: int, seconds: float) -> list[Row]:
-    """Return steps per joule and watts of the contenders, each stepped for some seconds."""
+def measured(environments: list[str], quick: bool, progress: Progress) -> list[Row]:
+    """Return steps per joule and watts of all whose energy the machine counts; where it does not, why."""
+    rows: list[Row] = []
+    for meter_class, names in METERS.items():
+        try:
+            meter = meter_class()
+        except energy.UnmeasuredError as error:
+            common: Row = {"kind": "missing", "environment": "all", "contender": ", ".join(names)}
+            rows.append({**common, "counts": f"not measured here: {error}"})
+            continue
+        for name in progress(environments, len(environments), "energy"):
+            rows += _measured(get_spec(name), meter, names, quick)
+    return rows
+
+
+def _measured(spec: EnvSpec, meter: energy.Meter, names: tuple[str, ...], quick: bool) -> list[Row]:
+    """Return the rows of the contenders named, each stepped for some seconds."""
+    n, seconds = (1024, 0.1) if quick else (N_ENVS, 5.0)
     rows: list[Row] = []
     for contender in contenders(spec, n):
-        if contender.name not in CONTENDERS:
+        if contender.name not in names:
             continue
         common: Row = {"environment": spec.name, "contender": contender.name, "n_envs": contender.n}
         try:
@@ -96,9 +108,12 @@ def measured(spec: EnvSpec, n: int, seconds: float) -> list[Row]:
             rows.append({**common, "kind": "missing", "counts": str(error)})
             continue
         step()
-        spent = energy.spend(step, seconds)
+        contender.wait()
+        spent = energy.spend(meter, step, contender.wait, seconds)
         if not spent.joules:  # some virtual machines have counters that stand still
-            rows.append({**common, "kind": "missing", "counts": "not measured here: RAPL counts nothing"})
+            rows.append(
+                {**common, "kind": "missing", "counts": f"not measured here: {meter.counts} counts nothing"}
+            )
             continue
         rows.append(
             {
@@ -106,7 +121,7 @@ def measured(spec: EnvSpec, n: int, seconds: float) -> list[Row]:
                 "kind": "measured",
                 "steps_per_joule": spent.steps * contender.n / spent.joules,
                 "watts": spent.joules / spent.seconds,
-                "counts": f"RAPL of the whole processor for {seconds:g} s; {contender.counts}",
+                "counts": f"{meter.counts} for {seconds:g} s; {contender.counts}",
             }
         )
     found = select(rows, kind="measured")

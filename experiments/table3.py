@@ -8,7 +8,7 @@ from pearl_marl.memory_map import memory_map
 from pearl_marl.registry import get_spec
 from pearl_marl.synthesis import largest_fit, synthesise
 
-from . import energy, figure6, figure8, paper
+from . import figure6, figure8, paper
 from .figure9 import BUILDS
 from .section import Progress, Row
 
@@ -59,14 +59,10 @@ def collect(quick: bool, progress: Progress) -> list[Row]:
             )
     if not quick:
         rows.append(_most())
-    missing = energy.unavailable()
-    if missing is not None:
-        rows.append({"kind": "missing", "framework": "steps/J of any of them", "counts": missing})
-    else:
-        rows += [
-            {**row, "framework": row["contender"], "platform": "CPU"}
-            for row in figure8.measured(spec, n, 0.1 if quick else 5.0)
-        ]
+    rows += [
+        {**row, "framework": f"steps/J of {row['contender']}"}
+        for row in figure8.measured([ENV], quick, progress)
+    ]
     rows += [
         {
             "kind": "quoted",

@@ -273,11 +273,15 @@ def counters(folder: Path, *values: int) -> None:
 def test_energy_is_that_of_all_packages(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """One of the counters starts over meanwhile."""
     monkeypatch.setattr(energy, "POWERCAP", tmp_path)
-    assert "no RAPL counters" in (energy.unavailable() or "")
+    with pytest.raises(energy.UnmeasuredError, match="no RAPL counters"):
+        energy.Rapl()
     counters(tmp_path, 1_000_000, 9_500_000)
     (tmp_path / "intel-rapl:0:0").mkdir()  # a part of a package, and no package
-    assert energy.unavailable() is None
-    spent = energy.spend(lambda: counters(tmp_path, 3_000_000, 500_000), seconds=0.0001)
+    waited: list[bool] = []
+    spent = energy.spend(
+        energy.Rapl(), lambda: counters(tmp_path, 3_000_000, 500_000), lambda: waited.append(True), 0.0001
+    )
+    assert waited == [True]
     assert spent.joules == pytest.approx(2.0 + 1.0)
     assert spent.steps >= 1
     assert spent.seconds > 0
@@ -286,8 +290,9 @@ def test_energy_is_that_of_all_packages(tmp_path: Path, monkeypatch: pytest.Monk
 def test_figure_8_where_energy_is_counted(monkeypatch: pytest.MonkeyPatch) -> None:
     """Half as many joules are twice the steps per joule; counters that stand still are no measurement."""
     joules = iter([1.0, 2.0, 0.0])
-    monkeypatch.setattr(energy, "unavailable", lambda: None)
-    monkeypatch.setattr(energy, "spend", lambda step, seconds: energy.Energy(next(joules), 0.5, 10))
+    meter = type("Meter", (), {"counts": "a meter"})
+    monkeypatch.setattr(figure8, "METERS", {meter: tuple(contender.name for contender in STEPPED[1:])})
+    monkeypatch.setattr(energy, "spend", lambda *arguments: energy.Energy(next(joules), 0.5, 10))
     monkeypatch.setattr(figure8, "contenders", lambda spec, n: STEPPED)
     rows = figure8.collect(True, lambda items, total, label: iter(items))
     ours, envpool, sync = (row for row in rows if row.get("n_envs"))
@@ -308,4 +313,20 @@ def test_counters_that_cannot_be_read(tmp_path: Path, monkeypatch: pytest.Monkey
     monkeypatch.setattr(energy, "POWERCAP", tmp_path)
     counters(tmp_path, 1)
     (tmp_path / "intel-rapl:0" / "energy_uj").unlink()
-    assert "cannot be read: No such file" in (energy.unavailable() or "")
+    with pytest.raises(energy.UnmeasuredError, match="cannot be read: No such file"):
+        energy.Rapl()
+
+
+def test_energy_of_a_gpu(monkeypatch: pytest.MonkeyPatch) -> None:
+    """By a library of NVIDIA's that is played here, and which the machine of this test may not have."""
+    nvml = pytest.importorskip("cuda.bindings.nvml", reason="pip install 'pearl-marl[cuda]'")
+    millijoules = iter([5_000, 6_000, 8_500])
+    monkeypatch.setattr(nvml, "init_v2", lambda: None)
+    monkeypatch.setattr(nvml, "device_get_handle_by_index_v2", lambda index: 7 + index)
+    monkeypatch.setattr(
+        nvml, "device_get_total_energy_consumption", lambda board: next(millijoules) * (board == 7)
+    )
+    assert energy.spend(energy.Nvml(), lambda: None, lambda: None, 0.0001).joules == pytest.approx(2.5)
+    monkeypatch.setattr(nvml, "init_v2", lambda: nvml.check_status(9))
+    with pytest.raises(energy.UnmeasuredError, match="no GPU that NVML can read"):
+        energy.Nvml()
