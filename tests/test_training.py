@@ -14,12 +14,15 @@ from typing import Any
 import numpy as np
 import pytest
 
+from pearl_marl.devices import BatchStep
+from pearl_marl.episodes import EpisodeStatistics
 from pearl_marl.errors import ArgumentError
 from pearl_marl.registry import get_spec
 
 torch = pytest.importorskip("torch", reason="torch is not installed: pip install '.[train]'")
 training = importlib.import_module("pearl_marl.experiments.training")
 policy = importlib.import_module("pearl_marl.experiments.policy")
+rollout = importlib.import_module("pearl_marl.experiments.rollout")
 
 EVALUATED = 50
 """A thousand episodes take longer than such training."""
@@ -101,6 +104,54 @@ def test_what_learners_differ_in_has_to_be_of_them_all(name: str, shape: tuple[i
         training.ALGORITHMS["q-learning"](
             get_spec("CliffWalking"), "native", settings, **{name: np.zeros(shape)}
         )
+
+
+def test_returns_are_those_of_the_episodes_that_ended() -> None:
+    """As ``EpisodeStatistics`` has them, which counts step by step."""
+    random, n = np.random.default_rng(0), 7
+    ours, theirs = rollout.Returns(n, torch.device("cpu")), EpisodeStatistics(n)
+    for steps in (1, 5, 3, 40):
+        rewards, ended = random.normal(size=(steps, n)).astype(np.float32), random.random((steps, n)) < 0.2
+        ours.add(torch.from_numpy(rewards), torch.from_numpy(ended))
+        for t in range(steps):
+            theirs.add(BatchStep(rewards[t], rewards[t], ended[t], np.zeros(n, bool), rewards[t]))
+        if steps == 5:
+            continue  # asked for less often than told
+        figures, expected = ours.take(), theirs.summary()
+        theirs.clear()
+        assert figures["episodes"] == expected["episodes"]
+        assert figures["train_return"] == pytest.approx(expected["return_mean"])
+        assert figures["train_length"] == pytest.approx(expected["length_mean"])
+
+
+def test_advantages_are_those_of_their_definition() -> None:
+    """Weighted sums of errors up to the end of the episode; cut short, with what was to come."""
+    given = {"n_agents": 3, "depth": 250, "discount": 0.9, "trace": 0.7, "blocks": 2, "reward_scale": 0.5}
+    trainer = training.ALGORITHMS["ppo"](
+        get_spec("Pendulum"), "native", training.settings_for("ppo", "Pendulum", given)
+    )
+    first = trainer.worker.agents.obs
+    e = trainer.worker.gather(0)
+    assert torch.equal(e.obs[0], first)
+    assert e.ended[199].all(), "an episode of Pendulum has 200 steps"
+    assert e.ended.sum() == 3
+    with torch.no_grad():
+        values = torch.stack([trainer.model.values(obs) for obs in (*e.obs, trainer.worker.agents.obs)])
+        outputs = torch.stack([trainer.policy(obs) for obs in e.obs])
+    logs, _ = trainer.model.weigh(outputs, e.actions)
+    torch.testing.assert_close(e.logs, logs)
+    wanted = torch.zeros(3)
+    for t in reversed(range(250)):
+        if t == 199:  # the last reward's successor is not in the rollout: what counts is known otherwise
+            wanted = e.advantages[t]
+            continue
+        error = 0.5 * e.rewards[t] + 0.9 * values[t + 1] - values[t]
+        wanted = error + 0.9 * 0.7 * wanted
+        torch.testing.assert_close(e.advantages[t], wanted)
+    torch.testing.assert_close(e.returns, e.advantages + values[:-1])
+    # The pendulum goes on from where it was cut short, so its value is about that of the step before.
+    left = e.advantages[199] - 0.5 * e.rewards[199] + values[199]
+    torch.testing.assert_close(left, 0.9 * values[199], atol=0.2, rtol=0)
 
 
 def test_envpool_as_stable_baselines_wants_it() -> None:
