@@ -10,7 +10,7 @@ from pearl_marl.rendering import import_pyplot
 from pearl_marl.spec import EnvSpec
 
 from . import activity, energy, figure6, paper
-from .section import BLUE, HATCHES, ORANGE, WIDTH, Progress, Row, select
+from .section import BLUE, GREEN, HATCHES, ORANGE, WIDTH, Progress, Row, select
 
 TITLE = "Figure 8: energy"
 TEXT = (
@@ -149,29 +149,55 @@ def _activity(progress: Progress) -> list[Row]:
 
 
 def draw(rows: list[Row]) -> Any:
-    """Draw how many more steps a joule makes than a peer's: the paper's, and ours where measured."""
+    """Draw how many more steps a joule makes than a peer's, quoted and where measured; and toggles."""
     plt = import_pyplot()
-    figure, both = plt.subplots(1, 2, figsize=(WIDTH, 3.4), sharey=True, layout="constrained")
+    figure, (*both, right) = plt.subplots(1, 3, figsize=(WIDTH, 3.6), layout="constrained")
     environments = list(paper.ENERGY_OVER_ENVPOOL)
     measured = select(rows, kind="measured", contender=figure6.BATCH)
     width, shift = (0.38, 0.19) if measured else (0.6, 0.0)
-    ours = f"step_batch ({'measured' if measured else 'not measured'} here)"
     for axes, key, peer in zip(
         both, ("over_envpool", "over_vector_env"), ("EnvPool", "VectorEnv"), strict=True
     ):
         for place, kind, shade, label, chosen in (
             (-shift, "quoted", ORANGE, "the paper's board (quoted)", select(rows, kind="quoted")),
-            (shift, "measured", BLUE, ours, measured),
+            (shift, "measured", BLUE, "step_batch (measured)", measured),
         ):
             points = [row for row in chosen if row.get(key) is not None]
+            if not points:
+                continue
             x = [environments.index(row["environment"]) + place for row in points]
             y = [row[key] for row in points]
             bars = axes.bar(x, y, width, color=shade, edgecolor="white", hatch=HATCHES[kind], label=label)
             axes.bar_label(bars, [f"{value:,.0f}" for value in y], fontsize=7)
-        axes.set_xticks(range(len(environments)), environments, rotation=20)
-        axes.set(title=f"over {peer}", yscale="log")
+        axes.set_xticks(range(len(environments)), environments, rotation=40, ha="right", fontsize=8)
+        axes.set(title=f"steps a joule, over {peer}", yscale="log", ylim=(1, 20_000))
+    both[0].set_ylabel("times as many (log scale)")
+    if not measured:
+        both[0].set_title("steps a joule, over EnvPool\n(ours: not measured here)")
+    toggles = select(rows, kind="simulated")
+    places = range(len(toggles))
+    bars = right.barh(
+        places,
+        [row["toggles_per_step"] for row in toggles],
+        color=GREEN,
+        edgecolor="white",
+        hatch=HATCHES["simulated"],
+        label="this design's registers (simulated)",
+    )
+    right.bar_label(bars, [f"{row['toggles_per_step']:,.0f}" for row in toggles], fontsize=7, padding=2)
+    right.set_yticks(
+        places, [f"{row['environment']}\n{row['n_envs']:,} slots" for row in toggles], fontsize=7
+    )
+    right.invert_yaxis()
+    right.set(title="activity, which is no energy", xlabel="toggles a slot's step (log scale)", xscale="log")
+    right.set_xlim(10, 100_000)
+    for axes in (*both, right):
+        axes.title.set_fontsize(10)
         axes.spines[["top", "right"]].set_visible(False)
-    both[0].set_ylabel("times as many steps a joule (log scale)")
-    handles, labels = both[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=2, frameon=False, fontsize=8)
+    handles, labels = zip(*(pair for axes in (both[0], right) for pair in _legend(axes)), strict=True)
+    figure.legend(handles, labels, loc="outside lower center", ncols=3, frameon=False, fontsize=8)
     return figure
+
+
+def _legend(axes: Any) -> list[tuple[Any, str]]:
+    return list(zip(*axes.get_legend_handles_labels(), strict=True))

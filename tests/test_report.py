@@ -300,7 +300,7 @@ def test_figure_8_where_energy_is_counted(monkeypatch: pytest.MonkeyPatch) -> No
     assert (ours["over_envpool"], ours["over_vector_env"]) == (2.0, None)
     assert envpool["steps_per_joule"] == 500
     assert sync["kind"] == "missing"
-    assert len(figure8.draw(rows).axes) == 2
+    assert len(figure8.draw(rows).axes) == 3
 
 
 STEPPED = [
