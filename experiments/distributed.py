@@ -129,21 +129,23 @@ class RayWorkers:
         """Have all agents stepped; return the experience of the rollout of that number."""
         weights = self._sent({name: tensor.cpu().numpy() for name, tensor in self.model.state_dict().items()})
         under_way = [self._ask(i, rollout, weights) for i in range(len(self._actors))]
-        shares: list[list[Array]] = []
+        # Should it fail, all begin at the states noted here, whichever were done.
+        self._apart = [True] * len(self._actors)
+        gathered: list[tuple[list[Array], SavedState]] = []
         for i, asked in enumerate(under_way):
             attempt = 0
-            while len(shares) == i:
+            while len(gathered) == i:
                 try:
-                    share, self._states[i] = cluster.get(asked)
-                    shares.append(share)
+                    gathered.append(cluster.get(asked))
                 except cluster.lost() as error:
                     attempt += 1
                     self._give_up(i, attempt, f"in rollout {rollout}", error)
                     cluster.kill(self._actors[i])
                     self._actors[i], _ = self._start(i)
-                    self._apart[i] = True
                     asked = self._ask(i, rollout, weights)
-        parts = zip(*shares, strict=True)
+        self._states = [state for _, state in gathered]
+        self._apart = [False] * len(self._actors)
+        parts = zip(*(share for share, _ in gathered), strict=True)
         return Experience(*(torch.from_numpy(np.concatenate(part, 1)).to(self.where) for part in parts))
 
     def _give_up(self, i: int, attempt: int, when: str, error: BaseException) -> None:
@@ -155,7 +157,6 @@ class RayWorkers:
 
     def _ask(self, i: int, rollout: int, weights: Any) -> Any:
         state = self._states[i] if self._apart[i] else None
-        self._apart[i] = False
         return self._actors[i].gather.remote(rollout, weights, state)
 
     def state(self) -> SavedState:
