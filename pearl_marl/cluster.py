@@ -215,7 +215,7 @@ def _check_available(ray: Any, resources: Mapping[str, float]) -> None:
     else:
         mend = f"`ray start --address=HEAD --resources='{{\"{name}\": {resources[name]:g}}}'`"
     raise DeviceError(
-        f"no machine of the Ray cluster {lacking}; there is {'; '.join(map(_listed, machines)) or 'nothing'}. "
+        f"no machine of the Ray cluster {lacking}; there is {'; '.join(map(_listed, machines)) or 'none'}. "
         f"Start Ray on the machine that has it: {mend} (--head for the first one), and set RAY_ADDRESS"
     )
 
