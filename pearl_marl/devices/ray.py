@@ -187,6 +187,7 @@ class _Shard(Recoverable):
         return obs  # type: ignore[no-any-return]
 
     def _step(self, actions: Array) -> BatchStep:
+        # Observations may be of a narrower dtype here; Sharded writes them into arrays of the space's.
         obs, rewards, terminations, truncations, ends = self._ask("step", actions)
         final_obs = obs
         if ends is not None and len(ends):
@@ -302,18 +303,23 @@ class _Host:
                 f"{platform.node()} has another {environment} than the process that asks for it: install the "
                 "same version of its package on every machine of the cluster, and start Ray there again"
             )
+        self._travelling = travelling(config.spec)
         # Nothing is kept here, where it would be lost.
         if isinstance(device, Recoverable):
             device.checkpoint_every = None
         self._device: Device = device.open(config, None if rewards is None or not rewards.size else rewards)
 
     def step(self, words: Array) -> tuple[Array, ...]:
-        """Step; of final observations return only those of slots that ended, one after the other."""
+        """Step; return results in as few bytes as they need.
+
+        Observations come in the dtype of :func:`travelling`, and final ones only of slots that ended, one
+        after the other (``None`` in NEXT_STEP mode, where they are the observations themselves).
+        """
         results = self._device.step_words(words.copy())  # what came through Ray cannot be written to
         ends = None
         if self._device.config.autoreset_mode is AutoresetMode.SAME_STEP:
-            ends = results.final_obs[results.ended]
-        return (*results[:4], ends)  # type: ignore[return-value]
+            ends = results.final_obs[results.ended].astype(self._travelling, copy=False)
+        return (results.obs.astype(self._travelling, copy=False), *results[1:4], ends)  # type: ignore[return-value]
 
     def reset(
         self, seed: int | None, mask: Array | None, keeps: bool
@@ -333,6 +339,15 @@ class _Host:
     def call(self, name: str, *arguments: Any) -> Any:
         """Make any other call of the device."""
         return getattr(self._device, name)(*arguments)
+
+
+def travelling(spec: EnvSpec) -> np.dtype[Any]:
+    """Return the narrowest dtype that holds all observations; for integers mostly less than the space's."""
+    whole = spec.observation_dtype
+    if whole.kind not in "iu" or spec.unpack is not None:
+        return whole
+    narrow: np.dtype[Any] = np.result_type(*(field.dtype for field in spec.observation))
+    return narrow if narrow.kind in "iu" and narrow.itemsize < whole.itemsize else whole
 
 
 def fingerprint(spec: EnvSpec) -> str:
