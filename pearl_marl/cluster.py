@@ -33,7 +33,9 @@ def ray_module() -> Any:
     try:
         return importlib.import_module("ray")
     except ModuleNotFoundError as error:
-        raise DeviceError(f"Ray is not installed ({error}): pip install 'pearl-marl[ray]'") from error
+        raise DeviceError(
+            f"Ray is not installed, as {error.name!r} is missing; pip install 'pearl-marl[ray]'"
+        ) from error
 
 
 def connect() -> Any:
@@ -76,8 +78,8 @@ def check_address(address: str) -> None:
         socket.create_connection((host, int(port)), ANSWER_SECONDS).close()
     except OSError as error:
         raise DeviceError(
-            f"no Ray cluster answers at RAY_ADDRESS={address} ({error}): start one with `ray start --head`, "
-            "or unset RAY_ADDRESS for one on this machine alone"
+            f"no Ray cluster answers at RAY_ADDRESS={address}: {error.strerror or error}; start one with "
+            "`ray start --head`, or unset RAY_ADDRESS for one on this machine alone"
         ) from None
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import importlib
+import json
 import os
 import pickle
 import signal
@@ -21,7 +22,7 @@ from gymnasium.vector import AutoresetMode
 
 import pearl_marl
 from pearl_marl import cluster, get_spec
-from pearl_marl.devices import BatchConfig, Device, Native, Ray, Rtl
+from pearl_marl.devices import BatchConfig, Device, Native, Ray, Rtl, cuda
 from pearl_marl.errors import ActionError, ArgumentError, DeviceError, OrderError
 from pearl_marl.testing import assert_same_step, assert_same_trajectory, trajectory
 
@@ -291,7 +292,7 @@ def test_faults_of_a_board_in_an_actor(opened: Any) -> None:
                 calls.pop()
             except DeviceError as error:
                 errors.append(str(error))
-                calls.append(device.recover)
+                calls[1:] = [device.recover]
         assert_same_step(step, native.step(actions))
     assert len(errors) > 3
     assert all("board" in error or "xdma" in error for error in errors)
@@ -371,6 +372,32 @@ def test_without_ray(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "ray", None)
     with pytest.raises(DeviceError, match=r"Ray is not installed.*pip install 'pearl-marl\[ray\]'"):
         Ray(["native"]).open(BatchConfig(spec=SPEC, n_envs=N))
+
+
+def test_the_doctor_looks_for_ray(pearl: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cuda, "find_spec", lambda name: None)  # no GPU: it is looked for there too
+    monkeypatch.delenv("RAY_ADDRESS", raising=False)
+
+    def row() -> dict:
+        status, output, _ = pearl("doctor", "--json")
+        assert status == 0
+        return json.loads(output)["Ray"]
+
+    assert row() == {"ok": True, "found": f"version {ray.__version__}", "mend": ""}
+    monkeypatch.setenv("RAY_ADDRESS", "127.0.0.1:9")
+    assert row() == {
+        "ok": False,
+        "found": "no Ray cluster answers at RAY_ADDRESS=127.0.0.1:9: Connection refused",
+        "mend": "start one with `ray start --head`, or unset RAY_ADDRESS for one on this machine alone",
+    }
+    monkeypatch.setenv("RAY_ADDRESS", ray.get_runtime_context().gcs_address)
+    assert row()["found"] == f"version {ray.__version__}, cluster at {os.environ['RAY_ADDRESS']}"
+    monkeypatch.setitem(sys.modules, "ray", None)
+    assert row() == {
+        "ok": False,
+        "found": "Ray is not installed, as 'ray' is missing",
+        "mend": "pip install 'pearl-marl[ray]'",
+    }
 
 
 def test_no_cluster_at_the_address(monkeypatch: pytest.MonkeyPatch) -> None:
