@@ -53,7 +53,7 @@ clean:
 $(VENV)/.render: EXTRAS := render
 $(VENV)/.rtl: EXTRAS := rtl
 $(VENV)/.report: EXTRAS := report
-$(VENV)/.dev: EXTRAS := report,cuda,dev
+$(VENV)/.dev: EXTRAS := report,cuda,ray,dev
 $(VENV)/.render $(VENV)/.rtl $(VENV)/.report $(VENV)/.dev: $(PACKAGE) | $(BIN)/python
 	@echo "Installing pearl-marl[$(EXTRAS)] into $(VENV) ..."
 	@$(BIN)/python -W ignore -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[$(EXTRAS)]'

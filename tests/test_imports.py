@@ -18,6 +18,7 @@ HEAVY = (
     "tensorboard",
     "envpool",
     "numba.cuda",
+    "ray",
 )
 
 SCRIPT = """

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 from collections.abc import Iterator
 from typing import Any
 
@@ -78,7 +79,9 @@ def test_what_rllib_would_get_wrong_is_refused(make: Any, words: str) -> None:
 
 @pytest.fixture(scope="module")
 def ray() -> Iterator[Any]:
-    ray = pytest.importorskip("ray", reason="ray is not installed: make test-rllib runs this with it")
+    reason = "RLlib is not installed: make test-rllib runs this with it"
+    pytest.importorskip("ray.rllib", reason=reason, exc_type=ImportError)  # Ray may be, without RLlib
+    ray = importlib.import_module("ray")
     ray.init(num_cpus=2, include_dashboard=False, log_to_driver=False, ignore_reinit_error=True)
     yield ray
     ray.shutdown()

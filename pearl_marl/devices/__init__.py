@@ -15,7 +15,7 @@
     The golden functions as they stand: :class:`Reference`, slow, for others to be held against.
 
 :class:`Lockstep` steps two of them as one and compares every word. :class:`Sharded` shares the slots among
-several.
+several, :class:`Ray` among actors of a Ray cluster.
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ from pearl_marl.devices.batch import BatchConfig, BatchStep
 from pearl_marl.devices.cuda import Cuda
 from pearl_marl.devices.lockstep import Lockstep
 from pearl_marl.devices.native import Native
+from pearl_marl.devices.ray import Ray
 from pearl_marl.devices.reference import Reference
 from pearl_marl.devices.rtl import Rtl
 from pearl_marl.devices.serial import Serial
@@ -39,6 +40,7 @@ __all__ = [
     "Device",
     "Lockstep",
     "Native",
+    "Ray",
     "Reference",
     "Rtl",
     "Serial",

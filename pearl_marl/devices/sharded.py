@@ -20,6 +20,7 @@ from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import replace
 from typing import Self, TypeVar
 
+import numpy as np
 import numpy.typing as npt
 
 from pearl_marl import devices, slot_memory
@@ -85,12 +86,21 @@ class Sharded(Recoverable):
 
     def set_rewards(self, table: npt.ArrayLike) -> None:
         """Replace every part's reward table; see :meth:`Device.set_rewards`."""
-        super().set_rewards(table)
-        self._on_all(lambda part, _: part.set_rewards(table))
+        self._check_idle("set_rewards")
+        self._check_known()
+        before = self._table
+        Device.set_rewards(self, table)
+        try:
+            self._change(lambda part, _: part.set_rewards(table))
+        except BaseException:
+            self._table = before
+            raise
+        self._note("set_rewards", np.array(table))
 
     def set_max_cycles(self, max_cycles: int | None) -> None:
         """Replace every part's time limit; see :meth:`Device.set_max_cycles`."""
         self._check_idle("set_max_cycles")
+        self._check_known()
         config = replace(self.config, max_cycles=max_cycles)
         self._change(lambda part, _: part.set_max_cycles(max_cycles))
         self.config = config
@@ -109,16 +119,21 @@ class Sharded(Recoverable):
         self._results = ResultArrays(config)
         self._pool: ThreadPoolExecutor | None = None
         self._pool_process = 0
-        opened: list[Device] = []
         try:
-            for part, slots in zip(self.parts, self._slots, strict=True):
-                first_slot, size = config.first_slot + slots.start, slots.stop - slots.start
-                part.open(replace(config, n_envs=size, first_slot=first_slot, copy=False))
-                opened.append(part)
+            self._open_parts(config)
         except BaseException:
-            for part in opened:
-                part.close()
+            for part in self.parts:
+                if hasattr(part, "config"):
+                    part.close()
             raise
+
+    def _open_parts(self, config: BatchConfig) -> None:
+        for part, slots in zip(self.parts, self._slots, strict=True):
+            self._open_part(config, part, slots)
+
+    def _open_part(self, config: BatchConfig, part: Device, slots: slice) -> None:
+        first_slot, size = config.first_slot + slots.start, slots.stop - slots.start
+        part.open(replace(config, n_envs=size, first_slot=first_slot, copy=False))
 
     def _reset(self, mask: Array | None) -> Array:
         seed = self._reset_seed

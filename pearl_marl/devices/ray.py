@@ -1,0 +1,355 @@
+"""Slots over processes and machines: each shard of them is an actor of a Ray cluster, with its own device.
+
+::
+
+    this process                                      actors, wherever Ray has placed them
+
+    Ray --+-- slots 0 .. a-1 --> _Shard --actions-->  _Host --> native, cuda, rtl, a board ...
+          |                             <--results--
+          +-- slots a .. n-1 --> _Shard --actions-->  _Host --> native, cuda, rtl, a board ...
+                                        <--results--
+
+It is :class:`~pearl_marl.devices.sharded.Sharded` over parts that are elsewhere. A part keeps a state of its
+slots and the calls since. When its actor is lost, with its process or its machine, the part starts another
+one, gives it that state, makes these calls again, and then the one that failed: nobody notices but by the
+clock. What comes back is what would have come without it, bit for bit.
+"""
+
+from __future__ import annotations
+
+import pickle
+import platform
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from typing import Any, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+from gymnasium.vector import AutoresetMode
+
+from pearl_marl import cluster, devices
+from pearl_marl.devices.base import Device
+from pearl_marl.devices.batch import Array, BatchConfig, BatchStep
+from pearl_marl.devices.recovery import CHECKPOINT_EVERY, Recoverable
+from pearl_marl.devices.sharded import Sharded
+from pearl_marl.errors import ArgumentError, DeviceError
+from pearl_marl.kernel_source import kernel_source
+from pearl_marl.kernels import kernel_name
+from pearl_marl.saved_state import SavedState
+from pearl_marl.spec import EnvSpec
+
+T = TypeVar("T")
+
+TRIES = 3
+"""How many actors in a row one call may lose until it raises."""
+
+CLOSE_SECONDS = 10.0
+"""How long a device may take to close before its actor is ended anyway."""
+
+
+class Ray(Sharded):
+    """Slots shared among actors of a Ray cluster.
+
+    The cluster is the one that this process is connected to, or that ``RAY_ADDRESS`` names, or a new one on
+    this machine. An actor that is lost is replaced, and its slots go on as if nothing had happened. Where
+    that is not possible the call raises DeviceError, and :meth:`recover` goes on once it is.
+
+    Parameters
+    ----------
+    shards
+        The devices, names or configured, in the order of the slots: one actor each.
+    sizes
+        How many slots each has; ``None`` for equal shares, where the first ones may have one more.
+    resources
+        What an actor holds while it lives, by Ray's names: ``{"fpga": 1}``, ``{"GPU": 1}``, ``{"CPU": 2}``.
+        One for all shards, or a list with one (or ``None``) for each. ``None`` holds nothing.
+    checkpoint_every
+        Steps between two states that are kept of a shard, in this process; ``None`` keeps nothing, and
+        what is lost stays lost.
+    """
+
+    def __init__(
+        self,
+        shards: Sequence[str | Device],
+        sizes: Sequence[int] | None = None,
+        resources: Mapping[str, float] | Sequence[Mapping[str, float] | None] | None = None,
+        checkpoint_every: int | None = CHECKPOINT_EVERY,
+    ) -> None:
+        if isinstance(shards, (str, Device)) or not len(shards):
+            raise ArgumentError(f"shards is {shards!r}; it must be a list of at least one device")
+        made = [devices.make_host_device(shard) for shard in shards]
+        if len(set(map(id, made))) < len(made):
+            raise ArgumentError("the same device is among the shards twice; each is for one actor")
+        if any(isinstance(device, Ray) for device in made):
+            raise ArgumentError("a shard of a Ray device is a Ray device itself: list its shards instead")
+        if resources is None or isinstance(resources, Mapping):
+            resources = [resources] * len(made)
+        elif isinstance(resources, str) or len(resources) != len(made):
+            raise ArgumentError(
+                f"resources is {resources!r}; it must be one for all, or a list of one for each of the "
+                f"{len(made)} shards"
+            )
+        checked = map(cluster.checked_resources, resources)
+        parts = [_Shard(device, needs) for device, needs in zip(made, checked, strict=True)]
+        super().__init__(parts, sizes, checkpoint_every)
+        # Each keeps its own, so that only what is lost has to be done again.
+        self.checkpoint_every = None
+        for part in parts:
+            part.checkpoint_every = checkpoint_every
+        self.name = f"ray({', '.join(device.name for device in made)})"
+
+    def recover(self) -> None:
+        """Go on from the last call that succeeded on all shards; see :meth:`Device.recover`."""
+        self._check_idle("recover")
+        if self._known:
+            self._mark()
+        self._known = False
+        self._on_all(lambda part, _: part.go_back())  # type: ignore[attr-defined]
+        self._known = True
+
+    def _open_parts(self, config: BatchConfig) -> None:
+        cluster.connect()
+        self._on_all(partial(self._open_part, config))
+
+    def _change(self, call: Callable[[Device, slice], T]) -> list[T]:
+        self._mark()
+        return super()._change(call)
+
+    def _mark(self) -> None:
+        for part in self.parts:
+            part.mark()  # type: ignore[attr-defined]
+
+
+class _Shard(Recoverable):
+    """A device that is in an actor, as a device here.
+
+    Parameters
+    ----------
+    device
+        What the actor opens, not open here.
+    resources
+        What the actor holds.
+    """
+
+    def __init__(self, device: Device, resources: Mapping[str, float]) -> None:
+        super().__init__()
+        self.name = device.name
+        self._device, self._resources = device, resources
+
+    def mark(self) -> None:
+        """Remember this moment for :meth:`go_back`."""
+        self._marked = self._kept, self._calls, len(self._calls)
+
+    def go_back(self) -> None:
+        """Recover what was at the mark: a call since may have succeeded here, but not on other shards."""
+        self._kept, calls, count = self._marked
+        self._calls = calls[:count]
+        self.recover()
+
+    def reset(self, seed: int | None = None, mask: npt.ArrayLike | None = None) -> Array:
+        """Begin new episodes; see :meth:`Device.reset`."""
+        self._reset_seed = seed
+        return super().reset(seed, mask)
+
+    def set_rewards(self, table: npt.ArrayLike) -> None:
+        """Replace the reward table; see :meth:`Device.set_rewards`."""
+        self._check_idle("set_rewards")
+        self._ask("call", "set_rewards", np.array(table))
+        super().set_rewards(table)
+
+    def set_max_cycles(self, max_cycles: int | None) -> None:
+        """Replace the time limit; see :meth:`Device.set_max_cycles`."""
+        self._check_idle("set_max_cycles")
+        self._ask("call", "set_max_cycles", max_cycles)
+        self.config = replace(self.config, max_cycles=max_cycles)
+        self._note("set_max_cycles", max_cycles)
+
+    def _open(self, config: BatchConfig) -> None:
+        self._reviving = False
+        self._actor: Any = None
+        # The state right after a reset, which comes with it: asked for later, it might be lost by then.
+        self._fresh: tuple[Array, Array] | None = None
+        self._final_obs = np.zeros(
+            (config.n_envs, *config.spec.observation_shape), config.spec.observation_dtype
+        )
+        try:
+            self._start(config, None)
+        except cluster.lost() as error:
+            raise DeviceError(
+                f"the actor of a shard ({self.name}) was lost while it started: {error}"
+            ) from error
+
+    def _reset(self, mask: Array | None) -> Array:
+        keeps = mask is None and self.checkpoint_every is not None
+        seed = self._reset_seed
+        obs, self._fresh = self._ask("reset", seed, mask, keeps, anew=seed is not None)
+        return obs  # type: ignore[no-any-return]
+
+    def _step(self, actions: Array) -> BatchStep:
+        # Observations may be of a narrower dtype here; Sharded writes them into arrays of the space's.
+        obs, rewards, terminations, truncations, ends = self._ask("step", actions)
+        final_obs = obs
+        if ends is not None and len(ends):
+            final_obs = self._final_obs
+            final_obs[terminations | truncations] = ends
+        return BatchStep(obs, rewards, terminations, truncations, final_obs)
+
+    def _read(self) -> tuple[Array, Array]:
+        fresh, self._fresh = self._fresh, None
+        if fresh is None:
+            saved = self._ask("call", "snapshot")
+            fresh = saved.memory, saved.stored
+        return fresh
+
+    def _write(self, memory: Array, stored: Array) -> Array:
+        saved = SavedState(
+            identity=self.config.identity(),
+            seed=self._seed,
+            tick=self._tick,
+            rewards=tuple(self.rewards.tolist()),
+            memory=memory,
+            stored=stored,
+            live=memory[:0],
+        )
+        return self._ask("restore", self.config.max_cycles, saved, anew=True)  # type: ignore[no-any-return]
+
+    def _close(self) -> None:
+        try:
+            if self._actor is not None:
+                cluster.get(self._actor.call.remote("close"), CLOSE_SECONDS)
+        except Exception:  # it is gone, or hangs, or failed: there is nothing to be saved
+            pass
+        finally:
+            self._drop()
+
+    def _ask(self, call: str, *arguments: Any, anew: bool = False) -> Any:
+        """Make a call in the actor; if that is lost, in another one.
+
+        Parameters
+        ----------
+        call, *arguments
+            A method of :class:`_Host`.
+        anew
+            Whether what comes of it does not depend on what was before.
+        """
+        for tries_left in reversed(range(TRIES)):
+            try:
+                if self._actor is None:
+                    self._start(self.config, self._table[: len(self.config.spec.rewards or ())])
+                    if not anew:
+                        self._catch_up()
+                return cluster.get(getattr(self._actor, call).remote(*arguments))
+            except cluster.lost() as error:
+                self._drop()
+                if self._reviving:  # whoever revives it counts
+                    raise
+                if not tries_left:
+                    first = self.config.first_slot
+                    raise DeviceError(
+                        f"the actor of slots {first} to {first + self.config.n_envs - 1} ({self.name}) was "
+                        f"lost {TRIES} times in a row, at last by: {str(error).strip()}\nLook for what ends "
+                        f"it (often memory: `ray status`, `ray memory`), then {self._way_on}"
+                    ) from error
+        raise AssertionError("unreachable")
+
+    def _start(self, config: BatchConfig, rewards: Array | None) -> None:
+        """Start an actor and open the device there."""
+        ray = cluster.connect()
+        actor = cluster.start_actor(_Host, resources=self._resources)
+        try:
+            packed = ray.cloudpickle.dumps((self._device, config))
+            name = config.spec.name
+            cluster.get(actor.open.remote(packed, name, fingerprint(config.spec), rewards))
+        except BaseException:
+            cluster.kill(actor)
+            raise
+        self._actor = actor
+
+    def _catch_up(self) -> None:
+        """Bring a new actor to where the last call that succeeded left the one before."""
+        now = self._seed, self._tick, self._table, self.config  # a call may be under way
+        self._reviving = True
+        try:
+            self.recover()
+        except BaseException:
+            self._drop()
+            raise
+        finally:
+            self._reviving = False
+            self._seed, self._tick, self._table, self.config = now
+
+    def _drop(self) -> None:
+        actor, self._actor = self._actor, None
+        if actor is not None:
+            cluster.kill(actor)
+
+
+class _Host:
+    """What an actor is: a device, and the calls of a :class:`_Shard`."""
+
+    def open(self, packed: bytes, environment: str, expected: str, rewards: Array | None) -> None:
+        """Open the device; refuse an environment that is not that of the other side."""
+        try:
+            device, config = pickle.loads(packed)
+        except Exception as error:
+            raise DeviceError(
+                f"{platform.node()} cannot load the environment {environment} or the device: {error!r}; "
+                "install the package that has them on every machine of the cluster, or add its folder to "
+                "PYTHONPATH there"
+            ) from None
+        if fingerprint(config.spec) != expected:
+            raise DeviceError(
+                f"{platform.node()} has another {environment} than the process that asks for it: install the "
+                "same version of its package on every machine of the cluster, and start Ray there again"
+            )
+        self._travelling = travelling(config.spec)
+        # Nothing is kept here, where it would be lost.
+        if isinstance(device, Recoverable):
+            device.checkpoint_every = None
+        self._device: Device = device.open(config, None if rewards is None or not rewards.size else rewards)
+
+    def step(self, words: Array) -> tuple[Array, ...]:
+        """Step; return results in as few bytes as they need.
+
+        Observations come in the dtype of :func:`travelling`, and final ones only of slots that ended, one
+        after the other (``None`` in NEXT_STEP mode, where they are the observations themselves).
+        """
+        results = self._device.step_words(words.copy())  # what came through Ray cannot be written to
+        ends = None
+        if self._device.config.autoreset_mode is AutoresetMode.SAME_STEP:
+            ends = results.final_obs[results.ended].astype(self._travelling, copy=False)
+        return (results.obs.astype(self._travelling, copy=False), *results[1:4], ends)  # type: ignore[return-value]
+
+    def reset(
+        self, seed: int | None, mask: Array | None, keeps: bool
+    ) -> tuple[Array, tuple[Array, Array] | None]:
+        """Reset; return the state too if it is to be kept."""
+        obs = self._device.reset(seed, None if mask is None else mask.copy())
+        if not keeps:
+            return obs, None
+        saved = self._device.snapshot()
+        return obs, (saved.memory, saved.stored)
+
+    def restore(self, max_cycles: int | None, saved: SavedState) -> Array:
+        """Continue from a snapshot, under the time limit of that moment."""
+        self._device.config = replace(self._device.config, max_cycles=max_cycles)
+        return self._device.restore(replace(saved, memory=saved.memory.copy(), stored=saved.stored.copy()))
+
+    def call(self, name: str, *arguments: Any) -> Any:
+        """Make any other call of the device."""
+        return getattr(self._device, name)(*arguments)
+
+
+def travelling(spec: EnvSpec) -> np.dtype[Any]:
+    """Return the narrowest dtype that holds all observations; for integers mostly less than the space's."""
+    whole = spec.observation_dtype
+    if whole.kind not in "iu" or spec.unpack is not None:
+        return whole
+    narrow: np.dtype[Any] = np.result_type(*(field.dtype for field in spec.observation))
+    return narrow if narrow.kind in "iu" and narrow.itemsize < whole.itemsize else whole
+
+
+def fingerprint(spec: EnvSpec) -> str:
+    """Return a name with a hash of what an environment does."""
+    return kernel_name(spec, kernel_source(spec), ())
