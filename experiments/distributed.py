@@ -22,8 +22,8 @@ import numpy as np
 import torch
 
 from pearl_marl import cluster, slot_memory
+from pearl_marl.devices.ray import Parcel, pack, unpack
 from pearl_marl.errors import ArgumentError, DeviceError
-from pearl_marl.registry import get_spec
 from pearl_marl.saved_state import SavedState
 from pearl_marl.spec import EnvSpec
 
@@ -40,12 +40,10 @@ ATTEMPTS = 3
 class Worker:
     """What runs in a process of its own: a :class:`RolloutWorker` that is sent weights."""
 
-    def begin(
-        self, env_id: str, options: dict[str, Any], device: str, settings: Any, blocks: range
-    ) -> SavedState:
-        """Make the agents; return their state. Arguments are those of :class:`RolloutWorker`."""
+    def begin(self, parcel: Parcel) -> SavedState:
+        """Make the agents; return their state. In the parcel are arguments of :class:`RolloutWorker`."""
         torch.set_num_threads(1)
-        spec = get_spec(env_id).with_options(**options)
+        spec, device, settings, blocks = unpack(parcel)
         self.model = ActorCritic(spec, settings.width)
         self.worker = RolloutWorker(spec, device, settings, self.model, blocks)
         self.model.to(self.worker.where)
@@ -112,14 +110,11 @@ class RayWorkers:
 
     def _start(self, i: int) -> tuple[Any, SavedState]:
         """Return an actor for a shard, and its agents' first state."""
-        options = dict(self.spec.options)
+        parcel = pack(self.spec, self.device, self.settings, self._blocks[i])
         for attempt in itertools.count(1):
             try:
                 actor = cluster.start_actor(Worker, resources=RESOURCES.get(self.device))
-                begun = actor.begin.remote(
-                    self.spec.name, options, self.device, self.settings, self._blocks[i]
-                )
-                state: SavedState = cluster.get(begun)
+                state: SavedState = cluster.get(actor.begin.remote(parcel))
                 return actor, state
             except cluster.lost() as error:
                 self._give_up(i, attempt, "while it started", error)

@@ -22,7 +22,7 @@ import platform
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -255,12 +255,9 @@ class _Shard(Recoverable):
 
     def _start(self, config: BatchConfig, rewards: Array | None) -> None:
         """Start an actor and open the device there."""
-        ray = cluster.connect()
         actor = cluster.start_actor(_Host, resources=self._resources)
         try:
-            packed = ray.cloudpickle.dumps((self._device, config))
-            name = config.spec.name
-            cluster.get(actor.open.remote(packed, name, fingerprint(config.spec), rewards))
+            cluster.get(actor.open.remote(pack(config.spec, self._device, config), rewards))
         except BaseException:
             cluster.kill(actor)
             raise
@@ -288,21 +285,9 @@ class _Shard(Recoverable):
 class _Host:
     """What an actor is: a device, and the calls of a :class:`_Shard`."""
 
-    def open(self, packed: bytes, environment: str, expected: str, rewards: Array | None) -> None:
+    def open(self, parcel: Parcel, rewards: Array | None) -> None:
         """Open the device; refuse an environment that is not that of the other side."""
-        try:
-            device, config = pickle.loads(packed)
-        except Exception as error:
-            raise DeviceError(
-                f"{platform.node()} cannot load the environment {environment} or the device: {error!r}; "
-                "install the package that has them on every machine of the cluster, or add its folder to "
-                "PYTHONPATH there"
-            ) from None
-        if fingerprint(config.spec) != expected:
-            raise DeviceError(
-                f"{platform.node()} has another {environment} than the process that asks for it: install the "
-                "same version of its package on every machine of the cluster, and start Ray there again"
-            )
+        device, config = unpack(parcel)[1:]
         self._travelling = travelling(config.spec)
         # Nothing is kept here, where it would be lost.
         if isinstance(device, Recoverable):
@@ -348,6 +333,43 @@ def travelling(spec: EnvSpec) -> np.dtype[Any]:
         return whole
     narrow: np.dtype[Any] = np.result_type(*(field.dtype for field in spec.observation))
     return narrow if narrow.kind in "iu" and narrow.itemsize < whole.itemsize else whole
+
+
+class Parcel(NamedTuple):
+    """An environment and other things on their way to an actor: see :func:`pack`."""
+
+    content: bytes
+    environment: str
+    fingerprint: str
+
+
+def pack(spec: EnvSpec, *others: Any) -> Parcel:
+    """Return an environment and other things as an actor takes them, on a machine with the same packages."""
+    return Parcel(cluster.connect().cloudpickle.dumps((spec, *others)), spec.name, fingerprint(spec))
+
+
+def unpack(parcel: Parcel) -> tuple[Any, ...]:
+    """Return what was packed, in the actor.
+
+    Raises
+    ------
+    DeviceError
+        This machine does not have the environment, or another one of that name.
+    """
+    name = parcel.environment
+    try:
+        content: tuple[Any, ...] = pickle.loads(parcel.content)
+    except Exception as error:
+        raise DeviceError(
+            f"{platform.node()} cannot load the environment {name} or the device: {error!r}; install the "
+            "package that has them on every machine of the cluster, or add its folder to PYTHONPATH there"
+        ) from None
+    if fingerprint(content[0]) != parcel.fingerprint:
+        raise DeviceError(
+            f"{platform.node()} has another {name} than the process that asks for it: install the same "
+            "version of its package on every machine of the cluster, and start Ray there again"
+        )
+    return content
 
 
 def fingerprint(spec: EnvSpec) -> str:
