@@ -300,7 +300,8 @@ class _Host:
         Observations come in the dtype of :func:`travelling`, and final ones only of slots that ended, one
         after the other (``None`` in NEXT_STEP mode, where they are the observations themselves).
         """
-        results = self._device.step_words(words.copy())  # what came through Ray cannot be written to
+        # What came through Ray may be read-only, for which kernels would be compiled once more.
+        results = self._device.step_words(words.copy())
         ends = None
         if self._device.config.autoreset_mode is AutoresetMode.SAME_STEP:
             ends = results.final_obs[results.ended].astype(self._travelling, copy=False)
