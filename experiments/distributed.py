@@ -90,12 +90,15 @@ class RayWorkers:
     """
 
     def __init__(self, spec: EnvSpec, device: str, settings: Any, model: ActorCritic, shards: int) -> None:
-        if not 1 <= shards <= settings.blocks:
+        if shards < 1:
+            raise ArgumentError(f"--shards is {shards}; it must be at least 1, or left out for this process")
+        if shards > settings.blocks:
             raise ArgumentError(
                 f"--shards is {shards}; the agents are in {settings.blocks} blocks, and a shard has at least "
-                f"one: --set blocks={max(shards, 1)}, with which the run is another"
+                f"one: --set blocks={shards}, with which the run is another"
             )
         self.spec, self.settings, self.model, self.device = spec, settings, model, device
+        self._resources = RESOURCES.get(device.partition(":")[0])
         learns_on_gpu = device == "cuda" and torch.cuda.is_available()
         self.where = torch.device("cuda" if learns_on_gpu else "cpu")
         edges = [i * settings.blocks // shards for i in range(shards + 1)]
@@ -113,7 +116,7 @@ class RayWorkers:
         parcel = pack(self.spec, self.device, self.settings, self._blocks[i])
         for attempt in itertools.count(1):
             try:
-                actor = cluster.start_actor(Worker, resources=RESOURCES.get(self.device))
+                actor = cluster.start_actor(Worker, resources=self._resources)
                 state: SavedState = cluster.get(actor.begin.remote(parcel))
                 return actor, state
             except cluster.lost() as error:
@@ -134,7 +137,13 @@ class RayWorkers:
                     gathered.append(cluster.get(asked))
                 except cluster.lost() as error:
                     attempt += 1
-                    self._give_up(i, attempt, f"in rollout {rollout}", error)
+                    self._give_up(
+                        i,
+                        attempt,
+                        f"in rollout {rollout}",
+                        error,
+                        ". With the same --out the run goes on later",
+                    )
                     cluster.kill(self._actors[i])
                     self._actors[i], _ = self._start(i)
                     asked = self._ask(i, rollout, weights)
@@ -143,11 +152,13 @@ class RayWorkers:
         parts = zip(*(share for share, _ in gathered), strict=True)
         return Experience(*(torch.from_numpy(np.concatenate(part, 1)).to(self.where) for part in parts))
 
-    def _give_up(self, i: int, attempt: int, when: str, error: BaseException) -> None:
-        if attempt == ATTEMPTS:
+    def _give_up(self, i: int, attempt: int, when: str, error: BaseException, mend: str = "") -> None:
+        """Raise where a worker was lost too often, or can never start."""
+        if attempt == ATTEMPTS or getattr(error, "actor_init_failed", False):
+            lines = [line.strip() for line in str(error).splitlines() if line.strip()]
+            why = " ... ".join(dict.fromkeys((lines[0], lines[-1])))
             raise DeviceError(
-                f"the worker of shard {i} was lost {ATTEMPTS} times {when}, last by: "
-                f"{str(error).splitlines()[0]} With the same --out the run goes on from its last checkpoint"
+                f"the worker of shard {i} was lost {attempt} times {when}, last by: {why}{mend}"
             ) from error
 
     def _ask(self, i: int, rollout: int, weights: Any) -> Any:

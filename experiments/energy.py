@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 from collections.abc import Callable
 from pathlib import Path
 from time import perf_counter
@@ -19,6 +20,7 @@ class Meter(Protocol):
     """Counts energy."""
 
     counts: str
+    platform: str
 
     def start(self) -> None:
         """Count from now."""
@@ -30,7 +32,7 @@ class Meter(Protocol):
 class Rapl:
     """All processor packages, idle power and other programs' work included."""
 
-    counts = "RAPL of the whole processor"
+    counts, platform = "RAPL of the whole processor", "CPU"
 
     def __init__(self) -> None:
         self._packages = sorted(POWERCAP.glob("intel-rapl:[0-9]"))
@@ -56,16 +58,17 @@ class Rapl:
 
 
 class Nvml:
-    """The first GPU's whole board, idle power included."""
+    """The whole board of the GPU in use, idle power included."""
 
-    counts = "NVML of the GPU's whole board, without the processor"
+    counts, platform = "NVML of the GPU's whole board, without the processor", "GPU"
 
     def __init__(self) -> None:
         try:
             from cuda.bindings import nvml
 
             nvml.init_v2()
-            self._board = nvml.device_get_handle_by_index_v2(0)
+            # Not by its number: CUDA and NVML count in different orders.
+            self._board = nvml.device_get_handle_by_uuid(_gpu().uuid)
             self._read = nvml.device_get_total_energy_consumption
             self.start()
         except ImportError as error:
@@ -82,6 +85,11 @@ class Nvml:
     def joules(self) -> float:
         """Return what was spent since."""
         return float(self._read(self._board) - self._before) * 1e-3
+
+
+def _gpu() -> Any:
+    """Return the GPU in use."""
+    return importlib.import_module("numba.cuda").get_current_device()
 
 
 class Energy(NamedTuple):

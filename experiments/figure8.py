@@ -41,7 +41,7 @@ N_ENVS = 43008
 
 
 def collect(quick: bool, progress: Progress) -> list[Row]:
-    """Measure what the CPU contenders take, if that is possible; count toggles; add the paper's figures."""
+    """Measure what contenders take, where that is possible; count toggles; add the paper's figures."""
     environments = list(paper.ENERGY_OVER_ENVPOOL)
     rows = measured(environments[:1] if quick else environments, quick, progress)
     if not quick:  # a model each to compile
@@ -87,7 +87,8 @@ def measured(environments: list[str], quick: bool, progress: Progress) -> list[R
             meter = meter_class()
         except energy.UnmeasuredError as error:
             common: Row = {"kind": "missing", "environment": "all", "contender": ", ".join(names)}
-            rows.append({**common, "counts": f"not measured here: {error}"})
+            counts = f"not measured here: {error}"
+            rows.append({**common, "platform": meter_class.platform, "counts": counts})
             continue
         for name in progress(environments, len(environments), "energy"):
             rows += _measured(get_spec(name), meter, names, quick)
@@ -101,7 +102,12 @@ def _measured(spec: EnvSpec, meter: energy.Meter, names: tuple[str, ...], quick:
     for contender in contenders(spec, n):
         if contender.name not in names:
             continue
-        common: Row = {"environment": spec.name, "contender": contender.name, "n_envs": contender.n}
+        common: Row = {
+            "environment": spec.name,
+            "contender": contender.name,
+            "platform": meter.platform,
+            "n_envs": contender.n,
+        }
         try:
             step = contender.make()
         except UnavailableError as error:

@@ -107,8 +107,8 @@ class QLearning:
         self.episodes = Returns(n, where)
         self.rows = self.policy.rows(self.agents.obs)
         # An entry of each table's: updates so far; of the step, visits and the sum of targets.
-        self.updates, self.visits = (torch.zeros_like(self.policy.values).flatten() for _ in range(2))
-        self.sums = torch.zeros_like(self.visits, dtype=torch.float64)
+        self.updates = torch.zeros_like(self.policy.values).flatten()
+        self.visits, self.sums = (torch.zeros_like(self.updates, dtype=torch.float64) for _ in range(2))
         self.evaluated = max(2_000, learners)
         self.done = 0
 
@@ -149,7 +149,7 @@ class QLearning:
     def _update(self, entries: Tensor, targets: Tensor) -> None:
         """Move the entries that agents visited towards the mean of their targets."""
         values, updates = self.policy.values.view(-1), self.updates
-        self.visits.index_add_(0, entries, torch.ones_like(targets))
+        self.visits.index_add_(0, entries, torch.ones_like(targets, dtype=torch.float64))
         self.sums.index_add_(0, entries, targets.double())
         # Who visited the same entry computes the same for it, so that it matters not whose is kept.
         mean = (self.sums[entries] / self.visits[entries]).float()

@@ -254,7 +254,7 @@ class RolloutWorker:
             made.append(outputs)
             taken.append(actions)
         obs, actions = torch.stack(seen), torch.stack(taken)
-        _, rewards, terminations, truncations, _ = map(torch.stack, zip(*steps, strict=True))
+        rewards, terminations, truncations = map(torch.stack, list(zip(*steps, strict=True))[1:4])
         logs, _ = model.weigh(torch.stack(made), actions)
         values = _joined([self._values(obs[:, block]) for block in self.blocks], 1)
         wanted = rewards * settings.reward_scale

@@ -28,6 +28,9 @@ from pearl_marl.benchmark import machine
 from pearl_marl.errors import ArgumentError
 from pearl_marl.rendering import import_pyplot
 
+FORMAT = 2
+"""Of checkpoints; another number for every change of what trainers keep in them."""
+
 
 class RunFolder:
     """The folder of one run, new or to be gone on with.
@@ -74,11 +77,19 @@ class RunFolder:
                 )
 
     def resume(self) -> dict[str, Any] | None:
-        """Return the last checkpoint, and take up its metrics; ``None`` where there is none."""
+        """Return the last checkpoint, and take up its metrics; ``None`` where there is none.
+
+        Raises
+        ------
+        ArgumentError
+            It is of another version of this package.
+        """
         file = self.path / "checkpoint.pt"
         if not file.exists():
             return None
         checkpoint: dict[str, Any] = torch.load(file, weights_only=False)
+        if checkpoint.get("format") != FORMAT:
+            raise ArgumentError(f"{file} is of another version of this package: give another --out")
         self.rows = checkpoint.pop("rows")
         return checkpoint
 
@@ -94,7 +105,7 @@ class RunFolder:
     def checkpoint(self, state: dict[str, Any]) -> None:
         """Keep what the continuation depends on, and the metrics."""
         buffer = io.BytesIO()
-        torch.save({**state, "rows": self.rows}, buffer)
+        torch.save({**state, "rows": self.rows, "format": FORMAT}, buffer)
         _replace(self.path / "checkpoint.pt", buffer.getvalue())
         self.write_metrics()
 

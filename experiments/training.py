@@ -53,8 +53,10 @@ def settings_for(algorithm: str, env_id: str, given: dict[str, Any], shards: int
     if shards is not None and "blocks" not in kinds:
         raise ArgumentError(f"{algorithm} does not learn with --shards: leave it out, or use ppo")
     preset = PRESETS.get((algorithm, get_spec(env_id).name), {})
-    blocks = {} if shards is None else {"blocks": BLOCKS}
-    return SETTINGS[algorithm](**{**preset, **blocks, **given})
+    settings = {**preset, **given}
+    if shards is not None and "blocks" not in given:
+        settings["blocks"] = min(BLOCKS, settings.get("n_agents", default.n_agents))
+    return SETTINGS[algorithm](**settings)
 
 
 def train(

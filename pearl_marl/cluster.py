@@ -75,7 +75,7 @@ def check_address(address: str) -> None:
     if not colon or not port.isdecimal():  # "auto", or what Ray knows better
         return
     try:
-        socket.create_connection((host, int(port)), ANSWER_SECONDS).close()
+        socket.create_connection((host.strip("[]"), int(port)), ANSWER_SECONDS).close()
     except OSError as error:
         raise DeviceError(
             f"no Ray cluster answers at RAY_ADDRESS={address}: {error.strerror or error}; start one with "
@@ -180,6 +180,7 @@ def lost() -> tuple[type[BaseException], ...]:
         errors.NodeDiedError,
         errors.LocalRayletDiedError,
         errors.ObjectLostError,
+        errors.OutOfMemoryError,  # Ray's own, with which it ends the process that takes the most
     )
 
 

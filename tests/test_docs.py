@@ -178,9 +178,15 @@ def test_make_targets_exist():
 
 def test_links_lead_somewhere():
     for page in PAGES:
-        for target in re.findall(r"\]\(([^)#]+)\)", page.read_text()):
-            if not target.startswith("http"):
-                assert (page.parent / target).exists(), f"{page.name} links to {target}"
+        for target, heading in re.findall(r"\]\(([^)#]*)(?:#([^)]+))?\)", page.read_text()):
+            if target.startswith("http"):
+                continue
+            there = page.parent / target if target else page
+            assert there.exists(), f"{page.name} links to {target}"
+            if heading:
+                headings = re.findall(r"^#+ (.*)$", there.read_text(), re.MULTILINE)
+                names = {re.sub(r"[^\w -]", "", name).lower().replace(" ", "-") for name in headings}
+                assert heading in names, f"{page.name} links to {target}#{heading}"
 
 
 def test_the_demo_learns(tmp_path):

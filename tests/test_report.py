@@ -290,7 +290,7 @@ def test_energy_is_that_of_all_packages(tmp_path: Path, monkeypatch: pytest.Monk
 def test_figure_8_where_energy_is_counted(monkeypatch: pytest.MonkeyPatch) -> None:
     """Half as many joules are twice the steps per joule; counters that stand still are no measurement."""
     joules = iter([1.0, 2.0, 0.0])
-    meter = type("Meter", (), {"counts": "a meter"})
+    meter = type("Meter", (), {"counts": "a meter", "platform": "CPU"})
     monkeypatch.setattr(figure8, "METERS", {meter: tuple(contender.name for contender in STEPPED[1:])})
     monkeypatch.setattr(energy, "spend", lambda *arguments: energy.Energy(next(joules), 0.5, 10))
     monkeypatch.setattr(figure8, "contenders", lambda spec, n: STEPPED)
@@ -322,7 +322,7 @@ def test_energy_of_a_gpu(monkeypatch: pytest.MonkeyPatch) -> None:
     nvml = pytest.importorskip("cuda.bindings.nvml", reason="pip install 'pearl-marl[cuda]'")
     millijoules = iter([5_000, 6_000, 8_500])
     monkeypatch.setattr(nvml, "init_v2", lambda: None)
-    monkeypatch.setattr(nvml, "device_get_handle_by_index_v2", lambda index: 7 + index)
+    monkeypatch.setattr(nvml, "device_get_handle_by_uuid", lambda uuid: 7 if uuid.startswith("GPU-") else 8)
     monkeypatch.setattr(
         nvml, "device_get_total_energy_consumption", lambda board: next(millijoules) * (board == 7)
     )

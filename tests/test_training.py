@@ -106,6 +106,14 @@ def test_what_learners_differ_in_has_to_be_of_them_all(name: str, shape: tuple[i
         )
 
 
+def test_a_checkpoint_of_another_version_is_refused(tmp_path: Path) -> None:
+    run("q-learning", "CliffWalking", tmp_path, **SMALL["q-learning"])
+    file = tmp_path / "checkpoint.pt"
+    torch.save({**torch.load(file, weights_only=False), "format": 1}, file)
+    with pytest.raises(ArgumentError, match=r"checkpoint.pt is of another version.*another --out"):
+        run("q-learning", "CliffWalking", tmp_path, **SMALL["q-learning"])
+
+
 def test_returns_are_those_of_the_episodes_that_ended() -> None:
     """As ``EpisodeStatistics`` has them, which counts step by step."""
     random, n = np.random.default_rng(0), 7

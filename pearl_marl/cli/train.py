@@ -46,7 +46,10 @@ Every = Annotated[
 Shards = Annotated[
     int | None,
     typer.Option(
-        "--shards", help="How many processes step agents, by Ray; `ppo` only.", show_default="this process"
+        "--shards",
+        min=1,
+        help="How many processes step agents, by Ray; `ppo` only.",
+        show_default="this process",
     ),
 ]
 Folder = Annotated[Path, typer.Option("--out", metavar="DIR", help="The run's folder, new or to go on with.")]

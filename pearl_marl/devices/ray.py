@@ -113,7 +113,8 @@ class Ray(Sharded):
         self._on_all(partial(self._open_part, config))
 
     def _change(self, call: Callable[[Device, slice], T]) -> list[T]:
-        self._mark()
+        if self._known:  # or there is a moment to go back to already
+            self._mark()
         return super()._change(call)
 
     def _mark(self) -> None:
@@ -237,7 +238,7 @@ class _Shard(Recoverable):
             try:
                 if self._actor is None:
                     self._start(self.config, self._table[: len(self.config.spec.rewards or ())])
-                    if not anew:
+                    if not anew and self._ready:
                         self._catch_up()
                 return cluster.get(getattr(self._actor, call).remote(*arguments))
             except cluster.lost() as error:

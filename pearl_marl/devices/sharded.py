@@ -180,10 +180,11 @@ class Sharded(Recoverable):
         return self._joined_obs(self._change(write))
 
     def _close(self) -> None:
-        if self._pool is not None:
-            self._pool.shutdown(wait=True)
-        for part in self.parts:
-            part.close()
+        try:
+            self._on_all(lambda part, _: part.close())
+        finally:
+            if self._pool is not None:
+                self._pool.shutdown(wait=True)
 
     def _change(self, call: Callable[[Device, slice], T]) -> list[T]:
         """Do what moves slots. Should it fail on one part, the others may have moved."""
