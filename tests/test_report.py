@@ -259,6 +259,14 @@ def test_builds_of_figure_9_are_those_of_all() -> None:
     assert set(report.load("figure9").BUILDS) == set(names())  # type: ignore[attr-defined]
 
 
+def test_a_run_made_again_counts_where_it_was_not_disturbed() -> None:
+    points = [[(1.0, 10, 5.0), (4.0, 20, 9.0)], [(2.0, 10, 5.0), (3.0, 20, 9.0)]]
+    runs = [figure7.Run("SB3", 0, 4, made) for made in points]
+    assert figure7.undisturbed(runs).points == [(1.0, 10, 5.0), (2.0, 20, 9.0)]
+    other = figure7.Run("SB3", 0, 4, [(1.5, 10, 9.0)])
+    assert figure7.undisturbed([*runs, other]) is other, "the shortest, where they did not do the same"
+
+
 # ---- Energy ----
 
 
