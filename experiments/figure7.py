@@ -23,7 +23,7 @@ TEXT = (
     "counted. Stable-Baselines3 trains with the same settings and seeds whether this package, EnvPool or "
     "Gymnasium steps its environments, so it needs as many steps, give or take luck, and what it saves is "
     "time for each: the share saved compares how long the first steps took, as many in all runs. Each is run "
-    "three times, and of the stretch between two evaluations the shortest time counts: in the others there is "
+    "three times, and of the stretch between two evaluations the shortest time counts: in the others is "
     "more of what else the machine does. The batched trainers are this package's own. All with one thread of "
     "PyTorch; EnvPool has threads of its own."
 )
