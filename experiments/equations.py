@@ -103,9 +103,7 @@ def _host(spec: EnvSpec, quick: bool) -> list[Row]:
             )
     for what in ("T1, pack", "T7, unpack"):
         points = select(rows, what=what)
-        slope, constant = np.polyfit(
-            [row["bytes"] for row in points], [row["microseconds"] for row in points], 1
-        )
+        slope, constant = fitted([row["bytes"] for row in points], [row["microseconds"] for row in points])
         rows.append(
             {
                 "kind": "predicted",
@@ -113,10 +111,26 @@ def _host(spec: EnvSpec, quick: bool) -> list[Row]:
                 "environment": spec.name,
                 "alpha": float(slope) * 1e3,
                 "beta": float(constant),
-                "counts": "Eq. 1, the line through the measurements (least squares)",
+                "counts": "Eq. 1, the line through the measurements (least squares of relative errors)",
             }
         )
     return rows
+
+
+def fitted(x: list[float], y: list[float]) -> tuple[float, float]:
+    """Return slope and constant of the line whose relative errors are least; neither is negative.
+
+    Absolute errors would be those of the largest sizes alone, whose arrays are in no cache any more.
+    """
+    matrix = np.stack([x, np.ones(len(x))], 1) / np.array(y)[:, None]
+    lines = []
+    for chosen in ([0, 1], [0], [1]):
+        line = np.zeros(2)
+        line[chosen] = np.linalg.lstsq(matrix[:, chosen], np.ones(len(x)))[0]
+        if (line >= 0).all():
+            lines.append(line)
+    slope, constant = min(lines, key=lambda line: float(np.square(matrix @ line - 1).sum()))
+    return float(slope), float(constant)
 
 
 def _simulated(name: str, n: int, pe_num: int, data_wl: int, pipelined: bool) -> list[Row]:

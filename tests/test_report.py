@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import html.parser
+import importlib
 import json
 import sys
 from pathlib import Path
@@ -257,6 +258,18 @@ def test_every_contender_has_its_name() -> None:
 
 def test_builds_of_figure_9_are_those_of_all() -> None:
     assert set(report.load("figure9").BUILDS) == set(names())  # type: ignore[attr-defined]
+
+
+def test_eq_1_is_fitted_as_it_is_drawn() -> None:
+    """By its relative errors, with no time below nothing."""
+    equations = importlib.import_module("pearl_marl.experiments.equations")
+    x = [10.0, 100.0, 1000.0, 10_000.0]
+    slope, constant = equations.fitted(x, [7 + 0.5 * value for value in x])
+    assert (slope, constant) == (pytest.approx(0.5), pytest.approx(7))
+    slope, constant = equations.fitted(x, [value**1.5 for value in x])
+    assert slope > 0
+    assert constant == 0
+    assert equations.fitted([1.0, 2.0], [3.0, 1.0])[0] == 0
 
 
 def test_a_run_made_again_counts_where_it_was_not_disturbed() -> None:
