@@ -104,7 +104,7 @@ class RayWorkers:
         edges = [i * settings.blocks // shards for i in range(shards + 1)]
         self._blocks = [range(edges[i], edges[i + 1]) for i in range(shards)]
         ray = cluster.connect()
-        self._sent = ray.put
+        self._put = ray.put
         with ThreadPoolExecutor(shards) as pool:  # each takes seconds
             started = list(pool.map(self._start, range(shards)))
         self._actors = [actor for actor, _ in started]
@@ -125,7 +125,7 @@ class RayWorkers:
 
     def gather(self, rollout: int) -> Experience:
         """Have all agents stepped; return the experience of the rollout of that number."""
-        weights = self._sent({name: tensor.cpu().numpy() for name, tensor in self.model.state_dict().items()})
+        weights = self._put({name: tensor.cpu().numpy() for name, tensor in self.model.state_dict().items()})
         under_way = [self._ask(i, rollout, weights) for i in range(len(self._actors))]
         # Should it fail, all begin at the states noted here, whichever were done.
         self._apart = [True] * len(self._actors)

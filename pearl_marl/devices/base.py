@@ -206,15 +206,7 @@ class Device(ABC):
         """Return all that the continuation depends on; :meth:`restore` of any device takes it."""
         self._check_idle("snapshot", ready=True)
         memory, stored = self._read()
-        return SavedState(
-            identity=self.config.identity(),
-            seed=self._seed,
-            tick=self._tick,
-            rewards=tuple(self.rewards.tolist()),
-            memory=memory.copy(),
-            stored=stored.copy(),
-            live=memory[:0],
-        )
+        return self._saved(memory.copy(), stored.copy())
 
     def restore(self, saved: SavedState) -> Array:
         """Continue from a snapshot of a batch like this one; return every slot's observation.
@@ -273,6 +265,18 @@ class Device(ABC):
             if self._worker is not None:
                 self._worker.shutdown(wait=True)
             self._close()
+
+    def _saved(self, memory: Array, stored: Array) -> SavedState:
+        """Return slots' memory and stored initial states as a state saved now."""
+        return SavedState(
+            identity=self.config.identity(),
+            seed=self._seed,
+            tick=self._tick,
+            rewards=tuple(self.rewards.tolist()),
+            memory=memory,
+            stored=stored,
+            live=memory[:0],
+        )
 
     def _check_idle(self, call: str, ready: bool = False) -> None:
         if self._closed:

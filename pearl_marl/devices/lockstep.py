@@ -137,15 +137,7 @@ class Lockstep(Device):
         return self._restart("reset", restart, before, **arguments)
 
     def _write(self, memory: Array, stored: Array) -> Array:
-        saved = SavedState(
-            identity=self.config.identity(),
-            seed=self._seed,
-            tick=self._tick,
-            rewards=tuple(self.rewards.tolist()),
-            memory=memory,
-            stored=stored,
-            live=memory[:0],
-        )
+        saved = self._saved(memory, stored)
         return self._restart("restore", lambda device: device.restore(saved), saved)
 
     def _restart(

@@ -204,15 +204,7 @@ class _Shard(Recoverable):
         return fresh
 
     def _write(self, memory: Array, stored: Array) -> Array:
-        saved = SavedState(
-            identity=self.config.identity(),
-            seed=self._seed,
-            tick=self._tick,
-            rewards=tuple(self.rewards.tolist()),
-            memory=memory,
-            stored=stored,
-            live=memory[:0],
-        )
+        saved = self._saved(memory, stored)
         return self._ask("restore", self.config.max_cycles, saved, anew=True)  # type: ignore[no-any-return]
 
     def _close(self) -> None:
