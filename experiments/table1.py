@@ -31,7 +31,7 @@ COLUMNS = {
 }
 SEEDS = (0,)
 
-N_ENVS, PE_NUM, DATA_WL = 64, 1, 32
+N_ENVS, PE_NUM, DATA_WL = 16, 1, 32
 """The build that is placed and routed: one core, and little around it."""
 
 

@@ -2,33 +2,42 @@
 //
 // The packer uses it to place rows. The group reader uses another one to know, a fixed latency
 // ahead, whether the packer will have room: so nothing between the two ever has to stall.
-module pearl_fill #(
+//
+// A row waits until less than a word is left of those before it. No word is later for it, as the word
+// that has to go out first is there already; and a packer needs to place rows at offsets within a word only.
+module pearl_fill
+  import pearl_pkg::*;
+#(
     // Bits of a row and of a word in units of their common power of two.
-    parameter  int unsigned ROW_UNITS  = 3,
-    parameter  int unsigned WORD_UNITS = 2,
-    localparam int unsigned FILL_BITS  = $clog2(ROW_UNITS + WORD_UNITS + 1)
+    parameter  int unsigned ROW_UNITS   = 3,
+    parameter  int unsigned WORD_UNITS  = 2,
+    localparam int unsigned OFFSET_BITS = index_bits(WORD_UNITS)
 ) (
-    input  logic                 clk_i,
-    input  logic                 rst_ni,
-    input  logic                 clear_i,
-    input  logic                 row_i,
-    output logic                 word_o,
+    input  logic                   clk_i,
+    input  logic                   rst_ni,
+    input  logic                   clear_i,
+    input  logic                   row_i,
+    output logic                   word_o,
     // Where a row that comes in this cycle is put, after this cycle's word has gone out.
-    output logic [FILL_BITS-1:0] offset_o,
+    output logic [OFFSET_BITS-1:0] offset_o,
     // Whether there is room for it.
-    output logic                 ready_o
+    output logic                   ready_o
 );
 
-  logic [FILL_BITS-1:0] fill_q;
+  localparam int unsigned FILL_BITS = $clog2(ROW_UNITS + WORD_UNITS);
+
+  logic [FILL_BITS-1:0] fill_q, left;
 
   assign word_o   = 32'(fill_q) >= WORD_UNITS;
-  assign offset_o = word_o ? fill_q - FILL_BITS'(WORD_UNITS) : fill_q;
-  assign ready_o  = 32'(offset_o) <= WORD_UNITS;
+  assign left     = word_o ? fill_q - FILL_BITS'(WORD_UNITS) : fill_q;
+  assign ready_o  = 32'(left) < WORD_UNITS;
+  // Said to synthesis, which does not know that no row comes at another one.
+  assign offset_o = WORD_UNITS == 1 ? '0 : left[OFFSET_BITS-1:0];
 
   always_ff @(posedge clk_i or negedge rst_ni) begin
     if (!rst_ni) fill_q <= '0;
     else if (clear_i) fill_q <= '0;
-    else fill_q <= row_i ? offset_o + FILL_BITS'(ROW_UNITS) : offset_o;
+    else fill_q <= row_i ? left + FILL_BITS'(ROW_UNITS) : left;
   end
 
 endmodule

@@ -40,7 +40,7 @@ module pearl_group_reader
     localparam int unsigned ROW_UNITS = ROW_BITS[i] / UNIT;
     localparam int unsigned WORD_UNITS = DATA_WL / UNIT;
     logic unused_word;
-    logic [$clog2(ROW_UNITS+WORD_UNITS+1)-1:0] unused_offset;
+    logic [index_bits(WORD_UNITS)-1:0] unused_offset;
     pearl_fill #(
         .ROW_UNITS (ROW_UNITS),
         .WORD_UNITS(WORD_UNITS)

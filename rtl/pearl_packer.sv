@@ -1,7 +1,7 @@
 // Packs rows of bits into words, one continuous stream, and writes them to consecutive addresses.
 //
-// Any ratio of row to word works. The cost is a shifter over ROW_BITS + DATA_WL bits with one level
-// for each factor of two that DATA_WL has and ROW_BITS has not.
+// Any ratio of row to word works. The cost is a shifter over ROW_BITS bits with one level for each
+// factor of two that DATA_WL has and ROW_BITS has not.
 // Rows may only come when pearl_fill says that there is room.
 module pearl_packer
   import pearl_pkg::*;
@@ -26,17 +26,18 @@ module pearl_packer
 );
 
   localparam int unsigned UNIT = common_unit(ROW_BITS, DATA_WL);
-  localparam int unsigned FILL_BITS = $clog2(ROW_BITS / UNIT + DATA_WL / UNIT + 1);
-  localparam int unsigned ACC_BITS = ROW_BITS + DATA_WL;
+  localparam int unsigned WORD_UNITS = DATA_WL / UNIT;
+  // What is left of a word, and a row.
+  localparam int unsigned ACC_BITS = ROW_BITS + DATA_WL - UNIT;
 
   logic word, last_q, room;
-  logic [FILL_BITS-1:0] offset;
+  logic [index_bits(WORD_UNITS)-1:0] offset;
   logic [ACC_BITS-1:0] acc_q, kept;
   logic [$clog2(WORDS+1)-1:0] count_q;
 
   pearl_fill #(
       .ROW_UNITS (ROW_BITS / UNIT),
-      .WORD_UNITS(DATA_WL / UNIT)
+      .WORD_UNITS(WORD_UNITS)
   ) u_fill (
       .clk_i,
       .rst_ni,
