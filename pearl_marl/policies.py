@@ -158,15 +158,15 @@ def _stable_baselines3(path: Path, spec: EnvSpec) -> Policy:
     by_policy: dict[str, Any] = {"dqn": sb3.DQN, "sac": sb3.SAC, "td3": sb3.TD3}
     algorithm = by_policy.get(kind, sb3.PPO if "clip_range" in data else sb3.A2C)
     model = algorithm.load(path, device="cpu")
-    _check_space(path, "observations", model.observation_space, spec.observation_space)
+    observations: Any = spec.observation_space
+    if isinstance(observations, Tuple):  # as wrappers.sb3_vec_env shows it
+        observations = MultiDiscrete([part.n for part in observations.spaces])  # type: ignore[attr-defined]
+    _check_space(path, "observations", model.observation_space, observations)
     _check_space(path, "actions", model.action_space, spec.action_space)
     return lambda observations: model.predict(observations, deterministic=True)[0]
 
 
 def _check_space(path: Path, what: str, theirs: Any, ours: Any) -> None:
-    if isinstance(ours, Tuple):  # as wrappers.sb3_vec_env shows it
-        parts: Any = ours.spaces
-        ours = MultiDiscrete([part.n for part in parts])
     if theirs != ours:
         raise ArgumentError(f"{path} was trained on {what} in {theirs}; here they are in {ours}")
 

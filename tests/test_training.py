@@ -17,6 +17,8 @@ import pytest
 from pearl_marl.devices import BatchStep
 from pearl_marl.episodes import EpisodeStatistics
 from pearl_marl.errors import ArgumentError
+from pearl_marl.parallel_env import parallel_env
+from pearl_marl.policies import load_policy
 from pearl_marl.registry import get_spec
 
 torch = pytest.importorskip("torch", reason="torch is not installed: pip install '.[train]'")
@@ -222,6 +224,9 @@ def test_every_kind_of_space_is_trained_or_refused(algorithm: str, env: str, tmp
             row["agent_steps"] for row in rows
         ]
     assert json.loads((tmp_path / "config.json").read_text())["settings"]["algorithm"] == algorithm
+    obs = parallel_env(env, n_agents=8).reset_batch(seed=0)
+    actions = load_policy(str(tmp_path), get_spec(env))(obs)  # as `pearl eval` has it
+    np.testing.assert_array_equal(actions, policy.load(tmp_path).choose(obs))
 
 
 ENDLESS = """
