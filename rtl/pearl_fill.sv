@@ -3,8 +3,10 @@
 // The packer uses it to place rows. The group reader uses another one to know, a fixed latency
 // ahead, whether the packer will have room: so nothing between the two ever has to stall.
 //
-// A row waits until less than a word is left of those before it. No word is later for it, as the word
-// that has to go out first is there already; and a packer needs to place rows at offsets within a word only.
+// A row waits until less than a word is left of those before it, so that a packer has to place rows at
+// offsets within a word only. No word of this packer is later for it, as the one that has to go out
+// first is there already. One of another packer may be, if both have rows of more than a word: the
+// group reader waits for all of them.
 module pearl_fill
   import pearl_pkg::*;
 #(

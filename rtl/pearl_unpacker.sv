@@ -1,5 +1,5 @@
 // Reads the words of a memory from the first to the last and cuts the stream into rows of bits: the
-// inverse of pearl_packer, and of the same cost.
+// inverse of pearl_packer. It costs more, since words come to offsets anywhere in a row.
 module pearl_unpacker
   import pearl_pkg::*;
 #(

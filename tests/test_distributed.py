@@ -31,7 +31,13 @@ SMALL = {"n_agents": 16, "depth": 70, "iterations": 3, "minibatch": 256}
 
 @pytest.fixture(scope="module", autouse=True)
 def cluster() -> Iterator[None]:
-    ray.init(num_cpus=4, include_dashboard=False, log_to_driver=False, object_store_memory=100_000_000)
+    ray.init(
+        address="local",
+        num_cpus=4,
+        include_dashboard=False,
+        log_to_driver=False,
+        object_store_memory=100_000_000,
+    )
     yield
     ray.shutdown()
 

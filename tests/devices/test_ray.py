@@ -40,6 +40,7 @@ ACTIONS = np.random.default_rng(0).integers(4, size=(300, N), dtype=np.uint8)
 @pytest.fixture(scope="module", autouse=True)
 def session() -> Iterator[None]:
     ray.init(
+        address="local",  # or it would join the cluster of another test that runs beside
         num_cpus=1,
         resources={"fpga": 1},
         object_store_memory=80_000_000,

@@ -1,6 +1,6 @@
 """Slots over the machines of a Ray cluster: a machine that is lost takes none of them with it.
 
-The machines are played by one: each has the processes, the resources and the end that it would have.
+The machines are played by one: each has the processes and resources that it would have, and SIGKILL ends it.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ from pearl_marl.testing import assert_same_step
 ray = pytest.importorskip("ray", reason="Ray is not installed: pip install 'pearl-marl[ray]'")
 
 MEMORY = {"object_store_memory": 80_000_000}
-BOARD = {"fpga": 1}
+HOST, BOARD = {"host": 1}, {"fpga": 1}
 
 
 @pytest.fixture
 def machines(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
-    """Begin a cluster whose first machine has nothing, and that soon notices a lost one."""
+    """Begin a cluster of a machine without a board, which soon notices a lost one."""
     from ray.cluster_utils import Cluster
 
     checks = {
@@ -34,21 +34,21 @@ def machines(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
         "health_check_period_ms": 500,
         "health_check_failure_threshold": 4,
     }
-    made = Cluster(
-        initialize_head=True,
-        head_node_args={"num_cpus": 0, "include_dashboard": False, "_system_config": checks, **MEMORY},
-    )
+    head = {"num_cpus": 0, "resources": HOST, "include_dashboard": False, "_system_config": checks}
+    made = Cluster(initialize_head=True, head_node_args={**head, **MEMORY})
     monkeypatch.setenv("RAY_ADDRESS", made.address)
-    yield made
-    ray.shutdown()
-    made.shutdown()
+    try:
+        yield made
+        ray.shutdown()
+    finally:
+        made.shutdown()
 
 
 def test_lost_machines(machines: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """Slots move to another machine that has what they need; without one, they wait for it."""
     boards = [machines.add_node(num_cpus=0, resources=BOARD, **MEMORY) for _ in range(2)]
     machines.wait_for_nodes()
-    device, native = Ray(["native", "native"], resources=[None, BOARD], checkpoint_every=4), Native()
+    device, native = Ray(["native", "native"], resources=[HOST, BOARD], checkpoint_every=4), Native()
     random = np.random.default_rng(0)
     for each in (device, native):
         each.open(BatchConfig(spec=get_spec("CliffWalking"), n_envs=70, max_cycles=20))
