@@ -52,7 +52,8 @@ module pearl_packer
   assign we_o = (word || last_q) && !done_o;
   assign waddr_o = count_q[ADDR_BITS-1:0];
   assign wdata_o = acc_q[DATA_WL-1:0];
-  assign kept = word ? acc_q >> DATA_WL : acc_q;
+  // Zeros in front, since a word may be all that there is.
+  assign kept = word ? ACC_BITS'({DATA_WL'(0), acc_q} >> DATA_WL) : acc_q;
 
   always_ff @(posedge clk_i) begin
     if (start_i) acc_q <= '0;
