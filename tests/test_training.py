@@ -8,6 +8,7 @@ import json
 import signal
 import subprocess
 import sys
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -224,7 +225,8 @@ def test_every_kind_of_space_is_trained_or_refused(algorithm: str, env: str, tmp
             row["agent_steps"] for row in rows
         ]
     assert json.loads((tmp_path / "config.json").read_text())["settings"]["algorithm"] == algorithm
-    obs = parallel_env(env, n_agents=8).reset_batch(seed=0)
+    with closing(parallel_env(env, n_agents=8)) as agents:
+        obs = agents.reset_batch(seed=0)
     actions = load_policy(str(tmp_path), get_spec(env))(obs)  # as `pearl eval` has it
     np.testing.assert_array_equal(actions, policy.load(tmp_path).choose(obs))
 
