@@ -24,6 +24,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecNormalize
 from torch import nn
 
 import pearl_marl
+from pearl_marl.benchmark import quiet_spaces
 from pearl_marl.errors import ArgumentError, PearlError
 from pearl_marl.evaluation import Evaluation
 from pearl_marl.registry import get_spec
@@ -77,7 +78,8 @@ class EnvPoolVecEnv(VecEnv):
         except ImportError:
             raise ArgumentError("EnvPool is not installed: pip install 'pearl-marl[bench]'") from None
         self._envs = envpool.make(name, env_type="gymnasium", num_envs=n, seed=seed)
-        super().__init__(n, self._envs.observation_space, self._envs.action_space)
+        with quiet_spaces():
+            super().__init__(n, self._envs.observation_space, self._envs.action_space)
         self._actions = np.zeros(n, self._envs.action_space.dtype)
 
     def reset(self) -> Any:

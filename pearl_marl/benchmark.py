@@ -11,8 +11,9 @@ import os
 import platform
 import statistics
 import time
+import warnings
 from collections.abc import Callable, Iterator
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from importlib import metadata
 from pathlib import Path
@@ -284,6 +285,14 @@ def _on_gpu(spec: EnvSpec, n: int) -> list[Contender]:
     return [Contender(name, counts, n, make, ours=True, wait=wait) for name, counts, make in rows]
 
 
+@contextmanager
+def quiet_spaces() -> Iterator[None]:
+    """Keep Gymnasium quiet while EnvPool makes its spaces: it warns of float64 limits in float32 boxes."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message=".*precision lowered by casting")
+        yield
+
+
 def _peers(spec: EnvSpec, n: int) -> list[Contender]:
     oracle, options = spec.oracle, dict(spec.options)
 
@@ -311,7 +320,8 @@ def _peers(spec: EnvSpec, n: int) -> list[Contender]:
             raise UnavailableError(f"measured with default options only, not {options}")
         envs = envpool.make(name, env_type="gymnasium", num_envs=n)
         envs.reset()
-        given = actions(n, envs.action_space.dtype)
+        with quiet_spaces():
+            given = actions(n, envs.action_space.dtype)
         return lambda: envs.step(given)
 
     def vectorised(mode: str, count: int) -> Callable[[], Callable[[], Any]]:
