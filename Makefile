@@ -11,7 +11,7 @@ OUT ?= out
 CORES := $(shell nproc 2>/dev/null || echo 2)
 PACKAGE := pyproject.toml constraints.txt
 
-.PHONY: demo test test-rllib lint format bench figures ulx3s clean
+.PHONY: demo test test-rllib test-cuda lint format bench figures ulx3s clean
 .DELETE_ON_ERROR:
 
 demo: $(VENV)/.render
@@ -24,6 +24,10 @@ test: $(VENV)/.dev
 # RLlib pins Gymnasium 1.2.2, so it has an environment of its own, and the Gymnasium interface is tested there too.
 test-rllib: $(RLLIB)/.rllib
 	$(RLLIB)/bin/python -m pytest --slow tests/test_rllib.py tests/test_vector_env.py tests/test_docs.py -k "not docs or RLlib"
+
+# The contract over every environment on a GPU, or a simulated one: that takes 20 minutes of a core.
+test-cuda: $(VENV)/.dev
+	$(BIN)/python -m pytest -n $(CORES) --simulated-gpu -rs tests/contract -k TestGpu
 
 lint: $(VENV)/.dev
 	$(BIN)/ruff check .

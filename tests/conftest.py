@@ -25,10 +25,13 @@ from .toy import TOYS
 def pytest_configure(config: pytest.Config) -> None:
     config.addinivalue_line("markers", "slow: takes seconds or gigabytes; runs where --slow is given")
     config.addinivalue_line("markers", "gpu: needs an NVIDIA GPU; skipped, and said so, where there is none")
+    config.addinivalue_line("markers", "simulatable: the same, but runs where --simulated-gpu is given too")
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--slow", action="store_true", help="run the tests marked slow too")
+    help = "run the contract over every environment on a simulated GPU too, which takes 20 minutes of a core"
+    parser.addoption("--simulated-gpu", action="store_true", help=help)
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
@@ -36,6 +39,8 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         for item in items:
             if "gpu" in item.keywords:
                 item.add_marker(pytest.mark.skip(reason="no GPU here: not run on a real one, only simulated"))
+            elif "simulatable" in item.keywords and not config.getoption("--simulated-gpu"):
+                item.add_marker(pytest.mark.skip(reason="no GPU here: make test-cuda simulates one"))
     if not config.getoption("--slow"):
         for item in items:
             if "slow" in item.keywords:

@@ -8,6 +8,7 @@ import json
 import signal
 import subprocess
 import sys
+import warnings
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -168,7 +169,9 @@ def test_advantages_are_those_of_their_definition() -> None:
 def test_envpool_as_stable_baselines_wants_it() -> None:
     pytest.importorskip("envpool")
     sb3 = importlib.import_module("pearl_marl.experiments.sb3_training")
-    env = sb3.vec_env("envpool", "CartPole", 4, 0)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", UserWarning)  # Gymnasium's, of EnvPool's spaces, helps nobody here
+        env = sb3.vec_env("envpool", "CartPole", 4, 0)
     obs = env.reset()
     ends = 0
     for _ in range(60):

@@ -58,12 +58,20 @@ class TestSlowDevices(ContractSuite):
 
 @pytest.mark.usefixtures("toys")
 class TestGpu(ContractSuite):
-    """A GPU, or where there is none the simulator, which is slow: one small environment that draws.
+    """A GPU, or where there is none the simulator, which is slow: one small environment that draws."""
+
+    environments = ("Ladder",)
+    devices = ("cuda",)
+
+
+@pytest.mark.simulatable
+class TestGpuEnvironments(ContractSuite):
+    """Every environment on a GPU; what the simulator has no time for in every run of the tests.
 
     ``tests/devices/test_cuda.py`` holds every environment on it against the reference.
     """
 
-    environments = ("Ladder",)
+    environments = tuple(pearl_marl.envs())
     devices = ("cuda",)
 
 
