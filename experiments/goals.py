@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import functools
-import hashlib
 import math
-import shutil
+import tempfile
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from pearl_marl.cache import cache_folder
 from pearl_marl.evaluation import Evaluation
 from pearl_marl.registry import get_spec
 from pearl_marl.rendering import import_pyplot
@@ -93,24 +91,15 @@ def collect(quick: bool, progress: Progress) -> list[Row]:
         for seed in (SEEDS[:1] if quick else SEEDS)
         if not quick or goal.algorithm == "q-learning"
     ]
-    rows = [_reach(goal, seed) for goal, seed in progress(work, len(work), "training")]
-    for goal, seed in work:
-        shutil.rmtree(_folder(goal, seed))
-    return rows
-
-
-def _folder(goal: Goal, seed: int) -> Path:
-    """Return the folder of a run, kept until all are done: what was killed goes on where it was."""
-    about = f"{goal} {settings_for(goal.algorithm, goal.env_id, {'seed': seed})}"
-    return cache_folder("goals") / hashlib.sha256(about.encode()).hexdigest()[:24]
+    return [_reach(goal, seed) for goal, seed in progress(work, len(work), "training")]
 
 
 def _reach(goal: Goal, seed: int) -> Row:
     spec = get_spec(goal.env_id)
     settings = settings_for(goal.algorithm, goal.env_id, {"seed": seed})
-    run = _folder(goal, seed)
-    rows = train(goal.env_id, {}, goal.algorithm, settings, "native", run, goal.aim)
-    best = policy.load(run)
+    with tempfile.TemporaryDirectory() as folder:
+        rows = train(goal.env_id, {}, goal.algorithm, settings, "native", Path(folder), goal.aim)
+        best = policy.load(Path(folder))
     n = min(goal.episodes, 20_000)
     evaluation = Evaluation(spec, best.choose, n, episodes=goal.episodes, seed=FRESH)
     for _ in evaluation.run():
