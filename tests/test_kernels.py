@@ -105,6 +105,16 @@ def test_a_second_process_compiles_nothing(tmp_path: Path) -> None:
     assert second["obs"] == first["obs"]
 
 
+def test_a_new_kernel_is_announced_once(cache: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Compiling takes seconds, for Seaquest most of a minute."""
+    path = kernels.compile_kernels(SPEC).path
+    text = f"pearl: compiling {path.stem} at its first calls; kept in {path.parent}\n"
+    assert capsys.readouterr().err == text
+    kernels._loaded.clear()
+    kernels.compile_kernels(SPEC)
+    assert capsys.readouterr().err == ""
+
+
 def test_a_cache_that_cannot_be_written(tmp_path: Path) -> None:
     """A file where the folder should be refuses everyone, root included."""
     (tmp_path / "file").write_text("")
