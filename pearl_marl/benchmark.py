@@ -319,8 +319,8 @@ def _peers(spec: EnvSpec, n: int) -> list[Contender]:
         if spec.configure is not None and options != spec.configure().options:
             raise UnavailableError(f"measured with default options only, not {options}")
         envs = envpool.make(name, env_type="gymnasium", num_envs=n)
-        envs.reset()
         with quiet_spaces():
+            envs.reset()
             given = actions(n, envs.action_space.dtype)
         return lambda: envs.step(given)
 

@@ -231,7 +231,8 @@ class Installed:
 
     def run(self, *command: str, on_path: bool = True) -> tuple[int, str]:
         """Run a program of the virtual environment in the new folder; return its status and output."""
-        environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+        unwanted = "PYTHONPATH", "PYTEST_ADDOPTS"
+        environment = {name: value for name, value in os.environ.items() if name not in unwanted}
         if on_path:
             environment["PYTHONPATH"] = str(self.project)
         done = subprocess.run(

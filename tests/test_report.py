@@ -87,11 +87,12 @@ def check(folder: Path, name: str, page: Page) -> dict[str, Any]:
 
 
 @pytest.mark.slow
-def test_quick(tmp_path: Path) -> None:
+def test_quick(tmp_path: Path, recwarn: pytest.WarningsRecorder) -> None:
     """Every section has its files, and the page their numbers; the second time, all is kept."""
     arguments = ["report", "--quick", "--out", str(tmp_path)]
     result = CliRunner().invoke(app, arguments)
     assert result.exit_code == 0, result.output
+    assert not [w for w in recwarn if "precision lowered" in str(w.message)], "of EnvPool's spaces"
     page = Page((tmp_path / "index.html").read_text())
     rows = {name: check(tmp_path, name, page)["rows"] for name in report.SECTIONS}
     for link in page.links:
