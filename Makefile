@@ -23,7 +23,7 @@ test: $(VENV)/.dev
 
 # RLlib pins Gymnasium 1.2.2, so it has an environment of its own, and the Gymnasium interface is tested there too.
 test-rllib: $(RLLIB)/.rllib
-	$(RLLIB)/bin/python -m pytest --slow tests/test_rllib.py tests/test_vector_env.py tests/test_docs.py -k "not docs or RLlib"
+	$(RLLIB)/bin/python -m pytest --slow tests/wrappers/test_rllib.py tests/interfaces/test_vector_env.py tests/docs/test_docs.py -k "not docs or RLlib"
 
 # The contract over every environment on a GPU, or a simulated one: that takes 20 minutes of a core.
 test-cuda: $(VENV)/.dev
@@ -40,7 +40,7 @@ format: $(VENV)/.dev
 
 bench: $(VENV)/.dev
 	$(BIN)/pearl bench CliffWalking --n-agents 43008 --out $(OUT)/bench
-	$(BIN)/python -m pytest --benchmark-enable --benchmark-only tests/benchmarks
+	$(BIN)/python -m pytest --benchmark-enable --benchmark-only tests/benchmarks/bench_*.py
 
 # Every table and figure of the paper, measured here, as a page. Takes hours; started again, it goes on.
 figures: $(VENV)/.report

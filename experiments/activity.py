@@ -24,9 +24,10 @@ import typer
 from rich.console import Console
 from rich.progress import track
 
-from pearl_marl import get_spec, hardware
-from pearl_marl.actions import random_actions
+from pearl_marl.batch.actions import random_actions
 from pearl_marl.devices import BatchConfig, Rtl
+from pearl_marl.hardware import elaboration
+from pearl_marl.registry import get_spec
 
 CONFIGURATIONS = (
     ("CliffWalking", 64, 4, 32),
@@ -90,7 +91,7 @@ def measure(env_id: str, n_envs: int, pe_num: int, data_wl: int) -> Activity:
             device.step(random_actions(spec, rng, n_envs))
         cycles = device.clock - began
         device.close()
-        core = hardware.core_path(spec).read_text()
+        core = elaboration.core_path(spec).read_text()
         # Some cores have registers as ports, which are not named as such.
         ports = set(re.findall(r"^ +(\w+_o)(?:\.\w+)? <= ", core, re.MULTILINE))
         registers, toggles = _count(waves, ports, _FIRST + _PERIOD * began)

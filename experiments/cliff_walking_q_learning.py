@@ -22,7 +22,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.text import Text
 
 import pearl_marl
-from pearl_marl.episodes import EpisodeStatistics
+from pearl_marl.evaluation.episodes import EpisodeStatistics
 from pearl_marl.rendering import import_pyplot
 
 ROWS, COLUMNS, START, GOAL = 4, 12, 36, 47

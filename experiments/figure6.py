@@ -7,18 +7,18 @@ from typing import Any
 
 import numpy as np
 
-from pearl_marl.actions import random_actions
-from pearl_marl.benchmark import Contender, UnavailableError, contenders, measure
-from pearl_marl.cli.common import duration, rate
+from pearl_marl.batch.actions import random_actions
+from pearl_marl.benchmark.contenders import Contender, UnavailableError, contenders, measure
+from pearl_marl.benchmark.units import duration, rate
 from pearl_marl.devices import Rtl
 from pearl_marl.errors import ArgumentError, DeviceError
-from pearl_marl.latency import LINKS
-from pearl_marl.parallel_env import parallel_env
+from pearl_marl.hardware.synthesis import PARTS
+from pearl_marl.interfaces.parallel import parallel_env
+from pearl_marl.latency.prediction import LINKS
 from pearl_marl.plan import Plan, plan
 from pearl_marl.registry import get_spec, names
 from pearl_marl.rendering import import_pyplot
 from pearl_marl.spec import EnvSpec
-from pearl_marl.synthesis import PARTS
 
 from . import paper, pipeline
 from .section import (

@@ -12,10 +12,10 @@ import torch
 
 from pearl_marl.registry import get_spec
 from pearl_marl.rendering import import_pyplot
+from pearl_marl.training.run import ALGORITHMS, settings_for
 
 from . import paper, sb3_training
 from .section import BLUE, GREEN, ORANGE, PINK, RED, WIDTH, Progress, Row, log_axis, select
-from .training import ALGORITHMS, settings_for
 
 TITLE = "Figure 7: training time"
 TEXT = (

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import Any
 
-from pearl_marl import toolchain
+from pearl_marl.hardware import toolchain
+from pearl_marl.hardware.synthesis import synthesise
 from pearl_marl.memory_map import memory_map
 from pearl_marl.registry import get_spec
 from pearl_marl.rendering import import_pyplot
-from pearl_marl.synthesis import synthesise
 
 from . import paper
 from .section import BLACK, BLUE, GREEN, LINES, ORANGE, PINK, RED, SKY, WIDTH, Progress, Row, log_axis, select

@@ -8,13 +8,14 @@ import tempfile
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from pearl_marl.evaluation import Evaluation
+from pearl_marl.evaluation.run import Evaluation
+from pearl_marl.policies import network
 from pearl_marl.registry import get_spec
 from pearl_marl.rendering import import_pyplot
+from pearl_marl.training.run import settings_for, train
 
-from . import paper, policy
+from . import paper
 from .section import BLUE, ORANGE, WIDTH, Progress, Row, select
-from .training import settings_for, train
 
 TITLE = "What the trainers reach"
 TEXT = (
@@ -99,7 +100,7 @@ def _reach(goal: Goal, seed: int) -> Row:
     settings = settings_for(goal.algorithm, goal.env_id, {"seed": seed})
     with tempfile.TemporaryDirectory() as folder:
         rows = train(goal.env_id, {}, goal.algorithm, settings, "native", Path(folder), goal.aim)
-        best = policy.load(Path(folder))
+        best = network.load(Path(folder))
     n = min(goal.episodes, 20_000)
     evaluation = Evaluation(spec, best.choose, n, episodes=goal.episodes, seed=FRESH)
     for _ in evaluation.run():

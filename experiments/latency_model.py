@@ -11,11 +11,11 @@ import typer
 from rich.console import Console
 from rich.progress import track
 
-from pearl_marl import get_spec
-from pearl_marl.actions import random_actions
+from pearl_marl.batch.actions import random_actions
 from pearl_marl.devices import BatchConfig, Rtl
-from pearl_marl.latency import axi_cycles, draws_wait, step_cycles
+from pearl_marl.latency.prediction import axi_cycles, draws_wait, step_cycles
 from pearl_marl.memory_map import memory_map
+from pearl_marl.registry import get_spec
 
 CONFIGURATIONS = (
     ("CliffWalking", 70, 3, 32),

@@ -11,12 +11,12 @@ from typing import NamedTuple
 
 import typer
 
-from pearl_marl import get_spec
-from pearl_marl.boards import BOARDS
-from pearl_marl.latency import LINKS, HostTimes, Prediction, measure_host, predict, step_cycles
+from pearl_marl.hardware.boards import BOARDS
+from pearl_marl.hardware.synthesis import PARTS, modelled_bram36
+from pearl_marl.latency.prediction import LINKS, HostTimes, Prediction, measure_host, predict, step_cycles
 from pearl_marl.memory_map import memory_map
+from pearl_marl.registry import get_spec
 from pearl_marl.spec import EnvSpec
-from pearl_marl.synthesis import PARTS, modelled_bram36
 
 BOARD = "vc707"
 LINK = LINKS["gen2x8"]

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from pearl_marl.evaluation import Evaluation
+from pearl_marl.evaluation.run import Evaluation
 from pearl_marl.registry import get_spec
 from pearl_marl.rendering import import_pyplot
+from pearl_marl.training.q_learning import QLearning, Settings
 
-from .q_learning import QLearning, Settings
 from .section import BLUE, ORANGE, WIDTH, Progress, Row, log_axis, select
 
 TITLE = "Many learners at once"

@@ -24,12 +24,11 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecNormalize
 from torch import nn
 
 import pearl_marl
-from pearl_marl.benchmark import quiet_spaces
+from pearl_marl.benchmark.contenders import quiet_spaces
 from pearl_marl.errors import ArgumentError, PearlError
-from pearl_marl.evaluation import Evaluation
+from pearl_marl.evaluation.run import Evaluation
 from pearl_marl.registry import get_spec
-
-from .run_folder import RunFolder
+from pearl_marl.training.run_folder import RunFolder
 
 MODELS: dict[str, Any] = {"ppo": PPO, "dqn": DQN}
 

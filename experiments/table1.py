@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from typing import Any
 
-from pearl_marl import hardware
 from pearl_marl.errors import DeviceError
+from pearl_marl.hardware import elaboration
+from pearl_marl.hardware.synthesis import FMAX_DEVICE, Family, synthesise
 from pearl_marl.memory_map import memory_map
 from pearl_marl.registry import get_spec, names
 from pearl_marl.spec import EnvSpec
-from pearl_marl.synthesis import FMAX_DEVICE, Family, synthesise
 
 from . import paper
 from .section import Progress, Row
@@ -40,7 +40,7 @@ def collect(quick: bool, progress: Progress) -> list[Row]:
     specs = [get_spec(name) for name in names()]
     rows: list[Row] = []
     for spec in progress(specs, len(specs), "place and route"):
-        timing = hardware.core_timing(spec)
+        timing = elaboration.core_timing(spec)
         common: Row = {
             "environment": spec.name,
             "latency_cycles": timing.latency,

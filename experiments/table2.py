@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from pearl_marl import hardware
+from pearl_marl.hardware import elaboration
 from pearl_marl.memory_map import default_map
 from pearl_marl.registry import get_spec, names
 from pearl_marl.spec import word_bits
@@ -51,7 +51,7 @@ def collect(quick: bool, progress: Progress) -> list[Row]:
                 "reward_bits": spec.reward.bits,
                 "data_wl": layout.data_wl,
                 "pe_num": layout.pe_num,
-                "compute_cycles": hardware.core_timing(spec).latency,
+                "compute_cycles": elaboration.core_timing(spec).latency,
                 "counts": f"counted: the design of {N_ENVS:,} slots",
             }
         )

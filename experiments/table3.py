@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
+from pearl_marl.hardware.synthesis import largest_fit, synthesise
 from pearl_marl.memory_map import memory_map
 from pearl_marl.registry import get_spec
-from pearl_marl.synthesis import largest_fit, synthesise
 
 from . import figure6, figure8, paper
 from .figure9 import BUILDS

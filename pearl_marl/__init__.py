@@ -5,24 +5,23 @@
 >>> observations, infos = env.reset(seed=0)
 """
 
-import importlib
-from collections.abc import Callable
-from typing import cast
-
+import pearl_marl.envs  # the folders; the function below takes their name  # noqa: F401
+import pearl_marl.wrappers as wrappers
 from pearl_marl import devices, errors
-from pearl_marl.parallel_env import PearlParallelEnv, env, parallel_env, raw_env
-from pearl_marl.registry import get_spec, register, register_elsewhere
+from pearl_marl.interfaces.aec import env, raw_env
+from pearl_marl.interfaces.parallel import PearlParallelEnv, parallel_env
+from pearl_marl.interfaces.registration import announce, register
+from pearl_marl.interfaces.vector import PearlVectorEnv, make_vec
+from pearl_marl.registry import get_spec
+from pearl_marl.registry import names as envs
 from pearl_marl.spec import EnvSpec
-from pearl_marl.vector_env import PearlVectorEnv, make_vec
-
-# These two are folders beside this one, mapped into the package when it is installed.
-envs = cast(Callable[[], list[str]], importlib.import_module("pearl_marl.envs"))
-wrappers = importlib.import_module("pearl_marl.wrappers")
+from pearl_marl.version import __version__
 
 __all__ = [
     "EnvSpec",
     "PearlParallelEnv",
     "PearlVectorEnv",
+    "__version__",
     "devices",
     "env",
     "envs",
@@ -35,7 +34,5 @@ __all__ = [
     "wrappers",
 ]
 
-__version__ = "0.1.0"
-
 for _name in envs():
-    register_elsewhere(get_spec(_name))
+    announce(get_spec(_name))

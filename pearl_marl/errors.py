@@ -6,11 +6,7 @@ it was before the call.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from pearl_marl.divergence import Divergence
-    from pearl_marl.replay import Replay
+from typing import Any
 
 
 class PearlError(Exception):
@@ -46,14 +42,14 @@ class LockstepError(PearlError, AssertionError):
     Attributes
     ----------
     divergence
-        What differs, decoded: a :class:`pearl_marl.divergence.Divergence`. Its fields ``step``,
+        What differs, decoded: a :class:`pearl_marl.comparison.divergence.Divergence`. Its fields ``step``,
         ``slot``, ``field``, ``device_value``, ``reference_value``, ``state_before`` and ``action`` are
         attributes of the error too.
     replay
-        What does it again: a :class:`pearl_marl.replay.Replay`.
+        What does it again: a :class:`pearl_marl.comparison.replay.Replay`.
     """
 
-    def __init__(self, divergence: Divergence, replay: Replay) -> None:
+    def __init__(self, divergence: Any, replay: Any) -> None:
         super().__init__(divergence, replay)
         self.divergence = divergence
         self.replay = replay

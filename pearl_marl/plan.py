@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from typing import Any
 
 from pearl_marl.errors import ArgumentError
-from pearl_marl.latency import HostTimes, Link, Overlap, Prediction, measure_host, predict
+from pearl_marl.hardware.synthesis import Part, Usage, modelled_bram36, synthesised
+from pearl_marl.latency.prediction import HostTimes, Link, Overlap, Prediction, measure_host, predict
 from pearl_marl.memory_map import DATA_WIDTHS, MemoryMap, memory_map
 from pearl_marl.spec import EnvSpec
-from pearl_marl.synthesis import Part, Usage, modelled_bram36, synthesised
 
 MAX_PE_NUM = 256
 """The most processing elements that are looked at, in powers of two, which need the fewest shifters."""

@@ -1,7 +1,7 @@
 """From a name to an environment's spec.
 
 An environment of this package is a folder under ``envs/`` whose ``spec.py`` defines ``SPEC``;
-being there is all the registration it needs. Other packages call :func:`register` when they are
+being there is all the registration it needs. Other packages call :func:`pearl_marl.register` when they are
 imported, and ``"my_package:MyEnv"`` imports them.
 """
 
@@ -12,9 +12,6 @@ import functools
 import importlib
 import pkgutil
 import warnings
-
-import gymnasium
-import pettingzoo
 
 from pearl_marl.errors import ArgumentError
 from pearl_marl.spec import EnvSpec
@@ -87,30 +84,9 @@ def _import(module: str, name: str) -> None:
 
 
 def register(spec: EnvSpec) -> None:
-    """Add an environment from outside this package, under its ``spec.name``.
-
-    It is then known to :func:`pearl_marl.parallel_env` and :func:`pearl_marl.make_vec`, to
-    ``pettingzoo.make`` as ``"pearl/Name-v0"`` and to ``gymnasium.make_vec`` as ``"Pearl/Name-v0"``.
-    A second registration of the same name replaces the first, with a warning.
-    """
+    """Add an environment under its ``spec.name``; one of the same name is replaced, with a warning."""
     if not isinstance(spec, EnvSpec):
         raise ArgumentError(f"register() takes an EnvSpec, not {type(spec).__name__}")
     if _key(spec.name) in _specs():
-        warnings.warn(f"environment {spec.name!r} was registered before and is replaced", stacklevel=2)
-    register_elsewhere(spec)
+        warnings.warn(f"environment {spec.name!r} was registered before and is replaced", stacklevel=3)
     _specs()[_key(spec.name)] = spec
-
-
-def register_elsewhere(spec: EnvSpec) -> None:
-    """Make an environment known to the registries of PettingZoo and Gymnasium."""
-    arguments = {"env_id": spec.name}
-    for kind, entry_point in (("parallel", "parallel_env"), ("aec", "env")):
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # PettingZoo warns of every replacement; register() has done so
-            pettingzoo.register(
-                kind, f"pearl/{spec.id}", f"pearl_marl.parallel_env:{entry_point}", kwargs=arguments
-            )
-    gymnasium.registry.pop(f"Pearl/{spec.id}", None)
-    gymnasium.register(
-        f"Pearl/{spec.id}", vector_entry_point="pearl_marl.vector_env:make_vec", kwargs=arguments
-    )

@@ -9,7 +9,7 @@ import gymnasium
 import numpy as np
 import numpy.typing as npt
 
-from pearl_marl.devices.batch import BatchStep
+from pearl_marl.batch.step import BatchStep
 from pearl_marl.errors import ArgumentError, PearlError
 from pearl_marl.spec import EnvSpec
 

@@ -16,7 +16,8 @@ from pearl_marl.devices import BatchConfig, Native
 from pearl_marl.errors import ActionError, ArgumentError, OrderError, PearlError, SavedStateError
 from pearl_marl.memory_map import memory_map
 from pearl_marl.spec import Field
-from tests.toy import DRIFT
+
+from .toy import DRIFT
 
 N = 5
 Call = Callable[[Any], Any]

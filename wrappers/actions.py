@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from gymnasium.spaces import Box, Discrete, Space
 
-from pearl_marl.actions import random_numbers
+from pearl_marl.batch.actions import random_numbers
 from pearl_marl.devices import BatchStep
 from pearl_marl.errors import ArgumentError
 

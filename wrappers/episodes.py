@@ -12,7 +12,7 @@ from gymnasium.vector import AutoresetMode
 from pearl_marl.devices import BatchStep
 from pearl_marl.errors import ArgumentError, OrderError
 from pearl_marl.golden import uniform_below
-from pearl_marl.parallel_interface import ParallelInterface
+from pearl_marl.interfaces.parallel_interface import ParallelInterface
 
 from .base import Array, Batch, Env, Mask, Transform, WrappedParallelEnv, with_zeros, wrap
 

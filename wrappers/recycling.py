@@ -26,7 +26,7 @@ class _Block:
 class Recycler:
     """Makes arrays that are the user's to keep, out of memory that nobody keeps.
 
-    As :class:`pearl_marl.devices.results.ResultArrays`, for arrays of a few large shapes: the system clears
+    As :class:`pearl_marl.batch.results.ResultArrays`, for arrays of a few large shapes: the system clears
     every page of fresh memory, which for a step's observations takes longer than to compute them.
     """
 

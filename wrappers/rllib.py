@@ -12,10 +12,10 @@ from typing import Any
 from gymnasium.vector import AutoresetMode
 
 from pearl_marl.errors import ArgumentError
-from pearl_marl.parallel_env import parallel_env
-from pearl_marl.parallel_interface import ParallelInterface
-from pearl_marl.vector_env import make_vec
-from pearl_marl.vector_interface import VectorInterface
+from pearl_marl.interfaces.parallel import parallel_env
+from pearl_marl.interfaces.parallel_interface import ParallelInterface
+from pearl_marl.interfaces.vector import make_vec
+from pearl_marl.interfaces.vector_interface import VectorInterface
 
 Creator = Callable[[Mapping[str, Any]], Any]
 

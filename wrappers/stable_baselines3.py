@@ -14,11 +14,11 @@ from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvStepReturn
 
-from pearl_marl import slot_memory
-from pearl_marl.devices import make_host_device
+from pearl_marl.batch import slot_memory
+from pearl_marl.devices.by_name import make_host_device
 from pearl_marl.errors import ArgumentError, OrderError
-from pearl_marl.parallel_interface import ParallelInterface
-from pearl_marl.vector_interface import VectorInterface
+from pearl_marl.interfaces.parallel_interface import ParallelInterface
+from pearl_marl.interfaces.vector_interface import VectorInterface
 
 Array = npt.NDArray[Any]
 

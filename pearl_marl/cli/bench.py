@@ -11,17 +11,16 @@ from rich import box
 from rich.markup import escape
 from rich.table import Table
 
-from pearl_marl.benchmark import Contender, contenders, machine, measure
+from pearl_marl.benchmark.contenders import Contender, contenders, machine, measure
+from pearl_marl.benchmark.units import duration, rate
 from pearl_marl.cli.common import (
     Agents,
     AsJson,
     Options,
     Out,
     console,
-    duration,
     print_json,
     progress,
-    rate,
     spec_of,
     write_json,
 )

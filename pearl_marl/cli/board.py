@@ -8,8 +8,6 @@ from typing import Annotated
 import typer
 from rich.table import Table
 
-from pearl_marl import boards
-from pearl_marl.boards import BOARDS, Board, Placed
 from pearl_marl.cli.common import (
     AsJson,
     EnvName,
@@ -20,6 +18,8 @@ from pearl_marl.cli.common import (
     progress,
     spec_of,
 )
+from pearl_marl.hardware import boards
+from pearl_marl.hardware.boards import BOARDS, Board, Placed
 
 BoardName = Annotated[str, typer.Argument(metavar="|".join(BOARDS), help="The board.")]
 Slots = Annotated[int, typer.Option("--n-envs", help="Slots.")]

@@ -13,10 +13,10 @@ import numpy as np
 from rich.markup import escape
 from rich.table import Table
 
-from pearl_marl import cluster
-from pearl_marl.benchmark import machine
+from pearl_marl.benchmark.contenders import machine
 from pearl_marl.cache import cache_folder
 from pearl_marl.cli.common import AsJson, console, print_json
+from pearl_marl.devices import cluster
 from pearl_marl.errors import DeviceError
 
 Check = tuple[bool, str, str]
@@ -81,7 +81,7 @@ def _compiler() -> Check:
 
 
 def _gpu() -> Check:
-    from pearl_marl.cuda_kernels import simulated
+    from pearl_marl.compiler.cuda_kernels import simulated
     from pearl_marl.devices import cuda
 
     try:

@@ -9,7 +9,8 @@ import typer
 from rich.markup import escape
 from rich.table import Table
 
-from pearl_marl.benchmark import machine
+from pearl_marl.benchmark.contenders import machine
+from pearl_marl.benchmark.units import duration
 from pearl_marl.cli.common import (
     Agents,
     AsJson,
@@ -19,7 +20,6 @@ from pearl_marl.cli.common import (
     Out,
     Seed,
     console,
-    duration,
     error_console,
     in_file_name,
     out_folder,
@@ -30,9 +30,9 @@ from pearl_marl.cli.common import (
 )
 from pearl_marl.devices import Lockstep
 from pearl_marl.errors import LockstepError, PearlError
-from pearl_marl.evaluation import LIMIT, Evaluation
-from pearl_marl.evaluation_report import write_report
-from pearl_marl.policies import load_policy
+from pearl_marl.evaluation.report import write_report
+from pearl_marl.evaluation.run import LIMIT, Evaluation
+from pearl_marl.policies.loading import load_policy
 
 PolicyName = Annotated[
     str,

@@ -13,9 +13,9 @@ from typing import Annotated
 import typer
 from rich.markup import escape
 
-from pearl_marl import hardware
 from pearl_marl.cli.common import console, out_folder
 from pearl_marl.errors import ArgumentError
+from pearl_marl.hardware import elaboration
 from pearl_marl.registry import names
 from pearl_marl.spec import snake_case
 
@@ -64,7 +64,7 @@ def _checked(name: str, out: Path) -> Path:
         raise ArgumentError(
             f"name {name!r}: its package would be called {snake!r}, which Python has a meaning for already"
         )
-    modules = {path.stem for path in hardware.backbone_paths()}
+    modules = {path.stem for path in elaboration.backbone_paths()}
     if {f"{snake}_pe", f"{snake}_pkg"} & modules:
         raise ArgumentError(f"name {name!r}: the backbone has a module of its core's name, {snake}_pe")
     return folder

@@ -7,23 +7,13 @@ from typing import Annotated, Any
 import typer
 from rich.table import Table
 
-from pearl_marl.benchmark import machine
-from pearl_marl.cli.common import (
-    AsJson,
-    EnvName,
-    Options,
-    Out,
-    console,
-    duration,
-    print_json,
-    rate,
-    spec_of,
-    write_json,
-)
+from pearl_marl.benchmark.contenders import machine
+from pearl_marl.benchmark.units import duration, rate
+from pearl_marl.cli.common import AsJson, EnvName, Options, Out, console, print_json, spec_of, write_json
 from pearl_marl.errors import ArgumentError
-from pearl_marl.latency import LINKS, Link, loop_cycles
+from pearl_marl.hardware.synthesis import PARTS
+from pearl_marl.latency.prediction import LINKS, Link, loop_cycles
 from pearl_marl.plan import Plan, plan
-from pearl_marl.synthesis import PARTS
 
 Slots = Annotated[int, typer.Option("--n-envs", min=1, help="Slots.")]
 LinkName = Annotated[

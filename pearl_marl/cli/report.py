@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import sys
 from pathlib import Path
 from typing import Annotated
@@ -32,9 +31,9 @@ def command(quick: Quick = False, out: Folder = Path("out/report"), only: Only =
     def say(line: str) -> None:
         error_console.print(escape(line), highlight=False, soft_wrap=True)
 
-    made = importlib.import_module("pearl_marl.experiments.report").report(
-        out, quick, only or (), progress, say
-    )
+    from pearl_marl.experiments import report  # which takes what the report extra has
+
+    made = report.report(out, quick, only or (), progress, say)
     table = Table(title="Report")
     for heading in ("section", "rows", "measured", "simulated", "predicted", "quoted", "missing"):
         table.add_column(heading, justify="left" if heading == "section" else "right", no_wrap=True)

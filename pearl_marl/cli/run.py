@@ -12,8 +12,9 @@ import numpy.typing as npt
 import typer
 from rich.table import Table
 
-from pearl_marl.actions import random_actions
-from pearl_marl.benchmark import machine
+from pearl_marl.batch.actions import random_actions
+from pearl_marl.benchmark.contenders import machine
+from pearl_marl.benchmark.units import duration, rate
 from pearl_marl.cli.common import (
     Agents,
     AsJson,
@@ -24,18 +25,16 @@ from pearl_marl.cli.common import (
     Seed,
     Steps,
     console,
-    duration,
     error_console,
     out_folder,
     print_json,
     progress,
-    rate,
     spec_of,
     write_json,
 )
-from pearl_marl.episodes import EpisodeStatistics
 from pearl_marl.errors import ArgumentError, PearlError
-from pearl_marl.parallel_env import PearlParallelEnv, parallel_env
+from pearl_marl.evaluation.episodes import EpisodeStatistics
+from pearl_marl.interfaces.parallel import PearlParallelEnv, parallel_env
 from pearl_marl.rendering import HeatMap
 
 ActionFile = Annotated[

@@ -21,10 +21,7 @@ from pearl_marl.cli.common import (
     write_json,
 )
 from pearl_marl.errors import ArgumentError
-from pearl_marl.memory_map import default_map, memory_map
-from pearl_marl.registry import get_spec, names
-from pearl_marl.spec import EnvSpec
-from pearl_marl.synthesis import (
+from pearl_marl.hardware.synthesis import (
     FMAX_DEVICE,
     PARTS,
     Family,
@@ -34,6 +31,9 @@ from pearl_marl.synthesis import (
     largest_fit,
     synthesise,
 )
+from pearl_marl.memory_map import default_map, memory_map
+from pearl_marl.registry import get_spec, names
+from pearl_marl.spec import EnvSpec
 
 Sizes = Annotated[
     list[str],

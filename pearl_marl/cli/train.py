@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -72,7 +71,7 @@ def command(
 ) -> None:
     """Train a policy that all agents share; with the --out of a run that was killed, go on with it."""
     try:
-        training = importlib.import_module("pearl_marl.experiments.training")
+        from pearl_marl.training import run as training
     except ModuleNotFoundError as error:
         raise ArgumentError(
             f"training needs the Python package {error.name}: pip install 'pearl-marl[train]'"

@@ -26,10 +26,10 @@ from pearl_marl.cli.common import (
     progress,
     spec_of,
 )
+from pearl_marl.comparison.replay import Replay
 from pearl_marl.devices import Lockstep
 from pearl_marl.errors import ArgumentError, DeviceError, LockstepError
-from pearl_marl.replay import Replay
-from pearl_marl.verification import Run, runs, verify
+from pearl_marl.verification import Run, replay, runs, verify
 
 
 class Autoreset(StrEnum):
@@ -157,20 +157,20 @@ def _steps(plan: list[Run], device: str, reference: str, seed: int) -> Iterator[
         yield from verify(run, Lockstep(device, reference), seed)
 
 
-def _smallest(replay: Replay, device: str, reference: str) -> Replay:
-    """Return the replay of the one slot if that parts by itself in the same word, else of the batch."""
-    alone = replay.alone()
+def _smallest(recorded: Replay, device: str, reference: str) -> Replay:
+    """Return the replay of the one slot if that differs by itself in the same word, else of the batch."""
+    alone = recorded.alone()
     try:
-        again = alone.run(Lockstep(device, reference))
+        again = replay(alone, Lockstep(device, reference))
     except DeviceError:  # not every device can be so small
-        return replay
-    return alone if again is not None and again.field == replay.divergence.field else replay
+        return recorded
+    return alone if again is not None and again.field == recorded.divergence.field else recorded
 
 
-def _replay(replay: Replay, device: str | None, reference: str | None, as_json: bool) -> None:
-    recorded = replay.divergence
+def _replay(recorded_call: Replay, device: str | None, reference: str | None, as_json: bool) -> None:
+    recorded = recorded_call.divergence
     device, reference = device or recorded.device, reference or recorded.reference
-    error = replay.run(Lockstep(device, reference))
+    error = replay(recorded_call, Lockstep(device, reference))
     if as_json:
         print_json(
             {
@@ -183,7 +183,7 @@ def _replay(replay: Replay, device: str | None, reference: str | None, as_json: 
             }
         )
     else:
-        agents = f"{replay.config.n_envs:,} agent{'s' * (replay.config.n_envs != 1)}"
+        agents = f"{recorded_call.config.n_envs:,} agent{'s' * (recorded_call.config.n_envs != 1)}"
         text = f"Recorded, replayed here with {agents}:\n{recorded}\n"
         console.print(text, markup=False, highlight=False, soft_wrap=True)
         _say(error, f"The divergence is gone: {device} agrees with {reference} in every word of this call.")

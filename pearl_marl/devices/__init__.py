@@ -16,12 +16,16 @@
 
 :class:`Lockstep` steps two of them as one and compares every word. :class:`Sharded` shares the slots among
 several, :class:`Ray` among actors of a Ray cluster.
+
+May import ``batch``, ``comparison``, ``compiler``, ``hardware`` and what is below them.
 """
 
 from __future__ import annotations
 
+from pearl_marl.batch.config import BatchConfig
+from pearl_marl.batch.step import BatchStep
 from pearl_marl.devices.base import Device
-from pearl_marl.devices.batch import BatchConfig, BatchStep
+from pearl_marl.devices.by_name import make_device
 from pearl_marl.devices.cuda import Cuda
 from pearl_marl.devices.lockstep import Lockstep
 from pearl_marl.devices.native import Native
@@ -31,7 +35,6 @@ from pearl_marl.devices.rtl import Rtl
 from pearl_marl.devices.serial import Serial
 from pearl_marl.devices.sharded import Sharded
 from pearl_marl.devices.xdma import Xdma
-from pearl_marl.errors import ArgumentError
 
 __all__ = [
     "BatchConfig",
@@ -48,40 +51,3 @@ __all__ = [
     "Xdma",
     "make_device",
 ]
-
-_BY_NAME: dict[str, type[Device]] = {
-    "cuda": Cuda,
-    "native": Native,
-    "reference": Reference,
-    "rtl": Rtl,
-    "serial": Serial,
-    "xdma": Xdma,
-}
-
-
-def make_device(device: str | Device) -> Device:
-    """Return the device of that name, or the configured device that was given."""
-    if isinstance(device, Device):
-        return device
-    if isinstance(device, type) and issubclass(device, Device):
-        raise ArgumentError(f"device is the class {device.__name__}; call it: {device.__name__}()")
-    name, colon, board = device.partition(":") if isinstance(device, str) else ("", "", "")
-    if name == Xdma.name and board:
-        return Xdma(int(board) if board.isdecimal() else board)
-    if name == Serial.name and board:
-        return Serial(board)
-    if name not in _BY_NAME or colon:
-        raise ArgumentError(
-            f"there is no device {device!r}; possible are {', '.join(map(repr, _BY_NAME))}, "
-            "'xdma:N' for board N, 'xdma:DIR' for a served one, 'serial:PORT', or a device object from "
-            "pearl_marl.devices"
-        )
-    return _BY_NAME[name]()
-
-
-def make_host_device(device: str | Device) -> Device:
-    """Do the same for whoever works on results with NumPy; refuse a device that keeps them as tensors."""
-    made = make_device(device)
-    if isinstance(made, Cuda) and made.results != "numpy":
-        raise ArgumentError("its results are needed on the host: give Cuda(results='numpy'), or 'cuda'")
-    return made

@@ -21,11 +21,13 @@ from typing import Any, Self
 import numpy as np
 import numpy.typing as npt
 
-from pearl_marl import rng, slot_memory
-from pearl_marl.actions import encode
-from pearl_marl.devices.batch import Array, BatchConfig, BatchStep
+from pearl_marl import rng
+from pearl_marl.batch import slot_memory
+from pearl_marl.batch.actions import encode
+from pearl_marl.batch.config import BatchConfig
+from pearl_marl.batch.saved_state import SavedState
+from pearl_marl.batch.step import Array, BatchStep
 from pearl_marl.errors import ArgumentError, OrderError
-from pearl_marl.saved_state import SavedState
 from pearl_marl.spec import EnvSpec
 
 

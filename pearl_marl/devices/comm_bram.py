@@ -20,13 +20,16 @@ from abc import ABC, abstractmethod
 import numpy as np
 from gymnasium.vector import AutoresetMode
 
-from pearl_marl import hardware, slot_memory
-from pearl_marl.codec import Stream, pack, stream_bytes, unpack
+from pearl_marl.batch import slot_memory
+from pearl_marl.batch.config import BatchConfig
+from pearl_marl.batch.results import ResultArrays
+from pearl_marl.batch.step import Array, BatchStep
+from pearl_marl.compiler.kernels import compile_kernels
 from pearl_marl.devices.base import Device
-from pearl_marl.devices.batch import Array, BatchConfig, BatchStep
-from pearl_marl.devices.results import ResultArrays
 from pearl_marl.errors import DeviceError
-from pearl_marl.kernels import compile_kernels
+from pearl_marl.hardware import elaboration
+from pearl_marl.hardware.codec import Stream, pack, stream_bytes, unpack
+from pearl_marl.hardware.regions import pack_region, unpack_region
 from pearl_marl.memory_map import (
     ELAPSED_BITS,
     MAGIC,
@@ -39,7 +42,6 @@ from pearl_marl.memory_map import (
     Status,
     StatusError,
 )
-from pearl_marl.regions import pack_region, unpack_region
 from pearl_marl.spec import EnvSpec, Field, word_bits
 
 _TER = Field("ter", TER_BITS)
@@ -373,7 +375,7 @@ def identity(spec: EnvSpec, layout: MemoryMap) -> tuple[int, ...]:
     return (
         MAGIC,
         PROTOCOL_VERSION,
-        hardware.env_hash(spec),
+        elaboration.env_hash(spec),
         layout.n_envs,
         layout.pe_num,
         layout.data_wl,

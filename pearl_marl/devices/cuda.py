@@ -1,7 +1,7 @@
 """A GPU as a device: the golden step compiled by numba-cuda, one launch a step.
 
-The slots stay on the GPU, in the columns of :mod:`pearl_marl.slot_memory`. So do results, if they are asked
-for as tensors: then a step only queues its launch and returns, and nothing waits for the GPU.
+The slots stay on the GPU, in the columns of :mod:`~pearl_marl.batch.slot_memory`. So do results, if they are
+asked for as tensors: then a step only queues its launch and returns, and nothing waits for the GPU.
 """
 
 from __future__ import annotations
@@ -20,12 +20,13 @@ import numpy as np
 from gymnasium.spaces import Box
 from gymnasium.vector import AutoresetMode
 
-from pearl_marl import slot_memory
-from pearl_marl.actions import limits
-from pearl_marl.cuda_kernels import THREADS, compile_cuda_kernels, simulated
+from pearl_marl.batch import slot_memory
+from pearl_marl.batch.actions import limits
+from pearl_marl.batch.config import BatchConfig
+from pearl_marl.batch.results import Layout, ResultArrays
+from pearl_marl.batch.step import Array, BatchStep
+from pearl_marl.compiler.cuda_kernels import THREADS, compile_cuda_kernels, simulated
 from pearl_marl.devices.base import Device
-from pearl_marl.devices.batch import Array, BatchConfig, BatchStep
-from pearl_marl.devices.results import Layout, ResultArrays
 from pearl_marl.errors import ActionError, ArgumentError, DeviceError
 
 RESIDENT_THREADS = 2048

@@ -8,10 +8,10 @@ from typing import Any, NoReturn, Self, TypeVar
 
 import numpy.typing as npt
 
-from pearl_marl import devices
-from pearl_marl.devices.base import Device
-from pearl_marl.devices.batch import Array, BatchConfig, BatchStep
-from pearl_marl.divergence import (
+from pearl_marl.batch.config import BatchConfig
+from pearl_marl.batch.saved_state import SavedState
+from pearl_marl.batch.step import Array, BatchStep
+from pearl_marl.comparison.divergence import (
     Comparison,
     Divergence,
     observation_words,
@@ -19,9 +19,10 @@ from pearl_marl.divergence import (
     state_of,
     state_words,
 )
+from pearl_marl.comparison.replay import Replay
+from pearl_marl.devices.base import Device
+from pearl_marl.devices.by_name import make_host_device
 from pearl_marl.errors import ArgumentError, LockstepError, PearlError
-from pearl_marl.replay import Replay
-from pearl_marl.saved_state import SavedState
 
 T = TypeVar("T")
 
@@ -67,7 +68,7 @@ class Lockstep(Device):
             isinstance(state_every, bool) or not isinstance(state_every, int) or state_every < 1
         ):
             raise ArgumentError(f"state_every is {state_every!r}; it must be a positive integer or None")
-        self.device, self.reference = devices.make_host_device(device), devices.make_host_device(reference)
+        self.device, self.reference = make_host_device(device), make_host_device(reference)
         if self.device is self.reference:
             raise ArgumentError("a device is not its own reference: lockstep takes two")
         self.name = f"lockstep of {self.device.name} and {self.reference.name}"

@@ -13,13 +13,14 @@ from typing import Any
 import numpy as np
 from gymnasium.vector import AutoresetMode
 
-from pearl_marl import slot_memory
+from pearl_marl.batch import slot_memory
+from pearl_marl.batch.config import BatchConfig
+from pearl_marl.batch.results import ResultArrays
+from pearl_marl.batch.step import Array, BatchStep
+from pearl_marl.compiler.kernel_source import BLOCK
+from pearl_marl.compiler.kernels import compile_kernels
 from pearl_marl.devices.base import Device
-from pearl_marl.devices.batch import Array, BatchConfig, BatchStep
-from pearl_marl.devices.results import ResultArrays
 from pearl_marl.errors import ArgumentError
-from pearl_marl.kernel_source import BLOCK
-from pearl_marl.kernels import compile_kernels
 
 SLOW_STEP_SECONDS = 300e-6
 """From here on a second thread can pay: handing it work and waiting for it costs about 50 us."""

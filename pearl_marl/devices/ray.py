@@ -28,15 +28,17 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium.vector import AutoresetMode
 
-from pearl_marl import cluster, devices
+from pearl_marl.batch.config import BatchConfig
+from pearl_marl.batch.saved_state import SavedState
+from pearl_marl.batch.step import Array, BatchStep
+from pearl_marl.compiler.kernel_source import kernel_source
+from pearl_marl.compiler.kernels import kernel_name
+from pearl_marl.devices import cluster
 from pearl_marl.devices.base import Device
-from pearl_marl.devices.batch import Array, BatchConfig, BatchStep
+from pearl_marl.devices.by_name import make_host_device
 from pearl_marl.devices.recovery import CHECKPOINT_EVERY, Recoverable
 from pearl_marl.devices.sharded import Sharded
 from pearl_marl.errors import ArgumentError, DeviceError
-from pearl_marl.kernel_source import kernel_source
-from pearl_marl.kernels import kernel_name
-from pearl_marl.saved_state import SavedState
 from pearl_marl.spec import EnvSpec
 
 T = TypeVar("T")
@@ -78,7 +80,7 @@ class Ray(Sharded):
     ) -> None:
         if isinstance(shards, (str, Device)) or not len(shards):
             raise ArgumentError(f"shards is {shards!r}; it must be a list of at least one device")
-        made = [devices.make_host_device(shard) for shard in shards]
+        made = [make_host_device(shard) for shard in shards]
         if len(set(map(id, made))) < len(made):
             raise ArgumentError("the same device is among the shards twice; each is for one actor")
         if any(isinstance(device, Ray) for device in made):

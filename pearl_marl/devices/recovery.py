@@ -18,10 +18,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from pearl_marl.batch.config import BatchConfig
+from pearl_marl.batch.saved_state import SavedState
+from pearl_marl.batch.step import Array, BatchStep
 from pearl_marl.devices.base import Device
-from pearl_marl.devices.batch import Array, BatchConfig, BatchStep
 from pearl_marl.errors import ArgumentError, DeviceError
-from pearl_marl.saved_state import SavedState
 
 CHECKPOINT_EVERY = 100
 """Steps between two states that are kept. Of 43,008 slots of CliffWalking, a state takes 0.3 ms to keep,

@@ -12,13 +12,15 @@ from typing import Any
 import numpy as np
 from gymnasium.vector import AutoresetMode
 
-from pearl_marl import rng, slot_memory
+from pearl_marl import rng
+from pearl_marl.batch import slot_memory
+from pearl_marl.batch.config import BatchConfig
+from pearl_marl.batch.results import ResultArrays
+from pearl_marl.batch.step import Array, BatchStep
+from pearl_marl.compiler.kernels import compile_kernels
 from pearl_marl.devices.base import Device
-from pearl_marl.devices.batch import Array, BatchConfig, BatchStep
-from pearl_marl.devices.results import ResultArrays
 from pearl_marl.errors import DeviceError
 from pearl_marl.golden import GoldenFunction, call_reference
-from pearl_marl.kernels import compile_kernels
 from pearl_marl.spec import Field
 
 _TERMINATED = Field("terminated", 1)

@@ -13,12 +13,12 @@ from typing import Any
 
 import numpy as np
 
-from pearl_marl.codec import Stream
-from pearl_marl.devices import pyverilator_mends
-from pearl_marl.devices.batch import BatchConfig
+from pearl_marl.batch.config import BatchConfig
 from pearl_marl.devices.comm_bram import CommBram, Transport
-from pearl_marl.devices.model_build import library
+from pearl_marl.devices.simulator import pyverilator_mends
+from pearl_marl.devices.simulator.model_build import library
 from pearl_marl.errors import ArgumentError, DeviceError
+from pearl_marl.hardware.codec import Stream
 from pearl_marl.memory_map import MemoryMap, default_map
 
 PATHS = ("backdoor", "axi")

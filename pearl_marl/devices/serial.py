@@ -24,11 +24,11 @@ import zlib
 
 import numpy as np
 
-from pearl_marl.codec import Stream
-from pearl_marl.devices.batch import BatchConfig
+from pearl_marl.batch.config import BatchConfig
 from pearl_marl.devices.comm_bram import CommBram, Transport
 from pearl_marl.devices.recovery import CHECKPOINT_EVERY, Recoverable
 from pearl_marl.errors import DeviceError
+from pearl_marl.hardware.codec import Stream
 from pearl_marl.memory_map import Control, MemoryMap, memory_map
 
 MAX_WORDS = 2**16 - 1

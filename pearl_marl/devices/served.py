@@ -31,8 +31,8 @@ from pathlib import Path
 
 import numpy as np
 
-from pearl_marl.devices.model_build import library
 from pearl_marl.devices.rtl import Simulation
+from pearl_marl.devices.simulator.model_build import library
 from pearl_marl.errors import DeviceError
 from pearl_marl.memory_map import Control, Doorbell, default_map
 from pearl_marl.spec import EnvSpec

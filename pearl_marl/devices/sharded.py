@@ -23,13 +23,15 @@ from typing import Self, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from pearl_marl import devices, slot_memory
+from pearl_marl.batch import slot_memory
+from pearl_marl.batch.config import BatchConfig
+from pearl_marl.batch.results import ResultArrays
+from pearl_marl.batch.saved_state import SavedState
+from pearl_marl.batch.step import Array, BatchStep
 from pearl_marl.devices.base import Device
-from pearl_marl.devices.batch import Array, BatchConfig, BatchStep
+from pearl_marl.devices.by_name import make_host_device
 from pearl_marl.devices.recovery import CHECKPOINT_EVERY, Recoverable
-from pearl_marl.devices.results import ResultArrays
 from pearl_marl.errors import ArgumentError, DeviceError
-from pearl_marl.saved_state import SavedState
 
 T = TypeVar("T")
 
@@ -59,7 +61,7 @@ class Sharded(Recoverable):
         super().__init__(checkpoint_every)
         if isinstance(parts, (str, Device)) or not len(parts):
             raise ArgumentError(f"parts is {parts!r}; it must be a list of at least one device")
-        self.parts = [devices.make_host_device(part) for part in parts]
+        self.parts = [make_host_device(part) for part in parts]
         if len(set(map(id, self.parts))) < len(self.parts):
             raise ArgumentError("the same device is among the parts twice; each takes up one share of slots")
         if sizes is not None and (len(sizes) != len(self.parts) or min(sizes) < 1):

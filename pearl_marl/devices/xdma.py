@@ -12,7 +12,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from pearl_marl.devices.batch import BatchConfig
+from pearl_marl.batch.config import BatchConfig
 from pearl_marl.devices.comm_bram import CommBram, Transport
 from pearl_marl.devices.recovery import CHECKPOINT_EVERY, Recoverable
 from pearl_marl.devices.xdma_transport import COMPLETIONS, XdmaTransport

@@ -23,10 +23,10 @@ import time
 from pathlib import Path
 from typing import Any, NoReturn
 
-from pearl_marl.codec import Stream
 from pearl_marl.devices import discovery
 from pearl_marl.devices.comm_bram import Transport
 from pearl_marl.errors import ArgumentError, DeviceError
+from pearl_marl.hardware.codec import Stream
 from pearl_marl.memory_map import Status, StatusError
 
 COMPLETIONS = ("poll", "event")

@@ -11,14 +11,15 @@ import pytest
 from gymnasium.spaces import Discrete
 from gymnasium.vector import AutoresetMode
 
-from pearl_marl import devices, hardware, toolchain
-from pearl_marl.actions import random_actions
+from pearl_marl import devices
+from pearl_marl.batch.actions import random_actions
 from pearl_marl.devices import BatchConfig, BatchStep, Device, Lockstep, Rtl
 from pearl_marl.errors import DeviceError
-from pearl_marl.parallel_env import PearlParallelEnv, parallel_env
+from pearl_marl.hardware import elaboration, toolchain
+from pearl_marl.interfaces.parallel import PearlParallelEnv, parallel_env
+from pearl_marl.interfaces.vector import PearlVectorEnv, make_vec
 from pearl_marl.registry import get_spec
 from pearl_marl.spec import EnvSpec
-from pearl_marl.vector_env import PearlVectorEnv, make_vec
 
 Array = npt.NDArray[Any]
 
@@ -57,7 +58,7 @@ def make_device(name: str, spec: EnvSpec, n: int = SIZE, **options: Any) -> Devi
         return Lockstep("native", "reference", **options)
     if name == "rtl":
         try:
-            hardware.core_path(spec)
+            elaboration.core_path(spec)
             for program in ("verilator", "g++", "make", "perl"):
                 toolchain.find(program)
         except DeviceError as error:

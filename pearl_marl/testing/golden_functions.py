@@ -12,7 +12,7 @@ from gymnasium.spaces import Box, Discrete, Tuple
 from gymnasium.vector import AutoresetMode
 
 from pearl_marl import rng
-from pearl_marl.actions import encode, random_actions
+from pearl_marl.batch.actions import encode, random_actions
 from pearl_marl.devices import BatchConfig, Reference
 from pearl_marl.golden import call_reference
 from pearl_marl.spec import EnvSpec

@@ -15,10 +15,10 @@ from pettingzoo.test import api_test, parallel_api_test
 
 from pearl_marl.devices import BatchConfig, Reference
 from pearl_marl.errors import ArgumentError, OrderError
-from pearl_marl.parallel_env import env as aec_env
-from pearl_marl.parallel_env import raw_env
+from pearl_marl.interfaces.aec import env as aec_env
+from pearl_marl.interfaces.aec import raw_env
+from pearl_marl.interfaces.vector import PearlVectorEnv
 from pearl_marl.testing.case import HALF, SIZE, Array, Case, names_of
-from pearl_marl.vector_env import PearlVectorEnv
 
 
 def packed(obs: Any) -> Array:

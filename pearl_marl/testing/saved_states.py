@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode
 
-from pearl_marl import slot_memory
+from pearl_marl.batch import slot_memory
 from pearl_marl.devices import BatchConfig, Native
 from pearl_marl.testing.case import (
     SIZE,

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from pearl_marl import slot_memory
+from pearl_marl.batch import slot_memory
 from pearl_marl.devices import BatchConfig, BatchStep, Native
 
 Array = np.ndarray[Any, Any]

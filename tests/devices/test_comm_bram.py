@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pearl_marl import get_spec, hardware
+from pearl_marl import get_spec
 from pearl_marl.devices import BatchConfig
 from pearl_marl.devices.comm_bram import CommBram, Transport
 from pearl_marl.errors import DeviceError
+from pearl_marl.hardware import elaboration
 from pearl_marl.memory_map import (
     MAGIC,
     PROTOCOL_VERSION,
@@ -30,7 +31,7 @@ class Memory(Transport):
 
     def __init__(self) -> None:
         self.bytes = np.zeros(LAYOUT.end("status"), np.uint8)
-        words = [MAGIC, PROTOCOL_VERSION, hardware.env_hash(SPEC), 20, 4, 64, 6, 9]
+        words = [MAGIC, PROTOCOL_VERSION, elaboration.env_hash(SPEC), 20, 4, 64, 6, 9]
         self.words("control")[: len(words)] = words
         self.transfers: list[tuple[str, int, int]] = []
         self.error, self.lag = StatusError(0), 0

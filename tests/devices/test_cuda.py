@@ -19,9 +19,9 @@ from gymnasium.vector import AutoresetMode
 
 import pearl_marl
 from pearl_marl import wrappers
-from pearl_marl.actions import random_actions
-from pearl_marl.benchmark import contenders, measure
-from pearl_marl.cuda_kernels import cuda_source
+from pearl_marl.batch.actions import random_actions
+from pearl_marl.benchmark.contenders import contenders, measure
+from pearl_marl.compiler.cuda_kernels import cuda_source
 from pearl_marl.devices import BatchConfig, Cuda, Lockstep, Native, Sharded, cuda
 from pearl_marl.errors import ActionError, ArgumentError, DeviceError
 from pearl_marl.verification import runs, verify
@@ -82,7 +82,7 @@ def test_tensors_hold_what_arrays_hold(name: str, copy: bool, mode: AutoresetMod
 @pytest.mark.parametrize("algorithm", ["ppo", "dqn", "q-learning"])
 def test_trainers_work_where_the_agents_are(algorithm: str) -> None:
     """With the numbers of a training on the host, where the simulator computes as that does."""
-    training = importlib.import_module("pearl_marl.experiments.training")
+    training = importlib.import_module("pearl_marl.training.run")
     small: dict[str, dict[str, Any]] = {
         "ppo": {"depth": 4, "minibatch": 8, "blocks": 2},
         "dqn": {"memory": 3, "warm_up": 1, "minibatch": 8},
@@ -304,7 +304,7 @@ import numba, numpy as np
 from numba import cuda
 from numba.cuda import dispatcher
 import pearl_marl
-from pearl_marl.cuda_kernels import compile_cuda_kernels
+from pearl_marl.compiler.cuda_kernels import compile_cuda_kernels
 dispatcher.get_current_device = lambda: types.SimpleNamespace(compute_capability=(9, 0))  # there is none
 spec = pearl_marl.get_spec(sys.argv[1])
 i, b, u1, f4 = numba.int64, numba.boolean, numba.uint8[::1], numba.float32[::1]

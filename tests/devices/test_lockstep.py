@@ -11,11 +11,12 @@ import pytest
 from gymnasium.vector import AutoresetMode
 
 import pearl_marl
-from pearl_marl import slot_memory
+from pearl_marl import verification
+from pearl_marl.batch import slot_memory
+from pearl_marl.comparison.replay import Replay
 from pearl_marl.devices import BatchConfig, Device, Lockstep, Native, Reference
 from pearl_marl.errors import ArgumentError, DeviceError, LockstepError, OrderError
 from pearl_marl.golden import u8
-from pearl_marl.replay import Replay
 from pearl_marl.testing import Case, assert_same_trajectory, trajectory
 
 from ..toy import DRIFT
@@ -345,10 +346,10 @@ def test_a_replay_file_makes_it_again(toys: None, tmp_path, env_id, initial_stat
     assert replay.config.n_envs == (1 if alone else N)
     assert replay.divergence == error.divergence
 
-    again = replay.run(Lockstep(Flips("rewards", tick=17, slot=slot), "reference"))
+    again = verification.replay(replay, Lockstep(Flips("rewards", tick=17, slot=slot), "reference"))
     assert again is not None
     assert again.divergence == error.divergence
-    assert replay.run(Lockstep("native", "reference")) is None
+    assert verification.replay(replay, Lockstep("native", "reference")) is None
 
 
 def test_a_slot_alone_does_what_it_did_among_the_others(toys: None) -> None:
@@ -375,7 +376,7 @@ def test_replays_of_resets(tmp_path) -> None:
     caught.value.replay.write(tmp_path / "replay.json")
     replay = Replay.read(tmp_path / "replay.json")
     assert replay.before is None
-    again = replay.run(Lockstep(FlipsStart(9), "reference"))
+    again = verification.replay(replay, Lockstep(FlipsStart(9), "reference"))
     assert again is not None
     assert again.divergence == caught.value.divergence
-    assert replay.run(Lockstep("native", "reference")) is None
+    assert verification.replay(replay, Lockstep("native", "reference")) is None

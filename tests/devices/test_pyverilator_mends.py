@@ -6,7 +6,7 @@ import importlib.metadata
 
 import pytest
 
-from pearl_marl.devices import pyverilator_mends as mends
+from pearl_marl.devices.simulator import pyverilator_mends as mends
 from pearl_marl.errors import DeviceError
 
 

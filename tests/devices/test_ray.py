@@ -20,9 +20,8 @@ import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode
 
-import pearl_marl
-from pearl_marl import cluster, get_spec
-from pearl_marl.devices import BatchConfig, Device, Native, Ray, Rtl, cuda
+from pearl_marl import get_spec, version
+from pearl_marl.devices import BatchConfig, Device, Native, Ray, Rtl, cluster, cuda
 from pearl_marl.errors import ActionError, ArgumentError, DeviceError, OrderError
 from pearl_marl.testing import assert_same_step, assert_same_trajectory, trajectory
 
@@ -431,7 +430,7 @@ def test_a_resource_that_the_cluster_has_not() -> None:
 
 
 def test_another_version(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(pearl_marl, "__version__", "0.0.1")
+    monkeypatch.setattr(version, "__version__", "0.0.1")
     with pytest.raises(DeviceError, match=r"runs version \S+ of pearl-marl .*, this process 0\.0\.1"):
         Ray(["native"]).open(BatchConfig(spec=SPEC, n_envs=N))
 

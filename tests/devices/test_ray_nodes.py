@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pearl_marl import cluster, get_spec
-from pearl_marl.devices import BatchConfig, Native, Ray
+from pearl_marl import get_spec
+from pearl_marl.devices import BatchConfig, Native, Ray, cluster
 from pearl_marl.errors import DeviceError
 from pearl_marl.testing import assert_same_step
 

@@ -45,8 +45,8 @@ from unittest import mock
 import numpy as np
 import pearl_marl
 from pearl_marl.devices import BatchConfig, Reference
-with mock.patch("pearl_marl.kernel_source.kernel_source", side_effect=AssertionError), \\
-        mock.patch("pearl_marl.kernels.load", side_effect=AssertionError):
+with mock.patch("pearl_marl.compiler.kernel_source.kernel_source", side_effect=AssertionError), \\
+        mock.patch("pearl_marl.compiler.kernels.load", side_effect=AssertionError):
     device = Reference().open(BatchConfig(spec=pearl_marl.get_spec("CliffWalking"), n_envs=5))
     device.reset(seed=0)
     device.step(np.zeros(5, np.uint8))

@@ -15,9 +15,11 @@ import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode
 
-from pearl_marl import cache, get_spec, hardware
-from pearl_marl.devices import BatchConfig, Lockstep, Native, Rtl, make_device, model_build, pyverilator_mends
+from pearl_marl import cache, get_spec
+from pearl_marl.devices import BatchConfig, Lockstep, Native, Rtl, make_device
+from pearl_marl.devices.simulator import model_build, pyverilator_mends
 from pearl_marl.errors import ArgumentError, DeviceError, LockstepError
+from pearl_marl.hardware import elaboration
 from pearl_marl.memory_map import memory_map
 from pearl_marl.spec import Field
 from pearl_marl.testing import Case, assert_same_step, assert_same_trajectory, trajectory
@@ -52,11 +54,11 @@ def own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def core(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, old: str, new: str) -> None:
     """Replace the core by one with a change in it."""
-    text = hardware.core_path(SPEC).read_text()
+    text = elaboration.core_path(SPEC).read_text()
     assert text.count(old) == 1
     path = tmp_path / "cliff_walking_pe.sv"
     path.write_text(text.replace(old, new))
-    monkeypatch.setattr(hardware, "core_path", lambda spec: path)
+    monkeypatch.setattr(elaboration, "core_path", lambda spec: path)
 
 
 def test_device_by_name() -> None:

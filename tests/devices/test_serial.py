@@ -18,14 +18,14 @@ import numpy as np
 import pytest
 
 import pearl_marl
-from pearl_marl import hardware
 from pearl_marl.devices import Serial
 from pearl_marl.devices.serial import SerialTransport, request
 from pearl_marl.errors import DeviceError
+from pearl_marl.hardware import elaboration
 from pearl_marl.memory_map import MAGIC, PROTOCOL_VERSION
 
 SPEC = pearl_marl.get_spec("CliffWalking")
-IDENTITY = struct.pack("<8I", MAGIC, PROTOCOL_VERSION, hardware.env_hash(SPEC), 7, 4, 32, 6, 9)
+IDENTITY = struct.pack("<8I", MAGIC, PROTOCOL_VERSION, elaboration.env_hash(SPEC), 7, 4, 32, 6, 9)
 
 
 class Fake:

@@ -17,9 +17,9 @@ import pytest
 
 from pearl_marl import get_spec, memory_map
 from pearl_marl.devices import BatchConfig, Device, Native, Rtl, Xdma, discovery, make_device, xdma_transport
-from pearl_marl.devices.model_build import library
 from pearl_marl.devices.rtl import Simulation
 from pearl_marl.devices.served import ServedBoard
+from pearl_marl.devices.simulator.model_build import library
 from pearl_marl.devices.xdma_transport import XdmaTransport
 from pearl_marl.errors import ArgumentError, DeviceError
 from pearl_marl.memory_map import Doorbell

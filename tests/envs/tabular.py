@@ -7,9 +7,10 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from pearl_marl import EnvSpec, slot_memory
+from pearl_marl import EnvSpec
+from pearl_marl.batch import slot_memory
+from pearl_marl.batch.step import BatchStep
 from pearl_marl.devices import BatchConfig, Native
-from pearl_marl.devices.batch import BatchStep
 
 Array = npt.NDArray[Any]
 

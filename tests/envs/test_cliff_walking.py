@@ -11,7 +11,8 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from scipy import stats
 
 import pearl_marl
-from pearl_marl import rng, slot_memory
+from pearl_marl import rng
+from pearl_marl.batch import slot_memory
 from pearl_marl.devices import BatchConfig, Native
 from pearl_marl.golden import call_reference, u8, u32
 from pearl_marl.rendering import HeatMap

@@ -15,10 +15,10 @@ from scipy import stats
 
 import pearl_marl
 from pearl_marl import rng
+from pearl_marl.compiler.kernels import compile_kernels
 from pearl_marl.devices import BatchConfig, Native
 from pearl_marl.errors import ArgumentError
 from pearl_marl.golden import call_reference
-from pearl_marl.kernels import compile_kernels
 from pearl_marl.spec import EnvSpec
 
 from .tabular import first_episodes

@@ -14,7 +14,7 @@ from cocotb.triggers import ClockCycles, FallingEdge, with_timeout
 from cocotbext.axi.constants import AxiResp
 from model import ELAPSED, TER, Model, unpack_region
 
-from pearl_marl import hardware
+from pearl_marl.hardware import elaboration
 from pearl_marl.memory_map import (
     MAGIC,
     PROTOCOL_VERSION,
@@ -124,7 +124,7 @@ async def identity_is_readable(dut: Any) -> None:
     words = struct.unpack("<16I", await host.read(0, 64))
     assert words[Control.MAGIC] == MAGIC
     assert words[Control.PROTOCOL_VERSION] == PROTOCOL_VERSION
-    assert words[Control.ENV_HASH] == hardware.env_hash(SPEC)
+    assert words[Control.ENV_HASH] == elaboration.env_hash(SPEC)
     assert words[Control.N_ENVS] == LAYOUT.n_envs
     assert words[Control.PE_NUM] == LAYOUT.pe_num
     assert words[Control.DATA_WL] == LAYOUT.data_wl

@@ -13,8 +13,8 @@ from bench import spec_of
 from cocotb.clock import Clock
 from cocotb.triggers import ClockCycles, FallingEdge, ReadOnly, Timer
 
-from pearl_marl import hardware
 from pearl_marl.devices.serial import answer_bytes, request
+from pearl_marl.hardware import elaboration
 from pearl_marl.memory_map import MAGIC, Control, memory_map
 
 ARGUMENTS = harness.arguments()
@@ -119,7 +119,7 @@ async def identity_is_readable(dut: Any) -> None:
     words = struct.unpack(f"<{len(Control)}I", data)
     assert response == OKAY
     assert words[Control.MAGIC] == MAGIC
-    assert words[Control.ENV_HASH] == hardware.env_hash(SPEC)
+    assert words[Control.ENV_HASH] == elaboration.env_hash(SPEC)
     sizes = (LAYOUT.n_envs, LAYOUT.pe_num, LAYOUT.data_wl)
     assert words[Control.N_ENVS : Control.DATA_WL + 1] == sizes
 

@@ -10,7 +10,7 @@ import harness
 import pytest
 import rtl_coverage
 
-from pearl_marl import hardware
+from pearl_marl.hardware import elaboration
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -27,6 +27,6 @@ def pytest_sessionfinish(session: pytest.Session) -> None:
     target = session.config.getoption("--rtl-coverage")
     if target and not hasattr(session.config, "workerinput"):
         data = Path(os.environ.pop(harness.COVERAGE_VARIABLE)).glob("*.dat")
-        own = {path.stem for path in hardware.backbone_paths()}
+        own = {path.stem for path in elaboration.backbone_paths()}
         modules = {name: found for name, found in rtl_coverage.merge(data).items() if name in own}
         Path(target).write_text(rtl_coverage.report(modules))

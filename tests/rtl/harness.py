@@ -21,7 +21,7 @@ import platformdirs
 from cocotb_tools.config import libs_dir
 from cocotb_tools.runner import get_results, get_runner
 
-from pearl_marl import hardware, toolchain
+from pearl_marl.hardware import elaboration, toolchain
 from pearl_marl.memory_map import MemoryMap
 from pearl_marl.spec import EnvSpec
 
@@ -66,8 +66,8 @@ def module(top: str, **parameters: int) -> Design:
 
 def core(spec: EnvSpec) -> Design:
     """An environment's core alone, and the files it needs."""
-    path = hardware.core_path(spec)
-    return Design(path.stem, _with_needed(path.stem, [path]), hardware.core_parameters(spec))
+    path = elaboration.core_path(spec)
+    return Design(path.stem, _with_needed(path.stem, [path]), elaboration.core_parameters(spec))
 
 
 def _with_needed(top: str, last: list[Path]) -> tuple[Path, ...]:
@@ -75,7 +75,7 @@ def _with_needed(top: str, last: list[Path]) -> tuple[Path, ...]:
 
     Not every file there is, so that a change of one module leaves the builds of others in the cache.
     """
-    files = {path.stem: path for path in (*hardware.backbone_paths(), *last)}
+    files = {path.stem: path for path in (*elaboration.backbone_paths(), *last)}
     needed, waiting = set(), [top]
     while waiting:
         name = waiting.pop()
@@ -87,8 +87,8 @@ def _with_needed(top: str, last: list[Path]) -> tuple[Path, ...]:
 
 def whole(spec: EnvSpec, layout: MemoryMap, top: str = "pearl_top") -> Design:
     """The whole design around the core of ``spec``."""
-    parameters = {**hardware.parameters(spec, layout), "ADDR_BITS": hardware.address_bits(layout)}
-    return Design(top, tuple(hardware.sources(spec)), parameters, hardware.macros(spec))
+    parameters = {**elaboration.parameters(spec, layout), "ADDR_BITS": elaboration.address_bits(layout)}
+    return Design(top, tuple(elaboration.sources(spec)), parameters, elaboration.macros(spec))
 
 
 def build(design: Design) -> Path:

@@ -8,8 +8,8 @@ import numpy as np
 import numpy.typing as npt
 
 from pearl_marl import rng
-from pearl_marl.codec import pack, stream_bytes, unpack
 from pearl_marl.golden import call_reference
+from pearl_marl.hardware.codec import pack, stream_bytes, unpack
 from pearl_marl.memory_map import ELAPSED_BITS, TER_BITS, MemoryMap, Mode, Region
 from pearl_marl.spec import EnvSpec, Field
 

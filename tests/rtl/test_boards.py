@@ -15,11 +15,11 @@ import numpy as np
 import pytest
 from harness import HERE, Design, run
 
-from pearl_marl import boards, toolchain
-from pearl_marl.boards import BOARDS, Board
 from pearl_marl.devices import BatchConfig, Lockstep, Native, Serial
 from pearl_marl.devices.serial import SerialTransport
 from pearl_marl.errors import DeviceError
+from pearl_marl.hardware import boards, toolchain
+from pearl_marl.hardware.boards import BOARDS, Board
 from pearl_marl.registry import get_spec
 from pearl_marl.spec import EnvSpec
 from pearl_marl.verification import runs, verify

@@ -10,8 +10,9 @@ import pytest
 from bench import spec_of
 from harness import HERE, Design, whole
 
-from pearl_marl import hardware, memory_map, toolchain
+from pearl_marl import memory_map
 from pearl_marl.errors import DeviceError
+from pearl_marl.hardware import elaboration, toolchain
 from pearl_marl.registry import get_spec, names
 from pearl_marl.spec import word_bits
 
@@ -37,7 +38,7 @@ def lint(design: Design, **parameters: int) -> None:
 )
 def test_lint_is_clean(env: str, size: tuple[int, int, int]) -> None:
     spec = spec_of(env, {})
-    if env == "ShiftAdd" or hardware.core_path(spec).is_file():
+    if env == "ShiftAdd" or elaboration.core_path(spec).is_file():
         n_envs, pe_num, data_wl = size
         # Verilator calls it suspect to clear 8,192 bits at once; and no word could feed so many elements.
         pe_num = min(pe_num, 4096 // max(word_bits(spec.state), word_bits(spec.observation)))
@@ -99,7 +100,7 @@ def test_illegal_parameters_are_refused(parameters: dict[str, int], sentence: st
 @pytest.mark.parametrize("states", ["LATENCY 0 and II 1", "LATENCY 2 and II 0"])
 def test_a_core_without_time_is_refused(states: str, tmp_path: Path) -> None:
     design = whole(spec := get_spec("CliffWalking"), memory_map.memory_map(spec, 7, 4, 32))
-    core = hardware.core_path(spec)
+    core = elaboration.core_path(spec)
     latency, interval = states.split()[1::3]
     text = core.read_text().replace("LATENCY = 2;", f"LATENCY = {latency};")
     changed = tmp_path / core.name
@@ -115,15 +116,15 @@ def test_an_address_of_64_bits_is_legal() -> None:
 
 
 def test_formatter_has_nothing_to_change() -> None:
-    cores = [hardware.core_path(get_spec(name)) for name in names()]
-    files = [*hardware.backbone_paths()[0].parent.rglob("*.sv"), *HERE.rglob("*.sv"), *cores]
+    cores = [elaboration.core_path(get_spec(name)) for name in names()]
+    files = [*elaboration.backbone_paths()[0].parent.rglob("*.sv"), *HERE.rglob("*.sv"), *cores]
     for file in files:
         formatted = toolchain.run(["verible-verilog-format", "--column_limit=110", str(file)])
         assert formatted == file.read_text(), f"{file.name} is not as verible-verilog-format leaves it"
 
 
 def test_package_says_what_the_map_says() -> None:
-    package = next(path for path in hardware.backbone_paths() if path.name == "pearl_pkg.sv").read_text()
+    package = next(path for path in elaboration.backbone_paths() if path.name == "pearl_pkg.sv").read_text()
     words = "".join(package.split())
     control = memory_map.Control
     for name in ("SEED_0", "SEED_1", "TICK_LOW", "TICK_HIGH", "FIRST_SLOT", "MAX_CYCLES"):
@@ -145,13 +146,13 @@ def test_package_says_what_the_map_says() -> None:
 
 def test_a_missing_core_is_told(tmp_path: Path) -> None:
     spec = spec_of("ShiftAdd", {})
-    path = hardware.core_path(spec)
+    path = elaboration.core_path(spec)
     moved = path.rename(tmp_path / path.name)
     try:
         with pytest.raises(
             DeviceError, match=r"ShiftAdd has no hardware core: there is no file .*shift_add_pe\.sv"
         ):
-            hardware.sources(spec)
+            elaboration.sources(spec)
     finally:
         moved.rename(path)
 

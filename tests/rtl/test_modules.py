@@ -9,7 +9,7 @@ import pytest
 from bench import spec_of
 from harness import core, module, run
 
-from pearl_marl import hardware
+from pearl_marl.hardware import elaboration
 
 # Row and word: equal, dividing either way, sharing a factor, sharing none; wider and narrower rows.
 RATIOS = [(32, 32), (8, 32), (96, 32), (64, 128), (48, 32), (24, 32), (42, 32), (7, 32), (99, 64), (1, 32)]
@@ -142,7 +142,7 @@ LAKE = {"desc": ["SFHSFGSF", "GHSFFFFH", "FSHFHSFF"]}
 )
 def test_core(env: str, options: dict[str, Any], latency: int, ii: int, tmp_path: Path) -> None:
     spec = spec_of(env, options)
-    assert hardware.core_timing(spec) == (latency, ii)
+    assert elaboration.core_timing(spec) == (latency, ii)
     run(
         core(spec),
         "bench_core",

@@ -14,10 +14,10 @@ import pytest
 from bench import spec_of
 from harness import COVERAGE_VARIABLE, Design, run
 
-from pearl_marl import hardware, toolchain
+from pearl_marl.hardware import elaboration, toolchain
+from pearl_marl.hardware.synthesis import CELLS, Family, read_design
 from pearl_marl.memory_map import MemoryMap, memory_map
 from pearl_marl.spec import EnvSpec
-from pearl_marl.synthesis import CELLS, Family, read_design
 
 # The flip-flop whose input is inverted in the broken netlist: that of the first slot's termination. No
 # state machine depends on it, so the fault shows as a wrong result and not as a bus that hangs.
@@ -32,7 +32,7 @@ def yosys(folder: Path, *script: str) -> None:
 def mapped(spec: EnvSpec, layout: MemoryMap, folder: Path) -> str:
     """Return the design in cells of the 7 series, as Verilog."""
     names = []
-    for path in hardware.sources(spec):
+    for path in elaboration.sources(spec):
         (folder / path.name).write_text(path.read_text())
         names.append(path.name)
     yosys(

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 from harness import HERE
 
-from pearl_marl import hardware, toolchain
+from pearl_marl.hardware import elaboration, toolchain
 from pearl_marl.memory_map import memory_map
 from pearl_marl.registry import get_spec
 
@@ -89,22 +89,22 @@ def check_backbone(
     spec = get_spec("CliffWalking").with_options(**options)
     layout = memory_map(spec, *size)
     word_bytes = layout.data_wl // 8
-    word_address_bits = hardware.address_bits(layout) - (word_bytes.bit_length() - 1)
-    parameters = {**hardware.parameters(spec, layout), "WORD_ADDR_BITS": word_address_bits}
+    word_address_bits = elaboration.address_bits(layout) - (word_bytes.bit_length() - 1)
+    parameters = {**elaboration.parameters(spec, layout), "WORD_ADDR_BITS": word_address_bits}
     # The backbone has the widths from its core.
     for name in ("STATE_BITS", "ACTION_BITS", "OBS_BITS", "REWARD_BITS"):
         del parameters[name]
     arguments = [f"-G {name}=32'd{value}" for name, value in parameters.items()]
-    arguments += [f"-D {name}={value}" for name, value in hardware.macros(spec).items()]
+    arguments += [f"-D {name}={value}" for name, value in elaboration.macros(spec).items()]
     files = [
-        path for path in hardware.sources(spec) if path.name != "pearl_top.sv" and "_axi_" not in path.name
+        path for path in elaboration.sources(spec) if path.name != "pearl_top.sv" and "_axi_" not in path.name
     ]
     files += [FORMAL / "ram_proof.sv", FORMAL / "backbone_proof.sv"]
     return check(folder, "backbone_proof", files, [f"-D {what}", *arguments], fault, bounded)
 
 
 def check_packer(folder: Path, row: int, word: int, rows: int, words: int, fault: Fault | None) -> str:
-    backbone = {path.name: path for path in hardware.backbone_paths()}
+    backbone = {path.name: path for path in elaboration.backbone_paths()}
     files = [backbone[name] for name in ("pearl_pkg.sv", "pearl_fill.sv", "pearl_packer.sv")]
     sizes = {"ROW_BITS": row, "DATA_WL": word, "ROWS": rows, "WORDS": words}
     arguments = [f"-G {name}={value}" for name, value in sizes.items()]

@@ -10,7 +10,7 @@ import pytest
 
 import pearl_marl
 from pearl_marl import wrappers
-from pearl_marl.actions import random_actions
+from pearl_marl.batch.actions import random_actions
 from pearl_marl.errors import ActionError, ArgumentError, OrderError
 
 N = 12

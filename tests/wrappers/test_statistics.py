@@ -13,7 +13,7 @@ from gymnasium.wrappers.vector import NormalizeObservation, NormalizeReward
 
 import pearl_marl
 from pearl_marl import wrappers
-from pearl_marl.actions import random_actions
+from pearl_marl.batch.actions import random_actions
 from pearl_marl.errors import ArgumentError
 from pearl_marl.testing.case import assert_same_trajectory, trajectory
 

@@ -1,0 +1,85 @@
+"""What a device is opened for: the environment, how many slots, and how they start over."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from gymnasium.vector import AutoresetMode
+
+from pearl_marl.errors import ArgumentError
+from pearl_marl.spec import EnvSpec, check_max_cycles
+
+
+@dataclass(frozen=True, kw_only=True)
+class BatchConfig:
+    """What a device is opened for; checked when made.
+
+    Parameters
+    ----------
+    spec
+        The environment.
+    n_envs
+        How many slots.
+    autoreset_mode
+        ``SAME_STEP`` or ``NEXT_STEP``: when a slot that ended begins its next episode.
+    max_cycles
+        The time limit; ``None`` takes the environment's own, 0 is none.
+    initial_states
+        ``"random"``: each episode starts from a draw. ``"stored"``: a slot repeats its first start.
+    first_slot
+        The global number of the first slot: random draws depend on it, and on nothing else of the device.
+    copy
+        Whether results are fresh arrays. If not, the next step overwrites them.
+    """
+
+    spec: EnvSpec
+    n_envs: int
+    autoreset_mode: AutoresetMode = AutoresetMode.SAME_STEP
+    max_cycles: int | None = None
+    initial_states: str = "random"
+    first_slot: int = 0
+    copy: bool = True
+
+    def __post_init__(self) -> None:
+        n, first = self.n_envs, self.first_slot
+        for name, value, least in (("the number of agents", n, 1), ("first_slot", first, 0)):
+            if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < least:
+                raise ArgumentError(f"{name} is {value!r}; it must be an integer of at least {least}")
+        if first + n > 1 << 32:
+            raise ArgumentError(
+                f"slots {first} to {first + n - 1} exceed the 2**32 that random draws can tell apart"
+            )
+        if self.autoreset_mode not in (AutoresetMode.SAME_STEP, AutoresetMode.NEXT_STEP):
+            raise ArgumentError(
+                f"a device resets in SAME_STEP or NEXT_STEP mode, not {self.autoreset_mode!r}"
+            )
+        check_max_cycles(self.max_cycles)
+        if self.initial_states not in ("random", "stored"):
+            raise ArgumentError(
+                f"initial_states is {self.initial_states!r}; possible are 'random' and 'stored'"
+            )
+        if not isinstance(self.copy, bool):
+            raise ArgumentError(f"copy is {self.copy!r}; it must be True or False")
+        # A NumPy integer would wrap around where sizes in bytes are computed from it.
+        object.__setattr__(self, "n_envs", int(n))
+        object.__setattr__(self, "first_slot", int(first))
+
+    @cached_property
+    def limit(self) -> int:
+        """The time limit that holds; 0 for none."""
+        return int((self.spec.max_cycles if self.max_cycles is None else self.max_cycles) or 0)
+
+    def identity(self) -> dict[str, Any]:
+        """Return what a saved state has to agree with, by name."""
+        return {
+            "environment": self.spec.id,
+            "options": dict(self.spec.options),
+            "n_agents": self.n_envs,
+            "autoreset_mode": self.autoreset_mode.value,
+            "max_cycles": self.limit,
+            "initial_states": self.initial_states,
+            "first_slot": self.first_slot,
+        }

@@ -1,0 +1,111 @@
+"""A batch's whole state as bytes, so that any device can go on where another stopped.
+
+::
+
+    magic and version (8 bytes) | CRC-32 (4) | length of header (8) | header, JSON | the three arrays
+"""
+
+from __future__ import annotations
+
+import json
+import struct
+import zlib
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from pearl_marl.errors import SavedStateError
+
+Bytes = npt.NDArray[np.uint8]
+
+_MAGIC = b"PEARLST"
+_VERSION = b"1"
+_ARRAYS = ("memory", "stored", "live")
+
+
+@dataclass(frozen=True, kw_only=True)
+class SavedState:
+    """Everything that the continuation of a batch depends on.
+
+    Parameters
+    ----------
+    identity
+        What an environment must agree with to continue from here, by name.
+    seed, tick
+        The position in the random numbers: see :mod:`pearl_marl.rng`.
+    rewards
+        The reward table.
+    memory, stored
+        The slots, and their stored initial states if there are any: see :mod:`pearl_marl.batch.slot_memory`.
+    live
+        For strict PettingZoo lifetimes, one ``uint8`` an agent: whether it is still there.
+    """
+
+    identity: dict[str, Any]
+    seed: tuple[int, int]
+    tick: int
+    rewards: tuple[float, ...]
+    memory: Bytes
+    stored: Bytes
+    live: Bytes
+
+    def check(self, identity: dict[str, Any]) -> None:
+        """Raise SavedStateError where this is no state of an environment of the given identity."""
+        _compare(self.identity, identity)
+
+    def to_bytes(self) -> bytes:
+        """Return the saved state as bytes."""
+        header = {"identity": self.identity, "seed": self.seed, "tick": self.tick, "rewards": self.rewards}
+        header["lengths"] = [len(getattr(self, name)) for name in _ARRAYS]
+        head = json.dumps(header).encode()
+        body = (
+            struct.pack("<Q", len(head)) + head + b"".join(getattr(self, name).tobytes() for name in _ARRAYS)
+        )
+        return _MAGIC + _VERSION + struct.pack("<I", zlib.crc32(body)) + body
+
+    @classmethod
+    def from_bytes(cls, blob: bytes, identity: dict[str, Any]) -> SavedState:
+        """Read what :meth:`to_bytes` returned, for an environment of the given identity.
+
+        Raises
+        ------
+        SavedStateError
+            The bytes are damaged, of another version, or of another environment: names the first
+            difference and both values.
+        """
+        if not isinstance(blob, (bytes, bytearray, memoryview)):
+            raise SavedStateError(f"a saved state is bytes, not {type(blob).__name__}")
+        blob = bytes(blob)
+        version, body = blob[len(_MAGIC) : len(_MAGIC) + 1], blob[len(_MAGIC) + 5 :]
+        if not blob.startswith(_MAGIC):
+            raise SavedStateError("these bytes are no saved state of PEARL-MARL")
+        if version != _VERSION:
+            raise SavedStateError(
+                f"the saved state has version {version.decode(errors='replace')!r}; "
+                f"this program reads version {_VERSION.decode()!r}"
+            )
+        if len(body) < 8 or zlib.crc32(body) != struct.unpack_from("<I", blob, len(_MAGIC) + 1)[0]:
+            raise SavedStateError("the saved state is damaged or cut short: its checksum is wrong")
+        start = 8 + struct.unpack_from("<Q", body)[0]
+        header = json.loads(body[8:start])
+        _compare(header["identity"], identity)
+        arrays = np.split(np.frombuffer(body, np.uint8, offset=start), np.cumsum(header["lengths"])[:-1])
+        return cls(
+            identity=identity,
+            seed=tuple(header["seed"]),
+            tick=header["tick"],
+            rewards=tuple(header["rewards"]),
+            **dict(zip(_ARRAYS, arrays, strict=True)),
+        )
+
+
+def _compare(saved: dict[str, Any], mine: dict[str, Any]) -> None:
+    # Options may hold what JSON has no type for, such as tuples: compare what becomes of them.
+    saved, mine = json.loads(json.dumps([saved, mine]))
+    for name, value in mine.items():
+        if saved.get(name) != value:
+            raise SavedStateError(
+                f"the saved state has {name} = {saved.get(name)!r}; this environment has {value!r}"
+            )

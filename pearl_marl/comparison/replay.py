@@ -1,0 +1,156 @@
+"""A call in which two devices part, with all that it takes to make it again: a small JSON file.
+
+The file holds the state of the batch before the call, and the call. One slot is enough where that
+slot alone parts again, which a fault of a core does: see :meth:`Replay.alone`. A fault of what
+lies around the cores may need the slot's neighbours, so otherwise the file holds the whole batch,
+compressed.
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+import zlib
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from gymnasium.vector import AutoresetMode
+
+from pearl_marl.batch import slot_memory
+from pearl_marl.batch.config import BatchConfig
+from pearl_marl.batch.saved_state import SavedState
+from pearl_marl.comparison.divergence import Divergence
+from pearl_marl.errors import ArgumentError, PearlError
+from pearl_marl.registry import get_spec, names
+
+_FORMAT = "pearl verify replay"
+_VERSION = 1
+
+
+@dataclass(frozen=True, kw_only=True)
+class Replay:
+    """One call of a device, and the state before it.
+
+    Parameters
+    ----------
+    config
+        The batch.
+    divergence
+        What differed when it was recorded; ``divergence.call`` names the call.
+    before
+        The state before the call (of a ``restore``, the one restored); ``None`` before the first reset.
+    actions
+        The words of a step.
+    seed, mask
+        Of a reset.
+    """
+
+    config: BatchConfig
+    divergence: Divergence
+    before: SavedState | None
+    actions: npt.NDArray[Any] | None = None
+    seed: int | None = None
+    mask: npt.NDArray[np.bool_] | None = None
+
+    def alone(self) -> Replay:
+        """Return the same call for the slot that parts, without the others."""
+        config = replace(self.config, n_envs=1, first_slot=self.divergence.slot)
+        i = self.divergence.slot - self.config.first_slot
+        before = self.before
+        if before is not None:
+            memory, stored = (self._row(part, i) for part in (before.memory, before.stored))
+            before = replace(before, identity=config.identity(), memory=memory, stored=stored)
+        actions, mask = (None if a is None else a[i : i + 1].copy() for a in (self.actions, self.mask))
+        return replace(self, config=config, before=before, actions=actions, mask=mask)
+
+    def _row(self, memory: npt.NDArray[np.uint8], i: int) -> npt.NDArray[np.uint8]:
+        spec = self.config.spec
+        if not memory.size:
+            return memory
+        alone = slot_memory.allocate(spec, 1)
+        whole = slot_memory.views(spec, self.config.n_envs, memory)
+        for name, column in slot_memory.views(spec, 1, alone).items():
+            column[:] = whole[name][i]
+        return alone
+
+    def write(self, path: Path) -> None:
+        """Write the file."""
+        value = {
+            "format": _FORMAT,
+            "version": _VERSION,
+            "divergence": self.divergence.as_json(),
+            "batch": self.config.identity(),
+            # Importing it registers the environment, where that is of another package.
+            "module": self.config.spec.golden.step.__module__,
+            "before": None if self.before is None else _packed(self.before.to_bytes()),
+            "actions": None if self.actions is None else _packed(self.actions.tobytes()),
+            "seed": self.seed,
+            "mask": None if self.mask is None else _packed(self.mask.tobytes()),
+        }
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(json.dumps(value, indent=2) + "\n")
+
+    @classmethod
+    def read(cls, path: Path) -> Replay:
+        """Read what :meth:`write` wrote.
+
+        Raises
+        ------
+        ArgumentError
+            The file cannot be read, or is something else, or its environment is not known here.
+        """
+        try:
+            value = json.loads(path.read_bytes())
+        except (OSError, ValueError) as error:
+            raise ArgumentError(f"{path} cannot be read as a replay file: {error}") from None
+        if not isinstance(value, dict) or value.get("format") != _FORMAT:
+            raise ArgumentError(f"{path} is no replay file of pearl verify")
+        if value.get("version") != _VERSION:
+            raise ArgumentError(
+                f"{path} has version {value.get('version')!r}; this program reads version {_VERSION}"
+            )
+        try:
+            return cls._from_json(value)
+        except PearlError as error:
+            raise ArgumentError(f"{path}: {error}") from None
+        except (KeyError, TypeError, ValueError, AttributeError, zlib.error) as error:
+            raise ArgumentError(f"{path} is damaged: {type(error).__name__}: {error}") from None
+
+    @classmethod
+    def _from_json(cls, value: dict[str, Any]) -> Replay:
+        batch = value["batch"]
+        name, module = batch["environment"].rpartition("-v")[0], value.get("module")
+        known = name in names() or module is None
+        spec = get_spec(name if known else f"{module}:{name}").with_options(**batch["options"])
+        if spec.id != batch["environment"]:
+            raise ArgumentError(f"it is of {batch['environment']}; here is {spec.id}")
+        config = BatchConfig(
+            spec=spec,
+            n_envs=batch["n_agents"],
+            autoreset_mode=AutoresetMode(batch["autoreset_mode"]),
+            max_cycles=batch["max_cycles"],
+            initial_states=batch["initial_states"],
+            first_slot=batch["first_slot"],
+        )
+        before, actions, mask = (
+            None if value[name] is None else _unpacked(value[name]) for name in ("before", "actions", "mask")
+        )
+        return cls(
+            config=config,
+            divergence=Divergence.from_json(value["divergence"]),
+            before=None if before is None else SavedState.from_bytes(before, config.identity()),
+            actions=None if actions is None else np.frombuffer(actions, spec.action.dtype),
+            seed=value["seed"],
+            mask=None if mask is None else np.frombuffer(mask, np.bool_),
+        )
+
+
+def _packed(data: bytes) -> str:
+    return base64.b64encode(zlib.compress(data, 9)).decode()
+
+
+def _unpacked(text: str) -> bytes:
+    return zlib.decompress(base64.b64decode(text, validate=True))

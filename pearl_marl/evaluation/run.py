@@ -1,0 +1,237 @@
+"""Evaluating a policy on a device: returns, lengths, what each stage of a step took, and a digest.
+
+The digest is a hash over everything that the policy saw and did. Devices give the same answers bit for
+bit, so one policy has one digest on all of them.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+import time
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from pearl_marl.batch.actions import encode
+from pearl_marl.batch.step import BatchStep
+from pearl_marl.devices import BatchConfig, Device, Lockstep, make_device
+from pearl_marl.devices.comm_bram import CommBram
+from pearl_marl.errors import ArgumentError
+from pearl_marl.evaluation.stages import STAGES, Stopwatch
+from pearl_marl.policies.loading import Policy
+from pearl_marl.spec import EnvSpec
+
+LIMIT = 1000
+"""The time limit where neither the environment nor the caller has one: a policy that gets nowhere would
+never end."""
+
+CONFIDENCE = 1.96
+"""Standard errors to either side of a mean that make 95 % of a normal distribution."""
+
+BINS = 60
+
+Array = npt.NDArray[Any]
+
+
+class Evaluation:
+    """One policy on one device, for a given number of episodes.
+
+    Every agent counts its first episodes and no others: of ``n`` agents and ``m`` episodes each has
+    ``m // n``, and the first ``m % n`` one more. To take the episodes that end first would prefer short ones.
+
+    Parameters
+    ----------
+    spec
+        The environment.
+    policy
+        What acts; see :mod:`pearl_marl.policies.loading`.
+    n_agents
+        How many agents.
+    device
+        Where they are stepped: a name or a device. With a :class:`~pearl_marl.devices.Lockstep`, the device
+        in it is what is timed.
+    episodes
+        How many episodes count; one an agent, if not given.
+    seed
+        Of the environment.
+    max_cycles
+        Time limit of an episode, 0 for none; ``None`` is the environment's own, or :data:`LIMIT` where it has
+        none.
+
+    Attributes
+    ----------
+    returns, lengths
+        Of every counted episode, the first agent's first; in the course of the run, those done.
+    truncated
+        How many of them nothing but the time limit ended.
+    steps
+        Steps taken by every agent.
+    """
+
+    def __init__(
+        self,
+        spec: EnvSpec,
+        policy: Policy,
+        n_agents: int,
+        device: str | Device = "native",
+        *,
+        episodes: int | None = None,
+        seed: int = 0,
+        max_cycles: int | None = None,
+    ) -> None:
+        if episodes is not None and episodes < 1:
+            raise ArgumentError(f"the number of episodes is {episodes}; it must be at least 1")
+        if max_cycles is None:
+            max_cycles = spec.max_cycles or LIMIT
+        self.config = BatchConfig(spec=spec, n_envs=n_agents, max_cycles=max_cycles, copy=False)
+        self.episodes = n_agents if episodes is None else episodes
+        self.device = make_device(device)
+        self.seed, self._policy = seed, policy
+        self.steps = self.truncated = 0
+        self._quota = np.full(n_agents, self.episodes // n_agents)
+        self._quota[: self.episodes % n_agents] += 1
+        self._first = np.cumsum(self._quota) - self._quota  # where an agent's episodes stand
+        self._done = np.zeros(n_agents, np.int64)
+        self._sums, self._ages = np.zeros(n_agents), np.zeros(n_agents, np.int64)
+        self._returns, self._lengths = np.full(self.episodes, np.nan), np.zeros(self.episodes, np.int64)
+        self._digest = hashlib.sha256()
+        self._seconds: list[dict[str, float]] = []
+        self._cycles: set[int] = set()
+
+    @property
+    def returns(self) -> npt.NDArray[np.float64]:
+        """Sums of rewards."""
+        return self._returns[self._lengths > 0]
+
+    @property
+    def lengths(self) -> npt.NDArray[np.int64]:
+        """Numbers of steps."""
+        return self._lengths[self._lengths > 0]
+
+    def run(self) -> Iterator[None]:
+        """Run it, once; yields for every episode that counts.
+
+        Raises
+        ------
+        ActionError
+            The policy's actions are not actions of the environment.
+        LockstepError
+            The device is a lockstep, and its two devices part.
+        """
+        spec = self.config.spec
+        words = np.empty(self.config.n_envs, spec.action.dtype)
+        self.device.open(self.config)
+        try:
+            watch = Stopwatch(self.device)
+            obs = self.device.reset(self.seed)
+            self._add(obs)
+            remaining = self.episodes
+            while remaining:
+                began = time.perf_counter()
+                actions = self._policy(obs)
+                chosen = time.perf_counter()
+                encoded = encode(actions, spec, words)
+                checked = time.perf_counter() - chosen
+                step = self.device.step_words(encoded)
+                stages = watch.seconds
+                stages = {"policy": chosen - began, **stages, "pack": checked + stages.get("pack", 0.0)}
+                self._seconds.append(stages)
+                if isinstance(watch.device, CommBram):
+                    self._cycles.add(watch.device.cycles)
+                self._add(encoded, *step[:4], step.final_obs[step.ended])
+                counted = self._count(step)
+                remaining -= counted
+                obs = step.obs
+                yield from (None,) * counted
+            if isinstance(self.device, Lockstep):
+                self.device.snapshot()  # compares the states after the last step
+        finally:
+            self.device.close()
+
+    def _add(self, *arrays: Array) -> None:
+        for array in arrays:
+            self._digest.update(np.ascontiguousarray(array).view(np.uint8).data)
+
+    def _count(self, step: BatchStep) -> int:
+        self.steps += 1
+        self._sums += step.rewards
+        self._ages += 1
+        ended = np.flatnonzero(step.ended)
+        taken = ended[self._done[ended] < self._quota[ended]]
+        places = self._first[taken] + self._done[taken]
+        self._returns[places], self._lengths[places] = self._sums[taken], self._ages[taken]
+        self.truncated += int(np.count_nonzero(~step.terminations[taken]))
+        self._done[taken] += 1
+        self._sums[ended] = 0
+        self._ages[ended] = 0
+        return taken.size
+
+    def summary(self) -> dict[str, Any]:
+        """Return all figures by name, for JSON.
+
+        Latencies leave out the first step, which loads the code.
+        """
+        stages = [name for name in ("policy", *STAGES) if name in self._seconds[-1]]
+        result = {
+            "environment": self.config.spec.id,
+            "options": dict(self.config.spec.options),
+            "device": self.device.name,
+            "n_agents": self.config.n_envs,
+            "seed": self.seed,
+            "max_cycles": self.config.limit,
+            "steps": self.steps,
+            "episodes": len(self.returns),
+            "truncated": self.truncated,
+            "return": interval(self.returns),
+            "length": interval(self.lengths),
+            "interval": "mean +- 1.96 standard errors: 95 %, by normal approximation",
+            "digest": self._digest.hexdigest(),
+            "latency": [
+                {"stage": name, "paper": STAGES.get(name), **spread([row[name] for row in self._seconds])}
+                for name in stages
+            ],
+            "step": spread([sum(row.values()) - row["policy"] for row in self._seconds]),
+        }
+        if self._cycles:
+            result["clock_cycles"] = {"min": min(self._cycles), "max": max(self._cycles)}
+        if isinstance(self.device, Lockstep):
+            result["words_compared"] = self.device.words
+        return result
+
+
+def interval(values: Array) -> dict[str, float | None]:
+    """Return mean, standard deviation, extremes and the 95 % confidence interval of the mean.
+
+    The interval is that of the normal approximation; of one value there is none.
+    """
+    mean, low, high = float(values.mean()), None, None
+    deviation = float(values.std(ddof=1)) if values.size > 1 else None
+    if deviation is not None:
+        half = CONFIDENCE * deviation / math.sqrt(values.size)
+        low, high = mean - half, mean + half
+    return {
+        "mean": mean,
+        "std": deviation,
+        "min": float(values.min()),
+        "max": float(values.max()),
+        "ci95_low": low,
+        "ci95_high": high,
+    }
+
+
+def spread(seconds: list[float]) -> dict[str, Any]:
+    """Return how a duration is spread over steps: percentiles in microseconds, and a histogram."""
+    times = np.array(seconds[1:] or seconds) * 1e6
+    # Log-spaced, as one step in a thousand may take a thousand times as long.
+    low, high = max(times.min(), 1e-3), max(times.max(), 2e-3)
+    counts, edges = np.histogram(times, np.geomspace(low * 0.99, high * 1.01, BINS + 1))
+    percentiles = np.percentile(times, [50, 90, 99])
+    return {
+        "mean_us": float(times.mean()),
+        **{f"p{p}_us": float(value) for p, value in zip((50, 90, 99), percentiles, strict=True)},
+        "max_us": float(times.max()),
+        "histogram": {"edges_us": edges.tolist(), "counts": counts.tolist()},
+    }

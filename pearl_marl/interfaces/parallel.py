@@ -1,0 +1,314 @@
+"""The PettingZoo interface: every slot is an agent of one ``ParallelEnv``."""
+
+from __future__ import annotations
+
+import functools
+import inspect
+from copy import deepcopy
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from gymnasium.spaces import Box
+from gymnasium.vector import AutoresetMode
+
+from pearl_marl.batch.saved_state import SavedState
+from pearl_marl.batch.slot_memory import state_dtype
+from pearl_marl.batch.step import on_host
+from pearl_marl.devices import BatchConfig, BatchStep, Device, make_device
+from pearl_marl.errors import ArgumentError, OrderError
+from pearl_marl.interfaces.parallel_interface import ParallelInterface
+from pearl_marl.registry import get_spec
+from pearl_marl.rendering import OracleRenderer, check_render_mode
+from pearl_marl.spec import snake_case
+
+Array = npt.NDArray[Any]
+
+
+class PearlParallelEnv(ParallelInterface):
+    """Many slots of one environment as the agents of a PettingZoo ``ParallelEnv``.
+
+    Make one with :func:`parallel_env`. The five results of :meth:`step` are dicts that are filled
+    on first use (:class:`pearl_marl.interfaces.agent_dict.AgentDict`); their ``.array`` is what the device
+    returned, a row an agent. Whoever needs no dict at all calls :meth:`step_batch`.
+
+    With ``autoreset=True`` agents stay: one whose episode ended finds itself at the start of the
+    next, and ``infos[agent]["final_obs"]`` holds where the old one ended. With ``autoreset=False``
+    it leaves ``agents`` until the next :meth:`reset`, as PettingZoo's own environments do.
+
+    Attributes
+    ----------
+    possible_agents, agents
+        ``"agent_0"`` and so on, in the order of the slots: all of them, and those still there.
+    metadata
+        PettingZoo's: ``name``, ``render_modes``, ``render_fps``, ``is_parallelizable``.
+    spec
+        The :class:`pearl_marl.spec.EnvSpec`.
+    device
+        The :class:`pearl_marl.devices.Device` that steps the slots.
+    np_random
+        A ``numpy.random.Generator`` from the seed of :meth:`reset`, for other packages' wrappers: nothing
+        here draws from it.
+    """
+
+    def __init__(
+        self, config: BatchConfig, device: Device, rewards: Any, autoreset: bool, render_mode: str | None
+    ) -> None:
+        spec = config.spec
+        check_render_mode(spec, render_mode)
+        self.spec = spec
+        self.device = device.open(config, rewards)
+        self.render_mode = render_mode
+        self.possible_agents = [f"agent_{i}" for i in range(config.n_envs)]
+        self.agents: list[str] = []
+        self._agents: tuple[str, ...] = ()
+        self.metadata = {
+            "name": f"{snake_case(spec.name)}_v{spec.version}",
+            "render_modes": list(spec.render_modes),
+            "render_fps": spec.render_fps,
+            "is_parallelizable": True,
+        }
+        # Copies, or seeding one environment's spaces would seed another's.
+        self._set_spaces(deepcopy(spec.observation_space), deepcopy(spec.action_space))
+        self._known = frozenset(self.possible_agents)
+        self._autoreset = autoreset
+        self._live = np.ones(config.n_envs, np.bool_)
+        self.np_random = np.random.default_rng()
+        self._renderer: OracleRenderer | None = None
+        self._rendered_slot = 0
+
+    @property
+    def max_cycles(self) -> int:
+        """Steps after which an episode is truncated, 0 for never. Assigning takes effect at the next step."""
+        return self.device.config.limit
+
+    @max_cycles.setter
+    def max_cycles(self, value: int | None) -> None:
+        self.device.set_max_cycles(value)
+
+    def reset_batch(self, seed: int | None = None) -> Array:
+        """Begin an episode for every agent; return observations of shape ``(n_agents, ...)``."""
+        obs = self.device.reset(seed)
+        if seed is not None:
+            self.np_random = np.random.default_rng(seed)
+        self._set_live(np.ones(len(obs), np.bool_))
+        self._render_for_human()
+        return obs
+
+    def step_batch(self, actions: npt.ArrayLike) -> BatchStep:
+        """See :meth:`ParallelInterface.step_batch`."""
+        return self._stepped(self.device.step(self._for_all(actions)))
+
+    def send(self, actions: npt.ArrayLike) -> None:
+        """Start a step and return at once; :meth:`recv` has its results.
+
+        With two environments of half the slots each, one steps while the other's results are used.
+        Takes and raises what :meth:`step_batch` does.
+        """
+        self.device.send(self._for_all(actions))
+
+    def recv(self) -> BatchStep:
+        """Wait for the step that :meth:`send` started and return its results."""
+        return self._stepped(self.device.recv())
+
+    def _for_all(self, actions: npt.ArrayLike) -> npt.ArrayLike:
+        """Return actions that the device takes, whoever has left."""
+        if not self.agents and self.device.ready:
+            raise OrderError("step() with no agent left: every episode has ended, call reset() first")
+        return actions if len(self.agents) == len(self._live) else self._without_left(actions)
+
+    def _stepped(self, result: BatchStep) -> BatchStep:
+        """Take note of who leaves in a step, and show it."""
+        if not self._autoreset:
+            leaving = on_host(result.ended) & self._live
+            if leaving.any():
+                self._set_live(self._live & ~leaving)
+        if self.render_mode == "human":
+            self._render_for_human()
+        return result
+
+    def _reset_slots(self, mask: npt.NDArray[np.bool_]) -> Array:
+        """Begin an episode in the masked slots; return all observations."""
+        return self.device.reset(mask=mask)
+
+    @property
+    def _ready(self) -> bool:
+        return self.device.ready
+
+    @property
+    def _n(self) -> int:
+        return len(self._live)
+
+    @property
+    def _autoreset_mode(self) -> AutoresetMode:
+        return self.device.config.autoreset_mode
+
+    def state(self) -> Array:
+        """Return the state of every slot, shape ``(n_agents, fields)``, as ``state_space`` has it."""
+        return self.device.state()
+
+    @functools.cached_property
+    def state_space(self) -> Box:
+        """The space of :meth:`state`."""
+        low, high = zip(*((f.low, f.high) for f in self.spec.state), strict=True)
+        shape = len(self._live), 1
+        dtype = state_dtype(self.spec)
+        return Box(
+            np.tile(np.array(low, dtype), shape), np.tile(np.array(high, dtype), shape), dtype=dtype.type
+        )
+
+    def save_state(self) -> bytes:
+        """Return all that the continuation depends on; :meth:`load_state` takes it, on any device."""
+        saved = self.device.snapshot()
+        live = self._live if not self._autoreset else self._live[:0]
+        return replace(saved, identity=self._identity(), live=live.view(np.uint8)).to_bytes()
+
+    def load_state(self, blob: bytes) -> Array:
+        """Continue from what :meth:`save_state` returned, bit for bit.
+
+        Returns
+        -------
+        The observation of every slot, shape ``(n_agents, ...)``.
+
+        Raises
+        ------
+        SavedStateError
+            The bytes are damaged, of another version, environment, size or mode. Nothing has changed.
+        """
+        saved = SavedState.from_bytes(blob, self._identity())
+        obs = self.device.restore(saved)
+        self._set_live(np.ones(len(obs), np.bool_) if self._autoreset else saved.live.astype(np.bool_))
+        return obs
+
+    def recover(self) -> None:
+        """Go on where the last call that succeeded left every agent, after one that raised DeviceError.
+
+        Raises
+        ------
+        DeviceError
+            The device is still not available; call again when it is.
+        """
+        self.device.recover()
+
+    def set_rewards(self, table: npt.ArrayLike) -> None:
+        """Replace the reward table, as many finite numbers as ``spec.rewards`` has, from the next step on."""
+        self.device.set_rewards(table)
+
+    def render(self, agent: str | None = None) -> Any:
+        """Draw an agent with the renderer of the environment that this one follows.
+
+        Parameters
+        ----------
+        agent
+            Whom to draw, from now on; ``"agent_0"`` at first.
+
+        Returns
+        -------
+        An image of shape ``(height, width, 3)`` for ``"rgb_array"``, a string for ``"ansi"``, ``None`` for
+        ``"human"``, which draws by itself after every step.
+        """
+        if self.render_mode is None:
+            raise OrderError(
+                f"render() without a render_mode: make the environment with one of {self.spec.render_modes}"
+            )
+        if agent is not None:
+            if agent in self._known and agent not in self._agents:
+                raise OrderError(f"render({agent!r}): its episode has ended, and it has left until reset()")
+            if agent not in self._known:
+                raise ArgumentError(
+                    f"there is no agent {agent!r}; agents are agent_0 to agent_{len(self._live) - 1}"
+                )
+            self._rendered_slot = int(agent.removeprefix("agent_"))
+        state = self.device.state()[self._rendered_slot]
+        if self._renderer is None:
+            self._renderer = OracleRenderer(self.spec, self.render_mode)
+        return self._renderer.render(state)
+
+    def close(self) -> None:
+        """Release the device and the window. Safe to call twice."""
+        self.device.close()
+        if self._renderer is not None:
+            self._renderer.close()
+            self._renderer = None
+
+    def _identity(self) -> dict[str, Any]:
+        return {**self.device.config.identity(), "autoreset": self._autoreset}
+
+    def _set_live(self, live: npt.NDArray[np.bool_]) -> None:
+        self._live = live
+        # The dicts of a step keep this one, whatever is done to the public list meanwhile.
+        self._agents = tuple(a for a, here in zip(self.possible_agents, live.tolist(), strict=True) if here)
+        self.agents = list(self._agents)
+
+    def _render_for_human(self) -> None:
+        if self.render_mode == "human":
+            self.render()
+
+    def _without_left(self, actions: npt.ArrayLike) -> npt.ArrayLike:
+        """Return actions with a possible one where an agent has left: nobody looks at what was there."""
+        given: Any = actions
+        try:
+            array = np.asarray(given.cpu() if hasattr(given, "cpu") else given)
+        except ValueError:  # a ragged list, for the device to refuse
+            return actions
+        if (
+            array.shape != (len(self._live), *self._action_shape)
+            or array.dtype.kind not in self._action_kinds
+        ):
+            return actions
+        return np.where(self._live.reshape(-1, *(1,) * len(self._action_shape)), array, self._idle)
+
+
+def parallel_env(
+    env_id: str,
+    n_agents: int = 1,
+    *,
+    device: str | Device = "native",
+    autoreset: bool = True,
+    max_cycles: int | None = None,
+    rewards: npt.ArrayLike | None = None,
+    initial_states: str = "random",
+    render_mode: str | None = None,
+    copy: bool = True,
+    **options: Any,
+) -> PearlParallelEnv:
+    """Make an environment whose slots are the agents of a PettingZoo ``ParallelEnv``.
+
+    Parameters
+    ----------
+    env_id
+        A name of :func:`pearl_marl.envs`, in any case.
+    n_agents
+        How many slots.
+    device
+        A name or a configured device of :mod:`pearl_marl.devices`.
+    autoreset
+        Whether agents stay and start over (``True``), or leave when their episode ends.
+    max_cycles
+        Steps after which an episode is truncated: ``None`` for Gymnasium's default, 0 for no limit.
+    rewards
+        Replaces the reward table.
+    initial_states
+        ``"random"``, Gymnasium's distribution; ``"stored"``, each slot repeats its first start.
+    render_mode
+        ``"human"``, ``"rgb_array"`` or ``"ansi"``, where Gymnasium has it.
+    copy
+        Whether results are yours to keep. If not, the next step overwrites them.
+    **options
+        The environment's own arguments, named as Gymnasium names them.
+
+    Raises
+    ------
+    ArgumentError
+        An argument is not possible: names it, its value and what is.
+    DeviceError
+        The device is not available.
+    """
+    spec = get_spec(env_id).with_options(inspect.signature(parallel_env).parameters, **options)
+    if not isinstance(autoreset, bool):
+        raise ArgumentError(f"autoreset is {autoreset!r}; it must be True or False")
+    config = BatchConfig(
+        spec=spec, n_envs=n_agents, max_cycles=max_cycles, initial_states=initial_states, copy=copy
+    )
+    return PearlParallelEnv(config, make_device(device), rewards, autoreset, render_mode)

@@ -1,0 +1,144 @@
+"""The Gymnasium interface: every slot is a sub-environment of one ``gymnasium.vector.VectorEnv``."""
+
+from __future__ import annotations
+
+import inspect
+from copy import deepcopy
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from gymnasium.vector import AutoresetMode
+
+from pearl_marl.devices import BatchConfig, BatchStep, Device, make_device
+from pearl_marl.errors import ArgumentError
+from pearl_marl.interfaces.vector_interface import VectorInterface
+from pearl_marl.registry import get_spec
+
+Array = npt.NDArray[Any]
+
+
+class PearlVectorEnv(VectorInterface):
+    """Many slots of one environment as a ``gymnasium.vector.VectorEnv``.
+
+    Make one with :func:`make_vec`. In each autoreset mode it returns what Gymnasium's own
+    ``SyncVectorEnv`` returns, with these differences: rewards are ``float32``, one seed serves the
+    whole batch, and ``infos`` hold nothing but final observations.
+
+    ``SAME_STEP``
+        Where a sub-environment ended, ``obs`` is the first observation of its next episode, and
+        ``infos["final_obs"]`` (with its mask ``_final_obs``) the last of the old one.
+    ``NEXT_STEP``
+        It spends its next step resetting: the action is ignored, the reward 0.
+    ``DISABLED``
+        It has to be reset before the next step: ``reset(options={"reset_mask": ended})``.
+
+    Attributes
+    ----------
+    device
+        The :class:`pearl_marl.devices.Device` that steps the slots.
+    """
+
+    def __init__(
+        self,
+        config: BatchConfig,
+        device: Device,
+        rewards: npt.ArrayLike | None,
+        autoreset_mode: AutoresetMode,
+    ) -> None:
+        spec = config.spec
+        self.device = device.open(config, rewards)
+        # Copies, or seeding one environment's spaces would seed another's.
+        spaces = deepcopy(spec.observation_space), deepcopy(spec.action_space)
+        self._set_up(int(config.n_envs), *spaces, autoreset_mode)
+
+    def reset_batch(self, seed: int | None = None, mask: npt.ArrayLike | None = None) -> Array:
+        """See :class:`VectorInterface`."""
+        return self.device.reset(seed, mask)
+
+    def step_batch(self, actions: npt.ArrayLike) -> BatchStep:
+        """See :class:`VectorInterface`."""
+        return self.device.step(actions)
+
+    def send(self, actions: npt.ArrayLike) -> None:
+        """Start a step and return at once; :meth:`recv` has its results. Takes what :meth:`step` does."""
+        self._check_nobody_waits()
+        self.device.send(actions)
+
+    def recv(self) -> tuple[Array | tuple[Array, ...], Array, Array, Array, dict[str, Any]]:
+        """Wait for the step that :meth:`send` started and return what :meth:`step` would have."""
+        return self._shown(self.device.recv())
+
+    def recover(self) -> None:
+        """Go on where the last call that succeeded left every sub-environment, after a DeviceError.
+
+        Raises
+        ------
+        DeviceError
+            The device is still not available; call again when it is.
+        """
+        self.device.recover()
+
+    def _reset_slots(self, mask: npt.NDArray[np.bool_]) -> Array:
+        return self.device.reset(mask=mask)
+
+    @property
+    def _n(self) -> int:
+        return int(self.num_envs)
+
+    @property
+    def _autoreset_mode(self) -> AutoresetMode:
+        return self.device.config.autoreset_mode
+
+    def close_extras(self, **kwargs: Any) -> None:
+        """Release the device."""
+        self.device.close()
+
+
+def make_vec(
+    env_id: str,
+    num_envs: int = 1,
+    *,
+    autoreset_mode: AutoresetMode | str = AutoresetMode.SAME_STEP,
+    device: str | Device = "native",
+    max_cycles: int | None = None,
+    rewards: npt.ArrayLike | None = None,
+    initial_states: str = "random",
+    copy: bool = True,
+    **options: Any,
+) -> PearlVectorEnv:
+    """Make a ``gymnasium.vector.VectorEnv``.
+
+    Parameters
+    ----------
+    env_id
+        A name of :func:`pearl_marl.envs`, in any case.
+    num_envs
+        How many slots.
+    autoreset_mode
+        A ``gymnasium.vector.AutoresetMode`` or its value: see :class:`PearlVectorEnv`.
+    device, max_cycles, rewards, initial_states, copy, **options
+        As in :func:`pearl_marl.parallel_env`.
+
+    Raises
+    ------
+    ArgumentError
+        An argument is not possible: names it, its value and what is.
+    DeviceError
+        The device is not available.
+    """
+    try:
+        mode = AutoresetMode(autoreset_mode)
+    except ValueError:
+        possible = ", ".join(repr(mode.value) for mode in AutoresetMode)
+        raise ArgumentError(f"autoreset_mode is {autoreset_mode!r}; possible are {possible}") from None
+    spec = get_spec(env_id).with_options(inspect.signature(make_vec).parameters, **options)
+    config = BatchConfig(
+        spec=spec,
+        n_envs=num_envs,
+        autoreset_mode=AutoresetMode.SAME_STEP if mode is AutoresetMode.DISABLED else mode,
+        max_cycles=max_cycles,
+        initial_states=initial_states,
+        copy=copy,
+    )
+    return PearlVectorEnv(config, make_device(device), rewards, mode)

@@ -1,0 +1,138 @@
+"""Gymnasium's tuples around a batch of arrays: what an environment and its wrappers have in common."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from gymnasium.spaces import Space, Tuple
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+
+from pearl_marl.batch.step import on_host
+from pearl_marl.devices import BatchStep
+from pearl_marl.errors import ArgumentError, OrderError
+from pearl_marl.interfaces.agent_dict import observations_in
+
+Array = npt.NDArray[Any]
+
+
+class VectorInterface(VectorEnv[Any, Any, Any]):
+    """A ``VectorEnv`` made of two methods on whole arrays, ``reset_batch`` and ``step_batch``."""
+
+    def _set_up(
+        self, num_envs: int, observation_space: Space[Any], action_space: Space[Any], mode: AutoresetMode
+    ) -> None:
+        self.num_envs = num_envs
+        self.metadata = {"autoreset_mode": mode, "render_modes": []}
+        self.single_observation_space: Space[Any] = observation_space
+        self.single_action_space: Space[Any] = action_space
+        self.observation_space = batch_space(observation_space, num_envs)
+        self.action_space = batch_space(action_space, num_envs)
+        self._observations = observations_in(observation_space)
+        self._mode = mode
+        # As in ParallelInterface: whether those that ended go on by themselves, and who is there.
+        self._autoreset = mode is not AutoresetMode.DISABLED
+        self._live = np.ones(num_envs, np.bool_)
+        # DISABLED mode only: who waits for a reset, and what everyone saw last.
+        self._waiting = np.zeros(num_envs, np.bool_)
+        self._seen: Array | None = None
+
+    @abstractmethod
+    def reset_batch(self, seed: int | None = None, mask: npt.ArrayLike | None = None) -> Array:
+        """Begin new episodes, in the masked slots only if there is a mask; return all observations."""
+
+    @abstractmethod
+    def step_batch(self, actions: npt.ArrayLike) -> BatchStep:
+        """Step every slot once; in DISABLED mode as in SAME_STEP mode."""
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Array | tuple[Array, ...], dict[str, Any]]:
+        """Begin new episodes.
+
+        Parameters
+        ----------
+        seed
+            A non-negative integer for the whole batch. ``None`` goes on with the random numbers in use.
+        options
+            ``{"reset_mask": bool array of shape (num_envs,)}`` resets those sub-environments only.
+
+        Returns
+        -------
+        The observations of all sub-environments, and infos (empty).
+        """
+        options = options or {}
+        unknown = [name for name in options if name != "reset_mask"]
+        if unknown:
+            raise ArgumentError(f"unknown reset option {unknown[0]!r}; the only one is 'reset_mask'")
+        mask = options.get("reset_mask")
+        if mask is not None and not (mask := np.asarray(mask)).any():
+            raise ArgumentError("reset_mask resets nothing: at least one element must be True")
+        obs = on_host(self.reset_batch(seed, mask))
+        if seed is not None:
+            self._np_random_seed = int(seed)
+        if self._mode is AutoresetMode.DISABLED:
+            if mask is None:
+                self._waiting[:] = False
+            else:
+                assert self._seen is not None
+                self._waiting &= ~mask
+                obs[~mask] = self._seen[~mask]
+            self._seen = obs.copy()
+        return self._batched(obs), {}
+
+    def step(self, actions: Any) -> tuple[Array | tuple[Array, ...], Array, Array, Array, dict[str, Any]]:
+        """Step every sub-environment once.
+
+        Parameters
+        ----------
+        actions
+            Of shape ``(num_envs, *single_action_space.shape)``.
+
+        Returns
+        -------
+        Observations, rewards (``float32``), terminations, truncations, infos.
+
+        Raises
+        ------
+        ActionError
+            Names the first agent whose action is not in the action space. Nothing has stepped.
+        OrderError
+            Before ``reset``, after ``close``, or in DISABLED mode while one that ended has not been reset.
+        """
+        self._check_nobody_waits()
+        return self._shown(self.step_batch(actions))
+
+    def _check_nobody_waits(self) -> None:
+        if self._mode is AutoresetMode.DISABLED and self._waiting.any():
+            first = int(np.argmax(self._waiting))
+            raise OrderError(
+                f"sub-environment {first} has ended and was not reset; in DISABLED mode call "
+                "reset(options={'reset_mask': terminations | truncations}) before the next step"
+            )
+
+    def _shown(
+        self, result: BatchStep
+    ) -> tuple[Array | tuple[Array, ...], Array, Array, Array, dict[str, Any]]:
+        """Return a step's results as Gymnasium has them."""
+        result = result.on_host()
+        obs, rewards, terminations, truncations, final_obs = result
+        infos: dict[str, Any] = {}
+        if self._mode is AutoresetMode.DISABLED:
+            obs = result.arrivals()
+            self._waiting, self._seen = result.ended, obs.copy()
+        elif self._mode is AutoresetMode.SAME_STEP and (ended := result.ended).any():
+            # One object an element, as Gymnasium has it, so that wrappers can replace each by another shape.
+            final = np.full(self.num_envs, None, object)
+            slots = np.flatnonzero(ended)
+            for slot, observation in zip(slots.tolist(), self._observations(final_obs[slots]), strict=True):
+                final[slot] = observation
+            infos = {"final_obs": final, "_final_obs": ended, "final_info": {}, "_final_info": ended.copy()}
+        return self._batched(obs), rewards, terminations, truncations, infos
+
+    def _batched(self, obs: Array) -> Array | tuple[Array, ...]:
+        """Return observations as Gymnasium batches them: those of a ``Tuple`` space as a tuple of arrays."""
+        return tuple(obs.T) if isinstance(self.single_observation_space, Tuple) else obs

@@ -1,0 +1,8 @@
+"""Policies: loading one from what people have, running it, and the network that the trainers learn.
+
+May import ``batch`` and what is below it.
+"""
+
+from pearl_marl.policies.loading import RANDOM, Policy, load_policy, table_policy
+
+__all__ = ["RANDOM", "Policy", "load_policy", "table_policy"]

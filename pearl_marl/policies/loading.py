@@ -1,0 +1,192 @@
+"""Policies to evaluate, from what people have: a table, a saved model, a function.
+
+A policy is a function from a batch of observations to a batch of actions, in the form in which
+:meth:`pearl_marl.devices.Device.step` returns the ones and takes the others.
+"""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from gymnasium.spaces import Discrete, MultiDiscrete, Tuple
+
+from pearl_marl.batch.actions import random_actions
+from pearl_marl.errors import ArgumentError
+from pearl_marl.spec import EnvSpec
+
+Array = npt.NDArray[Any]
+Policy = Callable[[Array], Any]
+"""Observations, shape ``(n, *observation_shape)``, in; actions, shape ``(n, *action_space.shape)``, out."""
+
+RANDOM = "random"
+
+
+def load_policy(name: str, spec: EnvSpec, seed: int = 0) -> Policy:
+    """Return the policy of that name.
+
+    Parameters
+    ----------
+    name
+        ``"random"``: uniform actions. ``FILE.npy`` or ``FILE.npz`` (its array ``q``): a table of action
+        values, of shape ``(*observations, actions)``; the greedy policy. ``FILE.zip``: a model of
+        Stable-Baselines3, without exploration. A folder of ``pearl train``, or its ``policy.safetensors``:
+        the best actions. ``MODULE:FUNCTION`` or ``FILE.py:FUNCTION``: a function.
+    spec
+        The environment it is for.
+    seed
+        Of ``"random"``.
+
+    Raises
+    ------
+    ArgumentError
+        There is no such policy, or it is not one for this environment.
+    """
+    if name == RANDOM:
+        return _random(spec, seed)
+    path = Path(name)
+    if name and path.is_dir():
+        path /= "policy.safetensors"
+    for suffixes, load in _LOADERS.items():
+        if path.suffix in suffixes:
+            if not path.is_file():
+                raise ArgumentError(f"there is no file {path}")
+            return load(path, spec)
+    module, colon, function = name.rpartition(":")
+    if colon and module and function.isidentifier():
+        return _function(module, function)
+    raise ArgumentError(
+        f"{name!r} names no policy; possible are {RANDOM!r}, a table of action values (FILE.npy, FILE.npz), "
+        "a model of Stable-Baselines3 (FILE.zip), a folder of `pearl train`, and a function "
+        "(MODULE:FUNCTION, FILE.py:FUNCTION)"
+    )
+
+
+def _random(spec: EnvSpec, seed: int) -> Policy:
+    if seed < 0:
+        raise ArgumentError(f"seed is {seed}; it must be a non-negative integer")
+    rng = np.random.default_rng(seed)
+    return lambda observations: random_actions(spec, rng, len(observations))
+
+
+def table_policy(table: npt.ArrayLike, spec: EnvSpec) -> Policy:
+    """Return the greedy policy of a table of action values, the first of equal actions.
+
+    Parameters
+    ----------
+    table
+        Numbers of shape ``(*observations, actions)``: an axis for each ``Discrete`` of the observation space.
+    spec
+        The environment it is for.
+
+    Raises
+    ------
+    ArgumentError
+        The shape is another, or there is no number somewhere.
+    """
+    space = spec.observation_space
+    parts = space.spaces if isinstance(space, Tuple) else (space,)
+    if not all(isinstance(part, Discrete) for part in (*parts, spec.action_space)):
+        raise ArgumentError(
+            f"a table is for discrete observations and actions; {spec.name} has {space} and "
+            f"{spec.action_space}"
+        )
+    values = np.asarray(table)
+    shape = tuple(int(part.n) for part in (*parts, spec.action_space))  # type: ignore[union-attr]
+    if values.shape != shape or values.dtype.kind not in "iuf" or np.isnan(values).any():
+        raise ArgumentError(
+            f"the table has shape {values.shape} and dtype {values.dtype}; "
+            f"{spec.name} takes numbers of shape {shape}"
+        )
+    greedy = values.argmax(axis=-1).astype(spec.action.dtype)
+    if isinstance(space, Tuple):
+        return lambda observations: greedy[tuple(observations.T)]
+    return lambda observations: greedy[observations]
+
+
+def _table(path: Path, spec: EnvSpec) -> Policy:
+    try:
+        found = np.load(path)
+        table = found if isinstance(found, np.ndarray) else found["q"]
+    except KeyError:
+        raise ArgumentError(f"{path} has no array 'q', but {', '.join(found.files) or 'none'}") from None
+    except (OSError, ValueError, zipfile.BadZipFile, EOFError) as error:
+        raise ArgumentError(f"{path} is no readable table: {error}") from None
+    try:
+        return table_policy(table, spec)
+    except ArgumentError as error:
+        raise ArgumentError(f"{path}: {error}") from None
+
+
+def _function(module: str, name: str) -> Policy:
+    path = Path(module)
+    try:
+        if path.suffix == ".py":
+            spec = importlib.util.spec_from_file_location(path.stem, path)
+            assert spec is not None
+            assert spec.loader is not None
+            found = importlib.util.module_from_spec(spec)
+            spec.loader.exec_module(found)
+        else:
+            found = importlib.import_module(module)
+    except (ImportError, OSError) as error:
+        raise ArgumentError(f"the module of the policy, {module}, cannot be imported: {error}") from None
+    policy = getattr(found, name, None)
+    if not callable(policy):
+        raise ArgumentError(f"{module} has no function {name!r}")
+    return policy  # type: ignore[no-any-return]
+
+
+def _stable_baselines3(path: Path, spec: EnvSpec) -> Policy:
+    try:
+        import stable_baselines3 as sb3
+        from stable_baselines3.common.save_util import load_from_zip_file
+    except ImportError:
+        raise ArgumentError(f"{path} takes stable-baselines3: pip install 'pearl-marl[train]'") from None
+    try:
+        data = load_from_zip_file(path, device="cpu")[0] or {}
+        kind = data["policy_class"].__module__.split(".")[1]
+    except (ValueError, KeyError, AttributeError, IndexError, zipfile.BadZipFile) as error:
+        raise ArgumentError(f"{path} is no model of stable-baselines3: {error}") from None
+    # A model does not say by which algorithm it was made; two have the same policy.
+    by_policy: dict[str, Any] = {"dqn": sb3.DQN, "sac": sb3.SAC, "td3": sb3.TD3}
+    algorithm = by_policy.get(kind, sb3.PPO if "clip_range" in data else sb3.A2C)
+    model = algorithm.load(path, device="cpu")
+    observations: Any = spec.observation_space
+    if isinstance(observations, Tuple):  # as wrappers.sb3_vec_env shows it
+        observations = MultiDiscrete([part.n for part in observations.spaces])  # type: ignore[attr-defined]
+    _check_space(path, "observations", model.observation_space, observations)
+    _check_space(path, "actions", model.action_space, spec.action_space)
+    return lambda observations: model.predict(observations, deterministic=True)[0]
+
+
+def _check_space(path: Path, what: str, theirs: Any, ours: Any) -> None:
+    if theirs != ours:
+        raise ArgumentError(f"{path} was trained on {what} in {theirs}; here they are in {ours}")
+
+
+def _trained(path: Path, spec: EnvSpec) -> Policy:
+    try:
+        from pearl_marl.policies import network  # which takes torch
+
+        found = network.load(path)
+    except ModuleNotFoundError as error:
+        raise ArgumentError(f"{path} takes {error.name}: pip install 'pearl-marl[train]'") from None
+    theirs = found.spec
+    _check_space(path, "observations", theirs.observation_space, spec.observation_space)
+    _check_space(path, "actions", theirs.action_space, spec.action_space)
+    choose: Policy = found.choose
+    return choose
+
+
+_LOADERS: dict[tuple[str, ...], Callable[[Path, EnvSpec], Policy]] = {
+    (".npy", ".npz"): _table,
+    (".safetensors",): _trained,
+    (".zip",): _stable_baselines3,
+}

@@ -1,0 +1,177 @@
+"""Proximal policy optimisation, one policy for all agents (Schulman et al., 2017, arXiv:1707.06347).
+
+A batch is tens of thousands of agents wide and few steps deep, so a rollout is a handful of calls of
+the network, and its noise is averaged away within a step. It is gathered by :mod:`.rollout`; here is learned.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from pearl_marl.errors import ArgumentError
+from pearl_marl.spec import EnvSpec
+from pearl_marl.training.rollout import ActorCritic, Returns, RolloutWorker
+from pearl_marl.training.workers import RayWorkers
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What a run of PPO depends on.
+
+    Attributes
+    ----------
+    n_agents
+        Agents that gather experience.
+    depth
+        Steps of each between updates.
+    iterations
+        Updates in all.
+    epochs, minibatch
+        How often an update goes through its experience, and in parts of how many steps.
+    learning_rate
+        Of Adam, at first; falls to 0 evenly.
+    discount, trace
+        Gamma and lambda of the advantages.
+    clip
+        How far a probability may move in an update, as a ratio.
+    entropy
+        Weight of the entropy in the loss.
+    reward_scale
+        What rewards are multiplied with before anything else.
+    width
+        Of the networks' layers.
+    blocks
+        Parts of the agents that the policy sees one at a time, each with random numbers of its own. What is
+        learned depends on them, and not on how many workers share them.
+    seed
+        Of everything random.
+    """
+
+    n_agents: int = 1024
+    depth: int = 32
+    iterations: int = 60
+    epochs: int = 4
+    minibatch: int = 4096
+    learning_rate: float = 3e-3
+    discount: float = 0.98
+    trace: float = 0.9
+    clip: float = 0.2
+    entropy: float = 0.0
+    reward_scale: float = 1.0
+    width: int = 64
+    blocks: int = 1
+    seed: int = 0
+
+
+class PPO:
+    """A run of PPO: :meth:`iterate` is one update, and :meth:`state` all that the next depends on.
+
+    Parameters
+    ----------
+    spec
+        The environment.
+    device
+        Where it is stepped. Learned is where that has its observations: with ``"cuda"``, on the GPU.
+    settings
+        The run's.
+    shards
+        How many processes gather experience, by Ray; ``None`` for this one. What is learned is the same.
+    """
+
+    def __init__(self, spec: EnvSpec, device: Any, settings: Settings, shards: int | None = None) -> None:
+        if not 1 <= settings.blocks <= settings.n_agents:
+            raise ArgumentError(f"setting 'blocks' is {settings.blocks}; it must be 1 to {settings.n_agents}")
+        self.settings = settings
+        torch.manual_seed(settings.seed)
+        self.model = ActorCritic(spec, settings.width)
+        self.worker: Any = (
+            RolloutWorker(spec, device, settings, self.model)
+            if shards is None
+            else RayWorkers(spec, device, settings, self.model, shards)
+        )
+        self.where = self.worker.where
+        self.model.to(self.where)
+        self.policy = self.model.policy
+        self.random = torch.Generator(self.where).manual_seed(settings.seed)
+        self.parameters = list(self.model.parameters())
+        self.optimiser = torch.optim.Adam(self.parameters, lr=settings.learning_rate, eps=1e-5, fused=True)
+        self.evaluated = 1000
+        self.episodes = Returns(settings.n_agents, self.where)
+        self.losses = torch.zeros(4, device=self.where)
+        self.done = 0
+
+    @property
+    def agent_steps(self) -> int:
+        """Steps of single agents so far."""
+        return self.done * self.settings.depth * self.settings.n_agents
+
+    def iterate(self) -> None:
+        """Gather experience and learn from it."""
+        settings = self.settings
+        for group in self.optimiser.param_groups:
+            group["lr"] = settings.learning_rate * (1 - self.done / settings.iterations)
+        experience = self.worker.gather(self.done)
+        self.episodes.add(experience.rewards, experience.ended)
+        rollout = [part.flatten(0, 1) for part in experience[:5]]
+        self.model.see(rollout[0])
+        losses = [self._learn(*part) for part in self._minibatches(rollout)]
+        self.losses = torch.stack(losses).mean(0)
+        self.done += 1
+
+    def figures(self) -> dict[str, float | None]:
+        """Return figures for the metrics: of episodes since they were last asked for, and the last losses."""
+        names = ("policy_loss", "value_loss", "entropy", "clipped")
+        return {**self.episodes.take(), **dict(zip(names, self.losses.tolist(), strict=True))}
+
+    def _minibatches(self, rollout: list[Tensor]) -> Iterator[list[Tensor]]:
+        size = len(rollout[0])
+        for _ in range(self.settings.epochs):
+            order = torch.randperm(size, generator=self.random, device=self.where)
+            shuffled = [torch.split(part[order], self.settings.minibatch) for part in rollout]
+            yield from map(list, zip(*shuffled, strict=True))
+
+    def _learn(
+        self, obs: Tensor, actions: Tensor, old_logs: Tensor, advantages: Tensor, returns: Tensor
+    ) -> Tensor:
+        """Take one step of gradient descent; return policy loss, value loss, entropy, share clipped."""
+        clip = self.settings.clip
+        outputs, values = self.model(obs)
+        logs, entropy = self.model.weigh(outputs, actions)
+        ratio = (logs - old_logs).exp()
+        deviation, mean = torch.std_mean(advantages)
+        advantages = (advantages - mean) / (deviation + 1e-8)
+        policy_loss = -torch.min(ratio * advantages, ratio.clamp(1 - clip, 1 + clip) * advantages).mean()
+        value_loss = (values - returns).square().mean()
+        self.optimiser.zero_grad()
+        loss = policy_loss + 0.5 * value_loss - self.settings.entropy * entropy
+        loss.backward()
+        nn.utils.clip_grad_norm_(self.parameters, 0.5)
+        self.optimiser.step()
+        with torch.no_grad():
+            clipped = ((ratio - 1).abs() > clip).float().mean()
+            return torch.stack((policy_loss, value_loss, entropy, clipped))
+
+    def state(self) -> dict[str, Any]:
+        """Return all that the continuation depends on."""
+        return {
+            "done": self.done,
+            "model": self.model.state_dict(),
+            "optimiser": self.optimiser.state_dict(),
+            "random": self.random.get_state(),
+            "agents": self.worker.state(),
+            "episodes": self.episodes.state(),
+        }
+
+    def load(self, state: dict[str, Any]) -> None:
+        """Go on from what :meth:`state` returned."""
+        self.done = state["done"]
+        self.model.load_state_dict(state["model"])
+        self.optimiser.load_state_dict(state["optimiser"])
+        self.random.set_state(state["random"])
+        self.worker.load(state["agents"])
+        self.episodes.load(state["episodes"])

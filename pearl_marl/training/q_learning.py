@@ -1,0 +1,180 @@
+"""Tabular Q-learning (Watkins and Dayan, 1992, doi:10.1007/BF00992698), of one learner or of many thousands.
+
+A learner is a table and the agents that write into it, all at once: a step's updates are averaged for each
+entry, so that one step of all agents is one update of the table. With as many learners as agents, every
+agent learns for itself, from nothing but its own experience.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor
+
+from pearl_marl.errors import ArgumentError
+from pearl_marl.policies.network import Table
+from pearl_marl.spec import EnvSpec
+from pearl_marl.training.rollout import Agents, Returns
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What a run of Q-learning depends on.
+
+    Attributes
+    ----------
+    n_agents
+        Agents that gather experience, as many for each learner.
+    learners
+        Tables; from 1, which all agents share, to ``n_agents``.
+    iterations
+        Steps of every agent.
+    epsilon
+        Share of random actions at first; falls evenly to 0 at 80 % of the run.
+    rate
+        How far an entry moves towards the mean of its targets, at its first update.
+    fading
+        After ``1 / fading`` updates of an entry, it moves half as far; 0 for always as far.
+    discount
+        Gamma.
+    seed
+        Of everything random.
+    """
+
+    n_agents: int = 43008
+    learners: int = 1
+    iterations: int = 300
+    epsilon: float = 0.2
+    rate: float = 0.5
+    fading: float = 0.0
+    discount: float = 1.0
+    seed: int = 0
+
+
+EXPLORING = 0.8
+
+
+class QLearning:
+    """A run of Q-learning: :meth:`iterate` is a step of all agents and an update of the tables.
+
+    Parameters
+    ----------
+    spec, device
+        The environment, and where it is stepped.
+    settings
+        The run's.
+    rates
+        What stands in for ``settings.rate``, shape ``(learners,)``: learners may differ.
+    rewards
+        What stands in for the environment's reward table, shape ``(learners, entries)``: learners may want
+        different things. The device hands out the numbers of entries instead, and each learner looks them up.
+    """
+
+    def __init__(
+        self,
+        spec: EnvSpec,
+        device: Any,
+        settings: Settings,
+        rates: npt.NDArray[Any] | None = None,
+        rewards: npt.NDArray[Any] | None = None,
+    ) -> None:
+        self.settings = settings
+        n, learners = settings.n_agents, settings.learners
+        if not 1 <= learners <= n or n % learners:
+            raise ArgumentError(f"setting 'learners' is {learners}; it must divide n_agents, {n}")
+        self.policy = Table(spec, learners)
+        entries = len(spec.rewards or ())
+        for name, given, shape in (("rates", rates, (learners,)), ("rewards", rewards, (learners, entries))):
+            if given is not None and np.shape(given) != shape:
+                raise ArgumentError(f"{name} have the shape {np.shape(given)}; of {spec.name} it is {shape}")
+        self.agents = Agents(spec, device, n, settings.seed)
+        where = self.agents.obs.device
+        self.policy.to(where)
+        if rates is None:
+            rates = np.full(learners, settings.rate)
+        self.rates = torch.as_tensor(np.asarray(rates, np.float32), device=where)
+        self.rewards: Tensor | None = None
+        if rewards is not None:
+            self.rewards = torch.as_tensor(np.asarray(rewards, np.float32), device=where)
+            self.agents.device.set_rewards(np.arange(entries, dtype=np.float32))
+        self.learner = torch.arange(n, device=where) * learners // n  # of every agent
+        self.random = torch.Generator(where).manual_seed(settings.seed)
+        self.episodes = Returns(n, where)
+        self.rows = self.policy.rows(self.agents.obs)
+        # An entry of each table's: updates so far; of the step, visits and the sum of targets.
+        self.updates = torch.zeros_like(self.policy.values).flatten()
+        self.visits, self.sums = (torch.zeros_like(self.updates, dtype=torch.float64) for _ in range(2))
+        self.evaluated = max(2_000, learners)
+        self.done = 0
+
+    @property
+    def agent_steps(self) -> int:
+        """Steps of single agents so far."""
+        return self.done * self.settings.n_agents
+
+    @property
+    def explored(self) -> float:
+        """The share of actions that is random now."""
+        settings = self.settings
+        return max(0.0, settings.epsilon * (1 - self.done / (EXPLORING * settings.iterations)))
+
+    def iterate(self) -> None:
+        """Step all agents and update the tables."""
+        settings, rows, where = self.settings, self.rows, self.rows.device
+        n, n_actions = settings.n_agents, self.policy.values.shape[2]
+        values = self.policy.values.view(-1, n_actions)  # of all learners, one below the other
+        random = torch.rand(n, generator=self.random, device=where) < self.explored
+        anything = torch.randint(n_actions, (n,), generator=self.random, device=where)
+        actions = torch.where(random, anything, values[rows].argmax(1))
+        step = self.agents.step(actions)
+        rewards = step.rewards
+        if self.rewards is not None:
+            rewards = self.rewards[self.learner, rewards.long()]
+        # Where the step itself led; in its place there may be the next episode's start already.
+        later = values[self.policy.rows(step.arrivals())].amax(1)
+        self._update(rows * n_actions + actions, rewards + settings.discount * later * ~step.terminations)
+        self.episodes.add(rewards[None], step.ended[None])
+        self.rows = self.policy.rows(step.obs)
+        self.done += 1
+
+    def figures(self) -> dict[str, float | None]:
+        """Return figures for the metrics: of episodes since they were last asked for."""
+        return {**self.episodes.take(), "explored": self.explored}
+
+    def _update(self, entries: Tensor, targets: Tensor) -> None:
+        """Move the entries that agents visited towards the mean of their targets."""
+        values, updates = self.policy.values.view(-1), self.updates
+        self.visits.index_add_(0, entries, torch.ones_like(targets, dtype=torch.float64))
+        self.sums.index_add_(0, entries, targets.double())
+        # Who visited the same entry computes the same for it, so that it matters not whose is kept.
+        mean = (self.sums[entries] / self.visits[entries]).float()
+        rates = self.rates[self.learner] / (1 + self.settings.fading * updates[entries])
+        old = values[entries]
+        values[entries] = old + rates * (mean - old)
+        updates[entries] = updates[entries] + 1
+        self.visits[entries] = 0
+        self.sums[entries] = 0
+
+    def state(self) -> dict[str, Any]:
+        """Return all that the continuation depends on."""
+        return {
+            "done": self.done,
+            "values": self.policy.values,
+            "updates": self.updates,
+            "random": self.random.get_state(),
+            "agents": self.agents.state(),
+            "episodes": self.episodes.state(),
+        }
+
+    def load(self, state: dict[str, Any]) -> None:
+        """Go on from what :meth:`state` returned."""
+        self.done, self.updates = state["done"], state["updates"]
+        self.policy.values[:] = state["values"]
+        self.random.set_state(state["random"])
+        self.agents.load(state["agents"])
+        self.rows = self.policy.rows(self.agents.obs)
+        self.episodes.load(state["episodes"])

@@ -1,0 +1,305 @@
+"""Gathering experience: agents act by a policy that stays as it is, for some steps of each.
+
+What is gathered depends on the weights, the state of the agents and the number of the rollout, and on
+nothing else. Whoever gathers, and with whomever the agents are shared, gathers the same.
+"""
+
+from __future__ import annotations
+
+import itertools
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+from torch.distributions import Normal
+
+from pearl_marl.batch.saved_state import SavedState
+from pearl_marl.devices import BatchConfig, BatchStep, Cuda, Device, make_device
+from pearl_marl.policies.network import Network, Policy
+from pearl_marl.spec import EnvSpec
+
+ROWS = 16_384
+"""Observations that the critic is given at a time, for the memory that its layers take."""
+
+
+class Agents:
+    """The agents of a range of slots, stepped by tensors: where the device has its results, these stay.
+
+    Parameters
+    ----------
+    spec, device
+        The environment, and where it is stepped. ``"cuda"`` keeps results on the GPU.
+    n, first
+        How many agents, and the global number of the first.
+    seed
+        Of their first episodes.
+
+    Attributes
+    ----------
+    obs
+        What the agents see now.
+    """
+
+    def __init__(self, spec: EnvSpec, device: str | Device, n: int, seed: int, first: int = 0) -> None:
+        self.device = Cuda(results="torch") if device == Cuda.name else make_device(device)
+        self.device.open(BatchConfig(spec=spec, n_envs=n, first_slot=first))
+        obs = self.device.reset(seed)
+        self._takes_tensors = isinstance(obs, Tensor)
+        self.obs = torch.as_tensor(obs)
+
+    def step(self, actions: Tensor) -> Any:
+        """Step every agent; return a :class:`BatchStep` of tensors."""
+        given: Any = actions if self._takes_tensors else actions.numpy()
+        results: Any = map(torch.as_tensor, self.device.step(given))
+        step: Any = BatchStep(*results)
+        self.obs = step.obs
+        return step
+
+    def state(self) -> SavedState:
+        """Return all that the agents' continuation depends on."""
+        return self.device.snapshot()
+
+    def load(self, state: SavedState) -> None:
+        """Go on from what :meth:`state` returned."""
+        self.obs = torch.as_tensor(self.device.restore(state))
+
+
+class Returns:
+    """Mean return and length of the episodes that agents finish, added up where the rewards are.
+
+    Parameters
+    ----------
+    n
+        How many agents.
+    where
+        The device of torch that has their rewards.
+    """
+
+    def __init__(self, n: int, where: torch.device) -> None:
+        # Of the episodes under way: returns, lengths. Of those finished: number, returns, lengths.
+        self._under_way = torch.zeros(2, n, dtype=torch.float64, device=where)
+        self._finished = torch.zeros(3, dtype=torch.float64, device=where)
+
+    def add(self, rewards: Tensor, ended: Tensor) -> None:
+        """Count some steps of every agent, shape ``(steps, n)``."""
+        steps = len(rewards)
+        number = torch.arange(1, steps + 1, device=rewards.device)[:, None]
+        # An agent's finished episodes together are all that it had up to the last step that ended one.
+        last = (ended * number).amax(0, keepdim=True)
+        so_far = torch.zeros(2, steps + 1, rewards.shape[1], dtype=torch.float64, device=rewards.device)
+        so_far[0, 1:] = rewards
+        so_far[1, 1:] = 1
+        so_far[:, 0] = self._under_way
+        so_far = so_far.cumsum(1)
+        until_last = so_far.gather(1, last.expand(2, 1, -1))[:, 0] * (last > 0)
+        self._under_way = so_far[:, -1] - until_last
+        self._finished[0] += ended.sum()
+        self._finished[1:] += until_last.sum(1)
+
+    def take(self) -> dict[str, float | None]:
+        """Return means, and the number of episodes, by the names of metrics; and begin anew."""
+        episodes, returns, lengths = self._finished.tolist()
+        self._finished.zero_()
+        return {
+            "train_return": returns / episodes if episodes else None,
+            "train_length": lengths / episodes if episodes else None,
+            "episodes": int(episodes),
+        }
+
+    def state(self) -> tuple[Tensor, Tensor]:
+        """Return all that the continuation depends on."""
+        return self._under_way, self._finished
+
+    def load(self, state: tuple[Tensor, Tensor]) -> None:
+        """Go on from what :meth:`state` returned."""
+        self._under_way, self._finished = state
+
+
+class ActorCritic(nn.Module):
+    """A policy, and a critic that says what is still to come by it."""
+
+    def __init__(self, spec: EnvSpec, width: int) -> None:
+        super().__init__()
+        self.continuous = not hasattr(spec.action_space, "n")
+        self.policy = Policy(spec, "mean" if self.continuous else "logits", width)
+        # Of a picture, most of the work is to see what is on it: actor and critic do that together.
+        self.shared = self.policy.network.encoder.kind == "picture"
+        self.critic: nn.Module = (
+            nn.Linear(width, 1) if self.shared else Network(spec.observation_space, 1, width)
+        )
+        if self.continuous:
+            self.log_deviation = nn.Parameter(torch.full((1,), -0.5))
+
+    def see(self, obs: Tensor) -> None:
+        """Take a batch of observations into the statistics by which they are standardised."""
+        for network in (self.policy.network, self.critic):
+            if isinstance(network, Network):
+                network.encoder.see(obs)
+
+    def values(self, obs: Tensor) -> Tensor:
+        """Return what the critic expects, shape ``(batch,)``."""
+        values: Tensor = self.critic(self.policy.network.features(obs) if self.shared else obs)
+        return values[:, 0]
+
+    def forward(self, obs: Tensor) -> tuple[Tensor, Tensor]:
+        """Return the policy's outputs, and what the critic expects."""
+        if not self.shared:
+            return self.policy(obs), self.critic(obs)[:, 0]
+        features = self.policy.network.features(obs)
+        return self.policy.network.output(features), self.critic(features)[:, 0]
+
+    def noise(self, shape: tuple[int, ...], random: torch.Generator) -> Tensor:
+        """Return what makes random actions of outputs of that shape: see :meth:`draw`."""
+        noise = torch.empty(shape, device=random.device)
+        if self.continuous:
+            return noise.normal_(generator=random)
+        return -noise.exponential_(generator=random).log_()
+
+    def draw(self, outputs: Tensor, noise: Tensor) -> tuple[Tensor, Tensor]:
+        """Return actions of the policy's probabilities, and as the environment takes them."""
+        if self.continuous:
+            actions = outputs + self.log_deviation.exp() * noise
+            return actions, self.policy.within_bounds(actions)
+        # Gumbel's trick: the largest of logits with such noise has the probabilities that these are of.
+        actions = (outputs + noise).argmax(-1)
+        return actions, actions
+
+    def weigh(self, outputs: Tensor, actions: Tensor) -> tuple[Tensor, Tensor]:
+        """Return the logarithms of the actions' probabilities, and the mean entropy."""
+        if self.continuous:
+            chosen = Normal(outputs, self.log_deviation.exp().expand_as(outputs), validate_args=False)
+            logs = chosen.log_prob(actions).sum(-1)  # type: ignore[no-untyped-call]
+            return logs, chosen.entropy().sum(-1).mean()  # type: ignore[no-untyped-call]
+        everything = outputs.log_softmax(-1)
+        logs = everything.gather(-1, actions[..., None])[..., 0]
+        return logs, -(everything.exp() * everything).sum(-1).mean()
+
+
+class Experience(NamedTuple):
+    """A rollout, a row a step and a column an agent.
+
+    Attributes
+    ----------
+    obs, actions
+        What was seen and, of the policy's own form, done.
+    logs
+        Logarithms of the actions' probabilities.
+    advantages, returns
+        How much better than expected it went, and what came of it.
+    rewards, ended
+        As the device had them.
+    """
+
+    obs: Tensor
+    actions: Tensor
+    logs: Tensor
+    advantages: Tensor
+    returns: Tensor
+    rewards: Tensor
+    ended: Tensor
+
+
+class RolloutWorker:
+    """Gathers with the agents of some blocks; see ``Settings.blocks`` of :mod:`.ppo`.
+
+    Parameters
+    ----------
+    spec, device
+        The environment, and where it is stepped.
+    settings
+        Of :mod:`.ppo`.
+    model
+        What acts: its weights may change between rollouts.
+    blocks
+        Whose agents, of all blocks; by default all.
+    """
+
+    def __init__(
+        self,
+        spec: EnvSpec,
+        device: str | Device,
+        settings: Any,
+        model: ActorCritic,
+        blocks: range | None = None,
+    ) -> None:
+        self.settings, self.model = settings, model
+        self.numbers = range(settings.blocks) if blocks is None else blocks
+        edges = block_edges(settings, self.numbers)
+        self.blocks = [slice(a - edges[0], b - edges[0]) for a, b in itertools.pairwise(edges)]
+        self.agents = Agents(spec, device, edges[-1] - edges[0], settings.seed, edges[0])
+
+    @property
+    def where(self) -> torch.device:
+        """The device of torch that has the agents' observations."""
+        return self.agents.obs.device
+
+    @torch.no_grad()
+    def gather(self, rollout: int) -> Experience:
+        """Step all agents; return the experience of the rollout of that number."""
+        settings, agents, model = self.settings, self.agents, self.model
+        size = (settings.depth, len(agents.obs), model.policy.outputs)
+        noise = torch.empty(size, device=self.where)
+        for number, block in zip(self.numbers, self.blocks, strict=True):
+            seed = np.random.SeedSequence([settings.seed, rollout, number]).generate_state(1, np.uint64)
+            random = torch.Generator(self.where).manual_seed(int(seed[0]) >> 1)
+            noise[:, block] = model.noise((size[0], block.stop - block.start, size[2]), random)
+        seen, made, taken, steps = [agents.obs], [], [], []
+        for t in range(settings.depth):
+            outputs = _joined([model.policy(agents.obs[block]) for block in self.blocks])
+            actions, given = model.draw(outputs, noise[t])
+            steps.append(agents.step(given))
+            seen.append(agents.obs)
+            made.append(outputs)
+            taken.append(actions)
+        obs, actions = torch.stack(seen), torch.stack(taken)
+        rewards, terminations, truncations = map(torch.stack, list(zip(*steps, strict=True))[1:4])
+        logs, _ = model.weigh(torch.stack(made), actions)
+        values = _joined([self._values(obs[:, block]) for block in self.blocks], 1)
+        wanted = rewards * settings.reward_scale
+        cut = truncations & ~terminations
+        if cut.any():  # only the time limit ended it: what was to come counts
+            final = torch.stack([step.final_obs for step in steps])
+            for block in self.blocks:
+                rows = cut[:, block].nonzero(as_tuple=True)
+                if len(rows[0]):
+                    wanted[:, block][rows] += settings.discount * self._values(final[:, block][rows])
+        ended = terminations | truncations
+        advantages = self._advantages(wanted, values, ended)
+        return Experience(obs[:-1], actions, logs, advantages, advantages + values[:-1], rewards, ended)
+
+    def _values(self, obs: Tensor) -> Tensor:
+        """Return what the critic expects; ``obs`` may have an axis of steps."""
+        one = self.agents.obs.ndim - 1
+        leading = obs.shape[: obs.ndim - one]
+        rows = obs.reshape(-1, *obs.shape[obs.ndim - one :])
+        return torch.cat([self.model.values(part) for part in torch.split(rows, ROWS)]).reshape(leading)
+
+    def _advantages(self, rewards: Tensor, values: Tensor, ended: Tensor) -> Tensor:
+        discount, trace = self.settings.discount, self.settings.trace
+        going_on = (~ended).float() * discount
+        errors = rewards + values[1:] * going_on - values[:-1]
+        going_on *= trace
+        advantages = torch.empty_like(errors)
+        advantage = torch.zeros_like(errors[0])
+        for t in reversed(range(len(errors))):
+            advantage = torch.addcmul(errors[t], going_on[t], advantage)
+            advantages[t] = advantage
+        return advantages
+
+    def state(self) -> SavedState:
+        """Return all that the agents' continuation depends on."""
+        return self.agents.state()
+
+    def load(self, state: SavedState) -> None:
+        """Go on from what :meth:`state` returned."""
+        self.agents.load(state)
+
+
+def block_edges(settings: Any, blocks: range) -> list[int]:
+    """Return the first agent of each of the blocks, and the end of the last."""
+    return [number * settings.n_agents // settings.blocks for number in (*blocks, blocks.stop)]
+
+
+def _joined(parts: list[Tensor], axis: int = 0) -> Tensor:
+    return parts[0] if len(parts) == 1 else torch.cat(parts, axis)

@@ -1,0 +1,155 @@
+"""A training run from its settings to its policy: what ``pearl train`` does."""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pearl_marl.errors import ArgumentError
+from pearl_marl.evaluation.run import Evaluation
+from pearl_marl.registry import get_spec
+from pearl_marl.spec import EnvSpec
+from pearl_marl.training import dqn, ppo, q_learning
+from pearl_marl.training.presets import PRESETS
+from pearl_marl.training.run_folder import RunFolder
+
+ALGORITHMS: dict[str, Any] = {"ppo": ppo.PPO, "dqn": dqn.DQN, "q-learning": q_learning.QLearning}
+SETTINGS: dict[str, Any] = {"ppo": ppo.Settings, "dqn": dqn.Settings, "q-learning": q_learning.Settings}
+
+
+BLOCKS = 8
+"""Into how many blocks agents are divided for shards, unless said otherwise: see ``ppo.Settings``."""
+
+
+def settings_for(algorithm: str, env_id: str, given: dict[str, Any], shards: int | None = None) -> Any:
+    """Return an algorithm's settings for an environment: its preset, and over it those given.
+
+    With ``shards``, agents are in blocks, as many for any number of shards.
+
+    Raises
+    ------
+    ArgumentError
+        There is no such algorithm or setting, or a value is not of its type.
+    """
+    if algorithm not in ALGORITHMS:
+        raise ArgumentError(f"--algo is {algorithm!r}; possible are {', '.join(map(repr, ALGORITHMS))}")
+    default = SETTINGS[algorithm]()
+    kinds: dict[str, Any] = {name: type(value) for name, value in dataclasses.asdict(default).items()}
+    for name, value in given.items():
+        if name not in kinds:
+            near = difflib.get_close_matches(name, kinds, 1)
+            hint = f"did you mean {near[0]!r}?" if near else f"there are {', '.join(kinds)}"
+            raise ArgumentError(f"{algorithm} has no setting {name!r}; {hint}")
+        number = (int, float) if kinds[name] is float else kinds[name]
+        if isinstance(value, bool) or not isinstance(value, number) or value < 0:
+            raise ArgumentError(f"setting {name!r} is {value!r}; it must be a number like {kinds[name](1)}")
+    if shards is not None and "blocks" not in kinds:
+        raise ArgumentError(f"{algorithm} does not learn with --shards: leave it out, or use ppo")
+    preset = PRESETS.get((algorithm, get_spec(env_id).name), {})
+    settings = {**preset, **given}
+    if shards is not None and "blocks" not in given:
+        settings["blocks"] = min(BLOCKS, settings.get("n_agents", default.n_agents))
+    return SETTINGS[algorithm](**settings)
+
+
+def train(
+    env_id: str,
+    options: dict[str, Any],
+    algorithm: str,
+    settings: Any,
+    device: str,
+    folder: Path,
+    goal: float | None = None,
+    evaluate_every: int | None = None,
+    progress: Callable[[int, int, dict[str, Any]], None] = lambda done, total, row: None,
+    checkpoint_seconds: float = 20.0,
+    evaluated: int | None = None,
+    shards: int | None = None,
+) -> list[dict[str, Any]]:
+    """Train, and write the run's folder; return the metrics.
+
+    Parameters
+    ----------
+    env_id, options
+        The environment.
+    algorithm, settings
+        One of :data:`ALGORITHMS`, and what :func:`settings_for` made.
+    device
+        Where agents are stepped.
+    folder
+        Of the run. If it holds one of the same settings, that goes on where its last checkpoint was.
+    goal
+        The mean return of an evaluation with which the run is done before its last iteration.
+    evaluate_every
+        Iterations between evaluations, which are also when metrics are noted; by default there are 50.
+    progress
+        Called at every evaluation with the iterations done, those in all, and the metrics.
+    checkpoint_seconds
+        The least time between two checkpoints, which large replay memories take a while to write.
+    evaluated
+        Agents whose first episodes are an evaluation; by default as many as the algorithm suggests.
+    shards
+        How many processes step agents, by Ray; ``None`` for this one. Whatever it is, and whatever it was
+        before a run was killed, the result is the same.
+
+    Raises
+    ------
+    ArgumentError
+        The folder holds a run of other settings, or cannot be written; or the algorithm does not suit the
+        environment.
+    """
+    every = evaluate_every or max(1, settings.iterations // 50)
+    spec = get_spec(env_id).with_options(**options)
+    spread = {} if shards is None else {"shards": shards}
+    trainer = ALGORITHMS[algorithm](spec, device, settings, **spread)
+    run = RunFolder(
+        folder,
+        {
+            "environment": spec.id,
+            "options": dict(spec.options),
+            "algorithm": algorithm,
+            "settings": dataclasses.asdict(settings),
+            "device": device,
+            "goal": goal,
+            "evaluate_every": every,
+        },
+    )
+    seconds, best = 0.0, -np.inf
+    if (saved := run.resume()) is not None:
+        trainer.load(saved["trainer"])
+        seconds, best = saved["seconds"], saved["best"]
+    began, kept = time.perf_counter() - seconds, time.perf_counter()
+    finished = goal is not None and best >= goal
+    while trainer.done < settings.iterations and not finished:
+        trainer.iterate()
+        last = trainer.done == settings.iterations
+        if trainer.done % every and not last:
+            continue
+        mean, deviation = evaluate(trainer.policy, spec, evaluated or trainer.evaluated)
+        seconds = time.perf_counter() - began
+        row = {"seconds": seconds, **trainer.figures(), "eval_return": mean, "eval_deviation": deviation}
+        run.report(trainer.agent_steps, **row)
+        progress(trainer.done, settings.iterations, row)
+        finished = goal is not None and mean >= goal
+        if mean > best:
+            best = mean
+            trainer.policy.save(folder / "policy.safetensors")
+        if last or finished or time.perf_counter() - kept >= checkpoint_seconds:
+            run.checkpoint({"trainer": trainer.state(), "seconds": seconds, "best": best})
+            kept = time.perf_counter()
+    run.draw_curve(f"{spec.name}: {algorithm}, {settings.n_agents:,} agents", goal)
+    return run.rows
+
+
+def evaluate(policy: Any, spec: EnvSpec, n: int, seed: int = 1) -> tuple[float, float]:
+    """Return mean and standard deviation of the return of ``n`` agents' first episodes, by best actions."""
+    evaluation = Evaluation(spec, policy.choose, n, seed=seed)
+    for _ in evaluation.run():
+        pass
+    return float(evaluation.returns.mean()), float(evaluation.returns.std())

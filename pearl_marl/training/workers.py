@@ -1,0 +1,194 @@
+"""Rollouts of one training run, gathered by many processes: weights travel instead of steps.
+
+::
+
+    learner --- weights, number of the rollout ---> worker 0, with the agents of blocks 0 to a
+       ^    --- weights, number of the rollout ---> worker 1, with the agents of blocks a to b
+       |                                               |
+       +------------- experience, state ---------------+
+
+What a worker gathers depends on what it is sent and on its agents' state, which comes back each time. A
+worker that was lost is replaced by one that is given that state, and gathers the same.
+"""
+
+from __future__ import annotations
+
+import itertools
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import torch
+
+from pearl_marl.batch import slot_memory
+from pearl_marl.batch.saved_state import SavedState
+from pearl_marl.devices import cluster
+from pearl_marl.devices.ray import Parcel, pack, unpack
+from pearl_marl.errors import ArgumentError, DeviceError
+from pearl_marl.policies.network import Array
+from pearl_marl.spec import EnvSpec
+from pearl_marl.training.rollout import ActorCritic, Experience, RolloutWorker, block_edges
+
+RESOURCES: dict[str, dict[str, float]] = {"cuda": {"GPU": 1}, "xdma": {"fpga": 1}, "serial": {"fpga": 1}}
+"""What a worker takes up of the machine that it is placed on, by its device."""
+
+ATTEMPTS = 3
+"""How often in a row a worker may be lost in the same rollout, or while it starts."""
+
+
+class Worker:
+    """What runs in a process of its own: a :class:`RolloutWorker` that is sent weights."""
+
+    def begin(self, parcel: Parcel) -> SavedState:
+        """Make the agents; return their state. In the parcel are arguments of :class:`RolloutWorker`."""
+        torch.set_num_threads(1)
+        spec, device, settings, blocks = unpack(parcel)
+        self.model = ActorCritic(spec, settings.width)
+        self.worker = RolloutWorker(spec, device, settings, self.model, blocks)
+        self.model.to(self.worker.where)
+        return self.worker.state()
+
+    def gather(
+        self, rollout: int, weights: dict[str, Array], state: SavedState | None
+    ) -> tuple[list[Array], SavedState]:
+        """Return the experience of a rollout as arrays, and the agents' state after it.
+
+        Parameters
+        ----------
+        rollout
+            Its number.
+        weights
+            Of the model.
+        state
+            Of the agents, to begin with; ``None`` to go on.
+        """
+        if state is not None:
+            self.worker.load(state)
+        # Copies: what comes out of the object store cannot be written to.
+        self.model.load_state_dict({name: torch.tensor(array) for name, array in weights.items()})
+        experience = self.worker.gather(rollout)
+        return [part.cpu().numpy() for part in experience], self.worker.state()
+
+
+class RayWorkers:
+    """Gathers as one :class:`RolloutWorker` of all agents would, with actors of Ray that share them.
+
+    Parameters
+    ----------
+    spec, device, settings, model
+        As of :class:`RolloutWorker`.
+    shards
+        How many actors. Each takes as many blocks of agents as any other, or one more.
+
+    Raises
+    ------
+    ArgumentError
+        There are fewer blocks than shards.
+    DeviceError
+        There is no Ray, or no place for a worker.
+    """
+
+    def __init__(self, spec: EnvSpec, device: str, settings: Any, model: ActorCritic, shards: int) -> None:
+        if shards < 1:
+            raise ArgumentError(f"--shards is {shards}; it must be at least 1, or left out for this process")
+        if shards > settings.blocks:
+            raise ArgumentError(
+                f"--shards is {shards}; the agents are in {settings.blocks} blocks, and a shard has at least "
+                f"one: --set blocks={shards}, with which the run is another"
+            )
+        self.spec, self.settings, self.model, self.device = spec, settings, model, device
+        self._resources = RESOURCES.get(device.partition(":")[0])
+        learns_on_gpu = device == "cuda" and torch.cuda.is_available()
+        self.where = torch.device("cuda" if learns_on_gpu else "cpu")
+        edges = [i * settings.blocks // shards for i in range(shards + 1)]
+        self._blocks = [range(edges[i], edges[i + 1]) for i in range(shards)]
+        ray = cluster.connect()
+        self._put = ray.put
+        with ThreadPoolExecutor(shards) as pool:  # each takes seconds
+            started = list(pool.map(self._start, range(shards)))
+        self._actors = [actor for actor, _ in started]
+        self._states = [state for _, state in started]
+        self._apart = [False] * shards  # whether an actor's agents are not in the state noted here
+
+    def _start(self, i: int) -> tuple[Any, SavedState]:
+        """Return an actor for a shard, and its agents' first state."""
+        parcel = pack(self.spec, self.device, self.settings, self._blocks[i])
+        for attempt in itertools.count(1):
+            try:
+                actor = cluster.start_actor(Worker, resources=self._resources)
+                state: SavedState = cluster.get(actor.begin.remote(parcel))
+                return actor, state
+            except cluster.lost() as error:
+                self._give_up(i, attempt, "while it started", error)
+        raise AssertionError
+
+    def gather(self, rollout: int) -> Experience:
+        """Have all agents stepped; return the experience of the rollout of that number."""
+        weights = self._put({name: tensor.cpu().numpy() for name, tensor in self.model.state_dict().items()})
+        under_way = [self._ask(i, rollout, weights) for i in range(len(self._actors))]
+        # Should it fail, all begin at the states noted here, whichever were done.
+        self._apart = [True] * len(self._actors)
+        gathered: list[tuple[list[Array], SavedState]] = []
+        for i, asked in enumerate(under_way):
+            attempt = 0
+            while len(gathered) == i:
+                try:
+                    gathered.append(cluster.get(asked))
+                except cluster.lost() as error:
+                    attempt += 1
+                    self._give_up(
+                        i,
+                        attempt,
+                        f"in rollout {rollout}",
+                        error,
+                        ". With the same --out the run goes on later",
+                    )
+                    cluster.kill(self._actors[i])
+                    self._actors[i], _ = self._start(i)
+                    asked = self._ask(i, rollout, weights)
+        self._states = [state for _, state in gathered]
+        self._apart = [False] * len(self._actors)
+        parts = zip(*(share for share, _ in gathered), strict=True)
+        return Experience(*(torch.from_numpy(np.concatenate(part, 1)).to(self.where) for part in parts))
+
+    def _give_up(self, i: int, attempt: int, when: str, error: BaseException, mend: str = "") -> None:
+        """Raise where a worker was lost too often, or can never start."""
+        if attempt == ATTEMPTS or getattr(error, "actor_init_failed", False):
+            lines = [line.strip() for line in str(error).splitlines() if line.strip()]
+            why = " ... ".join(dict.fromkeys((lines[0], lines[-1])))
+            raise DeviceError(
+                f"the worker of shard {i} was lost {attempt} times {when}, last by: {why}{mend}"
+            ) from error
+
+    def _ask(self, i: int, rollout: int, weights: Any) -> Any:
+        state = self._states[i] if self._apart[i] else None
+        return self._actors[i].gather.remote(rollout, weights, state)
+
+    def state(self) -> SavedState:
+        """Return all that the agents' continuation depends on: the same, however many shards there are."""
+        states, sizes = self._states, [slots.stop - slots.start for slots in self._slots()]
+        first, n = states[0], self.settings.n_agents
+        return replace(
+            first,
+            identity={**first.identity, "n_agents": n},
+            memory=slot_memory.join(self.spec, [state.memory for state in states], sizes),
+            stored=slot_memory.join(self.spec, [state.stored for state in states], sizes),
+        )
+
+    def load(self, state: SavedState) -> None:
+        """Go on from what :meth:`state` returned, or that of a :class:`RolloutWorker`."""
+        n = self.settings.n_agents
+        for i, slots in enumerate(self._slots()):
+            share = {"n_agents": slots.stop - slots.start, "first_slot": slots.start}
+            self._states[i] = replace(
+                state,
+                identity={**state.identity, **share},
+                memory=slot_memory.cut(self.spec, n, state.memory, slots),
+                stored=slot_memory.cut(self.spec, n, state.stored, slots),
+            )
+            self._apart[i] = True
+
+    def _slots(self) -> list[slice]:
+        edges = [block_edges(self.settings, blocks) for blocks in self._blocks]
+        return [slice(edge[0], edge[-1]) for edge in edges]

@@ -1,0 +1,134 @@
+"""Holding a device against the golden functions: in which modes, with which actions, for how long."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import product
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from gymnasium.vector import AutoresetMode
+
+from pearl_marl.batch.actions import random_actions
+from pearl_marl.devices import BatchConfig, Lockstep
+from pearl_marl.errors import LockstepError
+from pearl_marl.spec import EnvSpec
+
+
+@dataclass
+class Run:
+    """One mode, how long to run in it, and what has come of it so far.
+
+    Parameters
+    ----------
+    config
+        The mode.
+    steps
+        How many steps it gets.
+
+    Attributes
+    ----------
+    taken, words, episodes, truncated
+        Steps taken, words compared, episodes ended, and those of them that were only truncated.
+    exact
+        Whether all was the same; ``None`` before the end.
+    """
+
+    config: BatchConfig
+    steps: int
+    taken: int = 0
+    words: int = 0
+    episodes: int = 0
+    truncated: int = 0
+    exact: bool | None = None
+
+
+def runs(
+    spec: EnvSpec,
+    n_agents: int,
+    steps: int,
+    autoreset_mode: AutoresetMode | None = None,
+    initial_states: str | None = None,
+    max_cycles: int | None = None,
+) -> list[Run]:
+    """Return the modes to run in, every combination of what is left open, with the steps shared out.
+
+    Parameters
+    ----------
+    spec, n_agents
+        The environment and the size.
+    steps
+        Of all runs together; each gets one at least.
+    autoreset_mode, initial_states, max_cycles
+        ``None`` is both modes, both kinds of starts, and once without a limit and once with one that
+        is reached twice.
+    """
+    modes = [AutoresetMode.SAME_STEP, AutoresetMode.NEXT_STEP] if autoreset_mode is None else [autoreset_mode]
+    starts = ["random", "stored"] if initial_states is None else [initial_states]
+    limited = [False, True] if max_cycles is None else [True]
+    combinations = list(product(modes, starts, limited))
+    result = []
+    for i, (mode, start, limit) in enumerate(combinations):
+        share = max(1, steps // len(combinations) + (i < steps % len(combinations)))
+        cycles = max_cycles
+        if cycles is None:
+            cycles = min(max(1, share // 2), spec.max_cycles or share) if limit else 0
+        config = BatchConfig(
+            spec=spec,
+            n_envs=n_agents,
+            autoreset_mode=mode,
+            initial_states=start,
+            max_cycles=cycles,
+            copy=False,
+        )
+        result.append(Run(config, share))
+    return result
+
+
+def verify(run: Run, lockstep: Lockstep, seed: int) -> Iterator[Run]:
+    """Step a lockstep through a run, with a masked reset half way; yield the run after every step.
+
+    Raises
+    ------
+    LockstepError
+        At the first word that differs.
+    """
+    lockstep.open(run.config)
+    try:
+        lockstep.reset(seed)
+        half = np.random.default_rng(seed).random(run.config.n_envs) < 0.5
+        for actions in sticky_actions(run.config.spec, run.config.n_envs, run.steps, seed):
+            step = lockstep.step(actions)
+            run.taken += 1
+            run.episodes += int(np.count_nonzero(step.ended))
+            run.truncated += int(np.count_nonzero(step.truncations & ~step.terminations))
+            if run.taken == (run.steps + 1) // 2:
+                lockstep.reset(mask=half)
+            yield run
+        lockstep.snapshot()
+        run.exact = True
+    except LockstepError:
+        run.exact = False
+        raise
+    finally:
+        run.words = lockstep.words
+        lockstep.close()
+
+
+def sticky_actions(spec: EnvSpec, n: int, steps: int, seed: int) -> Iterator[npt.NDArray[Any]]:
+    """Yield random actions that get somewhere: a slot repeats its action for a while.
+
+    Independent actions hardly ever walk twelve cells or swing up a mountain, so that no episode
+    would end. Here a slot keeps its action with a probability of its own: of every five slots one
+    never does, and the others for 2, 4, 8 and 16 steps on average.
+    """
+    rng = np.random.default_rng(seed)
+    changes = 0.5 ** (np.arange(n) % 5)
+    actions = random_actions(spec, rng, n)
+    for _ in range(steps):
+        yield actions
+        drawn = random_actions(spec, rng, n)
+        change = (rng.random(n) < changes).reshape(-1, *(1,) * (drawn.ndim - 1))
+        actions = np.where(change, drawn, actions)

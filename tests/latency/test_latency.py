@@ -1,0 +1,289 @@
+"""The latency model against the simulated hardware, and `pearl plan`."""
+
+from __future__ import annotations
+
+import importlib
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pearl_marl import get_spec, plan
+from pearl_marl.batch.actions import random_actions
+from pearl_marl.devices import BatchConfig, Rtl
+from pearl_marl.errors import ArgumentError, DeviceError
+from pearl_marl.hardware import elaboration
+from pearl_marl.hardware.synthesis import PARTS, Memory, Usage, modelled_bram36
+from pearl_marl.latency.prediction import (
+    ENDING,
+    LINKS,
+    HostTimes,
+    Link,
+    Overlap,
+    _NoHardware,
+    axi_cycles,
+    draws_wait,
+    loop_cycles,
+    measure_host,
+    predict,
+    read_cycles,
+    step_cycles,
+    write_cycles,
+)
+from pearl_marl.memory_map import DATA_WIDTHS, memory_map
+
+from ..rtl.shift_add import SPEC as SHIFT_ADD
+
+pipeline = importlib.import_module("pearl_marl.experiments.pipeline")
+
+SPEC = get_spec("CliffWalking")
+
+
+@pytest.mark.parametrize(
+    ("spec", "size", "pipelined"),
+    [
+        (SPEC, (7, 4, 32), True),
+        (SPEC, (7, 3, 128), True),
+        (get_spec("Blackjack"), (70, 3, 32), True),
+        (SHIFT_ADD, (23, 5, 64), True),  # four cycles a slot; it waits for its draws
+        (SPEC, (7, 1, 32), False),
+        (SHIFT_ADD, (23, 5, 64), False),
+    ],
+    ids=lambda value: getattr(value, "name", None),
+)
+def test_clock_cycles_over_axi(spec: Any, size: tuple[int, int, int], pipelined: bool) -> None:
+    """Other builds: experiments/latency_model.py."""
+    n, pe_num, data_wl = size
+    device = Rtl(pe_num, data_wl, path="axi", pipelined=pipelined).open(BatchConfig(spec=spec, n_envs=n))
+    device.reset(seed=0)
+    rng = np.random.default_rng(0)
+    device.step(random_actions(spec, rng, n))  # writes the settings too
+    layout = memory_map(spec, *size)
+    for _ in range(3):
+        began = device.clock
+        device.step(random_actions(spec, rng, n))
+        assert device.cycles == step_cycles(spec, layout, pipelined) + draws_wait(spec, layout)
+        assert device.clock - began == axi_cycles(spec, layout, pipelined)
+    device.close()
+
+
+def test_bursts_end_at_256_beats_and_at_4_kib() -> None:
+    layout = memory_map(SPEC, 43008, 128, 32)
+    words = layout.step_write[1] // 4
+    start = layout.step_write[0] // 4
+    cuts = {cut for cut in range(start, start + words) if cut % 1024 == 0}
+    bursts, at = 0, start
+    while at < start + words:
+        at = min([at + 256, start + words, *(cut for cut in cuts if cut > at)])
+        bursts += 1
+    assert write_cycles(layout) == words + 6 * bursts
+    assert read_cycles(memory_map(SPEC, 70, 3, 32)) == 14 + 5 + 5 + 3 + 3  # one burst: 30 cycles
+
+
+def test_the_papers_loops() -> None:
+    """43,008 slots by Eq. 2 and 3: 84 words of actions in; 252, 42 and 84 of results out; 2 cycles a slot."""
+    loop = loop_cycles(SPEC, memory_map(SPEC, 43008, 256, 1024))
+    assert loop.serial == 84 + 252 + 42 + 84 + 2 * 43008
+    assert loop.parallel == 84 + 252 + 42 + 84 + 2
+    assert loop.ours == 261, "as measured: docs/hardware.md"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        ("LATENCY = 2;", "LATENCY = $clog2(9);", "LATENCY"),
+        ("LATENCY = 2;", "LATENCY = NOWHERE + 1;", "NOWHERE"),
+        ("LATENCY = 2;", "LATENCY = LATENCY;", "recursion"),
+        ("int unsigned II = 1;", "int II = 1;", "II"),
+    ],
+)
+def test_a_core_whose_timing_cannot_be_read(
+    old: str, new: str, says: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    text = elaboration.core_path(SPEC).read_text()
+    assert text.count(old) == 1
+    path = tmp_path / "cliff_walking_pe.sv"
+    path.write_text(text.replace(old, new))
+    monkeypatch.setattr(elaboration, "core_path", lambda spec: path)
+    with pytest.raises(DeviceError, match=rf"does not state LATENCY and II.*{says}"):
+        elaboration.core_timing(SPEC)
+
+
+def test_what_is_measured_of_the_host_has_ends_in_it() -> None:
+    device = _NoHardware().open(BatchConfig(spec=SPEC, n_envs=1000))
+    device.reset(seed=0)
+    step = device.step(np.zeros(1000, np.uint8))
+    assert np.flatnonzero(step.terminations).tolist() == list(range(0, 1000, ENDING))
+    assert not step.truncations.any()
+    assert (step.obs[step.ended] == 36).all(), "new episodes begin"
+    device.close()
+    times = measure_host(SPEC, 1000, rounds=5)
+    assert 0 < times.pack < 0.1
+    assert 0 < times.unpack < 0.1
+
+
+HOST = HostTimes(pack=10e-6, unpack=40e-6)
+
+
+def test_a_prediction() -> None:
+    layout = memory_map(SPEC, 43008, 64, 256)
+    step = predict(SPEC, layout, Link("mine", 20e-6, 2e9, 1e9, ""), HOST, 100e6)
+    # Actions of 10,752 bytes, and a word of doorbell; results of 48,384, and a word of status.
+    assert step.write == pytest.approx(20e-6 + 10_784 / 2e9)
+    assert step.read == pytest.approx(20e-6 + 48_416 / 1e9)
+    assert step.device == pytest.approx(step_cycles(SPEC, layout) / 100e6)
+    assert (step.words_in, step.words_out) == pytest.approx((336 / 100e6, 1008 / 100e6))
+    assert step.compute == pytest.approx((671 + 2) / 100e6)
+    assert max(step.words_in, step.compute, step.words_out) < step.device
+    assert step.total == pytest.approx(step.pack + step.write + step.device + step.read + step.unpack)
+    assert step.rate == pytest.approx(43008 / step.total)
+    assert step.bottleneck == "read"
+
+
+def test_a_prediction_without_the_pipeline() -> None:
+    layout, link = memory_map(SPEC, 43008, 1, 256), Link("mine", 20e-6, 2e9, 1e9, "")
+    step = predict(SPEC, layout, link, HOST, 100e6, pipelined=False)
+    # And states of 32,256 bytes each way.
+    assert step.write == pytest.approx(20e-6 + 43_040 / 2e9)
+    assert step.read == pytest.approx(20e-6 + 80_672 / 1e9)
+    assert step.compute == pytest.approx(43008 * 2 / 100e6)
+    assert step.device == pytest.approx(step_cycles(SPEC, layout, pipelined=False) / 100e6)
+    # c_r, c_c and c_w of a slot, as Eq. 2 has them; and a step's constant cycles.
+    assert 43008 * (1 + 2 + 1) <= step.device * 100e6 <= 43008 * (1 + 2 + 1) + 10
+    # The same on a port that is slower than the link.
+    fast = predict(SPEC, layout, Link("fast", 0.0, 1e12, 1e12, ""), HOST, 100e6, pipelined=False)
+    assert fast.write == pytest.approx((write_cycles(layout) + 1008 + 8 * 6) / 100e6)
+    assert fast.read == pytest.approx((read_cycles(layout) + 1008 + 8 * 5) / 100e6)
+
+
+def test_with_and_without_the_pipeline(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(pipeline, "measure_host", lambda spec, n: HOST)
+    found = pipeline.compare("CliffWalking")
+    assert (found.pipelined.n_envs, found.pipelined.pe_num, found.serial.pe_num) == (43008, 256, 1)
+    assert found.factor == pytest.approx(found.serial.total / found.pipelined.total)
+    assert 2.7 < found.factor < 13.5, "the paper's range"
+    spec = get_spec("Seaquest")
+    assert modelled_bram36(memory_map(spec, n := pipeline.fitting(spec, 16, 1024), 16, 1024)) <= 1030
+    assert modelled_bram36(memory_map(spec, n + 1024, 16, 1024)) > 1030
+    rate = pipeline.simulated_rate(SPEC, 70, 1, 32, 100e6, pipelined=False)
+    assert rate == pytest.approx(70 * 100e6 / 287), "docs/latency.md has it measured"
+
+
+def test_a_link_is_no_faster_than_the_port_behind_it() -> None:
+    layout = memory_map(SPEC, 4096, 8, 32)
+    step = predict(SPEC, layout, Link("fast", 0.0, 1e12, 1e12, ""), HOST, 100e6)
+    assert step.write == pytest.approx(write_cycles(layout) / 100e6)
+    assert step.read == pytest.approx(read_cycles(layout) / 100e6)
+
+
+@pytest.mark.parametrize(
+    ("host", "busy", "total"),
+    [
+        (HostTimes(10e-6, 70e-6), "host", 160e-6),
+        (HostTimes(1e-6, 1e-6), "link, reading", None),
+        (HostTimes(20e-6, 20e-6), "round trip", None),
+    ],
+)
+def test_two_half_batches(host: HostTimes, busy: str, total: float | None) -> None:
+    read = 2e8 if busy == "link, reading" else 2.6e9
+    half = predict(SPEC, memory_map(SPEC, 21504, 64, 256), Link("", 30e-6, 3.2e9, read, ""), host, 125e6)
+    overlap = Overlap(half)
+    assert overlap.bottleneck == busy
+    assert overlap.total == pytest.approx(total or overlap.loads[busy])
+    assert half.total <= overlap.total <= 2 * half.total
+    assert overlap.rate == pytest.approx(43008 / overlap.total)
+
+
+@pytest.mark.parametrize("values", [(-1.0, 1.0, 1.0), (0.0, 0.0, 1.0), (0.0, 1.0, float("nan"))])
+def test_links_that_there_cannot_be(values: tuple[float, float, float]) -> None:
+    with pytest.raises(ArgumentError, match="it must be positive"):
+        Link("odd", *values, "")
+
+
+@pytest.fixture
+def quick_host(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(plan, "measure_host", lambda spec, n: HOST)
+
+
+@pytest.mark.usefixtures("quick_host")
+def test_the_smallest_build_that_is_nearly_the_fastest() -> None:
+    found = plan.plan(SPEC, 43008, LINKS["gen2x8"], 125e6)
+    sizes = [1 << k for k in range(9)]
+    best = min(
+        predict(SPEC, memory_map(SPEC, 43008, size, width), LINKS["gen2x8"], HOST, 125e6).total
+        for size in sizes
+        for width in DATA_WIDTHS
+    )
+    assert found.chosen in found.candidates
+    assert found.chosen.prediction.total <= plan.NEAR * best
+    for candidate in found.candidates:
+        if candidate.layout.pe_num < found.chosen.layout.pe_num:
+            assert candidate.prediction.total > plan.NEAR * best
+    assert [c.layout.pe_num for c in found.candidates] == sizes
+    # On a link that costs nothing, every cycle counts.
+    fast = plan.plan(SPEC, 43008, Link("fast", 0, 1e12, 1e12, ""), 1e6)
+    assert fast.chosen.layout.pe_num > found.chosen.layout.pe_num
+    assert fast.chosen.layout.data_wl == 1024
+
+
+@pytest.mark.usefixtures("quick_host")
+def test_plans_for_a_part() -> None:
+    arty = PARTS["arty-a7-100t"]
+    found = plan.plan(SPEC, 43008, LINKS["gen2x8"], 125e6, arty)
+    assert found.chosen.bram36 == modelled_bram36(found.chosen.layout) <= arty.bram36
+    assert all(c.bram36 <= arty.bram36 for c in found.candidates)
+    with pytest.raises(ArgumentError, match=r"need 1,\d+\.\d BRAM36 or more, the xc7a100t has 135"):
+        plan.plan(SPEC, 1_000_000, LINKS["gen2x8"], 125e6, arty)
+
+
+@pytest.mark.usefixtures("quick_host")
+@pytest.mark.parametrize("n", [1, 2, 7])
+def test_plans_for_few_slots(n: int) -> None:
+    found = plan.plan(SPEC, n, LINKS["gen2x8"], 125e6)
+    assert found.chosen.layout.n_envs == n
+    assert (found.overlap is None) == (n == 1)
+
+
+@pytest.mark.usefixtures("quick_host")
+def test_pearl_plan(pearl: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(plan, "synthesised", lambda spec, layout: None)
+    arguments = ("plan", "CliffWalking", "--part", "vc707", "--link", "25,3,2", "--clock", "100")
+    status, out, err = pearl(*arguments)
+    assert (status, err) == (0, "")
+    for word in (
+        "T1",
+        "T7",
+        "half-batches",
+        "of the 1,030 of a vc707",
+        "pearl synth CliffWalking --n-envs 43008",
+    ):
+        assert word in out
+    result = json.loads(pearl(*arguments, "--json", "--out", tmp_path)[1])
+    assert result == json.loads((tmp_path / "plan_CliffWalking_43008.json").read_text())
+    assert (result["link"]["call_us"], result["link"]["read_gb_per_s"]) == pytest.approx((25, 2))
+    assert result["usage"] is None
+    assert result["chosen"]["device"] == pytest.approx(result["loop_cycles"]["ours"] / 100e6)
+    usage = Usage(43008, 64, 256, 12_345, 678, 110.0, 9, (Memory("m", 1, 2, "LUT RAM"),), {})
+    monkeypatch.setattr(plan, "synthesised", lambda spec, layout: usage)
+    assert "12,345 LUT, 678 FF, 110 BRAM36, 9 DSP" in pearl(*arguments)[1]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["--link", "gen9"], "there is no link 'gen9'; possible are gen2x4, gen2x8, gen3x16"),
+        (["--link", "30,0,1"], "write_rate of the link '30,0,1' is 0.0"),
+        (["--part", "vc808"], "there is no part 'vc808'; possible are vc707"),
+        (["--clock", "0"], "the clock is 0.0 Hz"),
+        (["--pe-num", "0"], "pe_num is 0; possible are 1 to n_envs = 43008"),
+        (["--data-wl", "48"], "data_wl is 48; possible are 32"),
+        (["--n-envs", "0"], "--n-envs"),
+    ],
+)
+@pytest.mark.usefixtures("quick_host")
+def test_refused_plans(pearl: Any, arguments: list[str], says: str) -> None:
+    status, out, err = pearl("plan", "CliffWalking", *arguments)
+    assert (status, out) == (2, "")
+    assert says in " ".join(err.split())

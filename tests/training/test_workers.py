@@ -1,0 +1,179 @@
+"""Training over several processes: the same weights, however many there are and whatever happens to them."""
+
+from __future__ import annotations
+
+import contextlib
+import importlib
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pearl_marl.errors import ArgumentError, DeviceError
+from pearl_marl.registry import get_spec
+
+torch = pytest.importorskip("torch", reason="torch is not installed: pip install '.[train]'")
+ray = pytest.importorskip("ray", reason="Ray is not installed: pip install '.[ray]'")
+training = importlib.import_module("pearl_marl.training.run")
+distributed = importlib.import_module("pearl_marl.training.workers")
+
+SMALL = {"n_agents": 16, "depth": 70, "iterations": 3, "minibatch": 256}
+"""Of Pendulum, whose episodes of 200 steps are cut short in the last rollout."""
+
+
+@pytest.fixture(scope="module", autouse=True)
+def cluster() -> Iterator[None]:
+    ray.init(
+        address="local",
+        num_cpus=4,
+        include_dashboard=False,
+        log_to_driver=False,
+        object_store_memory=100_000_000,
+    )
+    yield
+    ray.shutdown()
+
+
+@pytest.fixture(autouse=True)
+def one_thread() -> Iterator[None]:
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(before)
+
+
+def trainer(shards: int | None, env_id: str = "Pendulum", **given: Any) -> Any:
+    settings = training.settings_for("ppo", env_id, {**SMALL, "blocks": 8, **given})
+    return training.ALGORITHMS["ppo"](get_spec(env_id), "native", settings, shards=shards)
+
+
+def assert_same(ours: Any, theirs: Any) -> None:
+    """Compare all that a continuation depends on."""
+    ours, theirs = ours.state(), theirs.state()
+    for name, tensor in theirs["model"].items():
+        assert torch.equal(ours["model"][name], tensor), name
+    assert ours["agents"].identity == theirs["agents"].identity
+    np.testing.assert_array_equal(ours["agents"].memory, theirs["agents"].memory)
+
+
+@pytest.fixture(scope="module")
+def alone() -> Any:
+    """A run of this process, and its figures, which can be taken once."""
+    torch.set_num_threads(1)
+    run = trainer(None)
+    for _ in range(3):
+        run.iterate()
+    return run, run.figures()
+
+
+def test_any_number_of_shards_learns_the_same_and_goes_on_with_another(alone: Any) -> None:
+    """The device's own tests have more of them; a process takes a second or two to start."""
+    first, second = trainer(3), trainer(1)
+    first.iterate()
+    first.iterate()
+    second.load(first.state())
+    second.iterate()
+    assert_same(second, alone[0])
+    assert second.figures() == alone[1]
+
+
+def test_workers_lost_between_rollouts_and_within(alone: Any) -> None:
+    run = trainer(2)
+    run.iterate()
+    ray.kill(run.worker._actors[1])
+    run.iterate()
+    actor = run.worker._actors[0]
+    # Asked for the rollout it will do first this, and is no more when that is asked for.
+    actor.__ray_terminate__.remote()
+    run.iterate()
+    assert run.worker._actors[0] is not actor
+    assert_same(run, alone[0])
+
+
+def test_a_worker_that_is_lost_again_and_again_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    run = trainer(1)
+    dead = run.worker._actors[0]
+    ray.kill(dead)
+    monkeypatch.setattr(run.worker, "_start", lambda i: (dead, None))
+    with pytest.raises(DeviceError, match=r"shard 0 was lost 3 times in rollout 0.*the run goes on later"):
+        run.iterate()
+
+
+def test_what_cannot_be_shared_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ArgumentError, match=r"--shards is 9; the agents are in 8 blocks.*--set blocks=9"):
+        trainer(9)
+    with pytest.raises(ArgumentError, match=r"--shards is 0; it must be at least 1"):
+        trainer(0)
+    with pytest.raises(ArgumentError, match=r"dqn does not learn with --shards"):
+        training.settings_for("dqn", "CartPole", {}, shards=2)
+    assert training.settings_for("ppo", "CartPole", {"n_agents": 5}, shards=2).blocks == 5
+    with pytest.raises(ArgumentError, match=r"'blocks' is 8; it must be 1 to 5"):
+        trainer(None, n_agents=5)
+
+
+RUN = """
+import importlib, sys, torch
+from pathlib import Path
+torch.set_num_threads(1)
+training = importlib.import_module("pearl_marl.training.run")
+folder, shards = Path(sys.argv[1]), int(sys.argv[2]) or None
+settings = training.settings_for("ppo", "CartPole", {"n_agents": 64, "iterations": 24, "blocks": 8}, shards)
+def show(done, total, row):
+    print('done', done, flush=True)
+arguments = {"progress": show, "checkpoint_seconds": 0.0, "evaluated": 50, "shards": shards}
+training.train("CartPole", {}, "ppo", settings, "native", folder, evaluate_every=3, **arguments)
+"""
+
+
+@pytest.mark.slow
+def test_killed_workers_and_a_killed_driver_change_nothing(tmp_path: Path) -> None:
+    """A worker at random after every third rollout, and then the driver."""
+    folder, chance = tmp_path / "killed", random.Random(0)
+    command = [sys.executable, "-c", RUN]
+    with subprocess.Popen(
+        [*command, str(folder), "2"], stdout=subprocess.PIPE, text=True, start_new_session=True
+    ) as driver:
+        assert driver.stdout is not None
+        for line in driver.stdout:  # among what Ray has to say
+            if not line.startswith("done "):
+                continue
+            if int(line.split()[1]) > 12:
+                driver.kill()
+                break
+            os.kill(chance.choice(worker_processes(driver.pid)), signal.SIGKILL)
+    assert driver.returncode == -signal.SIGKILL
+    deadline = time.monotonic() + 30
+    while worker_processes(driver.pid) and time.monotonic() < deadline:
+        time.sleep(0.1)
+    assert not worker_processes(driver.pid), "they end with their driver"
+    subprocess.run([*command, str(folder), "1"], check=True, stdout=subprocess.DEVNULL)
+    subprocess.run([*command, str(tmp_path / "whole"), "0"], check=True, stdout=subprocess.DEVNULL)
+    ours, theirs = (
+        torch.load(tmp_path / run / "checkpoint.pt", weights_only=False) for run in ("killed", "whole")
+    )
+    for run in ours, theirs:
+        for row in run["rows"]:
+            del row["seconds"]
+    assert ours["rows"] == theirs["rows"]
+    assert ours["trainer"]["done"] == 24
+    for name, tensor in theirs["trainer"]["model"].items():
+        assert torch.equal(ours["trainer"]["model"][name], tensor), name
+
+
+def worker_processes(session: int) -> list[int]:
+    """Return the processes of workers in a session."""
+    found = []
+    for folder in Path("/proc").glob("[0-9]*"):
+        with contextlib.suppress(OSError):
+            name = (folder / "cmdline").read_bytes()
+            if name.startswith(b"ray::Worker") and os.getsid(int(folder.name)) == session:
+                found.append(int(folder.name))
+    return found
