@@ -188,7 +188,10 @@ def _wrapping(function: GoldenFunction) -> GoldenFunction:
 def cuda_source(spec: EnvSpec) -> str:
     """Return the source of the GPU kernels of ``spec``, a module for :func:`compile_cuda_kernels` to run."""
     fields = range(len(spec.state))
-    columns = slot_memory.columns(spec)
+    columns = [
+        c._replace(name=f"state_{k}" if k < len(spec.state) else c.name)
+        for k, c in enumerate(slot_memory.columns(spec))
+    ]
     dtypes = {c.dtype for c in columns}
     reset_draws = range(spec.reset_draws)
     step_draws = range(spec.reset_draws, spec.reset_draws + spec.step_draws)

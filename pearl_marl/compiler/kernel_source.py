@@ -215,7 +215,10 @@ def kernel_source(spec: EnvSpec) -> str:
     observed = range(len(spec.observation))
     reset_draws = range(spec.reset_draws)
     step_draws = range(spec.reset_draws, spec.reset_draws + spec.step_draws)
-    columns = slot_memory.columns(spec)
+    columns = [
+        c._replace(name=f"state_{k}" if k < len(spec.state) else c.name)
+        for k, c in enumerate(slot_memory.columns(spec))
+    ]
     block = CROWDED_BLOCK if _crowded(spec) else BLOCK
 
     def keys(draws: range, tick: str) -> list[str]:

@@ -57,14 +57,14 @@ ASSEMBLY = """
 import json
 import numpy as np
 import pearl_marl
-from pearl_marl.batch import slot_memory
+from pearl_marl.batch.slot_memory import SlotMemory
 from pearl_marl.compiler.kernels import compile_kernels
 spec, n = pearl_marl.get_spec("CliffWalking"), 64
 env = pearl_marl.parallel_env("CliffWalking", n)
 env.reset_batch(seed=0)
 env.step_batch(np.zeros(n, np.uint8))
 found = compile_kernels(spec)
-found.advance(slot_memory.allocate(spec, n), np.zeros(n, np.uint8), np.zeros(2, np.float32),
+found.advance(SlotMemory(spec, n).bytes, np.zeros(n, np.uint8), np.zeros(2, np.float32),
               np.zeros(n, np.float32), np.zeros(n, np.uint8), n, 0, n)
 print(json.dumps([list(f.inspect_asm().values()) for f in (found.step, found.advance)]))
 """

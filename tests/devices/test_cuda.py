@@ -152,7 +152,7 @@ def test_dicts_and_gymnasium_are_on_the_host(autoreset: bool) -> None:
     env = pearl_marl.parallel_env("Blackjack", N, device=Cuda("torch"), **arguments)
     other = pearl_marl.parallel_env("Blackjack", N, **arguments)
     assert dict(env.reset(seed=1)[0]) == dict(other.reset(seed=1)[0])
-    while env.agents and env.device._tick < 6:
+    while env.agents and env.device.tick < 6:
         ours: Any = env.step(on_gpu(np.ones(N, np.int64)))
         theirs: Any = other.step(np.ones(N, np.int64))
         assert env.agents == other.agents
