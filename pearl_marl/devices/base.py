@@ -14,9 +14,8 @@ from __future__ import annotations
 import secrets
 import time
 from abc import ABC, abstractmethod
-from concurrent.futures import Future
 from dataclasses import replace
-from typing import Any, NamedTuple, Self
+from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -28,36 +27,10 @@ from pearl_marl.batch.config import BatchConfig
 from pearl_marl.batch.saved_state import SavedState
 from pearl_marl.batch.slot_memory import SlotMemory
 from pearl_marl.batch.step import Array, BatchStep
-from pearl_marl.devices.threads import Threads
+from pearl_marl.devices.copies import unopened
+from pearl_marl.devices.recovery import Position, Recovery
+from pearl_marl.devices.threads import StepUnderWay
 from pearl_marl.errors import ArgumentError, DeviceError, OrderError
-
-
-class Recovery(ABC):
-    """How a device goes on after a failure; told of every call that moves slots or what they depend on.
-
-    It does not refer to the device, so that one that everybody has forgotten frees its board at once.
-    """
-
-    def before(self, device: Device, call: str) -> None:  # noqa: B027, as not every kind has to know
-        """Take note that a call is about to be made."""
-
-    @abstractmethod
-    def after(self, device: Device, call: str, *arguments: Any) -> None:
-        """Take note that a call has succeeded."""
-
-    @abstractmethod
-    def recover(self, device: Device) -> None:
-        """Bring the device to where the last call that succeeded left it."""
-
-
-class Position(NamedTuple):
-    """What a device knows of its batch besides the slots: where a refused or failed call goes back to."""
-
-    config: BatchConfig
-    seed: tuple[int, int]
-    tick: int
-    reward_table: npt.NDArray[np.float32]
-    ready: bool
 
 
 class Device(ABC):
@@ -74,6 +47,8 @@ class Device(ABC):
         The position in the random numbers: see :mod:`pearl_marl.rng`.
     reward_table
         The reward of every word of the reward field: see :mod:`pearl_marl.batch.rewards`.
+    made_with
+        The attributes that it had before it was opened, which are the settings of a copy.
     """
 
     name: str
@@ -111,7 +86,7 @@ class Device(ABC):
         """
         if self._closed or hasattr(self, "config"):
             raise OrderError(f"this {self.name} device has been opened before; make another one")
-        self._made_with = dict(self.__dict__)
+        self.made_with = dict(self.__dict__)
         table = reward_tables.reward_table(config.spec, config.spec.rewards if rewards is None else rewards)
         self._open(config)
         self.config = config
@@ -119,8 +94,7 @@ class Device(ABC):
         self.seed = (0, 0)
         self.tick = 0
         self._actions = np.empty(config.n_envs, config.spec.action.dtype)
-        self._worker = Threads(1, f"pearl-{self.name}")
-        self._pending: Future[BatchStep] | None = None
+        self.under_way = StepUnderWay(f"pearl-{self.name}", self._actions)
         self.recovery = self._make_recovery()
         if rewards is not None:
             self._apply_rewards(rewards)
@@ -146,7 +120,11 @@ class Device(ABC):
             A mask at the first reset, or the device is closed or busy.
         """
         self.check_idle("reset")
-        chosen = None if mask is None else self._checked_mask(mask, seed)
+        chosen = None if mask is None else self.config.checked_mask(mask)
+        if chosen is not None and seed is not None:
+            raise ArgumentError("a seed restarts every slot, so it cannot come with a reset mask")
+        if chosen is not None and not self._ready:
+            raise OrderError("the first reset starts every slot: call reset() without a mask first")
         if seed is None and not self._ready:
             seed = secrets.randbits(64)
         words = None if seed is None else rng.seed_words(rng.checked_seed(seed))
@@ -180,7 +158,7 @@ class Device(ABC):
         OrderError
             Before the first reset, after ``close``, or between ``send`` and ``recv``.
         """
-        if not self._ready or self._pending is not None:
+        if not self._ready or self.under_way.pending is not None:
             self.check_idle("step", ready=True)
         return self.step_words(self.encoded(actions))
 
@@ -200,31 +178,20 @@ class Device(ABC):
         self.check_idle("send", ready=True)
         words = self.encoded(actions)
         self._before("step_words")
-        self._sent, self._pending = self.begun(words)
+        self._begin(words)
 
     def recv(self) -> BatchStep:
         """Wait for the step that :meth:`send` started and return its results."""
-        pending = getattr(self, "_pending", None)
-        if pending is None:
+        if not hasattr(self, "under_way") or self.under_way.pending is None:
             raise OrderError("recv() without a step under way: call send() first")
-        try:
-            result: BatchStep = pending.result()
-        finally:
-            if pending.done():  # or Ctrl-C came first, and the step is still under way
-                self._pending = None
+        words, result = self.under_way.finish()
         self.tick += 1
-        self._after("step_words", self._sent)
+        self._after("step_words", words)
         return result
 
     def encoded(self, actions: Any) -> Array:
         """Return actions as :meth:`step_words` takes them, in an array of the device's or the given one."""
         return encode(actions, self.config.spec, self._actions, self.config.first_slot)
-
-    def begun(self, words: Array) -> tuple[Array, Future[BatchStep]]:
-        """Begin a step; return its words, which nobody changes before it is done, and its results to come."""
-        if words is not self._actions:
-            self._actions[:] = words
-        return self._actions, self._worker.submit(self._step, self._actions)
 
     def set_rewards(self, table: npt.ArrayLike) -> None:
         """Replace the reward table, from the next step on.
@@ -373,7 +340,7 @@ class Device(ABC):
             return
         self._closed, self._ready = True, False
         if hasattr(self, "config"):
-            self._worker.close()
+            self.under_way.close()
             self._close()
 
     @property
@@ -399,26 +366,13 @@ class Device(ABC):
             raise OrderError(f"{call}() before open(): this {self.name} device has no batch yet")
         if ready and not self._ready:
             raise OrderError(f"{call}() before reset(): call reset() first")
-        if self._pending is not None:
+        if self.under_way.pending is not None:
             raise OrderError(f"{call}() between send() and recv(): call recv() first")
 
     def check_known(self) -> None:
         """Refuse to go on where a call has failed under way."""
         if not self.known:
             raise DeviceError(f"a step of the {self.name} device failed before; {self.way_on}")
-
-    def _checked_mask(self, mask: npt.ArrayLike, seed: int | None) -> Array:
-        chosen: Array = np.asarray(mask)
-        if chosen.shape != (self.config.n_envs,) or chosen.dtype != np.bool_:
-            raise ArgumentError(
-                f"a reset mask is bool of shape ({self.config.n_envs},), "
-                f"not {chosen.dtype} of shape {chosen.shape}"
-            )
-        if seed is not None:
-            raise ArgumentError("a seed restarts every slot, so it cannot come with a reset mask")
-        if not self._ready:
-            raise OrderError("the first reset starts every slot: call reset() without a mask first")
-        return chosen
 
     def _before(self, call: str) -> None:
         if self.recovery is not None:
@@ -433,7 +387,7 @@ class Device(ABC):
         if not hasattr(self, "config"):
             return {"settings": self.__dict__}
         saved = self.snapshot() if self._ready else None
-        settings = {name: _unopened(value) for name, value in self._made_with.items()}
+        settings = {name: unopened(value) for name, value in self.made_with.items()}
         return {"settings": settings, "config": self.config, "rewards": self.reward_table, "saved": saved}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -463,6 +417,10 @@ class Device(ABC):
     def _step(self, actions: Array) -> BatchStep:
         """Step every slot at ``tick``; ``actions`` are checked and in the device's width."""
 
+    def _begin(self, words: Array) -> None:
+        """Start a step whose results :meth:`recv` will ask for."""
+        self.under_way.begin(self._step, words)
+
     @abstractmethod
     def _read(self) -> tuple[Array, Array]:
         """Return the slots' memory and the stored initial states (empty if random), as bytes."""
@@ -485,14 +443,3 @@ class Device(ABC):
     @abstractmethod
     def _close(self) -> None:
         """Release everything; called once."""
-
-
-def _unopened(setting: Any) -> Any:
-    """Return a setting of a device as it was when that was made: other devices in it without a batch."""
-    if isinstance(setting, list):
-        return [_unopened(value) for value in setting]
-    if not isinstance(setting, Device) or not hasattr(setting, "config"):
-        return setting
-    fresh = object.__new__(type(setting))
-    fresh.__dict__.update({name: _unopened(value) for name, value in setting._made_with.items()})
-    return fresh

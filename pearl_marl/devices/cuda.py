@@ -9,7 +9,6 @@ from __future__ import annotations
 import warnings
 from bisect import bisect_right
 from collections.abc import Iterator
-from concurrent.futures import Future
 from contextlib import contextmanager
 from dataclasses import replace
 from importlib import import_module
@@ -72,14 +71,6 @@ class Cuda(Device):
         """Return actions as a step takes them: words on the host, or what is on the GPU already."""
         given = self._on_gpu(actions)
         return super().encoded(actions) if given is None else given
-
-    def begun(self, words: Any) -> tuple[Any, Future[BatchStep]]:
-        """Begin a step; of actions on the GPU it is queued here, as nothing waits for it."""
-        if not isinstance(words, _OnGpu):
-            return super().begun(words)
-        queued: Future[BatchStep] = Future()
-        queued.set_result(self._step(words))
-        return words, queued
 
     def synchronize(self) -> None:
         """Wait until the GPU has done every step.
@@ -188,6 +179,12 @@ class Cuda(Device):
             if not self._next_step and results.ended.any():
                 self._parts[4].copy_to_host(layout.pieces(memory)[4])
         return results
+
+    def _begin(self, words: Any) -> None:
+        if isinstance(words, _OnGpu):  # queued here and now, as nothing waits for it
+            self.under_way.done(words, self._step(words))
+        else:
+            super()._begin(words)
 
     def _read(self) -> tuple[Array, Array]:
         self.synchronize()

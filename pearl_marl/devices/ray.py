@@ -35,9 +35,9 @@ from pearl_marl.batch.step import Array, BatchStep
 from pearl_marl.compiler.kernel_source import kernel_source
 from pearl_marl.compiler.kernels import kernel_name
 from pearl_marl.devices import cluster
-from pearl_marl.devices.base import Device, Recovery
+from pearl_marl.devices.base import Device
 from pearl_marl.devices.by_name import make_host_device
-from pearl_marl.devices.recovery import CHECKPOINT_EVERY, CheckpointLog
+from pearl_marl.devices.recovery import CHECKPOINT_EVERY, CheckpointLog, Recovery
 from pearl_marl.devices.sharded import Sharded
 from pearl_marl.errors import ArgumentError, DeviceError
 from pearl_marl.spec import EnvSpec

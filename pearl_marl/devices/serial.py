@@ -25,9 +25,8 @@ import zlib
 import numpy as np
 
 from pearl_marl.batch.config import BatchConfig
-from pearl_marl.devices.base import Recovery
 from pearl_marl.devices.comm_bram import CommBram
-from pearl_marl.devices.recovery import CHECKPOINT_EVERY, CheckpointLog, checked_every
+from pearl_marl.devices.recovery import CHECKPOINT_EVERY, CheckpointLog, Recovery, checked_every
 from pearl_marl.devices.transport import Exchange, Transport, word
 from pearl_marl.errors import DeviceError
 from pearl_marl.hardware.codec import Stream

@@ -24,9 +24,9 @@ from pearl_marl.batch.config import BatchConfig
 from pearl_marl.batch.results import ResultArrays
 from pearl_marl.batch.saved_state import SavedState
 from pearl_marl.batch.step import Array, BatchStep
-from pearl_marl.devices.base import Device, Recovery
+from pearl_marl.devices.base import Device
 from pearl_marl.devices.by_name import make_host_device
-from pearl_marl.devices.recovery import CHECKPOINT_EVERY, CheckpointLog, checked_every
+from pearl_marl.devices.recovery import CHECKPOINT_EVERY, CheckpointLog, Recovery, checked_every
 from pearl_marl.devices.threads import Threads
 from pearl_marl.errors import ArgumentError, DeviceError
 

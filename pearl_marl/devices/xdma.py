@@ -13,9 +13,8 @@ from typing import ClassVar
 import numpy as np
 
 from pearl_marl.batch.config import BatchConfig
-from pearl_marl.devices.base import Recovery
 from pearl_marl.devices.comm_bram import CommBram
-from pearl_marl.devices.recovery import CHECKPOINT_EVERY, CheckpointLog, checked_every
+from pearl_marl.devices.recovery import CHECKPOINT_EVERY, CheckpointLog, Recovery, checked_every
 from pearl_marl.devices.transport import Transport
 from pearl_marl.devices.xdma_transport import COMPLETIONS, XdmaTransport
 from pearl_marl.errors import ArgumentError
