@@ -24,7 +24,8 @@ from gymnasium.spaces import Box
 from pearl_marl import rng
 from pearl_marl.batch import slot_memory
 from pearl_marl.compiler.kernel_source import filled, indented, listed, observation_values, observation_words
-from pearl_marl.compiler.kernels import functions, kernel_name, load, with_callees
+from pearl_marl.compiler.kernels import functions, kernel_name
+from pearl_marl.compiler.loading import load, with_callees
 from pearl_marl.golden import GoldenFunction, call_reference
 from pearl_marl.spec import EnvSpec
 
