@@ -27,12 +27,12 @@ class Column(NamedTuple):
 
 
 def columns(spec: EnvSpec) -> tuple[Column, ...]:
-    """Return the columns of a slot: its state fields, its elapsed steps, and whether it ended.
+    """Return the columns of a slot: its state fields by their names, its elapsed steps, whether it ended.
 
     ``elapsed`` counts the steps of the episode, and stays 0 where there is no time limit.
     ``ended`` is 1 for a slot that will spend its next step resetting (NEXT_STEP mode only).
     """
-    names = [(f"state_{i}", f.dtype) for i, f in enumerate(spec.state)]
+    names = [(f.name, f.dtype) for f in spec.state]
     names += [("elapsed", np.dtype(np.uint32)), ("ended", np.dtype(np.uint8))]
     result, offset = [], 0
     for name, dtype in names:
@@ -83,7 +83,7 @@ def state_values(spec: EnvSpec, n: int, memory: npt.NDArray[np.uint8]) -> npt.ND
     columns_by_name = views(spec, n, memory)
     values = np.empty((n, len(spec.state)), state_dtype(spec))
     for i, f in enumerate(spec.state):
-        values[:, i] = columns_by_name[f"state_{i}"]
+        values[:, i] = columns_by_name[f.name]
         if f.fraction:
             values[:, i] *= 2.0**-f.fraction
     return values

@@ -152,9 +152,7 @@ def state_words(spec: EnvSpec, n: int, device: SavedState, reference: SavedState
 
 def state_of(spec: EnvSpec, n: int, saved: SavedState, i: int) -> dict[str, int]:
     """Return row ``i`` of a saved state by name, as words."""
-    names = [*(f.name for f in spec.state), "elapsed", "ended"]
-    columns = slot_memory.views(spec, n, saved.memory).values()
-    return {name: int(column[i]) for name, column in zip(names, columns, strict=True)}
+    return {name: int(column[i]) for name, column in slot_memory.views(spec, n, saved.memory).items()}
 
 
 class Comparison:

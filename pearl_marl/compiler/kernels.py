@@ -19,9 +19,8 @@ import numba
 import numpy as np
 
 from pearl_marl import rng
-from pearl_marl.compiler.fingerprint import fingerprint
 from pearl_marl.compiler.kernel_source import kernel_source
-from pearl_marl.compiler.loading import load, with_callees
+from pearl_marl.compiler.loading import fingerprint, load, with_callees
 from pearl_marl.golden import GoldenFunction
 from pearl_marl.spec import EnvSpec
 
@@ -86,14 +85,8 @@ _loaded: dict[str, Kernels] = {}
 def functions(spec: EnvSpec) -> dict[str, GoldenFunction]:
     """Return the functions that a kernel's source calls, by the names it has for them."""
     initial, step, observe = spec.golden
-    functions: dict[str, GoldenFunction] = {
-        "initial": initial,
-        "golden_step": step,
-        "observe": observe,
-        "key": rng.key,
-        "draw": rng.draw,
-    }
-    return functions if spec.unpack is None else {**functions, "unpack": spec.unpack}
+    unpack = {} if spec.unpack is None else {"unpack": spec.unpack}
+    return dict(initial=initial, golden_step=step, observe=observe, key=rng.key, draw=rng.draw, **unpack)
 
 
 def kernel_name(spec: EnvSpec, source: str, versions: Iterable[str]) -> str:

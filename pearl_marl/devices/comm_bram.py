@@ -257,7 +257,7 @@ class CommBram(Device):
         spec, n, layout = self.config.spec, self.config.n_envs, self._layout
         memory = slot_memory.allocate(spec, n)
         columns = slot_memory.views(spec, n, memory)
-        states = [columns[f"state_{k}"] for k in range(len(spec.state))]
+        states = [columns[f.name] for f in spec.state]
         starting = np.ones(n, np.bool_)
         if not self._resets_all:
             ters = np.empty(n, np.uint8)
@@ -304,7 +304,7 @@ class CommBram(Device):
         """Write the state columns of ``memory`` to a region, and above them what ``_TER`` is."""
         spec, layout = self.config.spec, self._layout
         columns = slot_memory.views(spec, self.config.n_envs, memory)
-        states = [columns[f"state_{k}"] for k in range(len(spec.state))]
+        states = [columns[f.name] for f in spec.state]
         fields = (*spec.state, *[_TER] * len(more))
         self._transport.write(
             layout[name].offset, pack_region(layout, layout[name], fields, [*states, *more])

@@ -41,8 +41,8 @@ def native_step(spec: EnvSpec, fields: list[Array], actions: Array, seed: int = 
     device.reset(seed=seed)
     snapshot = device.snapshot()
     columns = slot_memory.views(spec, n, snapshot.memory)
-    for k, values in enumerate(fields):
-        columns[f"state_{k}"][:] = values
+    for f, values in zip(spec.state, fields, strict=True):
+        columns[f.name][:] = values
     device.restore(snapshot)
     step = device.step(actions)
     device.close()

@@ -47,7 +47,7 @@ def native_step(slippery: bool, states: np.ndarray, actions: np.ndarray, seed: i
     device.reset(seed=seed)
     snapshot = device.snapshot()
     columns = slot_memory.views(config.spec, len(states), snapshot.memory)
-    columns["state_0"][:], columns["state_1"][:] = np.divmod(states, 12)
+    columns["row"][:], columns["column"][:] = np.divmod(states, 12)
     np.testing.assert_array_equal(device.restore(snapshot), states)
     step = device.step(actions)
     device.close()
