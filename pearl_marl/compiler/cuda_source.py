@@ -175,12 +175,8 @@ def _action(spec: EnvSpec) -> list[str]:
     space, dtype = spec.action_space, spec.action.dtype
     lines = ["given = actions[i]", f"a = np.{dtype}(0)"]
     if not isinstance(space, Box):
-        return [
-            *lines,
-            f"refused = given < 0 or given >= {space.n}",
-            "if not refused:",
-            f"    a = np.{dtype}(given)",
-        ]
+        refused = f"refused = given < 0 or given >= {space.n}"
+        return [*lines, refused, "if not refused:", f"    a = np.{dtype}(given)"]
     low, high, scale = float(space.low[0]), float(space.high[0]), 2.0**spec.action.fraction
     return [
         *lines,

@@ -77,8 +77,7 @@ def fingerprint(function: GoldenFunction) -> bytes:
                 left += (*(value.__defaults__ or ()), *(value.__kwdefaults__ or {}).values())
                 left += (cell.cell_contents for cell in value.__closure__ or ())
         elif isinstance(value, np.ndarray):
-            digest.update(repr((value.dtype, value.shape)).encode())
-            digest.update(value.tobytes())
+            digest.update(repr((value.dtype, value.shape)).encode() + value.tobytes())
         elif isinstance(value, (int, float, str, bytes, tuple, np.generic, type(None))):
             digest.update(repr(value).encode())
     return digest.digest()
