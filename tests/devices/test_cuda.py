@@ -21,7 +21,7 @@ import pearl_marl
 from pearl_marl import wrappers
 from pearl_marl.batch.actions import random_actions
 from pearl_marl.benchmark.contenders import contenders, measure
-from pearl_marl.compiler.cuda_kernels import cuda_source
+from pearl_marl.compiler.cuda_source import cuda_source
 from pearl_marl.devices import BatchConfig, Cuda, Lockstep, Native, Sharded, cuda
 from pearl_marl.errors import ActionError, ArgumentError, DeviceError
 from pearl_marl.verification import runs, verify
@@ -335,8 +335,8 @@ def test_the_source_is_the_specs() -> None:
     """A spec's fields, and nothing of another's."""
     source = cuda_source(pearl_marl.get_spec("CartPole"))
     compile(source, "CartPole", "exec")
-    assert "memory_int32[state_3_at + i]" in source
-    assert "state_4_at" not in source
+    assert "memory_int32[at_angular_velocity + i]" in source
+    assert "at_row" not in source
 
 
 @pytest.mark.gpu
