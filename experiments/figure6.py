@@ -9,12 +9,14 @@ import numpy as np
 
 from pearl_marl.batch.actions import random_actions
 from pearl_marl.benchmark.contenders import Contender, UnavailableError, contenders, measure
+from pearl_marl.benchmark.paper import TABLE_2
 from pearl_marl.benchmark.units import duration, rate
 from pearl_marl.devices import Rtl
 from pearl_marl.errors import ArgumentError, DeviceError
-from pearl_marl.hardware.synthesis import PARTS
+from pearl_marl.hardware.build import Build
+from pearl_marl.hardware.fitting import PARTS
 from pearl_marl.interfaces.parallel import parallel_env
-from pearl_marl.latency.prediction import LINKS
+from pearl_marl.latency import LINKS
 from pearl_marl.plan import Plan, plan
 from pearl_marl.registry import get_spec, names
 from pearl_marl.rendering import import_pyplot
@@ -91,7 +93,7 @@ def collect(quick: bool, progress: Progress) -> list[Row]:
         serial = BOARD_SERIAL if row["contender"] == BOARD else ""
         rivals = {"over_envpool": ENVPOOL, "over_vector_env": SYNC, "over_no_pipeline": serial}
         row |= {key: _over(row, rows, rival) for key, rival in rivals.items()}
-    for name in list(pipeline.SIZES)[: 1 if quick else None]:
+    for name in list(TABLE_2)[: 1 if quick else None]:
         rows += compared(name)
     return rows + _quoted()
 
@@ -219,7 +221,7 @@ def simulated_without_pipeline(spec: EnvSpec, n: int) -> Contender:
 def predicted_without_pipeline(spec: EnvSpec, chosen: Plan) -> Row:
     """Predict the same form behind the same link: states go to it and come back with every step."""
     layout = chosen.chosen.layout
-    prediction = pipeline.predicted(spec, layout.n_envs, 1, layout.data_wl, False, chosen.host)
+    prediction = pipeline.predicted(Build.of(spec, layout.n_envs, 1, layout.data_wl), False, chosen.host)
     build = f"1 PE, {layout.data_wl}-bit words, {CLOCK / 1e6:g} MHz, {LINK.name}"
     return {
         "kind": "predicted",

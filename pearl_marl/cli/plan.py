@@ -11,8 +11,8 @@ from pearl_marl.benchmark.contenders import machine
 from pearl_marl.benchmark.units import duration, rate
 from pearl_marl.cli.common import AsJson, EnvName, Options, Out, console, print_json, spec_of, write_json
 from pearl_marl.errors import ArgumentError
-from pearl_marl.hardware.synthesis import PARTS
-from pearl_marl.latency.prediction import LINKS, Link, loop_cycles
+from pearl_marl.hardware.fitting import PARTS
+from pearl_marl.latency import LINKS, Link, loop_cycles
 from pearl_marl.plan import Plan, plan
 
 Slots = Annotated[int, typer.Option("--n-envs", min=1, help="Slots.")]

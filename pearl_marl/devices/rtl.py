@@ -18,8 +18,9 @@ from pearl_marl.devices.comm_bram import CommBram, Transport
 from pearl_marl.devices.simulator import pyverilator_mends
 from pearl_marl.devices.simulator.model_build import library
 from pearl_marl.errors import ArgumentError, DeviceError
+from pearl_marl.hardware.build import Build
 from pearl_marl.hardware.codec import Stream
-from pearl_marl.memory_map import MemoryMap, default_map
+from pearl_marl.memory_map import MemoryMap
 
 PATHS = ("backdoor", "axi")
 
@@ -103,10 +104,10 @@ class Rtl(CommBram):
     def _connect(self, config: BatchConfig) -> tuple[Transport, MemoryMap]:
         spec, n = config.spec, int(config.n_envs)
         pe_num, data_wl = (None if value is None else int(value) for value in (self._pe_num, self._data_wl))
-        layout = default_map(spec, n, pe_num, data_wl)
-        built = library(spec, layout, traced=self._trace is not None, pipelined=self._pipelined)
-        self._simulation = Simulation(built, layout, self._path == "backdoor", self._trace)
-        return self._simulation, layout
+        build = Build.of(spec, n, pe_num, data_wl)
+        built = library(build, traced=self._trace is not None, pipelined=self._pipelined)
+        self._simulation = Simulation(built, build.layout, self._path == "backdoor", self._trace)
+        return self._simulation, build.layout
 
 
 class Simulation(Transport):
