@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from pearl_marl.batch.actions import random_actions
-from pearl_marl.benchmark.contenders import Contender, UnavailableError, contenders, measure
+from pearl_marl.benchmark.contenders import contenders
+from pearl_marl.benchmark.measure import Contender, measure
+from pearl_marl.benchmark.ours import simulated
 from pearl_marl.benchmark.paper import TABLE_2
 from pearl_marl.benchmark.units import duration, rate
 from pearl_marl.devices import Rtl
-from pearl_marl.errors import ArgumentError, DeviceError
+from pearl_marl.errors import ArgumentError
 from pearl_marl.hardware.build import Build
 from pearl_marl.hardware.fitting import PARTS
-from pearl_marl.interfaces.parallel import parallel_env
 from pearl_marl.latency import LINKS
 from pearl_marl.plan import Plan, plan
 from pearl_marl.registry import get_spec, names
@@ -202,18 +204,8 @@ def predicted(spec: EnvSpec, n: int) -> list[Row]:
 
 def simulated_without_pipeline(spec: EnvSpec, n: int) -> Contender:
     """Return the simulated design in the paper's form without pipeline: one slot after the other."""
-
-    def make() -> Callable[[], Any]:
-        try:
-            env = parallel_env(
-                spec.name, n, device=Rtl(pe_num=1, pipelined=False), copy=False, **spec.options
-            )
-            env.reset_batch(seed=0)
-        except DeviceError as error:
-            raise UnavailableError(str(error).splitlines()[0]) from None
-        actions = random_actions(spec, np.random.default_rng(0), n)
-        return lambda: env.step_batch(actions)
-
+    actions = random_actions(spec, np.random.default_rng(0), n)
+    make = partial(simulated, spec, actions, partial(Rtl, pe_num=1, pipelined=False))
     counts = "the FPGA design with one PE and no overlap, under Verilator, by backdoor; one thread"
     return Contender(SIMULATED_SERIAL, counts, n, make, ours=True)
 

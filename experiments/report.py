@@ -20,7 +20,7 @@ from importlib import metadata, resources
 from pathlib import Path
 from typing import Any, NamedTuple, cast
 
-from pearl_marl.benchmark.contenders import machine
+from pearl_marl.benchmark.machine import machine
 from pearl_marl.errors import ArgumentError, PearlError
 from pearl_marl.rendering import import_pyplot
 

@@ -11,7 +11,9 @@ from rich import box
 from rich.markup import escape
 from rich.table import Table
 
-from pearl_marl.benchmark.contenders import Contender, contenders, machine, measure
+from pearl_marl.benchmark.contenders import contenders
+from pearl_marl.benchmark.machine import machine
+from pearl_marl.benchmark.measure import Contender, measure
 from pearl_marl.benchmark.units import duration, rate
 from pearl_marl.cli.common import (
     Agents,
