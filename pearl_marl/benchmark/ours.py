@@ -94,7 +94,7 @@ def _batch(
 def simulated(spec: EnvSpec, actions: Array, device: Callable[[], Rtl]) -> Step:
     """Return the step of a simulated device, which not every machine can build."""
     try:
-        return _batch(spec, actions, device, copy=False, dtype=spec.action.dtype)
+        return _batch(spec, actions, device, copy=False, dtype=actions.dtype)
     except DeviceError as error:
         raise UnavailableError(str(error).splitlines()[0]) from None
 
