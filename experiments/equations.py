@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from pearl_marl.latency.prediction import axi_cycles, draws_wait, loop_cycles, measure_host, step_cycles
+from pearl_marl.hardware.build import Build
+from pearl_marl.latency import axi_cycles, draws_wait, loop_cycles, measure_host, step_cycles
 from pearl_marl.memory_map import default_map, memory_map
 from pearl_marl.registry import get_spec, names
 from pearl_marl.rendering import import_pyplot
@@ -134,9 +135,9 @@ def fitted(x: list[float], y: list[float]) -> tuple[float, float]:
 
 
 def _simulated(name: str, n: int, pe_num: int, data_wl: int, pipelined: bool) -> list[Row]:
-    spec, layout = get_spec(name), memory_map(get_spec(name), n, pe_num, data_wl)
-    cycles, whole = latency_model.measure(name, n, pe_num, data_wl, pipelined)
-    model = step_cycles(spec, layout, pipelined) + draws_wait(spec, layout)
+    build = Build.of(get_spec(name), n, pe_num, data_wl)
+    cycles, whole = latency_model.measure(build, pipelined)
+    model = step_cycles(*build, pipelined) + draws_wait(*build)
     common = {"environment": name, "n_envs": n, "pe_num": pe_num, "data_wl": data_wl}
     form = "" if pipelined else "; without pipeline"
     step, port = f"doorbell to last result{form}", f"with every transfer over AXI{form}"
@@ -148,7 +149,7 @@ def _simulated(name: str, n: int, pe_num: int, data_wl: int, pipelined: bool) ->
             "kind": "predicted",
             "what": "over AXI",
             **common,
-            "cycles": axi_cycles(spec, layout, pipelined),
+            "cycles": axi_cycles(*build, pipelined),
             "counts": port,
         },
     ]

@@ -7,6 +7,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 
+from pearl_marl.benchmark.paper import TABLE_2, TABLE_2_SOURCE
 from pearl_marl.memory_map import TER_BITS
 from pearl_marl.registry import get_spec, names
 from pearl_marl.rendering import import_pyplot
@@ -54,12 +55,12 @@ def collect(quick: bool, progress: Progress) -> list[Row]:
         rows.append(_share("measured", spec.name, sent, "bits in hardware"))
     for name, sent in paper.ACTION_SHARE.items():
         rows.append(_share("quoted", name, sent, paper.ACTION_SHARE_SOURCE))
-    for name, build in paper.BUILDS.items():
+    for name, column in TABLE_2.items():
         widths = {
-            "action": build.action,
-            "observation": build.observation,
-            "reward": build.reward,
-            "state": build.state,
+            "action": column.action,
+            "observation": column.observation,
+            "reward": column.reward,
+            "state": column.state,
         }
         rows += [
             {
@@ -67,7 +68,7 @@ def collect(quick: bool, progress: Progress) -> list[Row]:
                 "environment": name,
                 "quantity": quantity,
                 "bits_after": bits,
-                "counts": paper.BUILDS_SOURCE,
+                "counts": TABLE_2_SOURCE,
             }
             for quantity, bits in widths.items()
         ]

@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from pearl_marl.batch.actions import random_actions
-from pearl_marl.benchmark.contenders import Contender, UnavailableError, contenders, measure
-from pearl_marl.benchmark.units import duration, rate
+from pearl_marl.benchmark.contenders import contenders
+from pearl_marl.benchmark.measure import Contender, measure
+from pearl_marl.benchmark.ours import simulated
+from pearl_marl.benchmark.paper import TABLE_2
 from pearl_marl.devices import Rtl
-from pearl_marl.errors import ArgumentError, DeviceError
-from pearl_marl.hardware.synthesis import PARTS
-from pearl_marl.interfaces.parallel import parallel_env
-from pearl_marl.latency.prediction import LINKS
+from pearl_marl.errors import ArgumentError
+from pearl_marl.hardware.build import Build
+from pearl_marl.hardware.fitting import PARTS
+from pearl_marl.latency import LINKS
 from pearl_marl.plan import Plan, plan
 from pearl_marl.registry import get_spec, names
 from pearl_marl.rendering import import_pyplot
@@ -91,7 +94,7 @@ def collect(quick: bool, progress: Progress) -> list[Row]:
         serial = BOARD_SERIAL if row["contender"] == BOARD else ""
         rivals = {"over_envpool": ENVPOOL, "over_vector_env": SYNC, "over_no_pipeline": serial}
         row |= {key: _over(row, rows, rival) for key, rival in rivals.items()}
-    for name in list(pipeline.SIZES)[: 1 if quick else None]:
+    for name in list(TABLE_2)[: 1 if quick else None]:
         rows += compared(name)
     return rows + _quoted()
 
@@ -200,18 +203,8 @@ def predicted(spec: EnvSpec, n: int) -> list[Row]:
 
 def simulated_without_pipeline(spec: EnvSpec, n: int) -> Contender:
     """Return the simulated design in the paper's form without pipeline: one slot after the other."""
-
-    def make() -> Callable[[], Any]:
-        try:
-            env = parallel_env(
-                spec.name, n, device=Rtl(pe_num=1, pipelined=False), copy=False, **spec.options
-            )
-            env.reset_batch(seed=0)
-        except DeviceError as error:
-            raise UnavailableError(str(error).splitlines()[0]) from None
-        actions = random_actions(spec, np.random.default_rng(0), n)
-        return lambda: env.step_batch(actions)
-
+    actions = random_actions(spec, np.random.default_rng(0), n)
+    make = partial(simulated, spec, actions, partial(Rtl, pe_num=1, pipelined=False))
     counts = "the FPGA design with one PE and no overlap, under Verilator, by backdoor; one thread"
     return Contender(SIMULATED_SERIAL, counts, n, make, ours=True)
 
@@ -219,7 +212,7 @@ def simulated_without_pipeline(spec: EnvSpec, n: int) -> Contender:
 def predicted_without_pipeline(spec: EnvSpec, chosen: Plan) -> Row:
     """Predict the same form behind the same link: states go to it and come back with every step."""
     layout = chosen.chosen.layout
-    prediction = pipeline.predicted(spec, layout.n_envs, 1, layout.data_wl, False, chosen.host)
+    prediction = pipeline.predicted(Build.of(spec, layout.n_envs, 1, layout.data_wl), False, chosen.host)
     build = f"1 PE, {layout.data_wl}-bit words, {CLOCK / 1e6:g} MHz, {LINK.name}"
     return {
         "kind": "predicted",
@@ -346,33 +339,8 @@ def draw(rows: list[Row]) -> Any:
     )
     handles: dict[str, Any] = {}
     for axes, name in zip(grid.flat, environments, strict=False):
-        for contender, (colour, label) in STYLES.items():
-            points = sorted(
-                (row["n_envs"], row["steps_per_second"], row["kind"])
-                for row in select(rows, environment=name, contender=contender)
-                if row.get("steps_per_second") is not None
-            )
-            if points:
-                n, steps, kinds = zip(*points, strict=True)
-                width = 1.0 if contender in PEERS else 2.0
-                (handles[label],) = axes.plot(
-                    n, steps, color=colour, linewidth=width, markersize=4, label=label, **LINES[kinds[0]]
-                )
-        for row in select(rows, environment=name, kind="quoted"):
-            if row.get("steps_per_second") is not None:
-                label = "the paper's rates (quoted)"
-                handles[label] = axes.axhline(
-                    row["steps_per_second"], color="grey", linestyle=":", linewidth=1
-                )
-                short = row["contender"].removeprefix("the paper: ")
-                axes.annotate(
-                    short,
-                    (0.02, row["steps_per_second"]),
-                    xycoords=("axes fraction", "data"),
-                    fontsize=6,
-                    color="dimgrey",
-                    va="bottom",
-                )
+        handles |= _draw_lines(axes, select(rows, environment=name))
+        handles |= _draw_quoted(axes, select(rows, environment=name, kind="quoted"))
         axes.set_title(name, fontsize=10)
         axes.tick_params(axis="x", labelsize=7)
         axes.grid(alpha=0.3)
@@ -389,88 +357,38 @@ def draw(rows: list[Row]) -> Any:
     return figure
 
 
-# ---- The README's tables ----
-
-_README_ROWS = {
-    KERNEL: (KERNEL, "golden step and rewards; no observations, no resets"),
-    "step_batch, copy=False": ("`step_batch(copy=False)`", "checked actions, all result arrays"),
-    BATCH: ("`step_batch`", "the same, results yours to keep"),
-    "Gymnasium VectorEnv step": ("Gymnasium `VectorEnv.step`", "arrays and infos, `int64` actions"),
-    "PettingZoo step, array actions": ("PettingZoo `step`, array of actions", "five dicts that nobody reads"),
-    "PettingZoo step, dict actions": ("PettingZoo `step`, dict of actions", "five dicts, every key read"),
-    SIMULATED: ('`device="rtl"`', "the FPGA design, simulated"),
-    ENVPOOL: ("EnvPool", "all result arrays, all cores"),
-    SYNC: ("Gymnasium `SyncVectorEnv`", "all result arrays"),
-    "Gymnasium AsyncVectorEnv": ("Gymnasium `AsyncVectorEnv`", "all result arrays, a process a slot"),
-}
-
-
-def readme_table(data: dict[str, Any]) -> str:
-    """Return the README's two tables in Markdown, of this section's data file."""
-    kinds = ("measured", "simulated")
-    measured = [row for row in data["rows"] if row["kind"] in kinds and row.get("steps_per_second")]
-    largest = max(row["n_envs"] for row in measured)
-    lines = [
-        f"{README_ENV}:",
-        "",
-        "| | agents | agent-steps/s | one step of all | over EnvPool | what is counted |",
-        "| --- | --: | --: | --: | --: | --- |",
-    ]
-    envpool = _rate(measured, README_ENV, [ENVPOOL])
-    for contender, (title, counts) in _README_ROWS.items():
-        row = _largest(measured, README_ENV, [contender])
-        if row is not None:
-            steps, each = row["steps_per_second"], row["microseconds_per_step"] * 1e-6
-            over = "-" if envpool is None else f"{_times(steps / envpool)}x"
-            middle = f"{row['n_envs']:,} | {rate(steps)} | {duration(each)} | {over}"
-            lines.append(f"| {title} | {middle} | {counts} |")
-    lines += [
-        "",
-        f"All, {largest:,} agents (peers of pure Python: fewer); x is `step_batch` over that peer:",
-        "",
-        "| | kernel only | `step_batch` | EnvPool | x | best of Gymnasium and MinAtar | x |",
-        "| --- | --: | --: | --: | --: | --: | --: |",
-    ]
-    others = [peer for peer in PEERS if peer != ENVPOOL]
-    for name in dict.fromkeys(row["environment"] for row in measured):
-        batch = _rate(measured, name, [BATCH]) or 0.0
-        best = _largest(measured, name, others, by="steps_per_second")
-        figures = [rate(_rate(measured, name, [KERNEL]) or 0.0), rate(batch)]
-        for peer, label in ((_largest(measured, name, [ENVPOOL]), ""), (best, _short(best))):
-            if peer is None:
-                figures += ["-", "-"]
-            else:
-                figures += [rate(peer["steps_per_second"]) + label, _times(batch / peer["steps_per_second"])]
-        lines.append(f"| {name} | {' | '.join(figures)} |")
-    machine, versions = data["machine"], data["machine"]["versions"]
-    packages = ", ".join(
-        f"{name} {versions[name]}" for name in ("numpy", "numba", "gymnasium", "envpool") if name in versions
-    )
-    lines += [
-        "",
-        f"*{machine['processor']}, {machine['cores']} cores, {data['date'][:10]}; medians; "
-        f"Python {machine['python']}, {packages}.*",
-        "",
-    ]
-    return "\n".join(lines)
+def _draw_lines(axes: Any, rows: list[Row]) -> dict[str, Any]:
+    """Draw a line a contender of one environment; return them by their names in the legend."""
+    handles: dict[str, Any] = {}
+    for contender, (colour, label) in STYLES.items():
+        points = sorted(
+            (row["n_envs"], row["steps_per_second"], row["kind"])
+            for row in select(rows, contender=contender)
+            if row.get("steps_per_second") is not None
+        )
+        if points:
+            n, steps, kinds = zip(*points, strict=True)
+            width = 1.0 if contender in PEERS else 2.0
+            (handles[label],) = axes.plot(
+                n, steps, color=colour, linewidth=width, markersize=4, label=label, **LINES[kinds[0]]
+            )
+    return handles
 
 
-def _largest(rows: list[Row], name: str, contenders: list[str], by: str = "n_envs") -> Row | None:
-    found = [row for row in rows if row["environment"] == name and row["contender"] in contenders]
-    return max(found, key=lambda row: float(row[by]), default=None)
-
-
-def _rate(rows: list[Row], name: str, contenders: list[str]) -> float | None:
-    row = _largest(rows, name, contenders)
-    return None if row is None else float(row["steps_per_second"])
-
-
-def _short(row: Row | None) -> str:
-    if row is None:
-        return ""
-    words = {SYNC: "`SyncVectorEnv`", "Gymnasium's own vectorisation": "its NumPy form"}
-    return f", {words.get(row['contender'], row['contender'])}"
-
-
-def _times(ratio: float) -> str:
-    return f"{float(f'{ratio:.3g}'):,.10g}"
+def _draw_quoted(axes: Any, rows: list[Row]) -> dict[str, Any]:
+    """Draw the paper's rates as lines across; return the last by its name in the legend."""
+    handles: dict[str, Any] = {}
+    for row in rows:
+        if row.get("steps_per_second") is not None:
+            handles["the paper's rates (quoted)"] = axes.axhline(
+                row["steps_per_second"], color="grey", linestyle=":", linewidth=1
+            )
+            axes.annotate(
+                row["contender"].removeprefix("the paper: "),
+                (0.02, row["steps_per_second"]),
+                xycoords=("axes fraction", "data"),
+                fontsize=6,
+                color="dimgrey",
+                va="bottom",
+            )
+    return handles

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 from pearl_marl.hardware import toolchain
+from pearl_marl.hardware.build import Build
 from pearl_marl.hardware.synthesis import synthesise
-from pearl_marl.memory_map import memory_map
 from pearl_marl.registry import get_spec
 from pearl_marl.rendering import import_pyplot
 
@@ -59,8 +59,7 @@ def collect(quick: bool, progress: Progress) -> list[Row]:
     work = [(name, n, *build) for n in sizes for name, build in builds.items()]
     rows: list[Row] = []
     for name, n, pe_num, data_wl in progress(work, len(work), "synthesis"):
-        spec = get_spec(name)
-        usage = synthesise(spec, memory_map(spec, n, pe_num, data_wl))
+        usage = synthesise(Build.of(get_spec(name), n, pe_num, data_wl))
         tools = ", ".join(f"{tool} {version}" for tool, version in usage.tools.items())
         rows.append(
             {

@@ -13,8 +13,8 @@ from rich.progress import track
 
 from pearl_marl.batch.actions import random_actions
 from pearl_marl.devices import BatchConfig, Rtl
-from pearl_marl.latency.prediction import axi_cycles, draws_wait, step_cycles
-from pearl_marl.memory_map import memory_map
+from pearl_marl.hardware.build import Build
+from pearl_marl.latency import axi_cycles, draws_wait, step_cycles
 from pearl_marl.registry import get_spec
 
 CONFIGURATIONS = (
@@ -53,12 +53,12 @@ def main() -> None:
     worst = 0.0
     rows = [(*size, True) for size in CONFIGURATIONS] + [(*size, False) for size in SERIAL]
     for env_id, n, pe_num, data_wl, pipelined in track(rows, "measure", console=Console(stderr=True)):
-        spec, layout = get_spec(env_id), memory_map(get_spec(env_id), n, pe_num, data_wl)
-        cycles, whole = measure(env_id, n, pe_num, data_wl, pipelined)
-        predicted = axi_cycles(spec, layout, pipelined)
+        build = Build.of(get_spec(env_id), n, pe_num, data_wl)
+        cycles, whole = measure(build, pipelined)
+        predicted = axi_cycles(*build, pipelined)
         error = predicted / whole - 1
         worst = max(worst, abs(error))
-        step = step_cycles(spec, layout, pipelined) + draws_wait(spec, layout)
+        step = step_cycles(*build, pipelined) + draws_wait(*build)
         figures = (n, pe_num, data_wl, cycles, step, whole, predicted)
         form = "" if pipelined else ", serial"
         lines.append(f"| {env_id}{form} | {' | '.join(f'{figure:,}' for figure in figures)} | {error:+.1%} |")
@@ -66,10 +66,12 @@ def main() -> None:
     print(f"\nThe largest error is {worst:.1%}.")
 
 
-def measure(env_id: str, n: int, pe_num: int, data_wl: int, pipelined: bool = True) -> tuple[int, int]:
+def measure(build: Build, pipelined: bool = True) -> tuple[int, int]:
     """Return the clock cycles of a step by the hardware's own count, and those of the whole step over AXI."""
-    spec, rng = get_spec(env_id), np.random.default_rng(0)
-    device = Rtl(pe_num, data_wl, path="axi", pipelined=pipelined).open(BatchConfig(spec=spec, n_envs=n))
+    (spec, layout), rng = build, np.random.default_rng(0)
+    n = layout.n_envs
+    device = Rtl(layout.pe_num, layout.data_wl, path="axi", pipelined=pipelined)
+    device.open(BatchConfig(spec=spec, n_envs=n))
     device.reset(seed=0)
     device.step(random_actions(spec, rng, n))  # which also writes the settings
     began = device.clock

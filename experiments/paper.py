@@ -1,7 +1,7 @@
 """Figures that others published, each with the place where it stands: nothing here was measured by us.
 
 "The paper" is *PEARL: FPGA-Based Reinforcement Learning Acceleration with Pipelined Parallel Environments*. A
-figure that it only draws, without a number, is not here.
+figure that it only draws, without a number, is not here. Its Table II is in ``pearl_marl.benchmark.paper``.
 """
 
 from __future__ import annotations
@@ -32,27 +32,6 @@ ACTION_SHARE = {
 """Bits of an action over those of an action and a state: what a step sends when states stay on the FPGA."""
 ACTION_SHARE_SOURCE = "the paper, section III-B and Fig. 3"
 
-
-class Build(NamedTuple):
-    """A column of the paper's Table II: widths in bits, processing elements, and ``c_c`` in ns."""
-
-    state: int
-    action: int
-    observation: int
-    reward: int
-    data_wl: int
-    pe_num: int
-    compute_ns: int
-
-
-BUILDS = {
-    "CliffWalking": Build(8, 2, 8, 1, 1024, 256, 20),
-    "Blackjack": Build(152, 1, 16, 2, 512, 256, 80),
-    "CartPole": Build(128, 1, 128, 1, 32, 20, 800),
-    "Pendulum": Build(64, 32, 96, 32, 32, 24, 960),
-    "Seaquest": Build(736, 3, 512, 32, 1024, 16, 80),
-}
-BUILDS_SOURCE = "the paper, Table II"
 
 COMPUTE_NS = {
     "CartPole": 800,

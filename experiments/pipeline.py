@@ -11,9 +11,12 @@ from typing import NamedTuple
 
 import typer
 
+from pearl_marl.benchmark.paper import TABLE_2
 from pearl_marl.hardware.boards import BOARDS
-from pearl_marl.hardware.synthesis import PARTS, modelled_bram36
-from pearl_marl.latency.prediction import LINKS, HostTimes, Prediction, measure_host, predict, step_cycles
+from pearl_marl.hardware.build import Build
+from pearl_marl.hardware.fitting import PARTS, modelled_bram36
+from pearl_marl.latency import LINKS, HostTimes, measure_host, predict, step_cycles
+from pearl_marl.latency.prediction import Prediction
 from pearl_marl.memory_map import memory_map
 from pearl_marl.registry import get_spec
 from pearl_marl.spec import EnvSpec
@@ -21,15 +24,6 @@ from pearl_marl.spec import EnvSpec
 BOARD = "vc707"
 LINK = LINKS["gen2x8"]
 """The paper's."""
-
-SIZES = {
-    "CliffWalking": (256, 1024),
-    "Blackjack": (256, 512),
-    "CartPole": (20, 32),
-    "Pendulum": (24, 32),
-    "Seaquest": (16, 1024),
-}
-"""``pe_num`` and ``data_wl`` of the paper's Table II."""
 
 MOST, STEP = 43_008, 1024
 
@@ -46,35 +40,26 @@ class Comparison(NamedTuple):
         return self.pipelined.rate / self.serial.rate
 
 
-def predicted(
-    spec: EnvSpec,
-    n_envs: int,
-    pe_num: int,
-    data_wl: int,
-    pipelined: bool = True,
-    host: HostTimes | None = None,
-) -> Prediction:
+def predicted(build: Build, pipelined: bool = True, host: HostTimes | None = None) -> Prediction:
     """Predict a step on the paper's board and link; ``.rate`` has the slots' steps per second.
 
     Parameters
     ----------
-    spec, n_envs, pe_num, data_wl
-        The build.
+    build
+        What is stepped.
     pipelined
         See :func:`pearl_marl.latency.predict`; the paper's form without pipeline has a ``pe_num`` of 1.
     host
         What the host takes; measured if not given.
     """
-    layout = memory_map(spec, n_envs, pe_num, data_wl)
-    host = host or measure_host(spec, n_envs)
+    spec, layout = build
+    host = host or measure_host(spec, layout.n_envs)
     return predict(spec, layout, LINK, host, BOARDS[BOARD].clock_mhz * 1e6, pipelined)
 
 
-def simulated_rate(
-    spec: EnvSpec, n_envs: int, pe_num: int, data_wl: int, clock: float, pipelined: bool = True
-) -> float:
+def simulated_rate(build: Build, clock: float, pipelined: bool = True) -> float:
     """Return the slots' steps per second of the hardware alone at a clock in hertz, by its cycles."""
-    return n_envs * clock / step_cycles(spec, memory_map(spec, n_envs, pe_num, data_wl), pipelined)
+    return build.layout.n_envs * clock / step_cycles(*build, pipelined)
 
 
 def fitting(spec: EnvSpec, pe_num: int, data_wl: int) -> int:
@@ -87,11 +72,12 @@ def fitting(spec: EnvSpec, pe_num: int, data_wl: int) -> int:
 
 def compare(env_id: str, n_envs: int | None = None) -> Comparison:
     """Predict both forms of one of the paper's environments, by default with as many slots as fit."""
-    spec, (pe_num, data_wl) = get_spec(env_id), SIZES[env_id]
-    n = n_envs or fitting(spec, pe_num, data_wl)
+    spec, sizes = get_spec(env_id), TABLE_2[env_id]
+    n = n_envs or fitting(spec, sizes.pe_num, sizes.data_wl)
     host = measure_host(spec, n)
     return Comparison(
-        predicted(spec, n, pe_num, data_wl, True, host), predicted(spec, n, 1, data_wl, False, host)
+        predicted(Build.of(spec, n, sizes.pe_num, sizes.data_wl), True, host),
+        predicted(Build.of(spec, n, 1, sizes.data_wl), False, host),
     )
 
 
@@ -99,7 +85,7 @@ def main() -> None:
     """Print the comparison of the paper's environments as a table in Markdown."""
     print("| environment | slots | PEs | word | with | T3 to T5 | without | T3 to T5 | factor |")
     print("| --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: |")
-    for env_id in SIZES:
+    for env_id in TABLE_2:
         found = compare(env_id)
         ours = found.pipelined
         rates = [f"{step.rate / 1e6:.3g} M | {step.device * 1e6:,.1f} us" for step in found]

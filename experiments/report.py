@@ -20,11 +20,11 @@ from importlib import metadata, resources
 from pathlib import Path
 from typing import Any, NamedTuple, cast
 
-from pearl_marl.benchmark.contenders import machine
+from pearl_marl.benchmark.machine import machine
 from pearl_marl.errors import ArgumentError, PearlError
 from pearl_marl.rendering import import_pyplot
 
-from . import figure6
+from . import readme
 from .section import KINDS, Progress, Row, Section
 
 SECTIONS = (
@@ -103,7 +103,7 @@ def report(
     _write(folder / "index.html", page)
     throughput = found["figure6"]
     if throughput is not None:
-        _write(folder / "readme_table.md", figure6.readme_table(throughput))
+        _write(folder / "readme_table.md", readme.tables(throughput))
     return made
 
 

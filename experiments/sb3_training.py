@@ -24,7 +24,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecNormalize
 from torch import nn
 
 import pearl_marl
-from pearl_marl.benchmark.contenders import quiet_spaces
+from pearl_marl.benchmark.peers import quiet_spaces
 from pearl_marl.errors import ArgumentError, PearlError
 from pearl_marl.evaluation.run import Evaluation
 from pearl_marl.registry import get_spec

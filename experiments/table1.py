@@ -6,8 +6,8 @@ from typing import Any
 
 from pearl_marl.errors import DeviceError
 from pearl_marl.hardware import elaboration
+from pearl_marl.hardware.build import Build
 from pearl_marl.hardware.synthesis import FMAX_DEVICE, Family, synthesise
-from pearl_marl.memory_map import memory_map
 from pearl_marl.registry import get_spec, names
 from pearl_marl.spec import EnvSpec
 
@@ -69,7 +69,7 @@ def collect(quick: bool, progress: Progress) -> list[Row]:
 def _placed(spec: EnvSpec, common: Row) -> Row:
     build = f"{N_ENVS} slots, {PE_NUM} PE, {DATA_WL}-bit words"
     try:
-        usage = synthesise(spec, memory_map(spec, N_ENVS, PE_NUM, DATA_WL), Family.ECP5, fmax=True)
+        usage = synthesise(Build.of(spec, N_ENVS, PE_NUM, DATA_WL), Family.ECP5, fmax=True)
     except DeviceError as error:  # too large for the device, or a tool is missing
         return {**common, "kind": "missing", "counts": f"{build}: {error}"}
     assert usage.fmax_mhz is not None

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from typing import Any
 
+from pearl_marl.benchmark.paper import TABLE_2, TABLE_2_SOURCE
 from pearl_marl.hardware import elaboration
 from pearl_marl.memory_map import default_map
 from pearl_marl.registry import get_spec, names
 from pearl_marl.spec import word_bits
 
-from . import paper
 from .section import Progress, Row
 
 TITLE = "Table II: environment parameters"
@@ -55,20 +55,20 @@ def collect(quick: bool, progress: Progress) -> list[Row]:
                 "counts": f"counted: the design of {N_ENVS:,} slots",
             }
         )
-        build = paper.BUILDS.get(name)
-        if build is not None:
+        column = TABLE_2.get(name)
+        if column is not None:
             rows.append(
                 {
                     "kind": "quoted",
                     "environment": name,
-                    "state_bits": build.state,
-                    "action_bits": build.action,
-                    "observation_bits": build.observation,
-                    "reward_bits": build.reward,
-                    "data_wl": build.data_wl,
-                    "pe_num": build.pe_num,
-                    "compute_ns": build.compute_ns,
-                    "counts": paper.BUILDS_SOURCE,
+                    "state_bits": column.state,
+                    "action_bits": column.action,
+                    "observation_bits": column.observation,
+                    "reward_bits": column.reward,
+                    "data_wl": column.data_wl,
+                    "pe_num": column.pe_num,
+                    "compute_ns": column.compute_ns,
+                    "counts": TABLE_2_SOURCE,
                 }
             )
     return rows

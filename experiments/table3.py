@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from pearl_marl.hardware.synthesis import largest_fit, synthesise
-from pearl_marl.memory_map import memory_map
+from pearl_marl.hardware.build import Build
+from pearl_marl.hardware.fitting import largest_fit
+from pearl_marl.hardware.synthesis import synthesise
 from pearl_marl.registry import get_spec
 
 from . import figure6, figure8, paper
@@ -80,7 +81,7 @@ def collect(quick: bool, progress: Progress) -> list[Row]:
 
 def _most() -> Row:
     spec, (pe_num, data_wl) = get_spec(ENV), BUILDS[ENV]
-    usage = synthesise(spec, memory_map(spec, figure6.SIZES[-1], pe_num, data_wl))
+    usage = synthesise(Build.of(spec, figure6.SIZES[-1], pe_num, data_wl))
     fit = largest_fit(spec, [usage], figure6.PART)
     return {
         "kind": "predicted",

@@ -6,8 +6,11 @@ from dataclasses import dataclass
 from typing import Any
 
 from pearl_marl.errors import ArgumentError
-from pearl_marl.hardware.synthesis import Part, Usage, modelled_bram36, synthesised
-from pearl_marl.latency.prediction import HostTimes, Link, Overlap, Prediction, measure_host, predict
+from pearl_marl.hardware.build import Build
+from pearl_marl.hardware.fitting import Part, modelled_bram36
+from pearl_marl.hardware.synthesis import Usage, synthesised
+from pearl_marl.latency import HostTimes, Link, measure_host, predict
+from pearl_marl.latency.prediction import Overlap, Prediction
 from pearl_marl.memory_map import DATA_WIDTHS, MemoryMap, memory_map
 from pearl_marl.spec import EnvSpec
 
@@ -120,7 +123,7 @@ def plan(
         host,
         half_host,
         overlap,
-        synthesised(spec, chosen.layout),
+        synthesised(Build(spec, chosen.layout)),
     )
 
 

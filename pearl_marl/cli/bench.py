@@ -11,7 +11,9 @@ from rich import box
 from rich.markup import escape
 from rich.table import Table
 
-from pearl_marl.benchmark.contenders import Contender, contenders, machine, measure
+from pearl_marl.benchmark.contenders import contenders
+from pearl_marl.benchmark.machine import machine
+from pearl_marl.benchmark.measure import Contender, measure
 from pearl_marl.benchmark.units import duration, rate
 from pearl_marl.cli.common import (
     Agents,
@@ -93,17 +95,7 @@ def _every(n_agents: int, rounds: int, seconds: float, out: Path | None, as_json
         spec = spec_of(name, None)
         rows = [c for c in contenders(spec, n_agents) if c.name in (*OURS, ENVPOOL, *OTHERS)]
         results.append(_measured(spec, n_agents, rows, [], rounds, seconds))
-        rates = {c.name: c.n / c.seconds_per_step for c in rows if c.unavailable is None}
-        figures = [rate(rates[contender]) for contender in OURS]
-        best = max(
-            (contender for contender in OTHERS if contender in rates), key=rates.__getitem__, default=""
-        )
-        for peer, label in ((ENVPOOL, ""), (best, f" [dim]{OTHERS.get(best)}[/]")):
-            if peer in rates:
-                figures += [rate(rates[peer]) + label, rate(rates["step_batch"] / rates[peer])]
-            else:
-                figures += ["-", "-"]
-        table.add_row(spec.name, *figures)
+        table.add_row(spec.name, *_figures(rows))
     if out is not None:
         write_json(out, f"bench_all_{n_agents}.json", results)
     if as_json:
@@ -116,6 +108,19 @@ def _every(n_agents: int, rounds: int, seconds: float, out: Path | None, as_json
         style="dim",
     )
     _print_machine(results[0]["machine"])
+
+
+def _figures(rows: list[Contender]) -> list[str]:
+    """Return the cells of one environment: our rates, then EnvPool's and the best other's, and x of each."""
+    rates = {c.name: c.n / c.seconds_per_step for c in rows if c.unavailable is None}
+    figures = [rate(rates[contender]) for contender in OURS]
+    best = max((contender for contender in OTHERS if contender in rates), key=rates.__getitem__, default="")
+    for peer, label in ((ENVPOOL, ""), (best, f" [dim]{OTHERS.get(best)}[/]")):
+        if peer in rates:
+            figures += [rate(rates[peer]) + label, rate(rates["step_batch"] / rates[peer])]
+        else:
+            figures += ["-", "-"]
+    return figures
 
 
 def _measured(

@@ -45,19 +45,19 @@ def command(
     script for Vivado.
     """
     board, spec = boards.find(board_name), spec_of(env_id, option)
-    layout = boards.board_map(board, spec, n_envs, pe_num)
-    files = boards.write(board, spec, layout, out_folder(out))
+    build = boards.board_build(board, spec, n_envs, pe_num)
+    files = boards.write(board, build, out_folder(out))
     placed: Placed | None = None
     if board.nextpnr:
-        stages = boards.build(board, out)
+        stages = boards.make_bitstream(board, out)
         for _ in progress(stages, boards.STAGES, f"{spec.name} on {board.name}, {n_envs:,} slots"):
             pass
         placed = boards.placed(out)
     if as_json:
         made = None if placed is None else placed.as_json()
-        print_json({**boards.facts(board, spec, layout), "placed": made, "files": files})
+        print_json({**boards.facts(board, build), "placed": made, "files": files})
         return
-    title = f"{spec.id} for the {board.title} ({board.part}): {boards.size(layout)}"
+    title = f"{spec.id} for the {board.title} ({board.part}): {boards.size(build.layout)}"
     if placed is None:
         _say(f"{title}. Wrote {len(files)} files into {out}. The bitstream is Vivado's to make:")
         _say(f"cd {out} && vivado -mode batch -source build.tcl")

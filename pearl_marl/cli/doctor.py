@@ -13,7 +13,7 @@ import numpy as np
 from rich.markup import escape
 from rich.table import Table
 
-from pearl_marl.benchmark.contenders import machine
+from pearl_marl.benchmark.machine import machine
 from pearl_marl.cache import cache_folder
 from pearl_marl.cli.common import AsJson, console, print_json
 from pearl_marl.devices import cluster

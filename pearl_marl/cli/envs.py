@@ -10,18 +10,10 @@ from gymnasium.spaces import Box, Tuple
 from rich.markup import escape
 from rich.table import Table
 
+from pearl_marl.benchmark.paper import TABLE_2
 from pearl_marl.cli.common import AsJson, console, print_json
 from pearl_marl.registry import get_spec, names
 from pearl_marl.spec import EnvSpec, snake_case, word_bits
-
-PAPER_WIDTHS = {
-    "CliffWalking": (8, 2, 8, 1),
-    "Blackjack": (152, 1, 16, 2),
-    "CartPole": (128, 1, 128, 1),
-    "Pendulum": (64, 32, 96, 32),
-    "Seaquest": (736, 3, 512, 32),
-}
-"""Bits of state, action, observation and reward in Table II of the paper that the method is from."""
 
 AsMarkdown = Annotated[
     bool, typer.Option("--markdown", help="Print the tables of docs/environments.md, for whoever adds one.")
@@ -95,8 +87,8 @@ def markdown(specs: list[EnvSpec]) -> str:
         "| --- | --: | --: | --: | --: |",
     ]
     for spec in specs:
-        if spec.name in PAPER_WIDTHS:
-            pairs = zip(_widths(spec), PAPER_WIDTHS[spec.name], strict=True)
+        if spec.name in TABLE_2:
+            pairs = zip(_widths(spec), TABLE_2[spec.name].widths, strict=True)
             paper.append(f"| {spec.name} | {' | '.join(f'{ours} ({theirs})' for ours, theirs in pairs)} |")
     return "\n".join([*every, "", "Bits of a word, in parentheses those of the paper:", "", *paper, ""])
 

@@ -9,7 +9,7 @@ import typer
 from rich.markup import escape
 from rich.table import Table
 
-from pearl_marl.benchmark.contenders import machine
+from pearl_marl.benchmark.machine import machine
 from pearl_marl.benchmark.units import duration
 from pearl_marl.cli.common import (
     Agents,

@@ -7,13 +7,15 @@ from typing import Annotated, Any
 import typer
 from rich.table import Table
 
-from pearl_marl.benchmark.contenders import machine
+from pearl_marl.benchmark.machine import machine
 from pearl_marl.benchmark.units import duration, rate
 from pearl_marl.cli.common import AsJson, EnvName, Options, Out, console, print_json, spec_of, write_json
 from pearl_marl.errors import ArgumentError
-from pearl_marl.hardware.synthesis import PARTS
-from pearl_marl.latency.prediction import LINKS, Link, loop_cycles
+from pearl_marl.hardware.fitting import PARTS
+from pearl_marl.latency import LINKS, Link, loop_cycles
+from pearl_marl.memory_map import MemoryMap
 from pearl_marl.plan import Plan, plan
+from pearl_marl.spec import EnvSpec
 
 Slots = Annotated[int, typer.Option("--n-envs", min=1, help="Slots.")]
 LinkName = Annotated[
@@ -55,32 +57,7 @@ def command(
     taken = _link(link)
     chip = None if part is None else PARTS[part]
     found = plan(spec, n_envs, taken, clock * 1e6, chip, pe_num, data_wl)
-    layout, usage = found.chosen.layout, found.usage
-    synth = f"pearl synth {env_id} --n-envs {n_envs} --pe-num {layout.pe_num} --data-wl {layout.data_wl}"
-    synth += "".join(f" --option {pair}" for pair in option or ())
-    result = {
-        "environment": spec.id,
-        "options": dict(spec.options),
-        "n_envs": n_envs,
-        "clock_mhz": clock,
-        "link": {
-            "name": taken.name,
-            "call_us": taken.call * 1e6,
-            "write_gb_per_s": taken.write_rate / 1e9,
-            "read_gb_per_s": taken.read_rate / 1e9,
-            "source": taken.source,
-        },
-        "bytes_written": layout.step_write[1],
-        "bytes_read": layout.step_read[1],
-        "loop_cycles": loop_cycles(spec, layout)._asdict(),
-        "chosen": found.chosen.as_json(),
-        "overlap": None if found.overlap is None else found.overlap.as_json(),
-        "candidates": [candidate.as_json() for candidate in found.candidates],
-        "part": part,
-        "usage": None if usage is None else usage.as_json(),
-        "synthesise": synth,
-        "machine": machine(),
-    }
+    result = _result(spec, taken, found, clock, part, _synthesis(env_id, found.chosen.layout, option))
     if out is not None:
         write_json(out, f"plan_{spec.name}_{n_envs}.json", result)
     if as_json:
@@ -90,6 +67,44 @@ def command(
     console.print(_stages(result, found))
     for sentence in _sentences(result, found):
         console.print(sentence, highlight=False, soft_wrap=True)
+
+
+def _synthesis(env_id: str, layout: MemoryMap, option: list[str] | None) -> str:
+    """Return the command that says what the chosen build takes."""
+    command = (
+        f"pearl synth {env_id} --n-envs {layout.n_envs} --pe-num {layout.pe_num} --data-wl {layout.data_wl}"
+    )
+    return command + "".join(f" --option {pair}" for pair in option or ())
+
+
+def _result(
+    spec: EnvSpec, link: Link, found: Plan, clock: float, part: str | None, synthesis: str
+) -> dict[str, Any]:
+    """Return everything that is known of the plan, as JSON has it."""
+    layout, usage = found.chosen.layout, found.usage
+    return {
+        "environment": spec.id,
+        "options": dict(spec.options),
+        "n_envs": layout.n_envs,
+        "clock_mhz": clock,
+        "link": {
+            "name": link.name,
+            "call_us": link.call * 1e6,
+            "write_gb_per_s": link.write_rate / 1e9,
+            "read_gb_per_s": link.read_rate / 1e9,
+            "source": link.source,
+        },
+        "bytes_written": layout.step_write[1],
+        "bytes_read": layout.step_read[1],
+        "loop_cycles": loop_cycles(spec, layout)._asdict(),
+        "chosen": found.chosen.as_json(),
+        "overlap": None if found.overlap is None else found.overlap.as_json(),
+        "candidates": [candidate.as_json() for candidate in found.candidates],
+        "part": part,
+        "usage": None if usage is None else usage.as_json(),
+        "synthesise": synthesis,
+        "machine": machine(),
+    }
 
 
 def _link(text: str) -> Link:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 from rich.table import Table
@@ -21,17 +21,10 @@ from pearl_marl.cli.common import (
     write_json,
 )
 from pearl_marl.errors import ArgumentError
-from pearl_marl.hardware.synthesis import (
-    FMAX_DEVICE,
-    PARTS,
-    Family,
-    Fit,
-    Usage,
-    confirm,
-    largest_fit,
-    synthesise,
-)
-from pearl_marl.memory_map import default_map, memory_map
+from pearl_marl.hardware.build import Build
+from pearl_marl.hardware.fitting import PARTS, Fit, confirm, largest_fit
+from pearl_marl.hardware.synthesis import FMAX_DEVICE, Family, Usage, synthesise
+from pearl_marl.memory_map import default_map
 from pearl_marl.registry import get_spec, names
 from pearl_marl.spec import EnvSpec
 
@@ -90,30 +83,10 @@ def command(
     if env_id is None:
         raise ArgumentError("name an environment of `pearl envs`, or give --all")
     spec = spec_of(env_id, option)
-    layouts = [default_map(spec, n, pe_num, data_wl) for n in _numbers(n_envs)]
-    # One design grows: what is chosen for the fewest slots holds for all.
-    pe_num, data_wl = layouts[0].pe_num, layouts[0].data_wl
-    layouts = [memory_map(spec, layout.n_envs, pe_num, data_wl) for layout in layouts]
-    if fit is not None and fit not in PARTS:
-        raise ArgumentError(f"there is no part {fit!r}; possible are {', '.join(PARTS)}")
-    if fit is not None and part is not Family.XC7:
-        raise ArgumentError("--fit is for 7-series parts: leave --part at xc7")
-    if confirmed and fit is None:
-        raise ArgumentError("--confirm synthesises what --fit predicts: name a part with --fit")
-
-    points: list[Usage] = []
-    rates: list[Usage] = []
-    work = [(layout, part, False) for layout in layouts]
-    if fmax:
-        work += [(layout, Family.ECP5, True) for layout in layouts]
-    for layout, family, placed in progress(work, len(work), f"{spec.name}, {pe_num} PEs"):
-        (rates if placed else points).append(synthesise(spec, layout, family, fmax=placed))
-    fitting: Fit | None = None
-    if fit is not None:
-        fitting = largest_fit(spec, points, PARTS[fit])
-        if confirmed:
-            for predicted in progress([fitting], 1, f"{spec.name}, {fitting.n_envs:,} slots on {fit}"):
-                fitting = confirm(spec, predicted, pe_num, data_wl)
+    builds = _growing(spec, _numbers(n_envs), pe_num, data_wl)
+    _check_fit(fit, part, confirmed)
+    points, rates = _synthesised(builds, part, fmax)
+    found = None if fit is None else _fitted(spec, points, fit, confirmed)
 
     result = {
         "environment": spec.id,
@@ -123,15 +96,53 @@ def command(
         "growth": _growth(points),
         "fmax": [usage.as_json() for usage in rates],
         "fmax_device": FMAX_DEVICE if rates else None,
-        "fit": None if fitting is None else fitting.as_json(),
+        "fit": None if found is None else found.as_json(),
     }
     if out is not None:
-        write_json(out, f"synth_{spec.name}_{part}_{pe_num}_{data_wl}.json", result)
+        first = points[0]
+        write_json(out, f"synth_{spec.name}_{part}_{first.pe_num}_{first.data_wl}.json", result)
     if as_json:
         print_json(result)
     else:
-        _show(spec.id, part, points, rates, fitting)
+        _show(spec.id, part, points, rates, found)
     _exit_if_misplaced([(spec, usage) for usage in points])
+
+
+def _growing(spec: EnvSpec, sizes: list[int], pe_num: int | None, data_wl: int | None) -> list[Build]:
+    """Return one design that grows: what is chosen for the fewest slots holds for all."""
+    first = default_map(spec, sizes[0], pe_num, data_wl)
+    return [Build.of(spec, n, first.pe_num, first.data_wl) for n in sizes]
+
+
+def _check_fit(fit: str | None, part: Family, confirmed: bool) -> None:
+    if fit is not None and fit not in PARTS:
+        raise ArgumentError(f"there is no part {fit!r}; possible are {', '.join(PARTS)}")
+    if fit is not None and part is not Family.XC7:
+        raise ArgumentError("--fit is for 7-series parts: leave --part at xc7")
+    if confirmed and fit is None:
+        raise ArgumentError("--confirm synthesises what --fit predicts: name a part with --fit")
+
+
+def _synthesised(builds: list[Build], part: Family, fmax: bool) -> tuple[list[Usage], list[Usage]]:
+    """Synthesise every build; return what each takes, and with ``fmax`` the same of it placed on an ECP5."""
+    points: list[Usage] = []
+    rates: list[Usage] = []
+    work = [(build, part, False) for build in builds]
+    if fmax:
+        work += [(build, Family.ECP5, True) for build in builds]
+    spec, layout = builds[0]
+    for build, family, placed in progress(work, len(work), f"{spec.name}, {layout.pe_num} PEs"):
+        (rates if placed else points).append(synthesise(build, family, fmax=placed))
+    return points, rates
+
+
+def _fitted(spec: EnvSpec, points: list[Usage], board: str, confirmed: bool) -> Fit:
+    """Return the largest build for a board's part: predicted, and synthesised if it is to be confirmed."""
+    fit = largest_fit(spec, points, PARTS[board])
+    if confirmed:
+        for predicted in progress([fit], 1, f"{spec.name}, {fit.n_envs:,} slots on {board}"):
+            fit = confirm(spec, predicted, points[0].pe_num, points[0].data_wl)
+    return fit
 
 
 def _exit_if_misplaced(usages: list[tuple[EnvSpec, Usage]]) -> None:
@@ -150,26 +161,27 @@ def _exit_if_misplaced(usages: list[tuple[EnvSpec, Usage]]) -> None:
 def _every(
     n_envs: int, pe_num: int | None, data_wl: int | None, part: Family, out: Path | None, as_json: bool
 ) -> None:
-    specs = [get_spec(name) for name in names()]
-    layouts = [default_map(spec, n_envs, pe_num, data_wl) for spec in specs]
-    work = progress(zip(specs, layouts, strict=True), len(specs), f"{n_envs:,} slots")
-    usages = [(spec, synthesise(spec, layout, part)) for spec, layout in work]
+    builds = [Build.of(get_spec(name), n_envs, pe_num, data_wl) for name in names()]
+    work = progress(builds, len(builds), f"{n_envs:,} slots")
+    usages = [(build.spec, synthesise(build, part)) for build in work]
     result = [{"environment": spec.id, "family": str(part), **usage.as_json()} for spec, usage in usages]
     if out is not None:
         write_json(out, f"synth_all_{part}_{n_envs}.json", result)
     if as_json:
         print_json(result)
     else:
-        table = Table(title=f"{n_envs:,} slots, {part}")
-        for heading in ("environment", "PEs", "word", "LUT", "FF", "BRAM36", "DSP"):
-            table.add_column(heading, justify="left" if heading == "environment" else "right", no_wrap=True)
-        for spec, usage in usages:
-            figures = (usage.pe_num, usage.data_wl, usage.lut, usage.ff)
-            table.add_row(
-                spec.name, *(f"{figure:,}" for figure in figures), f"{usage.bram36:g}", f"{usage.dsp}"
-            )
-        console.print(table)
+        console.print(_table_of_all(f"{n_envs:,} slots, {part}", usages))
     _exit_if_misplaced(usages)
+
+
+def _table_of_all(title: str, usages: list[tuple[EnvSpec, Usage]]) -> Table:
+    table = Table(title=title)
+    for heading in ("environment", "PEs", "word", "LUT", "FF", "BRAM36", "DSP"):
+        table.add_column(heading, justify="left" if heading == "environment" else "right", no_wrap=True)
+    for spec, usage in usages:
+        figures = (usage.pe_num, usage.data_wl, usage.lut, usage.ff)
+        table.add_row(spec.name, *(f"{figure:,}" for figure in figures), f"{usage.bram36:g}", f"{usage.dsp}")
+    return table
 
 
 def _numbers(texts: list[str]) -> list[int]:
@@ -188,21 +200,7 @@ def _growth(points: list[Usage]) -> dict[str, float] | None:
 
 def _show(title: str, part: Family, points: list[Usage], rates: list[Usage], fit: Fit | None) -> None:
     first = points[0]
-    table = Table(title=f"{title}, {first.pe_num} PEs, {first.data_wl}-bit words, {part}")
-    for heading in ("slots", "LUT", "FF", "BRAM36", "DSP", "memories", "in BRAM"):
-        table.add_column(heading, justify="right", no_wrap=True)
-    if rates:
-        table.add_column("Fmax (ECP5)", justify="right", no_wrap=True)
-    for i, usage in enumerate(points):
-        blocks = sum(memory.kind == "block RAM" for memory in usage.memories)
-        figures = [f"{figure:,}" for figure in (usage.n_envs, usage.lut, usage.ff)]
-        figures += [f"{usage.bram36:g}", f"{usage.dsp}", f"{len(usage.memories)}", f"{blocks}"]
-        table.add_row(*figures, *([f"{rates[i].fmax_mhz:.1f} MHz"] if rates else []))
-    growth: Any = _growth(points)
-    if growth is not None:
-        table.add_section()
-        table.add_row("growth", f"x{growth['lut']:.2f}", f"x{growth['ff']:.2f}")
-    console.print(table)
+    console.print(_table(f"{title}, {first.pe_num} PEs, {first.data_wl}-bit words, {part}", points, rates))
     tools = {**first.tools, **(rates[0].tools if rates else {})}
     console.print(
         "Synthesis, before placement; LUTs of memory and shift registers included. "
@@ -219,6 +217,25 @@ def _show(title: str, part: Family, points: list[Usage], rates: list[Usage], fit
         )
     if fit is not None:
         console.print(_sentence(fit), highlight=False)
+
+
+def _table(title: str, points: list[Usage], rates: list[Usage]) -> Table:
+    """Return a row a size, and below them how much more the largest takes than the smallest."""
+    table = Table(title=title)
+    for heading in ("slots", "LUT", "FF", "BRAM36", "DSP", "memories", "in BRAM"):
+        table.add_column(heading, justify="right", no_wrap=True)
+    if rates:
+        table.add_column("Fmax (ECP5)", justify="right", no_wrap=True)
+    for i, usage in enumerate(points):
+        blocks = sum(memory.kind == "block RAM" for memory in usage.memories)
+        figures = [f"{figure:,}" for figure in (usage.n_envs, usage.lut, usage.ff)]
+        figures += [f"{usage.bram36:g}", f"{usage.dsp}", f"{len(usage.memories)}", f"{blocks}"]
+        table.add_row(*figures, *([f"{rates[i].fmax_mhz:.1f} MHz"] if rates else []))
+    growth = _growth(points)
+    if growth is not None:
+        table.add_section()
+        table.add_row("growth", f"x{growth['lut']:.2f}", f"x{growth['ff']:.2f}")
+    return table
 
 
 def _sentence(fit: Fit) -> str:

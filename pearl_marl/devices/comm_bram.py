@@ -29,6 +29,7 @@ from pearl_marl.devices.base import Device
 from pearl_marl.devices.transport import STAGES, Exchange, TimedTransport, Transport, word
 from pearl_marl.errors import DeviceError
 from pearl_marl.hardware import elaboration
+from pearl_marl.hardware.build import Build
 from pearl_marl.hardware.codec import Stream, pack, stream_bytes, unpack
 from pearl_marl.hardware.regions import pack_region, unpack_region
 from pearl_marl.memory_map import (
@@ -314,7 +315,7 @@ class CommBram(Device):
         """Make sure that the hardware is there and idle, and take up its sequence number."""
         self.known = False
         self._transport.reconnect()
-        check_identity(self.name, self._transport, spec, self._layout)
+        check_identity(self.name, self._transport, Build(spec, self._layout))
         self._held = _UNSET
         deadline = time.monotonic() + self.patience
         while (rung := self._word("doorbell", Doorbell.SEQUENCE)) != self._word("status", Status.SEQUENCE):
@@ -347,8 +348,9 @@ def _pages(size: int) -> Stream:
     return np.frombuffer(mmap.mmap(-1, size, mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS), np.uint8)
 
 
-def identity(spec: EnvSpec, layout: MemoryMap) -> tuple[int, ...]:
+def identity(build: Build) -> tuple[int, ...]:
     """Return what the hardware of a batch has in the read-only words of its control region."""
+    spec, layout = build
     return (
         MAGIC,
         PROTOCOL_VERSION,
@@ -361,7 +363,7 @@ def identity(spec: EnvSpec, layout: MemoryMap) -> tuple[int, ...]:
     )
 
 
-def check_identity(name: str, transport: Transport, spec: EnvSpec, layout: MemoryMap) -> None:
+def check_identity(name: str, transport: Transport, build: Build) -> None:
     """Refuse hardware that is not what a batch needs.
 
     Raises
@@ -369,7 +371,8 @@ def check_identity(name: str, transport: Transport, spec: EnvSpec, layout: Memor
     DeviceError
         Names the first word that differs, and both values.
     """
-    expected = identity(spec, layout)
+    spec, layout = build
+    expected = identity(build)
     found = np.empty(4 * len(_IDENTITY), np.uint8)
     transport.read(layout["control"].offset, found)
     for field, mine, theirs in zip(_IDENTITY, expected, found.view("<u4").tolist(), strict=True):

@@ -16,7 +16,8 @@ from pearl_marl.devices.simulator.model_build import library
 from pearl_marl.devices.simulator.simulation import Simulation
 from pearl_marl.devices.transport import Transport
 from pearl_marl.errors import ArgumentError
-from pearl_marl.memory_map import MemoryMap, default_map
+from pearl_marl.hardware.build import Build
+from pearl_marl.memory_map import MemoryMap
 
 PATHS = ("backdoor", "axi")
 
@@ -91,7 +92,7 @@ class Rtl(CommBram):
     def _connect(self, config: BatchConfig) -> tuple[Transport, MemoryMap]:
         spec, n = config.spec, int(config.n_envs)
         pe_num, data_wl = (None if value is None else int(value) for value in (self._pe_num, self._data_wl))
-        layout = default_map(spec, n, pe_num, data_wl)
-        built = library(spec, layout, traced=self._trace is not None, pipelined=self._pipelined)
-        self._simulation = Simulation(built, layout, self._path == "backdoor", self._trace)
-        return self._simulation, layout
+        build = Build.of(spec, n, pe_num, data_wl)
+        built = library(build, traced=self._trace is not None, pipelined=self._pipelined)
+        self._simulation = Simulation(built, build.layout, self._path == "backdoor", self._trace)
+        return self._simulation, build.layout

@@ -34,7 +34,8 @@ import numpy as np
 from pearl_marl.devices.simulator.model_build import library
 from pearl_marl.devices.simulator.simulation import Simulation
 from pearl_marl.errors import DeviceError
-from pearl_marl.memory_map import Control, Doorbell, default_map
+from pearl_marl.hardware.build import Build
+from pearl_marl.memory_map import Control, Doorbell
 from pearl_marl.spec import EnvSpec
 
 _IN_MODIFY, _IN_NONBLOCK, _IN_CLOEXEC = 0x2, 0o4000, 0o2000000
@@ -80,16 +81,15 @@ class ServedBoard:
         data_wl: int | None = None,
         path: str = "backdoor",
     ) -> None:
-        self.spec = spec
-        self.layout = layout = default_map(spec, n_envs, pe_num, data_wl)
+        build = Build.of(spec, n_envs, pe_num, data_wl)
+        self.spec, self.layout = build
         self.steps = 0
         self._folder = Path(folder)
         with contextlib.ExitStack() as opened:
             try:
                 self._folder.mkdir(parents=True, exist_ok=True)
                 self._lock(opened)
-                built = library(spec, layout)
-                self._simulation = Simulation(built, layout, path == "backdoor", None)
+                self._simulation = Simulation(library(build), build.layout, path == "backdoor", None)
                 opened.callback(self._simulation.close)
                 self._make_nodes(opened)
             except OSError as error:

@@ -16,7 +16,8 @@ from typing import Any
 
 from pearl_marl.errors import ArgumentError, DeviceError
 from pearl_marl.hardware import elaboration, toolchain
-from pearl_marl.memory_map import MemoryMap, default_map
+from pearl_marl.hardware.build import Build
+from pearl_marl.memory_map import MemoryMap
 from pearl_marl.spec import EnvSpec
 
 HEADER, SOURCES, FACTS = "pearl_build.svh", "sources.f", "board.json"
@@ -97,9 +98,9 @@ def find(name: str) -> Board:
     return BOARDS[name]
 
 
-def board_map(board: Board, spec: EnvSpec, n_envs: int, pe_num: int | None = None) -> MemoryMap:
-    """Lay out the Comm-BRAM for a board, whose bus says how wide a word is."""
-    return default_map(spec, n_envs, pe_num, board.data_wl)
+def board_build(board: Board, spec: EnvSpec, n_envs: int, pe_num: int | None = None) -> Build:
+    """Return a build for a board, whose bus says how wide a word is."""
+    return Build.of(spec, n_envs, pe_num, board.data_wl)
 
 
 def size(layout: MemoryMap) -> str:
@@ -114,22 +115,23 @@ def sources(board: Board, spec: EnvSpec) -> list[Path]:
     return [*elaboration.sources(spec), *sorted(folder.parent.glob("*.sv")), *sorted(folder.glob("*.sv"))]
 
 
-def macros(spec: EnvSpec, layout: MemoryMap) -> dict[str, str]:
+def macros(build: Build) -> dict[str, str]:
     """Return the macros of a board's build: those of the core, and the parameters of ``pearl_top``."""
-    parameters = {**elaboration.parameters(spec, layout), "ADDR_BITS": ADDRESS_BITS}
+    parameters = {**elaboration.parameters(build), "ADDR_BITS": ADDRESS_BITS}
     assigned = ", ".join(f".{name}({value})" for name, value in parameters.items())
-    return {**elaboration.macros(spec), "PEARL_TOP_PARAMETERS": assigned}
+    return {**elaboration.macros(build.spec), "PEARL_TOP_PARAMETERS": assigned}
 
 
-def header(spec: EnvSpec, layout: MemoryMap) -> str:
+def header(build: Build) -> str:
     """Return the file that defines :func:`macros`."""
-    defined = macros(spec, layout)
+    defined = macros(build)
     lines = [f"`define {name} {value}" for name, value in defined.items()]
-    return "\n".join([f"// {spec.id}, {size(layout)}; written by `pearl board`.", *lines, ""])
+    return "\n".join([f"// {build.spec.id}, {size(build.layout)}; written by `pearl board`.", *lines, ""])
 
 
-def facts(board: Board, spec: EnvSpec, layout: MemoryMap) -> dict[str, Any]:
+def facts(board: Board, build: Build) -> dict[str, Any]:
     """Return what a bitstream is, as JSON has it: the file of it lies beside the sources."""
+    spec, layout = build
     return {
         "board": board.name,
         "part": board.part,
@@ -143,7 +145,7 @@ def facts(board: Board, spec: EnvSpec, layout: MemoryMap) -> dict[str, Any]:
     }
 
 
-def write(board: Board, spec: EnvSpec, layout: MemoryMap, folder: Path) -> list[str]:
+def write(board: Board, build: Build, folder: Path) -> list[str]:
     """Write all that a tool needs for a bitstream into ``folder``; return the names of the files.
 
     Raises
@@ -151,15 +153,15 @@ def write(board: Board, spec: EnvSpec, layout: MemoryMap, folder: Path) -> list[
     DeviceError
         The environment has no core.
     """
-    paths = sources(board, spec)
+    paths = sources(board, build.spec)
     (folder / "rtl").mkdir(exist_ok=True)
     for path in paths:
         shutil.copyfile(path, folder / "rtl" / path.name)
     listed = [HEADER, *(f"rtl/{path.name}" for path in paths)]
     texts = {
-        HEADER: header(spec, layout),
+        HEADER: header(build),
         SOURCES: "\n".join(listed) + "\n",
-        FACTS: json.dumps(facts(board, spec, layout), indent=2) + "\n",
+        FACTS: json.dumps(facts(board, build), indent=2) + "\n",
         **{path.name: path.read_text() for path in sorted(_folder(board).iterdir()) if path.suffix != ".sv"},
     }
     if board.nextpnr:
@@ -196,7 +198,7 @@ class Placed:
 STAGES = 3
 
 
-def build(board: Board, folder: Path) -> Iterator[str]:
+def make_bitstream(board: Board, folder: Path) -> Iterator[str]:
     """Make the bitstream of a folder that :func:`write` has filled; yield each tool when it is done.
 
     What Yosys and nextpnr say, whether they fail or not, is in ``yosys.log`` and ``nextpnr.log``.

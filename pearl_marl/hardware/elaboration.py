@@ -1,4 +1,4 @@
-"""From a spec and a memory map to what a hardware tool is given: sources, parameters, macros.
+"""From a build to what a hardware tool is given: sources, parameters, macros.
 
 Simulation, synthesis and lint all elaborate the same design from the same three lists.
 """
@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from pearl_marl.errors import DeviceError
+from pearl_marl.hardware.build import Build
 from pearl_marl.memory_map import MemoryMap
 from pearl_marl.spec import EnvSpec, word_bits
 
@@ -153,8 +154,9 @@ def address_bits(layout: MemoryMap) -> int:
     return layout.end(last.name).bit_length()
 
 
-def parameters(spec: EnvSpec, layout: MemoryMap) -> dict[str, int]:
+def parameters(build: Build) -> dict[str, int]:
     """Return the parameters of ``pearl_top``, but for the widths of its bus's addresses and ids."""
+    spec, layout = build
     word_bytes = layout.data_wl // 8
     offsets = {f"{region.name.upper()}_OFFSET": region.offset // word_bytes for region in layout.regions}
     return {
@@ -170,3 +172,11 @@ def parameters(spec: EnvSpec, layout: MemoryMap) -> dict[str, int]:
         **offsets,
         "END_OFFSET": layout.end("status") // word_bytes,
     }
+
+
+def top_parameters(build: Build) -> dict[str, int]:
+    """Return :func:`parameters` and the width of an address that reaches the whole map, and not much more.
+
+    So everything that simulates or measures the design alone has it; a board's bus has a width of its own.
+    """
+    return {**parameters(build), "ADDR_BITS": address_bits(build.layout)}

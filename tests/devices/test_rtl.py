@@ -20,7 +20,7 @@ from pearl_marl.devices import BatchConfig, Lockstep, Native, Rtl, make_device
 from pearl_marl.devices.simulator import model_build, pyverilator_mends
 from pearl_marl.errors import ArgumentError, DeviceError, LockstepError
 from pearl_marl.hardware import elaboration
-from pearl_marl.memory_map import memory_map
+from pearl_marl.hardware.build import Build
 from pearl_marl.spec import Field
 from pearl_marl.testing import Case, assert_same_step, assert_same_trajectory, trajectory
 
@@ -301,10 +301,10 @@ def test_a_spec_of_other_widths(own_cache: Path) -> None:
 
 @pytest.mark.parametrize("damage", [b"", b"not a library"], ids=["empty", "rubbish"])
 def test_a_damaged_entry_is_built_again(damage: bytes, own_cache: Path, capfd: pytest.CaptureFixture) -> None:
-    layout = memory_map(SPEC, 7, 1, 32)
-    built = model_build.library(SPEC, layout)
+    build = Build.of(SPEC, 7, 1, 32)
+    built = model_build.library(build)
     assert "building the simulated device CliffWalking-7-1-32" in capfd.readouterr().err
-    assert model_build.library(SPEC, layout) == built
+    assert model_build.library(build) == built
     assert capfd.readouterr().err == ""
     built.unlink()
     built.write_bytes(damage)
@@ -314,8 +314,9 @@ def test_a_damaged_entry_is_built_again(damage: bytes, own_cache: Path, capfd: p
 
 def test_a_build_that_is_killed_leaves_nothing_behind(own_cache: Path) -> None:
     program = (
-        "from pearl_marl import get_spec, memory_map; from pearl_marl.devices import model_build; "
-        "s = get_spec('CliffWalking'); model_build.library(s, memory_map.memory_map(s, 40, 40, 32))"
+        "from pearl_marl import get_spec; from pearl_marl.devices.simulator import model_build; "
+        "from pearl_marl.hardware.build import Build; "
+        "model_build.library(Build.of(get_spec('CliffWalking'), 40, 40, 32))"
     )
     process = subprocess.Popen([sys.executable, "-c", program], start_new_session=True)
     while not list(own_cache.glob("rtl/*.tmp/work/*.cpp")):
@@ -325,7 +326,7 @@ def test_a_build_that_is_killed_leaves_nothing_behind(own_cache: Path) -> None:
     process.wait()
     assert list(own_cache.glob("rtl/*.tmp"))
     assert not list(own_cache.glob("rtl/*/model.so"))
-    built = model_build.library(SPEC, memory_map(SPEC, 40, 40, 32))
+    built = model_build.library(Build.of(SPEC, 40, 40, 32))
     assert pyverilator_mends.load(built).module_name == "pearl_top"
     assert not list(own_cache.glob("rtl/*.tmp"))
 
@@ -363,15 +364,15 @@ def test_the_hash_sees_what_matters(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     """Other sources, options, parameters or tools are other entries."""
     entries = []
     monkeypatch.setattr(model_build, "_whole", lambda entry: entries.append(entry.name) or True)
-    layout = memory_map(SPEC, 7, 1, 32)
-    model_build.library(SPEC, layout)
-    model_build.library(SPEC, layout, traced=True)
-    model_build.library(SPEC, layout, pipelined=False)
-    model_build.library(SPEC.with_options(is_slippery=True), layout)
-    model_build.library(SPEC, memory_map(SPEC, 7, 1, 64))
+    build = Build.of(SPEC, 7, 1, 32)
+    model_build.library(build)
+    model_build.library(build, traced=True)
+    model_build.library(build, pipelined=False)
+    model_build.library(build._replace(spec=SPEC.with_options(is_slippery=True)))
+    model_build.library(Build.of(SPEC, 7, 1, 64))
     with monkeypatch.context() as patch:
         patch.setattr(model_build, "_tools", lambda: ("another",))
-        model_build.library(SPEC, layout)
+        model_build.library(build)
     core(tmp_path, monkeypatch, "// First stage:", "// 1st stage:")
-    model_build.library(SPEC, layout)
+    model_build.library(build)
     assert len(set(entries)) == len(entries) == 7

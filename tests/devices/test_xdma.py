@@ -15,13 +15,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pearl_marl import get_spec, memory_map
+from pearl_marl import get_spec
 from pearl_marl.devices import BatchConfig, Device, Native, Rtl, Xdma, discovery, make_device, xdma_transport
 from pearl_marl.devices.served import ServedBoard
 from pearl_marl.devices.simulator.model_build import library
 from pearl_marl.devices.simulator.simulation import Simulation
 from pearl_marl.devices.xdma_transport import XdmaTransport
 from pearl_marl.errors import ArgumentError, DeviceError
+from pearl_marl.hardware.build import Build
 from pearl_marl.memory_map import Doorbell
 from pearl_marl.testing import assert_same_trajectory, trajectory
 
@@ -320,8 +321,8 @@ class AxiLink(XdmaTransport):
     wired = True
 
     def _open(self) -> None:
-        layout = memory_map.memory_map(SPEC, N // 2, 1, 32)
-        self.simulation = Simulation(library(SPEC, layout), layout, backdoor=False, trace=None)
+        build = Build.of(SPEC, N // 2, 1, 32)
+        self.simulation = Simulation(library(build), build.layout, backdoor=False, trace=None)
         self._events = -1 if self._asked == "poll" else 1000
 
     def _pwrite(self, offset: int, data: np.ndarray) -> int:

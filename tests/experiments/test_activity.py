@@ -6,7 +6,7 @@ import importlib
 from pathlib import Path
 
 from pearl_marl import get_spec
-from pearl_marl.latency.prediction import axi_cycles
+from pearl_marl.latency import axi_cycles
 from pearl_marl.memory_map import memory_map
 
 activity = importlib.import_module("pearl_marl.experiments.activity")

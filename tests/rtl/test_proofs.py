@@ -14,7 +14,7 @@ import pytest
 from harness import HERE
 
 from pearl_marl.hardware import elaboration, toolchain
-from pearl_marl.memory_map import memory_map
+from pearl_marl.hardware.build import Build
 from pearl_marl.registry import get_spec
 
 FORMAL = HERE / "formal"
@@ -87,10 +87,10 @@ def check_backbone(
     bounded: bool = False,
 ) -> str:
     spec = get_spec("CliffWalking").with_options(**options)
-    layout = memory_map(spec, *size)
-    word_bytes = layout.data_wl // 8
-    word_address_bits = elaboration.address_bits(layout) - (word_bytes.bit_length() - 1)
-    parameters = {**elaboration.parameters(spec, layout), "WORD_ADDR_BITS": word_address_bits}
+    build = Build.of(spec, *size)
+    word_bytes = build.layout.data_wl // 8
+    word_address_bits = elaboration.address_bits(build.layout) - (word_bytes.bit_length() - 1)
+    parameters = {**elaboration.parameters(build), "WORD_ADDR_BITS": word_address_bits}
     # The backbone has the widths from its core.
     for name in ("STATE_BITS", "ACTION_BITS", "OBS_BITS", "REWARD_BITS"):
         del parameters[name]

@@ -8,7 +8,7 @@ import pytest
 from bench import spec_of
 from harness import run, whole
 
-from pearl_marl.memory_map import memory_map
+from pearl_marl.hardware.build import Build
 
 
 @pytest.mark.parametrize(
@@ -30,5 +30,5 @@ from pearl_marl.memory_map import memory_map
 )
 def test_top_equals_the_model(env, options, size, idle, steps, tmp_path: Path) -> None:
     spec = spec_of(env, options)
-    design = whole(spec, memory_map(spec, *size))
+    design = whole(Build.of(spec, *size))
     run(design, "bench_top", tmp_path, env=env, options=options, size=size, idle=idle, steps=steps)

@@ -1,4 +1,4 @@
-"""Simulated devices, built once and kept: from a spec and a memory map to a compiled library.
+"""Simulated devices, built once and kept: from a build to a compiled library.
 
 A build's name in the cache is a hash of everything that it depends on, so a changed core, option,
 size or tool is another build. An entry appears whole or not at all, and carries a checksum: one
@@ -25,8 +25,8 @@ from pearl_marl.cache import cache_folder
 from pearl_marl.devices.simulator import pyverilator_mends
 from pearl_marl.errors import DeviceError
 from pearl_marl.hardware import elaboration, toolchain
+from pearl_marl.hardware.build import Build
 from pearl_marl.memory_map import MemoryMap
-from pearl_marl.spec import EnvSpec
 
 _CODE = Path(__file__).with_name("simulation.cpp")
 
@@ -39,13 +39,13 @@ _FAST = "-O3 -march=native -fno-semantic-interposition"
 _MAKE = (f"OPT_FAST={_FAST}", "OPT_SLOW=-O0", "OPT_GLOBAL=-O1", "LDFLAGS=-shared")
 
 
-def library(spec: EnvSpec, layout: MemoryMap, traced: bool = False, pipelined: bool = True) -> Path:
+def library(build: Build, traced: bool = False, pipelined: bool = True) -> Path:
     """Return the library of a simulated device; build it unless the cache has it.
 
     Parameters
     ----------
-    spec, layout
-        Say what the hardware is.
+    build
+        Says what the hardware is.
     traced
         Whether it can write waveforms and keeps every signal, at the cost of some speed.
     pipelined
@@ -56,11 +56,8 @@ def library(spec: EnvSpec, layout: MemoryMap, traced: bool = False, pipelined: b
     DeviceError
         The environment has no core, a tool is missing, or a tool failed: then with its words.
     """
-    parameters = {
-        **elaboration.parameters(spec, layout),
-        "ADDR_BITS": elaboration.address_bits(layout),
-        "PIPELINED": int(pipelined),
-    }
+    spec, layout = build
+    parameters = {**elaboration.top_parameters(build), "PIPELINED": int(pipelined)}
     arguments = [
         *_VERILATOR,
         *(_TRACED if traced else []),

@@ -1,0 +1,128 @@
+"""T3 to T5: the clock cycles of a step in the hardware, and of what passes its AXI port."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from pearl_marl.hardware import elaboration
+from pearl_marl.memory_map import MemoryMap
+from pearl_marl.spec import EnvSpec
+
+_FIRST_ISSUE = 4
+"""Cycles of a step in which the sequencer starts and the first action word comes out of its memory."""
+
+_DRAW_LATENCY = 3
+"""Cycles from a slot's number to its random draws (``DRAW_LATENCY`` of ``rtl/pearl_pkg.sv``)."""
+
+RESULTS = ("observations", "rewards", "ters")
+"""The regions that a step's results leave in, each from a memory of its own."""
+
+_INPUTS = ("actions", "reset_mask")
+
+
+def step_cycles(spec: EnvSpec, layout: MemoryMap, pipelined: bool = True) -> int:
+    """Return the clock cycles of a step in the hardware, from doorbell to last result.
+
+    In closed form, from what happens in ``rtl/``: groups are issued one every ``II`` cycles, and not
+    before their actions have come, a word a cycle; results leave in three banks, a word a cycle each.
+    Not pipelined, a group is issued when the one before has been read, computed and written: with one
+    processing element the paper's Eq. 2, ``env_num * (c_r + c_c + c_w)``.
+    The random draws are there in time; where a link is as short as a simulated one, see :func:`draws_wait`.
+
+    It is what ``Rtl.cycles`` counts. Where words do not divide into rows, nor rows into words, it may be a
+    few per cent too low.
+    """
+    timing = elaboration.core_timing(spec)
+    groups, word = layout.groups, layout.data_wl
+    fetch = _DRAW_LATENCY if spec.reset_draws + spec.step_draws else 1
+    to_words = fetch + timing.latency + 1
+
+    def row(name: str) -> int:
+        return layout.pe_num * layout[name].slot_bits
+
+    interval = timing.interval
+    if not pipelined:
+        written = max(-(-row(name) // word) for name in RESULTS)
+        interval = max(interval, fetch + timing.latency + written)
+
+    def issued(count: int) -> int:
+        """Return the cycle in which that many groups have been issued, were there room for results."""
+        came = [min(-(-count * row(name) // word), layout[name].words) for name in _INPUTS]
+        first = max(min(-(-row(name) // word), layout[name].words) for name in _INPUTS)
+        return _FIRST_ISSUE + max(*came, first + (count - 1) * interval)
+
+    ends = []
+    for name in RESULTS:
+        words = layout[name].words
+        for_first_word = min(groups, -(-word // row(name)))
+        with_last_group = words - (groups - 1) * row(name) // word
+        ends += [issued(for_first_word) + words, issued(groups) + with_last_group]
+    return to_words + max(ends)
+
+
+class Loop(NamedTuple):
+    """The paper's loop times, T3 to T5 of all slots together, for one build of ours, in clock cycles.
+
+    ``c_r`` and ``c_w`` are a slot's share of the words in and out, ``c_c`` the core's latency.
+    """
+
+    serial: float
+    """Eq. 2, one unit that computes slot after slot: ``env_num * (c_r + c_c + c_w)``."""
+    parallel: float
+    """Eq. 3, a unit for each slot: ``env_num * (c_r + c_w) + c_c``."""
+    ours: int
+    """:func:`step_cycles`: reading, computing and writing overlap, and so do the three result banks."""
+
+
+def loop_cycles(spec: EnvSpec, layout: MemoryMap) -> Loop:
+    """Return the paper's Eq. 2 and Eq. 3 for a build, beside what this hardware takes."""
+    moved = layout["actions"].words + sum(layout[name].words for name in RESULTS)
+    compute = elaboration.core_timing(spec).latency
+    return Loop(moved + layout.n_envs * compute, moved + compute, step_cycles(spec, layout))
+
+
+_BURST_BYTES, _BURST_BEATS = 4096, 256
+"""AXI4: no burst crosses a multiple of the one, or has more beats than the other."""
+
+WRITE_BURST, READ_BURST = 6, 5
+"""Cycles of a burst besides its beats: its address, and until the AXI slave has answered."""
+
+_UNTIL_RUNNING = 4
+"""Cycles of a step that pass while its write is still being answered."""
+
+
+def burst_cycles(start: int, length: int, beat: int, overhead: int) -> int:
+    """Return the clock cycles of a transfer, ``beat`` bytes each, and for every burst its ``overhead``."""
+    end, cycles = start + length, 0
+    while start < end:
+        stop = min(end, start + _BURST_BEATS * beat, (start // _BURST_BYTES + 1) * _BURST_BYTES)
+        cycles += overhead + -(-(stop - start) // beat)
+        start = stop
+    return cycles
+
+
+def write_cycles(layout: MemoryMap) -> int:
+    """Return the clock cycles in which what a step writes passes the AXI port, burst after burst."""
+    return burst_cycles(*layout.step_write, layout.data_wl // 8, WRITE_BURST)
+
+
+def read_cycles(layout: MemoryMap) -> int:
+    """Return the same of what a step reads."""
+    return burst_cycles(*layout.step_read, layout.data_wl // 8, READ_BURST)
+
+
+def draws_wait(spec: EnvSpec, layout: MemoryMap) -> int:
+    """Return the cycles that a step waits for its random draws, if it follows the last one at once.
+
+    Their keys are made one after the other as soon as a step is done (``rtl/pearl_rng.sv``), while results
+    are read and actions written. A link takes longer than they do; the simulated port may not.
+    """
+    draws = spec.reset_draws + spec.step_draws
+    keys = 4 * (4 + draws) + 4 if draws else 0
+    return max(0, keys - write_cycles(layout) - read_cycles(layout))
+
+
+def axi_cycles(spec: EnvSpec, layout: MemoryMap, pipelined: bool = True) -> int:
+    """Return the clock cycles of a whole step of ``Rtl(path="axi")``: write, step, read."""
+    step = max(1, draws_wait(spec, layout) + step_cycles(spec, layout, pipelined) - _UNTIL_RUNNING)
+    return write_cycles(layout) + step + read_cycles(layout)
