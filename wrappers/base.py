@@ -16,13 +16,12 @@ from gymnasium.vector import AutoresetMode
 
 from pearl_marl import rng
 from pearl_marl.batch.actions import refusal, refuse_first
+from pearl_marl.batch.recycling import Recycler
 from pearl_marl.devices import BatchStep
 from pearl_marl.devices.by_name import make_host_device
 from pearl_marl.errors import ArgumentError, OrderError, SavedStateError
 from pearl_marl.interfaces.parallel_interface import ParallelInterface
 from pearl_marl.interfaces.vector_interface import VectorInterface
-
-from .recycling import Recycler
 
 Array = npt.NDArray[Any]
 Mask = npt.NDArray[np.bool_]

@@ -9,11 +9,11 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium.spaces import Box, Discrete, Space
 
+from pearl_marl.batch.recycling import Recycler
 from pearl_marl.errors import ArgumentError
 
 from . import kernels
 from .base import Array, Batch, Env, Slots, Transform, box, with_zeros, wrap
-from .recycling import Recycler
 
 
 class _Mapped(Transform):
