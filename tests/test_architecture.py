@@ -198,9 +198,6 @@ LIBRARIES = {
 PENDING: set[str] = {
     *("devices.comm_bram", "devices.cuda", "devices.lockstep", "devices.native", "devices.ray"),
     *("devices.recovery", "devices.reference", "devices.rtl", "devices.sharded", "evaluation.stages"),
-    *("interfaces.parallel", "interfaces.vector"),
-    *("wrappers.base", "wrappers.episodes", "wrappers.observations", "wrappers.rllib"),
-    *("wrappers.stable_baselines3", "wrappers.statistics"),
 }
 
 

@@ -10,10 +10,14 @@ import numpy.typing as npt
 from gymnasium.spaces import Box, Discrete, Space
 
 from pearl_marl.batch.recycling import Recycler
+from pearl_marl.batch.step import Array
 from pearl_marl.errors import ArgumentError
+from pearl_marl.interfaces.batch import Batch
 
 from . import kernels
-from .base import Array, Batch, Env, Slots, Transform, box, with_zeros, wrap
+from .base import Env, wrap
+from .spaces import box, with_zeros
+from .transform import Slots, Transform
 
 
 class _Mapped(Transform):
@@ -199,7 +203,7 @@ def agent_indicator_v0(env: Env, type_only: bool = False) -> Any:
         return env
 
     def make(batch: Batch, space: Space[Any], action_space: Any) -> Transform:
-        n = batch._n
+        n = batch.batch_size
         if isinstance(space, Discrete):
             agents = np.arange(n)
             if int(space.n) * n >= 1 << 63:

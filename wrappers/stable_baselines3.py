@@ -19,6 +19,7 @@ from pearl_marl.batch.step import BatchStep
 from pearl_marl.devices.by_name import make_host_device
 from pearl_marl.errors import ArgumentError, OrderError
 from pearl_marl.evaluation.episodes import RunningEpisodes
+from pearl_marl.interfaces.batch import Batch
 from pearl_marl.interfaces.parallel_interface import ParallelInterface
 from pearl_marl.interfaces.vector_interface import VectorInterface
 
@@ -66,10 +67,10 @@ class PearlVecEnv(VecEnv):
     """
 
     def __init__(self, env: Any, staggered: bool = False) -> None:
-        spaces, n = _checked(env)
+        batch = _checked(env)
         self.env = env
-        self._show, observation_space = _observations_for_sb3(spaces[0])
-        super().__init__(n, observation_space, spaces[1])
+        self._show, observation_space = _observations_for_sb3(batch.slot_observation_space)
+        super().__init__(batch.batch_size, observation_space, batch.slot_action_space)
         device = make_host_device(env.unwrapped.device)
         if not isinstance(staggered, bool):
             raise ArgumentError(f"staggered is {staggered!r}; it must be True or False")
@@ -84,7 +85,7 @@ class PearlVecEnv(VecEnv):
         self._next_seed: int | None = None
         self._actions: Array | None = None
         self._began = time.time()
-        self._episodes = RunningEpisodes(n)
+        self._episodes = RunningEpisodes(self.num_envs)
 
     def reset(self) -> Array:
         """Begin an episode in every slot; return observations of shape ``(num_envs, ...)``."""
@@ -225,22 +226,22 @@ class PearlVecEnv(VecEnv):
             )
 
 
-def _checked(env: Any) -> tuple[tuple[Space[Any], Space[Any]], int]:
-    """Return one slot's spaces and how many slots there are, or refuse the environment."""
-    if isinstance(env, ParallelInterface):
-        if not env._autoreset:
-            raise ArgumentError(
-                "agents of autoreset=False leave when their episode ends, and SB3's slots start over: "
-                "make the environment with autoreset=True"
-            )
-        return (env._observation_space, env._action_space), len(env.possible_agents)
+def _checked(env: Any) -> Batch:
+    """Return an environment whose slots start over as SB3 expects, or refuse it."""
+    if isinstance(env, ParallelInterface) and not env.autoreset:
+        raise ArgumentError(
+            "agents of autoreset=False leave when their episode ends, and SB3's slots start over: "
+            "make the environment with autoreset=True"
+        )
     if isinstance(env, VectorInterface):
-        if env._mode is not AutoresetMode.SAME_STEP:
+        mode = env.metadata["autoreset_mode"]
+        if mode is not AutoresetMode.SAME_STEP:
             raise ArgumentError(
-                f"autoreset_mode is {env._mode.name}, and SB3's slots start over in the step in which they "
+                f"autoreset_mode is {mode.name}, and SB3's slots start over in the step in which they "
                 "end: make the environment with autoreset_mode='SameStep'"
             )
-        return (env.single_observation_space, env.single_action_space), env.num_envs
+    if isinstance(env, (ParallelInterface, VectorInterface)):
+        return env
     raise ArgumentError(
         f"{type(env).__name__} is no environment of this package; sb3_vec_env takes those of "
         "parallel_env and make_vec, in this package's wrappers or none"
