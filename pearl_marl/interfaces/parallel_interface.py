@@ -67,7 +67,7 @@ class ParallelInterface(pettingzoo.ParallelEnv):  # type: ignore[misc]
         self._idle: Any = action_space.low if isinstance(action_space, Box) else int(action_space.start)
         # As `live` is another array whenever it changes, these are known to fit it by which one it is: who is
         # there, as a tuple that steps may keep and as the public list, and an array that says everybody.
-        self._named: Mask | None = None
+        self._named: Mask = np.zeros(0, np.bool_)
         self._here: tuple[str, ...] = ()
         self._agents: list[str] = []
         self._everybody: Mask | None = None
@@ -194,12 +194,13 @@ class ParallelInterface(pettingzoo.ParallelEnv):  # type: ignore[misc]
         OrderError
             Before ``reset``, after ``close``, or once every agent has left.
         """
-        agents, live = self._name_who_is_there(), self.live
+        agents = self._name_who_is_there()
+        live = self._named
         given: Any = actions
         if isinstance(actions, Mapping) and self.ready:
             if not agents and not actions:  # PettingZoo's convention, which SuperSuit's black_death needs
                 return {}, {}, {}, {}, {}
-            given = self._action_array(actions)
+            given = self._action_array(agents, actions)
         result = self.step_batch(given).on_host()
         obs, rewards, terminations, truncations, final_obs = result
         ended = result.ended
@@ -219,24 +220,23 @@ class ParallelInterface(pettingzoo.ParallelEnv):  # type: ignore[misc]
             AgentDict(agents, ended, ended_infos(final_obs, self._observations)),
         )
 
-    def _action_array(self, actions: Mapping[str, Any]) -> Array:
+    def _action_array(self, agents: tuple[str, ...], actions: Mapping[str, Any]) -> Array:
         """Return a dict's actions as an array over all slots; the rows of agents that left hold anything."""
-        values = self._values(actions)
+        values = self._values(agents, actions)
         try:
             array = np.array(values)
         except ValueError:  # some are sequences
             array = np.empty(0)
         if not self._are_actions(array, len(values)):
-            raise refuse_first(self._here, values, self.slot_action_space)
+            raise refuse_first(agents, values, self.slot_action_space)
         if len(values) == self.batch_size:
             return array
         whole = np.empty((self.batch_size, *self._action_shape), array.dtype)
-        whole[self.live] = array
+        whole[self._named] = array
         return whole
 
-    def _values(self, actions: Mapping[str, Any]) -> list[Any]:
+    def _values(self, agents: tuple[str, ...], actions: Mapping[str, Any]) -> list[Any]:
         """Return the actions of those that are there, who must be the ones that have one."""
-        agents = self._name_who_is_there()
         try:
             values = [actions[agent] for agent in agents]
         except KeyError as missing:
