@@ -22,9 +22,12 @@ public domain), which has the lowest known avalanche bias of its shape.
 
 from __future__ import annotations
 
+import operator
+
 import numpy as np
 import numpy.typing as npt
 
+from pearl_marl.errors import ArgumentError
 from pearl_marl.golden import Word, u32, u64
 
 MULTIPLIER_1 = 0x7FEB352D
@@ -76,6 +79,17 @@ def draw(slot: Word, key_a: Word, key_b: Word) -> Word:
     x = u32(x ^ u32(x >> u32(15)))
     x = u32(x * u32(MULTIPLIER_2))
     return u32(x ^ u32(x >> u32(16)))
+
+
+def checked_seed(seed: object) -> int:
+    """Return a seed as an ``int``; refuse what is no non-negative integer."""
+    try:
+        value = operator.index(seed)  # type: ignore[arg-type]
+    except TypeError:
+        raise ArgumentError(f"seed is {seed!r}; it must be a non-negative integer or None") from None
+    if value < 0 or isinstance(seed, bool):
+        raise ArgumentError(f"seed is {seed!r}; it must be a non-negative integer or None")
+    return value
 
 
 def seed_words(seed: int) -> tuple[int, int]:

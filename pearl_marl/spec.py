@@ -26,7 +26,7 @@ class Field:
     Parameters
     ----------
     name
-        As it appears in reports and waveforms.
+        As it appears in reports, waveforms, memory and generated code: ASCII letters, digits and underscores.
     bits
         Width in hardware, 1 to 64. On the host it lives in the narrowest integer that holds it.
     signed
@@ -115,7 +115,8 @@ class EnvSpec:
     summary
         One line for the table of environments.
     state, observation
-        The fields of the state word and of the observation word, least significant first.
+        The fields of the state word and of the observation word, least significant first. Within a word every
+        name is another; a slot has columns ``elapsed`` and ``ended`` besides, so no state field is named so.
     action
         The field of an action.
     reward
@@ -191,6 +192,8 @@ class EnvSpec:
                 f"{self.name}: observation space {space} takes {self.observation_size} fields, "
                 f"the spec lists {len(self.observation)}"
             )
+        self._check_names("state", self.state, ("elapsed", "ended"))
+        self._check_names("observation", self.observation)
         self._check_action()
         if not re.fullmatch(r"[A-Za-z][A-Za-z0-9]*", self.name):
             raise ArgumentError(f"name {self.name!r}: it takes letters and digits, a letter first")
@@ -201,6 +204,22 @@ class EnvSpec:
                 f"{self.name}: {len(self.rewards)} rewards do not fit {self.reward.bits} reward bits"
             )
         check_max_cycles(self.max_cycles)
+
+    def _check_names(self, word: str, fields: Iterable[Field], taken: Iterable[str] = ()) -> None:
+        seen: set[str] = set()
+        for name in (f.name for f in fields):
+            if not isinstance(name, str) or not name.isascii() or not name.isidentifier():
+                raise ArgumentError(
+                    f"{self.name}: {word} field {name!r}: a name takes letters, digits and underscores, "
+                    "and no digit first"
+                )
+            if name in taken:
+                raise ArgumentError(
+                    f"{self.name}: {word} field {name!r} is named like a column that every slot has"
+                )
+            if name in seen:
+                raise ArgumentError(f"{self.name}: two {word} fields are named {name!r}")
+            seen.add(name)
 
     def _check_action(self) -> None:
         space, word = self.action_space, self.action

@@ -195,11 +195,6 @@ LIBRARIES = {
     "_np_random_seed",  # Gymnasium's, likewise
 }
 
-PENDING: set[str] = {
-    *("devices.comm_bram", "devices.cuda", "devices.lockstep", "devices.native", "devices.ray"),
-    *("devices.recovery", "devices.reference", "devices.rtl", "devices.sharded", "evaluation.stages"),
-}
-
 
 def private(name: str) -> bool:
     return name.startswith("_") and not (name.startswith("__") and name.endswith("__"))
@@ -230,9 +225,7 @@ def strangers(text: str) -> list[str]:
 
 
 @pytest.mark.parametrize("module", sorted(m for m in MODULES if m != "__init__"))
-def test_no_module_uses_anothers_private_names(module: str, request: pytest.FixtureRequest) -> None:
-    if module in PENDING:
-        request.applymarker(pytest.mark.xfail(strict=True, reason="not yet in order"))
+def test_no_module_uses_anothers_private_names(module: str) -> None:
     assert strangers(MODULES[module].read_text()) == []
 
 

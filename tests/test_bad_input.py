@@ -428,6 +428,13 @@ def test_fields(bits: int) -> None:
         ({"observation_space": MultiBinary(3)}, "no Discrete, Tuple of them or Box"),
         ({"rewards": (0.0,) * 9, "reward": Field("reward", 3)}, "9 rewards do not fit 3"),
         ({"max_cycles": -2}, "max_cycles is -2"),
+        ({"state": (Field("two words", 3),)}, "Drift: state field 'two words': a name takes letters, digits"),
+        ({"state": (Field("0", 3),)}, "Drift: state field '0': .* and no digit first"),
+        ({"state": (Field("Höhe", 3),)}, "Drift: state field 'Höhe': a name"),
+        ({"state": (Field("ended", 3),)}, "'ended' is named like a column that every slot has"),
+        ({"state": DRIFT.state[:1] * 2}, "Drift: two state fields are named 'position'"),
+        ({"observation": DRIFT.state[:1] * 3}, "Drift: two observation fields are named 'position'"),
+        ({"observation": (*DRIFT.state[:2], Field("", 3))}, "Drift: observation field '': a name"),
     ],
 )
 def test_specs(changes: dict[str, Any], words: str) -> None:

@@ -14,7 +14,7 @@ from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvStepReturn
 
-from pearl_marl.batch import slot_memory
+from pearl_marl.batch.slot_memory import SlotMemory
 from pearl_marl.batch.step import BatchStep
 from pearl_marl.devices.by_name import make_host_device
 from pearl_marl.errors import ArgumentError, OrderError
@@ -211,7 +211,7 @@ class PearlVecEnv(VecEnv):
         """Let every slot's episode seem some steps old, evenly from none to one less than the limit."""
         device = self.env.unwrapped.device
         saved = device.snapshot()
-        elapsed = slot_memory.views(device.config.spec, self.num_envs, saved.memory)["elapsed"]
+        elapsed = SlotMemory(device.config.spec, self.num_envs, saved.memory).elapsed
         elapsed[:] = np.linspace(0, device.config.limit, self.num_envs, endpoint=False)
         device.restore(saved)
 

@@ -7,6 +7,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 from gymnasium.vector import AutoresetMode
 
 from pearl_marl.errors import ArgumentError
@@ -83,3 +84,12 @@ class BatchConfig:
             "initial_states": self.initial_states,
             "first_slot": self.first_slot,
         }
+
+    def checked_mask(self, mask: npt.ArrayLike) -> npt.NDArray[np.bool_]:
+        """Return a mask of slots as an array; refuse what is none."""
+        array = np.asarray(mask)
+        if array.shape != (self.n_envs,) or array.dtype != np.bool_:
+            raise ArgumentError(
+                f"a reset mask is bool of shape ({self.n_envs},), not {array.dtype} of shape {array.shape}"
+            )
+        return array

@@ -10,13 +10,16 @@ from __future__ import annotations
 import json
 import struct
 import zlib
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from pearl_marl.batch.slot_memory import SlotMemory
 from pearl_marl.errors import SavedStateError
+from pearl_marl.spec import EnvSpec
 
 Bytes = npt.NDArray[np.uint8]
 
@@ -54,6 +57,44 @@ class SavedState:
     def check(self, identity: dict[str, Any]) -> None:
         """Raise SavedStateError where this is no state of an environment of the given identity."""
         _compare(self.identity, identity)
+
+    def cut(self, spec: EnvSpec, slots: slice) -> SavedState:
+        """Return the state of some of the slots, for a device that has no others."""
+        first, n = self.identity["first_slot"], self.identity["n_agents"]
+        here = {"n_agents": slots.stop - slots.start, "first_slot": first + slots.start}
+
+        def part(memory: Bytes) -> Bytes:  # there may be no stored initial states
+            return SlotMemory(spec, n, memory).cut(slots).bytes if memory.size else memory
+
+        return replace(
+            self,
+            identity={**self.identity, **here},
+            memory=part(self.memory),
+            stored=part(self.stored),
+        )
+
+    @classmethod
+    def join(cls, spec: EnvSpec, parts: Sequence[SavedState]) -> SavedState:
+        """Return the state of the slots of all parts, in their order; the inverse of :meth:`cut`."""
+        sizes = [part.identity["n_agents"] for part in parts]
+
+        def whole(name: str) -> Bytes:
+            shares = [getattr(part, name) for part in parts]
+            if not shares[0].size:
+                return shares[0]  # type: ignore[no-any-return]
+            memories = [SlotMemory(spec, n, share) for n, share in zip(sizes, shares, strict=True)]
+            return SlotMemory.join(memories).bytes
+
+        return replace(
+            parts[0],
+            identity={**parts[0].identity, "n_agents": sum(sizes)},
+            memory=whole("memory"),
+            stored=whole("stored"),
+        )
+
+    def copy(self) -> SavedState:
+        """Return the same in memory of its own."""
+        return replace(self, memory=self.memory.copy(), stored=self.stored.copy())
 
     def to_bytes(self) -> bytes:
         """Return the saved state as bytes."""

@@ -7,12 +7,16 @@ what lets one device continue where another stopped.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from functools import cached_property
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 import numpy.typing as npt
 
 from pearl_marl.spec import EnvSpec
+
+Array = npt.NDArray[Any]
+Bytes = npt.NDArray[np.uint8]
 
 ALIGNMENT = 64
 """Bytes of a cache line. Slots are padded to a multiple, so that every column starts on one."""
@@ -32,7 +36,7 @@ def columns(spec: EnvSpec) -> tuple[Column, ...]:
     ``elapsed`` counts the steps of the episode, and stays 0 where there is no time limit.
     ``ended`` is 1 for a slot that will spend its next step resetting (NEXT_STEP mode only).
     """
-    names = [(f"state_{i}", f.dtype) for i, f in enumerate(spec.state)]
+    names = [(f.name, f.dtype) for f in spec.state]
     names += [("elapsed", np.dtype(np.uint32)), ("ended", np.dtype(np.uint8))]
     result, offset = [], 0
     for name, dtype in names:
@@ -41,34 +45,22 @@ def columns(spec: EnvSpec) -> tuple[Column, ...]:
     return tuple(result)
 
 
-def allocate(spec: EnvSpec, n: int) -> npt.NDArray[np.uint8]:
-    """Return zeroed memory for ``n`` slots, aligned."""
-    return aligned_bytes(size(spec, n))
+def padded(n: int) -> int:
+    """Return how many slots a column has room for, where ``n`` are used."""
+    return -(-n // ALIGNMENT) * ALIGNMENT
 
 
 def size(spec: EnvSpec, n: int) -> int:
     """Return the bytes that ``n`` slots take."""
     last = columns(spec)[-1]
-    padded = -(-n // ALIGNMENT) * ALIGNMENT
-    return padded * (last.bytes_before + last.dtype.itemsize)
+    return padded(n) * (last.bytes_before + last.dtype.itemsize)
 
 
-def aligned_bytes(count: int) -> npt.NDArray[np.uint8]:
+def aligned_bytes(count: int) -> Bytes:
     """Return zeroed bytes that begin on a cache line: stores that straddle two cost a kernel 15 %."""
     whole = np.zeros(count + ALIGNMENT, np.uint8)
     start = -whole.ctypes.data % ALIGNMENT
     return whole[start : start + count]
-
-
-def views(spec: EnvSpec, n: int, memory: npt.NDArray[np.uint8]) -> dict[str, npt.NDArray[Any]]:
-    """Return each column of ``memory`` as an array of shape ``(n,)`` that shares its bytes."""
-    padded = -(-n // ALIGNMENT) * ALIGNMENT
-    return {
-        c.name: memory[padded * c.bytes_before : padded * (c.bytes_before + c.dtype.itemsize)].view(c.dtype)[
-            :n
-        ]
-        for c in columns(spec)
-    }
 
 
 def state_dtype(spec: EnvSpec) -> np.dtype[Any]:
@@ -78,40 +70,72 @@ def state_dtype(spec: EnvSpec) -> np.dtype[Any]:
     return np.result_type(*(f.dtype for f in spec.state))
 
 
-def state_values(spec: EnvSpec, n: int, memory: npt.NDArray[np.uint8]) -> npt.NDArray[Any]:
-    """Return the values of the slots' state fields, shape ``(n, fields)``, in :func:`state_dtype`."""
-    columns_by_name = views(spec, n, memory)
-    values = np.empty((n, len(spec.state)), state_dtype(spec))
-    for i, f in enumerate(spec.state):
-        values[:, i] = columns_by_name[f"state_{i}"]
-        if f.fraction:
-            values[:, i] *= 2.0**-f.fraction
-    return values
+class SlotMemory:
+    """The slots of a batch.
 
+    Parameters
+    ----------
+    spec, n
+        The environment, and how many slots.
+    data
+        Their bytes, which are shared; ``None`` for new ones, all zero.
 
-def join(
-    spec: EnvSpec, shares: Sequence[npt.NDArray[np.uint8]], sizes: Sequence[int]
-) -> npt.NDArray[np.uint8]:
-    """Return one memory of the slots of all shares, in their order; an empty one of empty ones."""
-    if not shares[0].size:
-        return shares[0]
-    n = sum(sizes)
-    memory = allocate(spec, n)
-    whole, first = views(spec, n, memory), 0
-    for share, count in zip(shares, sizes, strict=True):
-        for name, values in views(spec, count, share).items():
-            whole[name][first : first + count] = values
-        first += count
-    return memory
+    Attributes
+    ----------
+    bytes
+        All columns, one after the other.
+    """
 
+    def __init__(self, spec: EnvSpec, n: int, data: Bytes | None = None) -> None:
+        self.spec, self.n = spec, n
+        self.bytes = aligned_bytes(size(spec, n)) if data is None else data
 
-def cut(spec: EnvSpec, n: int, memory: npt.NDArray[np.uint8], slots: slice) -> npt.NDArray[np.uint8]:
-    """Return the memory of some of the ``n`` slots; an empty one of an empty one."""
-    if not memory.size:
-        return memory
-    size = slots.stop - slots.start
-    share = allocate(spec, size)
-    whole = views(spec, n, memory)
-    for name, values in views(spec, size, share).items():
-        values[:] = whole[name][slots]
-    return share
+    @cached_property
+    def columns(self) -> dict[str, Array]:
+        """Every column by its name, as an array of shape ``(n,)`` that shares the bytes."""
+        p = padded(self.n)
+        return {
+            c.name: self.bytes[p * c.bytes_before : p * (c.bytes_before + c.dtype.itemsize)].view(c.dtype)[
+                : self.n
+            ]
+            for c in columns(self.spec)
+        }
+
+    @property
+    def state(self) -> list[Array]:
+        """The columns of the state fields, in the order of the spec."""
+        return list(self.columns.values())[: len(self.spec.state)]
+
+    @property
+    def elapsed(self) -> Array:
+        """The steps of each slot's episode so far."""
+        return self.columns["elapsed"]
+
+    @property
+    def ended(self) -> Array:
+        """Which slots spend their next step resetting."""
+        return self.columns["ended"]
+
+    def values(self) -> Array:
+        """Return the values of the state fields, shape ``(n, fields)``, in :func:`state_dtype`."""
+        values = np.empty((self.n, len(self.spec.state)), state_dtype(self.spec))
+        for i, (f, column) in enumerate(zip(self.spec.state, self.state, strict=True)):
+            values[:, i] = column
+            if f.fraction:
+                values[:, i] *= 2.0**-f.fraction
+        return values
+
+    def cut(self, slots: slice) -> SlotMemory:
+        """Return some of the slots, in a memory of their own."""
+        part = SlotMemory(self.spec, slots.stop - slots.start)
+        for name, column in part.columns.items():
+            column[:] = self.columns[name][slots]
+        return part
+
+    @classmethod
+    def join(cls, parts: Sequence[SlotMemory]) -> Self:
+        """Return one memory of the slots of all parts, in their order."""
+        whole = cls(parts[0].spec, sum(part.n for part in parts))
+        for name, column in whole.columns.items():
+            np.concatenate([part.columns[name] for part in parts], out=column)
+        return whole

@@ -23,12 +23,12 @@ import gymnasium
 import numpy as np
 import numpy.typing as npt
 
-from pearl_marl.batch import slot_memory
 from pearl_marl.batch.actions import encode, random_actions
+from pearl_marl.batch.rewards import padded
+from pearl_marl.batch.slot_memory import SlotMemory
 from pearl_marl.compiler.cuda_kernels import compile_cuda_kernels, simulated
 from pearl_marl.compiler.kernels import compile_kernels
 from pearl_marl.devices import BatchConfig, Cuda, Native, Rtl, cuda
-from pearl_marl.devices.base import padded_rewards
 from pearl_marl.errors import DeviceError
 from pearl_marl.interfaces.parallel import parallel_env
 from pearl_marl.interfaces.vector import make_vec
@@ -160,8 +160,8 @@ def _ours(spec: EnvSpec, n: int) -> list[Contender]:
 
     def kernel() -> Callable[[], Any]:
         kernels = compile_kernels(spec)
-        memory = slot_memory.allocate(spec, n)
-        table = padded_rewards(spec, spec.rewards or ())
+        memory = SlotMemory(spec, n).bytes
+        table = padded(spec, spec.rewards or ())
         rewards, terminations = np.empty(n, np.float32), np.empty(n, np.uint8)
         return lambda: kernels.advance(memory, words, table, rewards, terminations, n, 0, n)
 
@@ -246,13 +246,13 @@ def _on_gpu(spec: EnvSpec, n: int) -> list[Contender]:
     def kernel() -> Callable[[], Any]:
         module = gpu()
         advance = compile_cuda_kernels(spec).advance
-        memory = module.to_device(slot_memory.allocate(spec, n))
+        memory = module.to_device(SlotMemory(spec, n).bytes)
         words = encode(
             random_actions(spec, np.random.default_rng(0), n), spec, np.empty(n, spec.action.dtype)
         )
         actions = module.to_device(words)
         table = module.to_device(
-            padded_rewards(spec, spec.rewards or ()) if spec.rewards else np.zeros(1, np.float32)
+            padded(spec, spec.rewards or ()) if spec.rewards else np.zeros(1, np.float32)
         )
         rewards, terminations = module.device_array(n, np.float32), module.device_array(n, np.uint8)
         launch = advance[cuda.grid(module, n)]

@@ -10,8 +10,8 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 import numpy.typing as npt
 
-from pearl_marl.batch import slot_memory
 from pearl_marl.batch.saved_state import SavedState
+from pearl_marl.batch.slot_memory import SlotMemory
 from pearl_marl.batch.step import BatchStep
 from pearl_marl.spec import EnvSpec
 
@@ -141,20 +141,17 @@ def observation_words(
 
 def state_words(spec: EnvSpec, n: int, device: SavedState, reference: SavedState) -> Iterator[Words]:
     """Yield the words of two saved states: state fields, counters and, if there are any, stored starts."""
-    names = [f"state.{f.name}" for f in spec.state]
-    parts = {"memory": [*names, "elapsed", "ended"], "stored": [f"stored {name}" for name in names]}
-    for part, fields in parts.items():
-        ours, theirs = getattr(device, part), getattr(reference, part)
-        if ours.size or theirs.size:
-            pairs = (slot_memory.views(spec, n, memory).values() for memory in (ours, theirs))
-            yield from map(Words, fields, *pairs)
+    ours, theirs = (SlotMemory(spec, n, saved.memory) for saved in (device, reference))
+    names = [*(f"state.{f.name}" for f in spec.state), "elapsed", "ended"]
+    yield from map(Words, names, ours.columns.values(), theirs.columns.values())
+    if device.stored.size or reference.stored.size:
+        ours, theirs = (SlotMemory(spec, n, saved.stored) for saved in (device, reference))
+        yield from map(Words, (f"stored {name}" for name in names), ours.state, theirs.state)
 
 
 def state_of(spec: EnvSpec, n: int, saved: SavedState, i: int) -> dict[str, int]:
     """Return row ``i`` of a saved state by name, as words."""
-    names = [*(f.name for f in spec.state), "elapsed", "ended"]
-    columns = slot_memory.views(spec, n, saved.memory).values()
-    return {name: int(column[i]) for name, column in zip(names, columns, strict=True)}
+    return {name: int(column[i]) for name, column in SlotMemory(spec, n, saved.memory).columns.items()}
 
 
 class Comparison:

@@ -19,7 +19,6 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium.vector import AutoresetMode
 
-from pearl_marl.batch import slot_memory
 from pearl_marl.batch.config import BatchConfig
 from pearl_marl.batch.saved_state import SavedState
 from pearl_marl.comparison.divergence import Divergence
@@ -56,25 +55,12 @@ class Replay:
     mask: npt.NDArray[np.bool_] | None = None
 
     def alone(self) -> Replay:
-        """Return the same call for the slot that parts, without the others."""
+        """Return the same call for the slot that differs, without the others."""
         config = replace(self.config, n_envs=1, first_slot=self.divergence.slot)
         i = self.divergence.slot - self.config.first_slot
-        before = self.before
-        if before is not None:
-            memory, stored = (self._row(part, i) for part in (before.memory, before.stored))
-            before = replace(before, identity=config.identity(), memory=memory, stored=stored)
+        before = None if self.before is None else self.before.cut(self.config.spec, slice(i, i + 1))
         actions, mask = (None if a is None else a[i : i + 1].copy() for a in (self.actions, self.mask))
         return replace(self, config=config, before=before, actions=actions, mask=mask)
-
-    def _row(self, memory: npt.NDArray[np.uint8], i: int) -> npt.NDArray[np.uint8]:
-        spec = self.config.spec
-        if not memory.size:
-            return memory
-        alone = slot_memory.allocate(spec, 1)
-        whole = slot_memory.views(spec, self.config.n_envs, memory)
-        for name, column in slot_memory.views(spec, 1, alone).items():
-            column[:] = whole[name][i]
-        return alone
 
     def write(self, path: Path) -> None:
         """Write the file."""

@@ -5,16 +5,15 @@
     Device(...)  --open(spec, n_envs, ...)-->  open  --reset(seed)-->  ready  --step(actions)-->  ...
 
 :class:`Device` does what all devices share (order of calls, checks, seeds, saved states, ``send``
-and ``recv``); a subclass moves the slots.
+and ``recv``); a subclass moves the slots. What is kept for a failure, a device owns: see
+:mod:`pearl_marl.devices.recovery`.
 """
 
 from __future__ import annotations
 
-import operator
-import os
 import secrets
+import time
 from abc import ABC, abstractmethod
-from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
 from typing import Any, Self
 
@@ -22,13 +21,16 @@ import numpy as np
 import numpy.typing as npt
 
 from pearl_marl import rng
-from pearl_marl.batch import slot_memory
+from pearl_marl.batch import rewards as reward_tables
 from pearl_marl.batch.actions import encode
 from pearl_marl.batch.config import BatchConfig
 from pearl_marl.batch.saved_state import SavedState
+from pearl_marl.batch.slot_memory import SlotMemory
 from pearl_marl.batch.step import Array, BatchStep
-from pearl_marl.errors import ArgumentError, OrderError
-from pearl_marl.spec import EnvSpec
+from pearl_marl.devices.copies import unopened
+from pearl_marl.devices.recovery import Position, Recovery
+from pearl_marl.devices.threads import StepUnderWay
+from pearl_marl.errors import ArgumentError, DeviceError, OrderError
 
 
 class Device(ABC):
@@ -36,10 +38,30 @@ class Device(ABC):
 
     One object serves one batch: :meth:`open` it once, :meth:`close` it at the end. It is not to be
     used from two threads at the same time.
+
+    Attributes
+    ----------
+    config
+        The batch that it was opened for.
+    seed, tick
+        The position in the random numbers: see :mod:`pearl_marl.rng`.
+    reward_table
+        The reward of every word of the reward field: see :mod:`pearl_marl.batch.rewards`.
+    made_with
+        The attributes that it had before it was opened, which are the settings of a copy.
     """
 
     name: str
     """As users write it, for example ``"native"``."""
+
+    checkpoint_every: int | None = None
+    """Steps between two states that are kept for :meth:`recover`; ``None`` keeps nothing."""
+
+    known = True
+    """Whether the slots are where the calls so far have brought them: not after a call failed under way."""
+
+    recovery: Recovery | None = None
+    """What is kept for :meth:`recover`, from :meth:`open` on; ``None`` where nothing can fail under way."""
 
     config: BatchConfig
     _closed = False
@@ -64,17 +86,18 @@ class Device(ABC):
         """
         if self._closed or hasattr(self, "config"):
             raise OrderError(f"this {self.name} device has been opened before; make another one")
-        self._made_with = dict(self.__dict__)
-        table = _reward_table(config.spec, config.spec.rewards if rewards is None else rewards)
+        self.made_with = dict(self.__dict__)
+        table = reward_tables.reward_table(config.spec, config.spec.rewards if rewards is None else rewards)
         self._open(config)
         self.config = config
-        self._table = table
-        self._seed = (0, 0)
-        self._tick = 0
+        self.reward_table = table
+        self.seed = (0, 0)
+        self.tick = 0
         self._actions = np.empty(config.n_envs, config.spec.action.dtype)
-        self._worker: ThreadPoolExecutor | None = None
-        self._worker_pid = 0
-        self._pending: Future[BatchStep] | None = None
+        self.under_way = StepUnderWay(f"pearl-{self.name}", self._actions)
+        self.recovery = self._make_recovery()
+        if rewards is not None:
+            self._apply_rewards(rewards)
         return self
 
     def reset(self, seed: int | None = None, mask: npt.ArrayLike | None = None) -> Array:
@@ -96,32 +119,29 @@ class Device(ABC):
         OrderError
             A mask at the first reset, or the device is closed or busy.
         """
-        self._check_idle("reset")
-        chosen: Array | None = None
-        if mask is not None:
-            chosen = np.asarray(mask)
-            if chosen.shape != (self.config.n_envs,) or chosen.dtype != np.bool_:
-                raise ArgumentError(
-                    f"a reset mask is bool of shape ({self.config.n_envs},), "
-                    f"not {chosen.dtype} of shape {chosen.shape}"
-                )
-            if seed is not None:
-                raise ArgumentError("a seed restarts every slot, so it cannot come with a reset mask")
-            if not self._ready:
-                raise OrderError("the first reset starts every slot: call reset() without a mask first")
-        before = self._seed, self._tick, self._ready
-        if seed is not None:
-            self._seed, self._tick = rng.seed_words(_checked_seed(seed)), 0
-        elif not self._ready:
-            self._seed = rng.seed_words(secrets.randbits(64))
+        self.check_idle("reset")
+        chosen = None if mask is None else self.config.checked_mask(mask)
+        if chosen is not None and seed is not None:
+            raise ArgumentError("a seed restarts every slot, so it cannot come with a reset mask")
+        if chosen is not None and not self._ready:
+            raise OrderError("the first reset starts every slot: call reset() without a mask first")
+        if seed is None and not self._ready:
+            seed = secrets.randbits(64)
+        words = None if seed is None else rng.seed_words(rng.checked_seed(seed))
+        self._before("reset")
+        position = self.position
+        if words is not None:
+            self.seed, self.tick = words, 0
         elif chosen is None:
-            self._tick += 1  # or every reset would begin the same episodes
+            self.tick += 1  # or every reset would begin the same episodes
         self._ready = True
         try:
-            return self._reset(chosen)
+            obs = self._reset(chosen, seed)
         except BaseException:
-            self._seed, self._tick, self._ready = before
+            self.position = position
             raise
+        self._after("reset", seed, chosen)
+        return obs
 
     def step(self, actions: npt.ArrayLike) -> BatchStep:
         """Step every slot once.
@@ -138,40 +158,40 @@ class Device(ABC):
         OrderError
             Before the first reset, after ``close``, or between ``send`` and ``recv``.
         """
-        if not self._ready or self._pending is not None:
-            self._check_idle("step", ready=True)
-        return self.step_words(encode(actions, self.config.spec, self._actions, self.config.first_slot))
+        if not self._ready or self.under_way.pending is not None:
+            self.check_idle("step", ready=True)
+        return self.step_words(self.encoded(actions))
 
     def step_words(self, words: Array) -> BatchStep:
         """Step every slot once by its action's word, shape ``(n,)`` in ``spec.action.dtype``; unchecked."""
+        recovery = self.recovery
+        if recovery is not None:
+            recovery.before(self, "step_words")
         result = self._step(words)
-        self._tick += 1
+        self.tick += 1
+        if recovery is not None:
+            recovery.after(self, "step_words", words)
         return result
 
     def send(self, actions: npt.ArrayLike) -> None:
         """Start a step and return at once; :meth:`recv` has its results. Raises as :meth:`step` does."""
-        self._check_idle("send", ready=True)
-        encoded = encode(actions, self.config.spec, self._actions, self.config.first_slot)
-        if encoded is not self._actions:
-            self._actions[:] = encoded  # the caller may change his before the step is done
-        if self._worker is None or self._worker_pid != os.getpid():  # threads do not survive a fork
-            self._worker_pid = os.getpid()
-            self._worker = ThreadPoolExecutor(1, thread_name_prefix=f"pearl-{self.name}")
-        self._pending = self._worker.submit(self._step, self._actions)
+        self.check_idle("send", ready=True)
+        words = self.encoded(actions)
+        self._before("step_words")
+        self._begin(words)
 
     def recv(self) -> BatchStep:
         """Wait for the step that :meth:`send` started and return its results."""
-        if getattr(self, "_pending", None) is None:
+        if not hasattr(self, "under_way") or self.under_way.pending is None:
             raise OrderError("recv() without a step under way: call send() first")
-        assert self._pending is not None
-        pending = self._pending
-        try:
-            result = pending.result()
-        finally:
-            if pending.done():  # or Ctrl-C came first, and the step is still under way
-                self._pending = None
-        self._tick += 1
+        words, result = self.under_way.finish()
+        self.tick += 1
+        self._after("step_words", words)
         return result
+
+    def encoded(self, actions: Any) -> Array:
+        """Return actions as :meth:`step_words` takes them, in an array of the device's or the given one."""
+        return encode(actions, self.config.spec, self._actions, self.config.first_slot)
 
     def set_rewards(self, table: npt.ArrayLike) -> None:
         """Replace the reward table, from the next step on.
@@ -181,14 +201,33 @@ class Device(ABC):
         table
             Finite numbers, as many as the environment has reward categories.
         """
-        self._check_idle("set_rewards")
-        self._table = _reward_table(self.config.spec, table)
+        self.check_idle("set_rewards")
+        padded = reward_tables.reward_table(self.config.spec, table)
+        self._before("set_rewards")
+        self._apply_rewards(table)
+        self.reward_table = padded
+        self._after("set_rewards", np.array(table))
 
     @property
     def rewards(self) -> Array:
         """The reward table in use, ``float32``; empty where rewards are not categories."""
-        self._check_idle("rewards")
-        return self._table[: len(self.config.spec.rewards or ())].copy()
+        self.check_idle("rewards")
+        return self.reward_table[: len(self.config.spec.rewards or ())].copy()
+
+    @property
+    def tensors(self) -> bool:
+        """Whether results are tensors on a GPU rather than NumPy arrays."""
+        return False
+
+    @property
+    def cycles(self) -> int | None:
+        """Clock cycles that the last step took in the hardware; ``None`` where there is none."""
+        return None
+
+    @property
+    def words_compared(self) -> int | None:
+        """How many words have been compared with another device's; ``None`` where none are."""
+        return None
 
     @property
     def ready(self) -> bool:
@@ -201,14 +240,25 @@ class Device(ABC):
         Integers in the narrowest dtype that holds all fields, or ``float64`` values where a field
         has a fraction.
         """
-        self._check_idle("state", ready=True)
-        return slot_memory.state_values(self.config.spec, self.config.n_envs, self._read()[0])
+        self.check_idle("state", ready=True)
+        return SlotMemory(self.config.spec, self.config.n_envs, self._read()[0]).values()
 
     def snapshot(self) -> SavedState:
         """Return all that the continuation depends on; :meth:`restore` of any device takes it."""
-        self._check_idle("snapshot", ready=True)
-        memory, stored = self._read()
-        return self._saved(memory.copy(), stored.copy())
+        self.check_idle("snapshot", ready=True)
+        return self.saved(*self._read()).copy()
+
+    def saved(self, memory: Array, stored: Array) -> SavedState:
+        """Return slots' memory and stored initial states as a state saved now."""
+        return SavedState(
+            identity=self.config.identity(),
+            seed=self.seed,
+            tick=self.tick,
+            rewards=tuple(self.rewards.tolist()),
+            memory=memory,
+            stored=stored,
+            live=memory[:0],
+        )
 
     def restore(self, saved: SavedState) -> Array:
         """Continue from a snapshot of a batch like this one; return every slot's observation.
@@ -218,17 +268,20 @@ class Device(ABC):
         SavedStateError
             Names what differs between the two batches. Nothing has changed.
         """
-        self._check_idle("restore")
+        self.check_idle("restore")
         saved.check(self.config.identity())
-        before = self._seed, self._tick, self._table, self._ready
-        self._seed, self._tick = saved.seed, saved.tick
-        self._table = padded_rewards(self.config.spec, saved.rewards)
+        self._before("restore")
+        position = self.position
+        self.seed, self.tick = saved.seed, saved.tick
+        self.reward_table = reward_tables.padded(self.config.spec, saved.rewards)
         self._ready = True
         try:
-            return self._write(saved.memory, saved.stored)
+            obs = self._write(saved.memory, saved.stored)
         except BaseException:
-            self._seed, self._tick, self._table, self._ready = before
+            self.position = position
             raise
+        self._after("restore", saved)
+        return obs
 
     def recover(self) -> None:
         """Go on from the last call that succeeded, after one that raised DeviceError.
@@ -239,9 +292,13 @@ class Device(ABC):
         Raises
         ------
         DeviceError
-            The device is still not available; call again when it is.
+            The device is still not available (call again when it is), or nothing is kept to go on from.
         """
-        self._check_idle("recover")
+        self.check_idle("recover")
+        if self.recovery is None:
+            self.check_known()
+        else:
+            self.recovery.recover(self)
 
     def set_max_cycles(self, max_cycles: int | None) -> None:
         """Replace the time limit, from the next step on; see :class:`BatchConfig`.
@@ -249,14 +306,33 @@ class Device(ABC):
         Steps are counted only while there is a limit: where there was none, every episode counts
         from now.
         """
-        self._check_idle("set_max_cycles")
+        self.check_idle("set_max_cycles")
         config = replace(self.config, max_cycles=max_cycles)
-        if self._ready and not (self.config.limit and config.limit):
-            memory, stored = self._read()
-            memory = memory.copy()
-            slot_memory.views(config.spec, config.n_envs, memory)["elapsed"][:] = 0
-            self._write(memory, stored)
+        self._before("set_max_cycles")
+        self._apply_limit(config)
         self.config = config
+        self._after("set_max_cycles", max_cycles)
+
+    def timed(self) -> dict[str, float]:
+        """Time every step from now on.
+
+        Returns
+        -------
+        The seconds of the last step's stages, by the names of :data:`~pearl_marl.devices.transport.STAGES`; a
+        device without a link to hardware has ``"compute"`` alone. Each step writes them anew.
+        """
+        self.check_idle("timed")
+        seconds: dict[str, float] = {}
+        step = self._step
+
+        def timed_step(words: Array) -> BatchStep:
+            began = time.perf_counter()
+            result = step(words)
+            seconds["compute"] = time.perf_counter() - began
+            return result
+
+        setattr(self, "_step", timed_step)  # noqa: B010, as mypy takes methods for constants
+        return seconds
 
     def close(self) -> None:
         """Release what the device holds. Safe to call twice."""
@@ -264,46 +340,61 @@ class Device(ABC):
             return
         self._closed, self._ready = True, False
         if hasattr(self, "config"):
-            if self._worker is not None:
-                self._worker.shutdown(wait=True)
+            self.under_way.close()
             self._close()
 
-    def _saved(self, memory: Array, stored: Array) -> SavedState:
-        """Return slots' memory and stored initial states as a state saved now."""
-        return SavedState(
-            identity=self.config.identity(),
-            seed=self._seed,
-            tick=self._tick,
-            rewards=tuple(self.rewards.tolist()),
-            memory=memory,
-            stored=stored,
-            live=memory[:0],
-        )
+    @property
+    def position(self) -> Position:
+        """Where the device is: to be assigned again where a call has failed."""
+        return Position(self.config, self.seed, self.tick, self.reward_table, self._ready)
 
-    def _check_idle(self, call: str, ready: bool = False) -> None:
+    @position.setter
+    def position(self, position: Position) -> None:
+        self.config, self.seed, self.tick, self.reward_table, self._ready = position
+
+    @property
+    def way_on(self) -> str:
+        """What to do after a call that failed under way, in words."""
+        recover = "" if self.recovery is None else "recover(), or "
+        return f"call {recover}reset(), or load a saved state, to go on"
+
+    def check_idle(self, call: str, ready: bool = False) -> None:
+        """Refuse a call that comes at the wrong time; with ``ready``, also before the first reset."""
         if self._closed:
             raise OrderError(f"{call}() after close(): make a new environment")
         if not hasattr(self, "config"):
             raise OrderError(f"{call}() before open(): this {self.name} device has no batch yet")
         if ready and not self._ready:
             raise OrderError(f"{call}() before reset(): call reset() first")
-        if self._pending is not None:
+        if self.under_way.pending is not None:
             raise OrderError(f"{call}() between send() and recv(): call recv() first")
+
+    def check_known(self) -> None:
+        """Refuse to go on where a call has failed under way."""
+        if not self.known:
+            raise DeviceError(f"a step of the {self.name} device failed before; {self.way_on}")
+
+    def _before(self, call: str) -> None:
+        if self.recovery is not None:
+            self.recovery.before(self, call)
+
+    def _after(self, call: str, *arguments: Any) -> None:
+        if self.recovery is not None:
+            self.recovery.after(self, call, *arguments)
 
     def __getstate__(self) -> dict[str, Any]:
         # A copy is a device of its own that goes on from here: threads, buffers and compiled code stay.
         if not hasattr(self, "config"):
             return {"settings": self.__dict__}
         saved = self.snapshot() if self._ready else None
-        settings = {name: _unopened(value) for name, value in self._made_with.items()}
-        return {"settings": settings, "config": self.config, "rewards": self._table, "saved": saved}
+        settings = {name: unopened(value) for name, value in self.made_with.items()}
+        return {"settings": settings, "config": self.config, "rewards": self.reward_table, "saved": saved}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state["settings"])
         if "config" in state:
             config = state["config"]
-            categories = config.spec.rewards
-            self.open(config, None if categories is None else state["rewards"][: len(categories)])
+            self.open(config, reward_tables.categories(config.spec, state["rewards"]))
             if state["saved"] is not None:
                 self.restore(state["saved"])
 
@@ -311,13 +402,24 @@ class Device(ABC):
     def _open(self, config: BatchConfig) -> None:
         """Get ready to step the slots of ``config``, or raise DeviceError."""
 
+    def _make_recovery(self) -> Recovery | None:
+        """Return what is kept for :meth:`recover`; ``None`` where nothing can fail under way."""
+        return None
+
     @abstractmethod
-    def _reset(self, mask: Array | None) -> Array:
-        """Start the masked slots (all, if ``None``) at ``self._tick``; return all observations."""
+    def _reset(self, mask: Array | None, seed: int | None) -> Array:
+        """Start the masked slots (all, if ``None``) at ``tick``; return all observations.
+
+        ``seed`` is what ``self.seed`` was made from, where the random numbers begin anew.
+        """
 
     @abstractmethod
     def _step(self, actions: Array) -> BatchStep:
-        """Step every slot at ``self._tick``; ``actions`` are checked and in the device's width."""
+        """Step every slot at ``tick``; ``actions`` are checked and in the device's width."""
+
+    def _begin(self, words: Array) -> None:
+        """Start a step whose results :meth:`recv` will ask for."""
+        self.under_way.begin(self._step, words)
 
     @abstractmethod
     def _read(self) -> tuple[Array, Array]:
@@ -327,62 +429,17 @@ class Device(ABC):
     def _write(self, memory: Array, stored: Array) -> Array:
         """Replace both; return all observations."""
 
+    def _apply_rewards(self, table: npt.ArrayLike) -> None:  # noqa: B027, as most use the table itself
+        """Bring another reward table to where it is used, if that is not ``self.reward_table``."""
+
+    def _apply_limit(self, config: BatchConfig) -> None:
+        """Get ready for another time limit, that of ``config``."""
+        if self._ready and not (self.config.limit and config.limit):
+            memory, stored = self._read()
+            memory = memory.copy()
+            SlotMemory(config.spec, config.n_envs, memory).elapsed[:] = 0
+            self._write(memory, stored)
+
     @abstractmethod
     def _close(self) -> None:
         """Release everything; called once."""
-
-
-def _unopened(setting: Any) -> Any:
-    """Return a setting of a device as it was when that was made: other devices in it without a batch."""
-    if isinstance(setting, list):
-        return [_unopened(value) for value in setting]
-    if not isinstance(setting, Device) or not hasattr(setting, "config"):
-        return setting
-    fresh = object.__new__(type(setting))
-    fresh.__dict__.update({name: _unopened(value) for name, value in setting._made_with.items()})
-    return fresh
-
-
-def _checked_seed(seed: Any) -> int:
-    try:
-        value = operator.index(seed)
-    except TypeError:
-        raise ArgumentError(f"seed is {seed!r}; it must be a non-negative integer or None") from None
-    if value < 0 or isinstance(seed, bool):
-        raise ArgumentError(f"seed is {seed!r}; it must be a non-negative integer or None")
-    return value
-
-
-def _reward_table(spec: EnvSpec, table: npt.ArrayLike | None) -> npt.NDArray[np.float32]:
-    if spec.rewards is None:
-        if table is not None:
-            raise ArgumentError(f"{spec.name} computes its rewards; it has no table to replace")
-        return np.empty(0, np.float32)
-    try:
-        with np.errstate(over="ignore"):  # infinite then, and refused below
-            array = np.array(table, np.float32)
-            numbers = np.asarray(table).dtype.kind in "iuf"
-    except (TypeError, ValueError, OverflowError):
-        numbers = False
-    if not numbers:
-        raise ArgumentError(f"rewards are {table!r}; {spec.name} takes {len(spec.rewards)} numbers") from None
-    if array.shape != (len(spec.rewards),):
-        raise ArgumentError(
-            f"a reward table of shape {array.shape}; {spec.name} has {len(spec.rewards)} categories, "
-            f"by default {spec.rewards}"
-        )
-    if not np.isfinite(array).all():
-        raise ArgumentError(f"rewards are {array.tolist()}; each must be a finite float32")
-    return padded_rewards(spec, array)
-
-
-def padded_rewards(spec: EnvSpec, table: npt.ArrayLike) -> npt.NDArray[np.float32]:
-    """Return a table with an entry for every word of the reward field, as the kernels need it.
-
-    Words that mean nothing are worth NaN. Empty where rewards are computed.
-    """
-    if spec.rewards is None:
-        return np.empty(0, np.float32)
-    padded = np.full(1 << spec.reward.bits, np.nan, np.float32)
-    padded[: len(spec.rewards)] = table
-    return padded

@@ -21,8 +21,11 @@ _BY_NAME: dict[str, type[Device]] = {
 }
 
 
-def make_device(device: str | Device) -> Device:
-    """Return the device of that name, or the configured device that was given."""
+def make_device(device: str | Device, *, tensors: bool = False) -> Device:
+    """Return the device of that name, or the configured device that was given.
+
+    With ``tensors``, one made by name keeps its results as tensors, if it can.
+    """
     if isinstance(device, Device):
         return device
     if isinstance(device, type) and issubclass(device, Device):
@@ -38,12 +41,12 @@ def make_device(device: str | Device) -> Device:
             "'xdma:N' for board N, 'xdma:DIR' for a served one, 'serial:PORT', or a device object from "
             "pearl_marl.devices"
         )
-    return _BY_NAME[name]()
+    return Cuda(results="torch") if tensors and name == Cuda.name else _BY_NAME[name]()
 
 
 def make_host_device(device: str | Device) -> Device:
     """Do the same for whoever works on results with NumPy; refuse a device that keeps them as tensors."""
     made = make_device(device)
-    if isinstance(made, Cuda) and made.results != "numpy":
+    if made.tensors:
         raise ArgumentError("its results are needed on the host: give Cuda(results='numpy'), or 'cuda'")
     return made

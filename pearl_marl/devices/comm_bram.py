@@ -15,17 +15,18 @@ from __future__ import annotations
 
 import mmap
 import time
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 
 import numpy as np
 from gymnasium.vector import AutoresetMode
 
-from pearl_marl.batch import slot_memory
 from pearl_marl.batch.config import BatchConfig
 from pearl_marl.batch.results import ResultArrays
+from pearl_marl.batch.slot_memory import SlotMemory
 from pearl_marl.batch.step import Array, BatchStep
 from pearl_marl.compiler.kernels import compile_kernels
 from pearl_marl.devices.base import Device
+from pearl_marl.devices.transport import STAGES, Exchange, TimedTransport, Transport, word
 from pearl_marl.errors import DeviceError
 from pearl_marl.hardware import elaboration
 from pearl_marl.hardware.codec import Stream, pack, stream_bytes, unpack
@@ -50,50 +51,19 @@ _IDENTITY = tuple(word for word in Control if word < Control.SEED_0)
 _UNSET = (0, 0, -1, 0, 0)  # settings with a tick that there is none of
 
 
-class Transport(ABC):
-    """Moves bytes to and from a Comm-BRAM; all of its methods raise DeviceError when they cannot."""
-
-    @abstractmethod
-    def write(self, offset: int, data: Stream) -> None:
-        """Write all of ``data`` from byte address ``offset`` on."""
-
-    @abstractmethod
-    def read(self, offset: int, data: Stream) -> None:
-        """Fill all of ``data`` from byte address ``offset`` on."""
-
-    @abstractmethod
-    def wait(self, sequence: int) -> None:
-        """Return once the step of that sequence number has ended, or as soon as that is likely."""
-
-    def exchange(self, offset: int, data: Stream, answer_offset: int, answer: Stream, sequence: int) -> None:
-        """Do a whole step: write, wait, read."""
-        self.write(offset, data)
-        self.wait(sequence)
-        self.read(answer_offset, answer)
-
-    def reconnect(self) -> None:  # noqa: B027, as not every connection can fail
-        """Make the connection anew if it has failed."""
-
-    @abstractmethod
-    def close(self) -> None:
-        """Release everything. Called once."""
-
-
 class CommBram(Device):
     """A device behind a Comm-BRAM; a subclass connects to it.
 
-    After a failed step the device's state is unknown, so it refuses to go on until it is reset or
-    given a saved state.
+    After a failed step the device's state is unknown, so it refuses to go on until it is reset, given a
+    saved state, or recovered. ``cycles`` are those from doorbell to last result.
     """
 
-    cycles = 0
-    """Clock cycles that the last step took in the hardware, from doorbell to last result."""
+    _cycles = 0
 
-    _patience = 10.0
+    patience = 10.0
     """Seconds to wait at a reset for a step that somebody else left under way."""
 
     _sequence: int
-    _known = True
     # What the hardware's settings are: seed, tick, first slot, time limit.
     _held: tuple[int, int, int, int, int]
 
@@ -119,7 +89,7 @@ class CommBram(Device):
         if self._repeats:
             self._mode |= Mode.STORED
         # Where each slot starts, if those starts are stored; the kernels get it in any case.
-        self._stored = slot_memory.allocate(spec, n)
+        self._stored = SlotMemory(spec, n)
         # What the next step has to start afresh, and in NEXT_STEP mode who spends it resetting.
         self._resets_all = False
         self._mask = np.zeros(n, np.bool_)
@@ -146,18 +116,39 @@ class CommBram(Device):
         self._ter_stream = stream(self._answer, self._read_base, "ters")
         doorbell = layout["doorbell"].offset - self._write_base
         self._doorbell = self._written[doorbell : doorbell + 4 * len(Doorbell)].view("<u4")
-        status = layout["status"].offset - self._read_base
-        self._status = self._answer[status : status + 4 * len(Status)].view("<u4")
+        self._exchange = Exchange(self._read_base, self._answer[:-8], layout["status"].offset)
         self._obs_words = [np.empty(n, f.dtype) for f in spec.observation]
         self._reward_words = np.empty(n, spec.reward.dtype)
         self._ters = np.empty(n, np.uint8)
 
-    def recover(self) -> None:
-        """Nothing is kept to go on from here: raises, and says what is possible, if a step has failed."""
-        super().recover()
-        self._check_known()
+    @property
+    def cycles(self) -> int:
+        """Clock cycles that the last step took, from doorbell to last result."""
+        return self._cycles
 
-    def _reset(self, mask: Array | None) -> Array:
+    def timed(self) -> dict[str, float]:
+        """Time every stage of every step from now on: see :meth:`Device.timed`.
+
+        ``"compute"`` lies between the end of the write and the beginning of the read that had the results.
+        """
+        self.check_idle("timed")
+        self._transport = link = TimedTransport(self._transport)
+        seconds: dict[str, float] = {}
+        step = self._step
+
+        def timed_step(actions: Array) -> BatchStep:
+            began = time.perf_counter()
+            result = step(actions)
+            ended = time.perf_counter()
+            (writing, written), (reading, read) = link.written, link.read_back
+            lasted = (writing - began, written - writing, reading - written, read - reading, ended - read)
+            seconds.update(zip(STAGES, lasted, strict=True))
+            return result
+
+        setattr(self, "_step", timed_step)  # noqa: B010, as mypy takes methods for constants
+        return seconds
+
+    def _reset(self, mask: Array | None, seed: int | None) -> Array:
         if mask is not None:
             before = self._mask.copy()
             self._mask |= mask
@@ -173,14 +164,14 @@ class CommBram(Device):
             if self._repeats:
                 every = np.ones(self.config.n_envs, np.bool_)
                 self._start(self._stored, every, self._results.take().obs, use_stored=False)
-                self._write_states("initial_states", self._stored)
+                self._write_states("initial_states", self._stored.state)
             return self._slots()[1]
         except BaseException:
-            self._known = False
+            self.known = False
             raise
 
     def _step(self, actions: Array) -> BatchStep:
-        self._check_known()
+        self.check_known()
         self._write_settings()
         mode, base = self._mode, self._actions_base
         if self._resets_all:
@@ -191,36 +182,35 @@ class CommBram(Device):
             pack(self._mask.view(np.uint8), 1, self._mask_stream, 1)
         action = self.config.spec.action
         pack(actions, action.bits, self._action_stream, action.bits)
-        self._exchange(base, mode)
+        self._do_step(base, mode)
         results = self._unpack()
         if self._resets_all or mode & Mode.RESET_MASK:
             self._resets_all = False
             self._mask[:] = False
         return results
 
-    def _exchange(self, base: int, mode: Mode) -> None:
+    def _do_step(self, base: int, mode: Mode) -> None:
         """Ring the doorbell with what is packed, and come back with the results of that step, or not."""
         sequence = (self._sequence + 1) & 0xFFFFFFFF
         self._doorbell[Doorbell.MODE] = mode
         self._doorbell[Doorbell.SEQUENCE] = sequence
-        self._known = False
-        self._transport.exchange(
-            base, self._written[base - self._write_base : -8], self._read_base, self._answer[:-8], sequence
-        )
-        finished, error = int(self._status[Status.SEQUENCE]), StatusError(int(self._status[Status.ERROR]))
-        if finished != sequence:
+        self.known = False
+        step = self._exchange
+        step.write_at, step.data, step.sequence = base, self._written[base - self._write_base : -8], sequence
+        self._transport.exchange(step)
+        if step.finished != sequence:
             raise DeviceError(
-                f"the {self.name} device's results are stale: they belong to step {finished}, "
-                f"not to {sequence}; {self._way_on}"
+                f"the {self.name} device's results are stale: they belong to step {step.finished}, "
+                f"not to {sequence}; {self.way_on}"
             )
-        if error:
+        if error := step.error:
             raise DeviceError(
-                f"the {self.name} device reports {error.name or hex(error)}: {_reason(error)}; {self._way_on}"
+                f"the {self.name} device reports {error.name or hex(error)}: {_reason(error)}; {self.way_on}"
             )
-        self._known = True
+        self.known = True
         self._sequence = sequence
-        self._held = self._settings(self._tick + 1)
-        self.cycles = int(self._status[Status.CYCLES])
+        self._held = self._settings(self.tick + 1)
+        self._cycles = int(step.status[Status.CYCLES])
 
     def _unpack(self) -> BatchStep:
         config, results = self.config, self._results.take()
@@ -233,8 +223,8 @@ class CommBram(Device):
         unpack(self._ter_stream, TER_BITS, self._ters, TER_BITS)
         # The episode that begins in the hardware's next step begins here in this one.
         self._kernels.results(
-            *self._obs_words, self._reward_words, self._ters, self._stored, self._table, *results,
-            *self._seed, self._tick + 1, config.first_slot, self._next_step, self._repeats, n, 0, n,
+            *self._obs_words, self._reward_words, self._ters, self._stored.bytes, self.reward_table, *results,
+            *self.seed, self.tick + 1, config.first_slot, self._next_step, self._repeats, n, 0, n,
         )  # fmt: skip
         if self._next_step:
             if not self._resets_all:
@@ -242,77 +232,72 @@ class CommBram(Device):
             self._resetting = self._ters != 0
         return results
 
-    def _start(self, memory: Array, mask: Array, obs: Array, *, use_stored: bool) -> None:
+    def _start(self, memory: SlotMemory, mask: Array, obs: Array, *, use_stored: bool) -> None:
         """Begin an episode in the masked slots of ``memory``; observe all of its slots."""
         config = self.config
         n, flags = config.n_envs, mask.view(np.uint8)
         self._kernels.reset(
-            memory, self._stored, flags, obs, *self._seed, self._tick, config.first_slot,
+            memory.bytes, self._stored.bytes, flags, obs, *self.seed, self.tick, config.first_slot,
             use_stored, n, 0, n,
         )  # fmt: skip
 
     def _slots(self) -> tuple[Array, Array]:
         """Return the slots' memory as the native device would have it now, and their observations."""
-        self._check_known()
-        spec, n, layout = self.config.spec, self.config.n_envs, self._layout
-        memory = slot_memory.allocate(spec, n)
-        columns = slot_memory.views(spec, n, memory)
-        states = [columns[f"state_{k}"] for k in range(len(spec.state))]
+        self.check_known()
+        spec, n = self.config.spec, self.config.n_envs
+        memory = SlotMemory(spec, n)
         starting = np.ones(n, np.bool_)
         if not self._resets_all:
             ters = np.empty(n, np.uint8)
-            for name, fields, words in (
-                ("current_states", (*spec.state, _TER), [*states, ters]),
-                ("elapsed", (_ELAPSED,), [columns["elapsed"]]),
-            ):
-                data = np.empty(layout.size(name), np.uint8)
-                self._transport.read(layout[name].offset, data)
-                unpack_region(layout, layout[name], data, fields, words)
+            self._read_region("current_states", (*spec.state, _TER), [*memory.state, ters])
+            self._read_region("elapsed", (_ELAPSED,), [memory.elapsed])
             if not self.config.limit:
-                columns["elapsed"][:] = 0
+                memory.elapsed[:] = 0
             ended = ters != 0
             starting = self._mask if self._next_step else self._mask | ended
             if self._next_step:
-                columns["ended"][:] = ended
+                memory.ended[:] = ended
         obs = self._results.take().obs
         self._start(memory, starting, obs, use_stored=self._repeats)
-        return memory, obs
+        return memory.bytes, obs
 
     def _read(self) -> tuple[Array, Array]:
-        return self._slots()[0], self._stored if self._repeats else self._stored[:0]
+        stored = self._stored.bytes
+        return self._slots()[0], stored if self._repeats else stored[:0]
 
     def _write(self, memory: Array, stored: Array) -> Array:
-        spec, n, layout = self.config.spec, self.config.n_envs, self._layout
+        spec, slots = self.config.spec, SlotMemory(self.config.spec, self.config.n_envs, memory)
         self._synchronise(spec)
-        columns = slot_memory.views(spec, n, memory)
         try:
             if stored.size:
-                self._stored[:] = stored
-                self._write_states("initial_states", self._stored)
-            self._write_states("current_states", memory, columns["ended"])
-            elapsed = pack_region(layout, layout["elapsed"], (_ELAPSED,), [columns["elapsed"]])
-            self._transport.write(layout["elapsed"].offset, elapsed)
+                self._stored.bytes[:] = stored
+                self._write_states("initial_states", self._stored.state)
+            self._write_states("current_states", [*slots.state, slots.ended], _TER)
+            self._write_region("elapsed", (_ELAPSED,), [slots.elapsed])
             self._resets_all = False
             self._mask[:] = False
-            self._resetting = columns["ended"] != 0
+            self._resetting = slots.ended != 0
             return self._slots()[1]
         except BaseException:
-            self._known = False
+            self.known = False
             raise
 
-    def _write_states(self, name: str, memory: Array, *more: Array) -> None:
-        """Write the state columns of ``memory`` to a region, and above them what ``_TER`` is."""
-        spec, layout = self.config.spec, self._layout
-        columns = slot_memory.views(spec, self.config.n_envs, memory)
-        states = [columns[f"state_{k}"] for k in range(len(spec.state))]
-        fields = (*spec.state, *[_TER] * len(more))
-        self._transport.write(
-            layout[name].offset, pack_region(layout, layout[name], fields, [*states, *more])
-        )
+    def _write_states(self, name: str, columns: list[Array], *above: Field) -> None:
+        """Write the columns of the state to a region, and those of the fields that stand above it there."""
+        self._write_region(name, (*self.config.spec.state, *above), columns)
+
+    def _write_region(self, name: str, fields: tuple[Field, ...], columns: list[Array]) -> None:
+        region = self._layout[name]
+        self._transport.write(region.offset, pack_region(self._layout, region, fields, columns))
+
+    def _read_region(self, name: str, fields: tuple[Field, ...], columns: list[Array]) -> None:
+        region, data = self._layout[name], np.empty(self._layout.size(name), np.uint8)
+        self._transport.read(region.offset, data)
+        unpack_region(self._layout, region, data, fields, columns)
 
     def _write_settings(self) -> None:
         """Bring seed, tick, first slot and time limit to the hardware where it has others."""
-        wanted = self._settings(self._tick)
+        wanted = self._settings(self.tick)
         if wanted == self._held:
             return
         seed_0, seed_1, tick, first_slot, limit = wanted
@@ -323,35 +308,27 @@ class CommBram(Device):
         self._held = wanted
 
     def _settings(self, tick: int) -> tuple[int, int, int, int, int]:
-        return (*self._seed, tick, self.config.first_slot, self.config.limit)
+        return (*self.seed, tick, self.config.first_slot, self.config.limit)
 
     def _synchronise(self, spec: EnvSpec) -> None:
         """Make sure that the hardware is there and idle, and take up its sequence number."""
-        self._known = False
+        self.known = False
         self._transport.reconnect()
         check_identity(self.name, self._transport, spec, self._layout)
         self._held = _UNSET
-        deadline = time.monotonic() + self._patience
+        deadline = time.monotonic() + self.patience
         while (rung := self._word("doorbell", Doorbell.SEQUENCE)) != self._word("status", Status.SEQUENCE):
             if time.monotonic() > deadline:
                 raise DeviceError(
-                    f"the {self.name} device has been busy with step {rung} for {self._patience:g} s; "
+                    f"the {self.name} device has been busy with step {rung} for {self.patience:g} s; "
                     "end other programs that use it, or reset the hardware, and try again"
                 )
             time.sleep(1e-3)
         self._sequence = rung
-        self._known = True
+        self.known = True
 
     def _word(self, region: str, index: int) -> int:
-        word = np.empty(4, np.uint8)
-        self._transport.read(self._layout[region].offset + 4 * index, word)
-        return int(word.view("<u4")[0])
-
-    _way_on = "call reset(), or load a saved state, to go on"
-
-    def _check_known(self) -> None:
-        if not self._known:
-            raise DeviceError(f"a step of the {self.name} device failed before; {self._way_on}")
+        return word(self._transport, self._layout[region].offset + 4 * index)
 
     def _close(self) -> None:
         self._transport.close()
@@ -395,11 +372,11 @@ def check_identity(name: str, transport: Transport, spec: EnvSpec, layout: Memor
     expected = identity(spec, layout)
     found = np.empty(4 * len(_IDENTITY), np.uint8)
     transport.read(layout["control"].offset, found)
-    for word, mine, theirs in zip(_IDENTITY, expected, found.view("<u4").tolist(), strict=True):
+    for field, mine, theirs in zip(_IDENTITY, expected, found.view("<u4").tolist(), strict=True):
         if theirs != mine:
-            show = hex if word in (Control.MAGIC, Control.ENV_HASH) else str
+            show = hex if field in (Control.MAGIC, Control.ENV_HASH) else str
             raise DeviceError(
-                f"the {name} device has {word.name.lower()} {show(theirs)}, this batch needs {show(mine)}: "
+                f"the {name} device has {field.name.lower()} {show(theirs)}, this batch needs {show(mine)}: "
                 f"it takes hardware built for {spec.id} with options {dict(spec.options)}, {layout.n_envs} "
                 f"slots, pe_num {layout.pe_num} and data_wl {layout.data_wl}"
             )

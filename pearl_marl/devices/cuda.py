@@ -9,7 +9,6 @@ from __future__ import annotations
 import warnings
 from bisect import bisect_right
 from collections.abc import Iterator
-from concurrent.futures import Future
 from contextlib import contextmanager
 from dataclasses import replace
 from importlib import import_module
@@ -20,10 +19,10 @@ import numpy as np
 from gymnasium.spaces import Box
 from gymnasium.vector import AutoresetMode
 
-from pearl_marl.batch import slot_memory
 from pearl_marl.batch.actions import limits
 from pearl_marl.batch.config import BatchConfig
 from pearl_marl.batch.results import Layout, ResultArrays
+from pearl_marl.batch.slot_memory import SlotMemory, size
 from pearl_marl.batch.step import Array, BatchStep
 from pearl_marl.compiler.cuda_kernels import THREADS, compile_cuda_kernels, simulated
 from pearl_marl.devices.base import Device
@@ -49,8 +48,11 @@ class Cuda(Device):
     ----------
     results
         ``"numpy"``: results are copied to the host, as those of any other device. ``"torch"``: they are
-        tensors on the GPU, and so may actions be. Nothing waits for the GPU then, an action out of
-        range is reported late: see :meth:`step`.
+        tensors on the GPU, and so may actions be (a tensor, or anything with ``__cuda_array_interface__``, of
+        any dtype of integers, or for a ``Box`` of numbers). Nothing waits for the GPU then. So actions on
+        the GPU are checked there: where one is out of range the slot takes the least action instead, and
+        the next call that waits for the GPU raises ActionError (:meth:`synchronize`, :meth:`reset`,
+        :meth:`state`, :meth:`snapshot`).
     """
 
     name = "cuda"
@@ -60,39 +62,15 @@ class Cuda(Device):
             raise ArgumentError(f"results is {results!r}; possible are 'numpy' and 'torch'")
         self.results = results
 
-    def step(self, actions: Any) -> BatchStep:
-        """Step every slot once.
+    @property
+    def tensors(self) -> bool:
+        """Whether results are tensors on the GPU."""
+        return self.results == "torch"
 
-        Parameters
-        ----------
-        actions
-            Of shape ``(n, *action_space.shape)``. With ``results="torch"`` they may be on the GPU, a tensor
-            or anything with ``__cuda_array_interface__``, of any dtype of integers, or for a ``Box`` of
-            numbers.
-
-        Raises
-        ------
-        ActionError
-            Actions on the host: names the first agent whose action is not in the action space, and no slot
-            has stepped. Actions on the GPU are checked there: the slot takes the least action instead, and
-            the next call that waits for the GPU raises (:meth:`synchronize`, :meth:`reset`, :meth:`state`,
-            :meth:`snapshot`).
-        OrderError
-            Before the first reset, after ``close``, or between ``send`` and ``recv``.
-        """
-        self._check_idle("step", ready=True)
+    def encoded(self, actions: Any) -> Any:
+        """Return actions as a step takes them: words on the host, or what is on the GPU already."""
         given = self._on_gpu(actions)
-        return super().step(actions) if given is None else self.step_words(given)  # type: ignore[arg-type]
-
-    def send(self, actions: Any) -> None:
-        """Start a step and return at once; :meth:`recv` has its results. Raises as :meth:`step` does."""
-        self._check_idle("send", ready=True)
-        given = self._on_gpu(actions)
-        if given is None:
-            super().send(actions)
-            return
-        self._pending = Future()
-        self._pending.set_result(self._step(given))
+        return super().encoded(actions) if given is None else given
 
     def synchronize(self) -> None:
         """Wait until the GPU has done every step.
@@ -102,7 +80,7 @@ class Cuda(Device):
         ActionError
             An action that was on the GPU was out of range: names the first step and its first agent.
         """
-        self._check_idle("synchronize")
+        self.check_idle("synchronize")
         if self._torch is None:  # every step has waited
             return
         with _failures():
@@ -127,10 +105,10 @@ class Cuda(Device):
             _check_memory(self._gpu, config, self.results)
             self._kernels = compile_cuda_kernels(spec)
             self._grid = grid(self._gpu, n)
-            self._memory = self._gpu.to_device(slot_memory.allocate(spec, n))
+            self._memory = self._gpu.to_device(SlotMemory(spec, n).bytes)
             # Without stored initial states the kernels get the memory itself, and do not look.
             stored = config.initial_states == "stored"
-            self._stored = self._gpu.to_device(slot_memory.allocate(spec, n)) if stored else self._memory
+            self._stored = self._gpu.to_device(SlotMemory(spec, n).bytes) if stored else self._memory
             self._words = self._gpu.device_array(n, spec.action.dtype)
             self._wrong = self._gpu.to_device(np.array([NOTHING_REFUSED]))
             if self._torch is None:
@@ -148,7 +126,7 @@ class Cuda(Device):
         self._launches: dict[tuple[Any, Any], Any] = {}
         self._uploaded: Array | None = None
 
-    def _reset(self, mask: Array | None) -> Array:
+    def _reset(self, mask: Array | None, seed: int | None) -> Array:
         self.synchronize()
         use_stored = self._stored is not self._memory
         with _failures():
@@ -163,7 +141,7 @@ class Cuda(Device):
         flags = np.ones(n, np.uint8) if mask is None else mask.astype(np.uint8)
         flags = self._gpu.to_device(flags, stream=self._stream())
         block = self._block if self._block is not None else self._new_block()
-        place = (*self._seed, self._tick, self.config.first_slot)
+        place = (*self.seed, self.tick, self.config.first_slot)
         self._launch(
             self._kernels.reset, self._memory, self._stored, flags, self._array(block), *place, again, n
         )
@@ -176,11 +154,11 @@ class Cuda(Device):
     def _step(self, actions: Array | _OnGpu) -> BatchStep:
         config, layout = self.config, self._layout
         with _failures():
-            if self._uploaded is not self._table:
+            if self._uploaded is not self.reward_table:
                 # Where rewards are computed there is no table, and the kernel does not look.
-                table = self._table if self._table.size else np.zeros(1, np.float32)
-                self._table_there = self._gpu.to_device(table, stream=self._stream())
-                self._uploaded = self._table
+                table = self.reward_table if self.reward_table.size else np.zeros(1, np.float32)
+                self._rewards_there = self._gpu.to_device(table, stream=self._stream())
+                self._uploaded = self.reward_table
             if isinstance(actions, _OnGpu):
                 words, numbers = actions
             else:
@@ -189,9 +167,9 @@ class Cuda(Device):
             block = self._block if self._block is not None else self._new_block()
             self._launch(
                 self._kernels.step,
-                *(self._memory, self._stored, words, self._table_there, self._array(block), self._wrong),
+                *(self._memory, self._stored, words, self._rewards_there, self._array(block), self._wrong),
                 *layout.starts[1:],
-                *(*self._seed, self._tick, config.first_slot, config.limit),
+                *(*self.seed, self.tick, config.first_slot, config.limit),
                 *(self._next_step, self._stored is not self._memory, numbers, config.n_envs),
             )
             if self._torch is not None:
@@ -201,6 +179,12 @@ class Cuda(Device):
             if not self._next_step and results.ended.any():
                 self._parts[4].copy_to_host(layout.pieces(memory)[4])
         return results
+
+    def _begin(self, words: Any) -> None:
+        if isinstance(words, _OnGpu):  # queued here and now, as nothing waits for it
+            self.under_way.done(words, self._step(words))
+        else:
+            super()._begin(words)
 
     def _read(self) -> tuple[Array, Array]:
         self.synchronize()
@@ -329,7 +313,7 @@ def _versions(gpu: Any) -> tuple[tuple[int, int], tuple[int, int]]:
 
 def memory_needed(config: BatchConfig, results: str = "numpy") -> int:
     """Return the bytes that a batch takes on the GPU."""
-    slots = slot_memory.size(config.spec, config.n_envs)
+    slots = size(config.spec, config.n_envs)
     stored = slots if config.initial_states == "stored" else 0
     # Tensors that are kept for one step only are two blocks: the last step's, and those of the next.
     blocks = 2 if results == "torch" and config.copy else 1

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import secrets
 from collections.abc import Callable
-from typing import Any, NoReturn, Self, TypeVar
+from typing import Any, NoReturn, TypeVar
 
 import numpy.typing as npt
 
@@ -54,11 +53,6 @@ class Lockstep(Device):
     state_every
         Steps from one comparison of the states to the next; ``None`` is 1 for up to 4,096 slots and
         16 beyond. The last steps are compared by calling :meth:`snapshot`.
-
-    Attributes
-    ----------
-    words
-        How many words have been compared.
     """
 
     def __init__(
@@ -72,46 +66,34 @@ class Lockstep(Device):
         if self.device is self.reference:
             raise ArgumentError("a device is not its own reference: lockstep takes two")
         self.name = f"lockstep of {self.device.name} and {self.reference.name}"
-        self.words = 0
+        self._words = 0
         self._asked = state_every
-
-    def open(self, config: BatchConfig, rewards: npt.ArrayLike | None = None) -> Self:
-        """Take up a batch of slots on both devices; see :meth:`Device.open`."""
-        super().open(config, rewards)
-        if rewards is not None:
-            self._both(lambda device: device.set_rewards(rewards))
-        return self
-
-    def reset(self, seed: int | None = None, mask: npt.ArrayLike | None = None) -> Array:
-        """Begin new episodes on both devices; see :meth:`Device.reset`."""
-        self._check_idle("reset")
-        self._before = self.snapshot() if self._ready else None
-        # Both have to begin from the same seed, and a replay has to know it.
-        self._reset_seed = secrets.randbits(64) if seed is None and self._before is None else seed
-        return super().reset(self._reset_seed, mask)
 
     def recover(self) -> None:
         """Go on from the last call that succeeded on both devices; see :meth:`Device.recover`."""
-        self._check_idle("recover")
+        self.check_idle("recover")
         self.device.recover()
         self.reference.recover()
         if self._since is not None:
             self.reference.restore(self._since)
-            for actions in self._taken[: self._tick - self._since.tick]:
+            for actions in self._taken[: self.tick - self._since.tick]:
                 self.reference.step_words(actions)
             self._continue_from(self.reference.snapshot())
 
-    def set_rewards(self, table: npt.ArrayLike) -> None:
-        """Replace both devices' reward table; see :meth:`Device.set_rewards`."""
-        self._check_idle("set_rewards")
-        self._change(lambda device: device.set_rewards(table))
-        super().set_rewards(table)
+    def timed(self) -> dict[str, float]:
+        """Time the device that is checked; see :meth:`Device.timed`."""
+        self.check_idle("timed")
+        return self.device.timed()
 
-    def set_max_cycles(self, max_cycles: int | None) -> None:
-        """Replace both devices' time limit; see :meth:`Device.set_max_cycles`."""
-        self._check_idle("set_max_cycles")
-        self._change(lambda device: device.set_max_cycles(max_cycles))
-        self.config = self.reference.config
+    @property
+    def cycles(self) -> int | None:
+        """Those of the device that is checked."""
+        return self.device.cycles
+
+    @property
+    def words_compared(self) -> int:
+        """How many words have been compared."""
+        return self._words
 
     def _open(self, config: BatchConfig) -> None:
         self._every = self._asked or (1 if config.n_envs <= SMALL else STEPS_BETWEEN_STATES)
@@ -125,20 +107,16 @@ class Lockstep(Device):
             self.device.close()
             raise
 
-    def _reset(self, mask: Array | None) -> Array:
-        before, seed = self._before, self._reset_seed
-
-        def restart(device: Device) -> Array:
-            return device.reset(seed, mask)
-
-        arguments = {
-            "seed": None if seed is None else int(seed),
-            "mask": None if mask is None else mask.copy(),
-        }
-        return self._restart("reset", restart, before, **arguments)
+    def _reset(self, mask: Array | None, seed: int | None) -> Array:
+        before = None
+        if self.reference.ready:
+            self._compare_states()
+            before = self.reference.snapshot()
+        copy = None if mask is None else mask.copy()
+        return self._restart("reset", lambda device: device.reset(seed, mask), before, seed=seed, mask=copy)
 
     def _write(self, memory: Array, stored: Array) -> Array:
-        saved = self._saved(memory, stored)
+        saved = self.saved(memory, stored)
         return self._restart("restore", lambda device: device.restore(saved), saved)
 
     def _restart(
@@ -151,11 +129,11 @@ class Lockstep(Device):
         for words in observation_words(self.config.spec, "obs", ours, theirs):
             found.add(words)
         self._add_states(found)
-        self.words += found.words
+        self._words += found.words
         if found:
             if previous is not None:
                 self._continue_from(previous)
-            raise self._error(call, found, before, tick=self._tick, **arguments)
+            raise self._error(call, found, before, tick=self.tick, **arguments)
         self._agreed()
         return ours
 
@@ -167,7 +145,7 @@ class Lockstep(Device):
             found.add(words)
         if found or len(self._taken) >= self._every:
             self._add_states(found)
-        self.words += found.words
+        self._words += found.words
         if found:
             self._diverged(found, undo=1)
         if len(self._taken) >= self._every:
@@ -183,18 +161,24 @@ class Lockstep(Device):
         self.device.close()
         self.reference.close()
 
+    def _apply_rewards(self, table: npt.ArrayLike) -> None:
+        self._change(lambda device: device.set_rewards(table))
+
+    def _apply_limit(self, config: BatchConfig) -> None:
+        self._change(lambda device: device.set_max_cycles(config.max_cycles))
+
     def _change(self, setting: Callable[[Device], None]) -> None:
         """Change what steps depend on; those taken before could not be taken again."""
-        if self._ready:
+        if self.ready:
             self._compare_states()
         self._both(setting)
-        if self._ready:
+        if self.ready:
             self._agreed()
 
     def _compare_states(self) -> None:
         found = Comparison()
         self._add_states(found)
-        self.words += found.words
+        self._words += found.words
         if found:
             self._diverged(found, undo=0)
         self._agreed()

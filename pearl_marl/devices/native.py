@@ -6,20 +6,20 @@ import itertools
 import os
 import statistics
 import time
-from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from typing import Any
 
 import numpy as np
 from gymnasium.vector import AutoresetMode
 
-from pearl_marl.batch import slot_memory
 from pearl_marl.batch.config import BatchConfig
 from pearl_marl.batch.results import ResultArrays
+from pearl_marl.batch.slot_memory import SlotMemory
 from pearl_marl.batch.step import Array, BatchStep
 from pearl_marl.compiler.kernel_source import BLOCK
 from pearl_marl.compiler.kernels import compile_kernels
 from pearl_marl.devices.base import Device
+from pearl_marl.devices.threads import Threads
 from pearl_marl.errors import ArgumentError
 
 SLOW_STEP_SECONDS = 300e-6
@@ -56,13 +56,12 @@ class Native(Device):
     def _open(self, config: BatchConfig) -> None:
         spec, n = config.spec, config.n_envs
         self._kernels = compile_kernels(spec)
-        self._memory = slot_memory.allocate(spec, n)
+        self._memory = SlotMemory(spec, n).bytes
         # Without stored initial states the kernels get the memory itself, and do not look.
-        self._stored = slot_memory.allocate(spec, n) if config.initial_states == "stored" else self._memory
+        self._stored = SlotMemory(spec, n).bytes if config.initial_states == "stored" else self._memory
         self._mode = (config.autoreset_mode is AutoresetMode.NEXT_STEP, self._stored is not self._memory)
         self._results = ResultArrays(config)
-        self._pool: ThreadPoolExecutor | None = None
-        self._pool_process = 0
+        self._pool = Threads(max(self._threads, _cores()), "pearl-native")
 
     def _ranges(self) -> list[tuple[int, int]]:
         """Split the slots at block boundaries into as many ranges as there are threads."""
@@ -79,23 +78,20 @@ class Native(Device):
             kernel(*arguments, n, 0, n)
             return
         first, *others = self._ranges()
-        if self._pool is None or self._pool_process != os.getpid():  # threads do not survive a fork
-            self._pool_process = os.getpid()
-            self._pool = ThreadPoolExecutor(self._threads - 1, thread_name_prefix="pearl-native")
         tasks = [self._pool.submit(partial(kernel, *arguments, n, lo, hi)) for lo, hi in others]
         kernel(*arguments, n, *first)
         for task in tasks:
             task.result()
 
-    def _reset(self, mask: Array | None) -> Array:
+    def _reset(self, mask: Array | None, seed: int | None) -> Array:
         config, stored = self.config, self._stored
         n = config.n_envs
         flags = np.ones(n, np.uint8) if mask is None else mask.astype(np.uint8)
         obs = self._results.take().obs
         use_stored = stored is not self._memory
         again = use_stored and mask is not None
-        seed, tick, first = self._seed, self._tick, config.first_slot
-        self._run(self._kernels.reset, (self._memory, stored, flags, obs, *seed, tick, first, again))
+        tick, first = self.tick, config.first_slot
+        self._run(self._kernels.reset, (self._memory, stored, flags, obs, *self.seed, tick, first, again))
         if use_stored and mask is None:
             stored[:] = self._memory
         return obs
@@ -103,10 +99,10 @@ class Native(Device):
     def _step(self, actions: Array) -> BatchStep:
         config, results = self.config, self._results.take()
         began = time.perf_counter()
-        given = (self._memory, self._stored, actions, self._table)
+        given = (self._memory, self._stored, actions, self.reward_table)
         # Concatenated rather than unpacked: at small sizes the call is most of a step.
-        place = (self._tick, config.first_slot, config.limit)
-        self._run(self._kernels.step, given + results + self._seed + place + self._mode)
+        place = (self.tick, config.first_slot, config.limit)
+        self._run(self._kernels.step, given + results + self.seed + place + self._mode)
         if self._tuning:
             self._tune(time.perf_counter() - began)
         return results
@@ -134,11 +130,10 @@ class Native(Device):
         self._memory[:] = memory
         if stored.size:
             self._stored[:] = stored
-        return self._reset(np.zeros(self.config.n_envs, np.bool_))
+        return self._reset(np.zeros(self.config.n_envs, np.bool_), None)
 
     def _close(self) -> None:
-        if self._pool is not None:
-            self._pool.shutdown(wait=True)
+        self._pool.close()
 
 
 def _cores() -> int:

@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import pickle
 import platform
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any, NamedTuple, TypeVar
@@ -29,6 +29,7 @@ import numpy.typing as npt
 from gymnasium.vector import AutoresetMode
 
 from pearl_marl.batch.config import BatchConfig
+from pearl_marl.batch.rewards import categories
 from pearl_marl.batch.saved_state import SavedState
 from pearl_marl.batch.step import Array, BatchStep
 from pearl_marl.compiler.kernel_source import kernel_source
@@ -36,7 +37,7 @@ from pearl_marl.compiler.kernels import kernel_name
 from pearl_marl.devices import cluster
 from pearl_marl.devices.base import Device
 from pearl_marl.devices.by_name import make_host_device
-from pearl_marl.devices.recovery import CHECKPOINT_EVERY, Recoverable
+from pearl_marl.devices.recovery import CHECKPOINT_EVERY, CheckpointLog, Recovery
 from pearl_marl.devices.sharded import Sharded
 from pearl_marl.errors import ArgumentError, DeviceError
 from pearl_marl.spec import EnvSpec
@@ -96,35 +97,45 @@ class Ray(Sharded):
         parts = [_Shard(device, needs) for device, needs in zip(made, checked, strict=True)]
         super().__init__(parts, sizes, checkpoint_every)
         # Each keeps its own, so that only what is lost has to be done again.
-        self.checkpoint_every = None
-        for part in parts:
-            part.checkpoint_every = checkpoint_every
+        self.part_checkpoint_every = self.checkpoint_every
         self.name = f"ray({', '.join(device.name for device in made)})"
 
-    def recover(self) -> None:
-        """Go on from the last call that succeeded on all shards; see :meth:`Device.recover`."""
-        self._check_idle("recover")
-        if self._known:
-            self._mark()
-        self._known = False
-        self._on_all(lambda part, _: part.go_back())  # type: ignore[attr-defined]
-        self._known = True
+    def _make_recovery(self) -> Recovery:
+        return _ShardLogs()
 
     def _open_parts(self, config: BatchConfig) -> None:
         cluster.connect()
-        self._on_all(partial(self._open_part, config))
-
-    def _change(self, call: Callable[[Device, slice], T]) -> list[T]:
-        if self._known:  # or there is a moment to go back to already
-            self._mark()
-        return super()._change(call)
-
-    def _mark(self) -> None:
-        for part in self.parts:
-            part.mark()  # type: ignore[attr-defined]
+        self.on_all(partial(self.open_part, config))
 
 
-class _Shard(Recoverable):
+class _ShardLogs(Recovery):
+    """The logs of all shards: a call has succeeded only if it has on all of them."""
+
+    def before(self, device: Device, call: str) -> None:
+        """Mark the moment to go back to, unless there is one already."""
+        assert isinstance(device, Ray)
+        if device.known:
+            for part in device.parts:
+                _log(part).mark()
+
+    def after(self, device: Device, call: str, *arguments: Any) -> None:
+        """Every shard has noted it in its own log."""
+
+    def recover(self, device: Device) -> None:
+        """Bring every shard to the mark; see :meth:`Device.recover`."""
+        assert isinstance(device, Ray)
+        self.before(device, "recover")
+        device.known = False
+        device.on_all(lambda part, _: _log(part).rewind(part))
+        device.known = True
+
+
+def _log(shard: Device) -> CheckpointLog:
+    assert isinstance(shard.recovery, CheckpointLog)
+    return shard.recovery
+
+
+class _Shard(Device):
     """A device that is in an actor, as a device here.
 
     Parameters
@@ -136,37 +147,17 @@ class _Shard(Recoverable):
     """
 
     def __init__(self, device: Device, resources: Mapping[str, float]) -> None:
-        super().__init__()
         self.name = device.name
         self._device, self._resources = device, resources
 
-    def mark(self) -> None:
-        """Remember this moment for :meth:`go_back`."""
-        self._marked = self._kept, self._calls, len(self._calls)
+    def _make_recovery(self) -> Recovery:
+        return CheckpointLog(self.checkpoint_every)
 
-    def go_back(self) -> None:
-        """Recover what was at the mark: a call since may have succeeded here, but not on other shards."""
-        self._kept, calls, count = self._marked
-        self._calls = calls[:count]
-        self.recover()
-
-    def reset(self, seed: int | None = None, mask: npt.ArrayLike | None = None) -> Array:
-        """Begin new episodes; see :meth:`Device.reset`."""
-        self._reset_seed = seed
-        return super().reset(seed, mask)
-
-    def set_rewards(self, table: npt.ArrayLike) -> None:
-        """Replace the reward table; see :meth:`Device.set_rewards`."""
-        self._check_idle("set_rewards")
+    def _apply_rewards(self, table: npt.ArrayLike) -> None:
         self._ask("call", "set_rewards", np.array(table))
-        super().set_rewards(table)
 
-    def set_max_cycles(self, max_cycles: int | None) -> None:
-        """Replace the time limit; see :meth:`Device.set_max_cycles`."""
-        self._check_idle("set_max_cycles")
-        self._ask("call", "set_max_cycles", max_cycles)
-        self.config = replace(self.config, max_cycles=max_cycles)
-        self._note("set_max_cycles", max_cycles)
+    def _apply_limit(self, config: BatchConfig) -> None:
+        self._ask("call", "set_max_cycles", config.max_cycles)
 
     def _open(self, config: BatchConfig) -> None:
         self._reviving = False
@@ -183,9 +174,8 @@ class _Shard(Recoverable):
                 f"the actor of a shard ({self.name}) was lost while it started: {error}"
             ) from error
 
-    def _reset(self, mask: Array | None) -> Array:
+    def _reset(self, mask: Array | None, seed: int | None) -> Array:
         keeps = mask is None and self.checkpoint_every is not None
-        seed = self._reset_seed
         obs, self._fresh = self._ask("reset", seed, mask, keeps, anew=seed is not None)
         return obs  # type: ignore[no-any-return]
 
@@ -206,7 +196,7 @@ class _Shard(Recoverable):
         return fresh
 
     def _write(self, memory: Array, stored: Array) -> Array:
-        saved = self._saved(memory, stored)
+        saved = self.saved(memory, stored)
         return self._ask("restore", self.config.max_cycles, saved, anew=True)  # type: ignore[no-any-return]
 
     def _close(self) -> None:
@@ -231,8 +221,8 @@ class _Shard(Recoverable):
         for tries_left in reversed(range(TRIES)):
             try:
                 if self._actor is None:
-                    self._start(self.config, self._table[: len(self.config.spec.rewards or ())])
-                    if not anew and self._ready:
+                    self._start(self.config, categories(self.config.spec, self.reward_table))
+                    if not anew and self.ready:
                         self._catch_up()
                 return cluster.get(getattr(self._actor, call).remote(*arguments))
             except cluster.lost() as error:
@@ -244,7 +234,7 @@ class _Shard(Recoverable):
                     raise DeviceError(
                         f"the actor of slots {first} to {first + self.config.n_envs - 1} ({self.name}) was "
                         f"lost {TRIES} times in a row, at last by: {str(error).strip()}\nLook for what ends "
-                        f"it (often memory: `ray status`, `ray memory`), then {self._way_on}"
+                        f"it (often memory: `ray status`, `ray memory`), then {self.way_on}"
                     ) from error
         raise AssertionError("unreachable")
 
@@ -252,7 +242,7 @@ class _Shard(Recoverable):
         """Start an actor and open the device there."""
         actor = cluster.start_actor(_Host, resources=self._resources)
         try:
-            cluster.get(actor.open.remote(pack(config.spec, self._device, config), rewards))
+            cluster.get(actor.open.remote(parcel(config.spec, self._device, config), rewards))
         except BaseException:
             cluster.kill(actor)
             raise
@@ -260,7 +250,7 @@ class _Shard(Recoverable):
 
     def _catch_up(self) -> None:
         """Bring a new actor to where the last call that succeeded left the one before."""
-        now = self._seed, self._tick, self._table, self.config  # a call may be under way
+        now = self.position  # a call may be under way
         self._reviving = True
         try:
             self.recover()
@@ -269,7 +259,7 @@ class _Shard(Recoverable):
             raise
         finally:
             self._reviving = False
-            self._seed, self._tick, self._table, self.config = now
+            self.position = now
 
     def _drop(self) -> None:
         actor, self._actor = self._actor, None
@@ -282,12 +272,10 @@ class _Host:
 
     def open(self, parcel: Parcel, rewards: Array | None) -> None:
         """Open the device; refuse an environment that is not that of the other side."""
-        device, config = unpack(parcel)[1:]
+        device, config = contents(parcel)[1:]
         self._travelling = travelling(config.spec)
-        # Nothing is kept here, where it would be lost.
-        if isinstance(device, Recoverable):
-            device.checkpoint_every = None
-        self._device: Device = device.open(config, None if rewards is None or not rewards.size else rewards)
+        device.checkpoint_every = None  # what is kept here would be lost with the actor
+        self._device: Device = device.open(config, rewards)
 
     def step(self, words: Array) -> tuple[Array, ...]:
         """Step; return results in as few bytes as they need.
@@ -315,7 +303,7 @@ class _Host:
     def restore(self, max_cycles: int | None, saved: SavedState) -> Array:
         """Continue from a snapshot, under the time limit of that moment."""
         self._device.config = replace(self._device.config, max_cycles=max_cycles)
-        return self._device.restore(replace(saved, memory=saved.memory.copy(), stored=saved.stored.copy()))
+        return self._device.restore(saved.copy())
 
     def call(self, name: str, *arguments: Any) -> Any:
         """Make any other call of the device."""
@@ -332,19 +320,19 @@ def travelling(spec: EnvSpec) -> np.dtype[Any]:
 
 
 class Parcel(NamedTuple):
-    """An environment and other things on their way to an actor: see :func:`pack`."""
+    """An environment and other things on their way to an actor: see :func:`parcel`."""
 
     content: bytes
     environment: str
     fingerprint: str
 
 
-def pack(spec: EnvSpec, *others: Any) -> Parcel:
+def parcel(spec: EnvSpec, *others: Any) -> Parcel:
     """Return an environment and other things as an actor takes them, on a machine with the same packages."""
     return Parcel(cluster.connect().cloudpickle.dumps((spec, *others)), spec.name, fingerprint(spec))
 
 
-def unpack(parcel: Parcel) -> tuple[Any, ...]:
+def contents(parcel: Parcel) -> tuple[Any, ...]:
     """Return what was packed, in the actor.
 
     Raises

@@ -12,16 +12,14 @@ have come without the failure, bit for bit, whatever the device did or did not d
 
 from __future__ import annotations
 
-from dataclasses import replace
-from typing import Any
+from abc import ABC, abstractmethod
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
 from pearl_marl.batch.config import BatchConfig
 from pearl_marl.batch.saved_state import SavedState
-from pearl_marl.batch.step import Array, BatchStep
-from pearl_marl.devices.base import Device
 from pearl_marl.errors import ArgumentError, DeviceError
 
 CHECKPOINT_EVERY = 100
@@ -29,105 +27,124 @@ CHECKPOINT_EVERY = 100
 and the actions of 100 steps are 4 MB."""
 
 
-class Recoverable(Device):
-    """A device that may fail under way, and then goes on from the last call that succeeded.
+class Position(NamedTuple):
+    """What a device knows of its batch besides the slots: where a refused or failed call goes back to."""
+
+    config: BatchConfig
+    seed: tuple[int, int]
+    tick: int
+    reward_table: npt.NDArray[np.float32]
+    ready: bool
+
+
+class Recoverable(Protocol):
+    """What a device offers to whoever brings it back."""
+
+    name: str
+    config: BatchConfig
+    position: Position
+
+    def snapshot(self) -> SavedState:
+        """Return all that the continuation depends on."""
+
+    def restore(self, saved: SavedState) -> Any:
+        """Continue from a snapshot."""
+
+
+class Recovery(ABC):
+    """How a device goes on after a failure; told of every call that moves slots or what they depend on.
+
+    It does not refer to the device, so that one that everybody has forgotten frees its board at once.
+    """
+
+    def before(self, device: Any, call: str) -> None:  # noqa: B027, as not every kind has to know
+        """Take note that a call is about to be made."""
+
+    @abstractmethod
+    def after(self, device: Any, call: str, *arguments: Any) -> None:
+        """Take note that a call has succeeded."""
+
+    @abstractmethod
+    def recover(self, device: Any) -> None:
+        """Bring the device to where the last call that succeeded left it."""
+
+
+Kept = tuple[BatchConfig, SavedState]
+Calls = list[tuple[str, tuple[Any, ...]]]
+
+
+def checked_every(every: Any) -> int | None:
+    """Return the number of steps between two states to keep, ``None`` for none; refuse what is neither."""
+    if every is None:
+        return None
+    if isinstance(every, bool) or not isinstance(every, (int, np.integer)) or every < 1:
+        raise ArgumentError(f"checkpoint_every is {every!r}; it must be a positive integer or None")
+    return int(every)
+
+
+class CheckpointLog(Recovery):
+    """Keeps a state of a device's slots on the host, and the calls since.
 
     Parameters
     ----------
-    checkpoint_every
-        Steps between two states that are kept on the host; ``None`` keeps nothing, and
-        :meth:`recover` is not possible.
+    every
+        Steps between two states that are kept; ``None`` keeps nothing.
     """
 
-    _way_on = "call recover(), or reset(), or load a saved state, to go on"
+    def __init__(self, every: int | None) -> None:
+        self._every = every
+        # What is kept, with the configuration of that moment; and the calls since, by name and arguments.
+        self._kept: Kept | None = None
+        self._calls: Calls = []
+        self._marked: tuple[Kept | None, Calls, int] = None, [], 0
 
-    def __init__(self, checkpoint_every: int | None = CHECKPOINT_EVERY) -> None:
-        every = checkpoint_every
-        if every is not None and (
-            isinstance(every, bool) or not isinstance(every, (int, np.integer)) or every < 1
-        ):
-            raise ArgumentError(f"checkpoint_every is {every!r}; it must be a positive integer or None")
-        self.checkpoint_every = every
-        # What is kept, and with which configuration; and the calls since, by name and arguments.
-        self._kept: tuple[BatchConfig, SavedState] | None = None
-        self._calls: list[tuple[str, tuple[Any, ...]]] = []
+    def before(self, device: Recoverable, call: str) -> None:
+        """Keep the state before a step, rather than after one: then what it returned is safe already."""
+        if call == "step_words" and self._every is not None and len(self._calls) >= self._every:
+            self._keep(device, device.snapshot())
 
-    def recover(self) -> None:
-        """Go on from the last call that succeeded; see :meth:`Device.recover`."""
-        self._check_idle("recover")
+    def after(self, device: Recoverable, call: str, *arguments: Any) -> None:
+        """Note a call that succeeded; keep the state that begins anew."""
+        if self._every is None:
+            return
+        if call == "restore":
+            self._keep(device, arguments[0].copy())
+        elif call == "reset" and arguments[1] is None:
+            self._keep(device, device.snapshot())
+        else:
+            copies = (a.copy() if isinstance(a, np.ndarray) else a for a in arguments)
+            self._calls.append((call, tuple(copies)))
+
+    def recover(self, device: Recoverable) -> None:
+        """Restore what is kept and make the calls since again; see :meth:`Device.recover`."""
         if self._kept is None:
-            why = "no reset has succeeded" if self.checkpoint_every else "checkpoint_every is None"
+            why = "checkpoint_every is None" if self._every is None else "no reset has succeeded"
             raise DeviceError(
-                f"the {self.name} device keeps nothing to recover from, as {why}: "
+                f"the {device.name} device keeps nothing to recover from, as {why}: "
                 "call reset(), or load a saved state"
             )
         (config, saved), calls = kept, calls_before = self._kept, self._calls
-        before = self._seed, self._tick, self._table, self.config
-        self.config = config
+        position = device.position
+        device.config = config
         try:
-            self.restore(saved)
+            device.restore(saved)
             for name, arguments in calls:  # which notes them again
-                getattr(self, name)(*arguments)
+                getattr(device, name)(*arguments)
         except BaseException:
-            self._seed, self._tick, self._table, self.config = before
+            device.position = position
             self._kept, self._calls = kept, calls_before
             raise
 
-    def reset(self, seed: int | None = None, mask: npt.ArrayLike | None = None) -> Array:
-        """Begin new episodes; see :meth:`Device.reset`."""
-        obs = super().reset(seed, mask)
-        if mask is not None:
-            self._note("reset", None, np.array(mask))
-        elif self.checkpoint_every is not None:
-            self._keep(self.snapshot())
-        return obs
+    def mark(self) -> None:
+        """Remember this moment for :meth:`rewind`."""
+        self._marked = self._kept, self._calls, len(self._calls)
 
-    def restore(self, saved: SavedState) -> Array:
-        """Continue from a snapshot; see :meth:`Device.restore`."""
-        obs = super().restore(saved)
-        if self.checkpoint_every is not None:
-            self._keep(replace(saved, memory=saved.memory.copy(), stored=saved.stored.copy()))
-        return obs
+    def rewind(self, device: Recoverable) -> None:
+        """Recover what was at the mark: a call since may have succeeded here, but not on other devices."""
+        self._kept, calls, count = self._marked
+        self._calls = calls[:count]
+        self.recover(device)
 
-    def step_words(self, words: Array) -> BatchStep:
-        """Step every slot once; see :meth:`Device.step_words`."""
-        self._keep_if_due()
-        result = super().step_words(words)
-        self._note("step_words", words.copy())
-        return result
-
-    def send(self, actions: npt.ArrayLike) -> None:
-        """Start a step and return at once; see :meth:`Device.send`."""
-        self._check_idle("send", ready=True)
-        self._keep_if_due()
-        super().send(actions)
-
-    def recv(self) -> BatchStep:
-        """Wait for the step that :meth:`send` started; see :meth:`Device.recv`."""
-        result = super().recv()
-        self._note("step_words", self._actions.copy())
-        return result
-
-    def set_rewards(self, table: npt.ArrayLike) -> None:
-        """Replace the reward table; see :meth:`Device.set_rewards`."""
-        super().set_rewards(table)
-        self._note("set_rewards", np.array(table))
-
-    def set_max_cycles(self, max_cycles: int | None) -> None:
-        """Replace the time limit; see :meth:`Device.set_max_cycles`."""
-        super().set_max_cycles(max_cycles)
-        self._note("set_max_cycles", max_cycles)
-
-    def _note(self, name: str, *arguments: Any) -> None:
-        """Remember a call that succeeded since a state was kept."""
-        if self._kept is not None:
-            self._calls.append((name, arguments))
-
-    def _keep_if_due(self) -> None:
-        """Keep the state before a step, rather than after one: then what it returned is safe already."""
-        if self.checkpoint_every is not None and len(self._calls) >= self.checkpoint_every:
-            self._keep(self.snapshot())
-
-    def _keep(self, saved: SavedState) -> None:
-        self._kept = self.config, saved
+    def _keep(self, device: Recoverable, saved: SavedState) -> None:
+        self._kept = device.config, saved
         self._calls = []

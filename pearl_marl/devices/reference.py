@@ -13,9 +13,9 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 
 from pearl_marl import rng
-from pearl_marl.batch import slot_memory
 from pearl_marl.batch.config import BatchConfig
 from pearl_marl.batch.results import ResultArrays
+from pearl_marl.batch.slot_memory import SlotMemory
 from pearl_marl.batch.step import Array, BatchStep
 from pearl_marl.compiler.kernels import compile_kernels
 from pearl_marl.devices.base import Device
@@ -38,38 +38,37 @@ class Reference(Device):
     def _open(self, config: BatchConfig) -> None:
         self._next_step = config.autoreset_mode is AutoresetMode.NEXT_STEP
         self._slots = np.arange(config.first_slot, config.first_slot + config.n_envs)
-        self._memory = slot_memory.allocate(config.spec, config.n_envs)
-        columns = slot_memory.views(config.spec, config.n_envs, self._memory)
-        *self._state, self._elapsed, self._resets_next = columns.values()
-        self._stored = self._memory[:0]
+        self._memory = SlotMemory(config.spec, config.n_envs)
+        self._stored: SlotMemory | None = None
         if config.initial_states == "stored":
-            self._stored = slot_memory.allocate(config.spec, config.n_envs)
+            self._stored = SlotMemory(config.spec, config.n_envs)
         self._results = ResultArrays(config)
 
-    def _reset(self, mask: Array | None) -> Array:
+    def _reset(self, mask: Array | None, seed: int | None) -> Array:
+        memory = self._memory
         if mask is None:
-            self._put(self._random_start(self._tick))
-            self._elapsed[:] = self._resets_next[:] = 0
-            if self._stored.size:
-                self._stored[:] = self._memory
+            self._put(self._random_start(self.tick))
+            memory.elapsed[:] = memory.ended[:] = 0
+            if self._stored is not None:
+                self._stored.bytes[:] = memory.bytes
         else:
-            self._put(_chosen(mask, self._start(self._tick), self._state))
-            self._elapsed[mask] = self._resets_next[mask] = 0
+            self._put(_chosen(mask, self._start(self.tick), memory.state))
+            memory.elapsed[mask] = memory.ended[mask] = 0
         obs = self._results.take().obs
-        obs[...] = self._observe(self._state)
+        obs[...] = self._observe(self._memory.state)
         return obs
 
     def _step(self, actions: Array) -> BatchStep:
-        spec, limit = self.config.spec, self.config.limit
-        draws = self._draws(self._tick, spec.reset_draws, spec.step_draws)
+        spec, limit, memory = self.config.spec, self.config.limit, self._memory
+        draws = self._draws(self.tick, spec.reset_draws, spec.step_draws)
         fields = (*spec.state, spec.reward, _TERMINATED)
-        *state, reward, terminated = self._words(spec.golden.step, [*self._state, actions, *draws], fields)
+        *state, reward, terminated = self._words(spec.golden.step, [*memory.state, actions, *draws], fields)
 
         # NEXT_STEP: a slot that ended has run on unseen, and begins now instead.
-        resetting = self._resets_next.astype(np.bool_)
+        resetting = memory.ended.astype(np.bool_)
         if resetting.any():
-            state = _chosen(resetting, self._start(self._tick), state)
-        elapsed = np.where(resetting, 0, self._elapsed + 1) if limit else self._elapsed
+            state = _chosen(resetting, self._start(self.tick), state)
+        elapsed = np.where(resetting, 0, memory.elapsed + 1) if limit else memory.elapsed
         terminations = terminated.astype(np.bool_) & ~resetting
         truncations = elapsed >= limit if limit else np.zeros_like(terminations)
         truncations = truncations & ~resetting
@@ -77,14 +76,14 @@ class Reference(Device):
         obs = final_obs = self._observe(state)
         # SAME_STEP: it begins at once, with the draws of the next step.
         if not self._next_step and ended.any():
-            state = _chosen(ended, self._start(self._tick + 1), state)
+            state = _chosen(ended, self._start(self.tick + 1), state)
             elapsed = np.where(ended, 0, elapsed)
             obs = self._observe(state)
 
         # Every golden function has been called: from here on nothing can be refused any more.
         self._put(state)
-        self._elapsed[:] = elapsed
-        self._resets_next[:] = ended & self._next_step
+        memory.elapsed[:] = elapsed
+        memory.ended[:] = ended & self._next_step
         results = self._results.take()
         results.final_obs[...] = final_obs
         results.obs[...] = obs
@@ -94,35 +93,34 @@ class Reference(Device):
         return results
 
     def _read(self) -> tuple[Array, Array]:
-        return self._memory, self._stored
+        memory = self._memory.bytes
+        return memory, memory[:0] if self._stored is None else self._stored.bytes
 
     def _write(self, memory: Array, stored: Array) -> Array:
-        self._memory[:] = memory
-        self._stored[:] = stored
+        self._memory.bytes[:] = memory
+        if self._stored is not None:
+            self._stored.bytes[:] = stored
         obs = self._results.take().obs
-        obs[...] = self._observe(self._state)
+        obs[...] = self._observe(self._memory.state)
         return obs
 
     def _close(self) -> None:
         """Nothing is held but memory."""
 
     def _put(self, state: list[Array]) -> None:
-        for column, words in zip(self._state, state, strict=True):
+        for column, words in zip(self._memory.state, state, strict=True):
             column[:] = words
 
     def _start(self, tick: int) -> list[Array]:
         """Return what every slot's next episode begins from, if it begins at ``tick``."""
-        if not self._stored.size:
-            return self._random_start(tick)
-        columns = slot_memory.views(self.config.spec, self.config.n_envs, self._stored)
-        return list(columns.values())[: len(self._state)]
+        return self._random_start(tick) if self._stored is None else self._stored.state
 
     def _random_start(self, tick: int) -> list[Array]:
         spec = self.config.spec
         return self._words(spec.golden.initial, self._draws(tick, 0, spec.reset_draws), spec.state)
 
     def _draws(self, tick: int, first: int, count: int) -> list[Array]:
-        return [rng.draws(self._seed, self._slots, tick, first + k) for k in range(count)]
+        return [rng.draws(self.seed, self._slots, tick, first + k) for k in range(count)]
 
     def _words(
         self, function: GoldenFunction, arguments: list[Array], fields: tuple[Field, ...]
@@ -160,7 +158,7 @@ class Reference(Device):
 
     def _reward_values(self, words: Array) -> Array:
         if self.config.spec.rewards is not None:
-            return self._table[words]
+            return self.reward_table[words]
         return words.astype(np.float32) * np.float32(2.0**-self.config.spec.reward.fraction)
 
 

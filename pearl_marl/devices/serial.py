@@ -25,8 +25,9 @@ import zlib
 import numpy as np
 
 from pearl_marl.batch.config import BatchConfig
-from pearl_marl.devices.comm_bram import CommBram, Transport
-from pearl_marl.devices.recovery import CHECKPOINT_EVERY, Recoverable
+from pearl_marl.devices.comm_bram import CommBram
+from pearl_marl.devices.recovery import CHECKPOINT_EVERY, CheckpointLog, Recovery, checked_every
+from pearl_marl.devices.transport import Exchange, Transport, word
 from pearl_marl.errors import DeviceError
 from pearl_marl.hardware.codec import Stream
 from pearl_marl.memory_map import Control, MemoryMap, memory_map
@@ -65,8 +66,6 @@ class SerialTransport(Transport):
 
     def __init__(self, port: str, timeout: float) -> None:
         self._port, self._timeout = port, timeout
-        self.status_offset = 0
-        """Where :meth:`wait` finds the sequence number."""
         self._gone = False
         self._open()
 
@@ -104,14 +103,11 @@ class SerialTransport(Transport):
             part = data[begin : begin + WORD * MAX_WORDS]
             part[:] = np.frombuffer(self._call("R", offset + begin, part.size // WORD), np.uint8)
 
-    def wait(self, sequence: int) -> None:
+    def wait(self, step: Exchange) -> None:
         """Poll the status, for as long as an answer may take."""
-        found = np.empty(WORD, np.uint8)
         until = time.monotonic() + self._timeout
-        while time.monotonic() < until:
-            self.read(self.status_offset, found)
-            if found.view("<u4")[0] == sequence:
-                break
+        while time.monotonic() < until and word(self, step.status_at) != step.sequence:
+            pass
 
     def reconnect(self) -> None:
         """Open the port again, if it was gone."""
@@ -164,7 +160,7 @@ class SerialTransport(Transport):
             termios.tcflush(self._file, termios.TCIOFLUSH)
 
 
-class Serial(Recoverable, CommBram):
+class Serial(CommBram):
     """A board at a serial port, such as `pearl board ulx3s` makes a bitstream for.
 
     Parameters
@@ -178,7 +174,6 @@ class Serial(Recoverable, CommBram):
     """
 
     name = "serial"
-    _way_on = "call recover(), or reset(), or load a saved state, to go on"
 
     def __init__(
         self,
@@ -186,19 +181,18 @@ class Serial(Recoverable, CommBram):
         timeout: float = 1.0,
         checkpoint_every: int | None = CHECKPOINT_EVERY,
     ) -> None:
-        super().__init__(checkpoint_every)
+        self.checkpoint_every = checked_every(checkpoint_every)
         self._port, self._timeout = port, timeout
 
     def _connect(self, config: BatchConfig) -> tuple[Transport, MemoryMap]:
         transport = SerialTransport(self._port, self._timeout)
         try:
             # The one size that the host may leave to the bitstream.
-            word = np.empty(WORD, np.uint8)
-            transport.read(WORD * Control.PE_NUM, word)
-            pe_num = min(max(1, int(word.view("<u4")[0])), config.n_envs)
-            layout = memory_map(config.spec, config.n_envs, pe_num, 8 * WORD)
+            pe_num = min(max(1, word(transport, WORD * Control.PE_NUM)), config.n_envs)
+            return transport, memory_map(config.spec, config.n_envs, pe_num, 8 * WORD)
         except BaseException:
             transport.close()
             raise
-        transport.status_offset = layout["status"].offset
-        return transport, layout
+
+    def _make_recovery(self) -> Recovery:
+        return CheckpointLog(self.checkpoint_every)

@@ -5,7 +5,7 @@ r"""A simulated board behind files that another process reads and writes as it w
     the host's process                           this process
 
     pwrite --> DIR/xdma0_h2c_0  \  one file,      settings, states, actions  -->  Simulation
-                                 > mapped here    results, states, status    <--  (devices/rtl.py)
+                                 > mapped here    results, states, status    <--  (devices/simulator)
     pread  <-- DIR/xdma0_c2h_0  /
     poll   <-- DIR/xdma0_events_0, a FIFO    <--  an event, once the status is there
 
@@ -31,8 +31,8 @@ from pathlib import Path
 
 import numpy as np
 
-from pearl_marl.devices.rtl import Simulation
 from pearl_marl.devices.simulator.model_build import library
+from pearl_marl.devices.simulator.simulation import Simulation
 from pearl_marl.errors import DeviceError
 from pearl_marl.memory_map import Control, Doorbell, default_map
 from pearl_marl.spec import EnvSpec
@@ -114,7 +114,7 @@ class ServedBoard:
             os.read(self._writes, 1 << 16)
             if (sequence := int(self._doorbell[Doorbell.SEQUENCE])) != self._rung:
                 self._rung = sequence
-                self._step(sequence)
+                self._step()
 
     def stop(self) -> None:
         """Let :meth:`serve` return after the step that it is at; from any thread, or a signal's handler."""
@@ -178,7 +178,7 @@ class ServedBoard:
         opened.callback(os.close, self._stopping)
         os.link(c2h, h2c)  # last: who finds it finds all
 
-    def _step(self, sequence: int) -> None:
+    def _step(self) -> None:
         # The doorbell may have been seen while the rest of its write was still being copied. The kernel
         # lets one change a file at a time, so this returns after that write.
         os.utime(self._file)
@@ -189,7 +189,7 @@ class ServedBoard:
                 simulation.write(begin, shared[begin:end])
         write_at, length = layout.step_write
         read_at, _ = layout.step_read
-        simulation.exchange(write_at, memory[write_at : write_at + length], read_at, self._answer, sequence)
+        simulation.step(write_at, memory[write_at : write_at + length], read_at, self._answer)
         for begin, end in self._to_host:
             simulation.read(begin, shared[begin:end])
             memory[begin:end] = shared[begin:end]

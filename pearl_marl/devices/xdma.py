@@ -13,14 +13,15 @@ from typing import ClassVar
 import numpy as np
 
 from pearl_marl.batch.config import BatchConfig
-from pearl_marl.devices.comm_bram import CommBram, Transport
-from pearl_marl.devices.recovery import CHECKPOINT_EVERY, Recoverable
+from pearl_marl.devices.comm_bram import CommBram
+from pearl_marl.devices.recovery import CHECKPOINT_EVERY, CheckpointLog, Recovery, checked_every
+from pearl_marl.devices.transport import Transport
 from pearl_marl.devices.xdma_transport import COMPLETIONS, XdmaTransport
 from pearl_marl.errors import ArgumentError
 from pearl_marl.memory_map import Control, MemoryMap, default_map, memory_map
 
 
-class Xdma(Recoverable, CommBram):
+class Xdma(CommBram):
     """A board behind the XDMA driver.
 
     Parameters
@@ -38,7 +39,8 @@ class Xdma(Recoverable, CommBram):
     """
 
     name = "xdma"
-    _transport_type: ClassVar[type[XdmaTransport]] = XdmaTransport
+    transport_type: ClassVar[type[XdmaTransport]] = XdmaTransport
+    """What moves the bytes; tests put links that fail in its place."""
 
     def __init__(
         self,
@@ -47,7 +49,7 @@ class Xdma(Recoverable, CommBram):
         timeout: float = 10.0,
         checkpoint_every: int | None = CHECKPOINT_EVERY,
     ) -> None:
-        super().__init__(checkpoint_every)
+        self.checkpoint_every = checked_every(checkpoint_every)
         if isinstance(board, (int, np.integer)):
             if isinstance(board, bool) or board < 0:
                 raise ArgumentError(f"board is {board!r}; it must be a number from 0 on, or a folder")
@@ -60,17 +62,20 @@ class Xdma(Recoverable, CommBram):
         if not isinstance(timeout, (int, float)) or isinstance(timeout, bool) or not 0 < timeout < 1e6:
             raise ArgumentError(f"timeout is {timeout!r}; it must be a positive number of seconds")
         self.board = int(board) if isinstance(board, (int, np.integer)) else os.fspath(board)
-        self._completion, self._patience = completion, float(timeout)
+        self._completion, self.patience = completion, float(timeout)
 
     def _connect(self, config: BatchConfig) -> tuple[Transport, MemoryMap]:
-        transport = self._transport_type(self.board, self._completion, self._patience)
+        transport = self.transport_type(self.board, self._completion, self.patience)
         try:
             layout = _layout_of(transport, config)
         except BaseException:
             transport.close()
             raise
-        transport.status_offset = layout["status"].offset
+        transport.recoverable = True
         return transport, layout
+
+    def _make_recovery(self) -> Recovery:
+        return CheckpointLog(self.checkpoint_every)
 
 
 def _layout_of(transport: Transport, config: BatchConfig) -> MemoryMap:

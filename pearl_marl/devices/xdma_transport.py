@@ -24,10 +24,9 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from pearl_marl.devices import discovery
-from pearl_marl.devices.comm_bram import Transport
+from pearl_marl.devices.transport import Exchange, Transport
 from pearl_marl.errors import ArgumentError, DeviceError
 from pearl_marl.hardware.codec import Stream
-from pearl_marl.memory_map import Status, StatusError
 
 COMPLETIONS = ("poll", "event")
 
@@ -70,18 +69,15 @@ class XdmaTransport(Transport):
     board, completion, timeout
         See :class:`Xdma`.
 
-    Attributes
-    ----------
-    status_offset
-        Where the status is, which ends an answer; to be set before the first step.
-
     Raises
     ------
     DeviceError
         There is no such board, somebody else uses it, or its nodes cannot be opened.
     """
 
-    status_offset = -1
+    recoverable = False
+    """Whether a device is open on it, so that ``recover()`` is the way on after a failure."""
+
     _h2c = _c2h = _events = -1
 
     def __init__(self, board: int | str, completion: str | None, timeout: float) -> None:
@@ -101,39 +97,33 @@ class XdmaTransport(Transport):
         """See :class:`Transport`."""
         self._move(self._pread, "reading", offset, data)
 
-    def wait(self, sequence: int) -> None:
+    def begin(self) -> None:
+        """Forget interrupts of steps that nobody waited for to the end."""
+        while self._events >= 0 and self._poller.poll(0):
+            self._await_event(0)
+
+    def wait(self, step: Exchange) -> None:
         """Wait for the interrupt, where that is how the end of a step is noticed."""
         if self._events >= 0:
             self._await_event(self._timeout)
 
-    def exchange(self, offset: int, data: Stream, answer_offset: int, answer: Stream, sequence: int) -> None:
-        """Do a whole step; read again what is not of this step, or was read while the step ran."""
-        start = self.status_offset - answer_offset
-        status = answer[start : start + 4 * len(Status)].view("<u4")
-        if self._events >= 0:
-            self._drop_events()
-        self.write(offset, data)
-        began = time.monotonic()
-        self.wait(sequence)
-        while True:
-            self.read(answer_offset, answer)
-            finished, error = int(status[Status.SEQUENCE]), int(status[Status.ERROR])
-            fresh = finished == sequence and not error & StatusError.TORN_READ
-            if fresh and (self._interrupted or self._events < 0):
-                return
-            waited = time.monotonic() - began
-            if fresh:
-                self._fail(
-                    f"ended step {sequence}, but no interrupt came within {waited:.3g} s",
-                    'check that it is wired, or use completion="poll"',
-                )
-            if waited > self._timeout:
-                self._fail(
-                    f"did not end step {sequence} within {self._timeout:g} s: its status is of step "
-                    f"{finished}, error {error}",
-                    "check that its clock runs, or give a longer timeout",
-                )
-            self._pause(waited)
+    def unfinished(self, step: Exchange, waited: float) -> bool:
+        """Have what is not of this step, or was read while it ran, read again until the time is over."""
+        if step.done and (self._interrupted or self._events < 0):
+            return False
+        if step.done:
+            self._fail(
+                f"ended step {step.sequence}, but no interrupt came within {waited:.3g} s",
+                'check that it is wired, or use completion="poll"',
+            )
+        if waited > self._timeout:
+            self._fail(
+                f"did not end step {step.sequence} within {self._timeout:g} s: its status is of step "
+                f"{step.finished}, error {int(step.error)}",
+                "check that its clock runs, or give a longer timeout",
+            )
+        self._pause(waited)
+        return True
 
     def reconnect(self) -> None:
         """Open the nodes again, if anything has failed since they were opened."""
@@ -256,11 +246,6 @@ class XdmaTransport(Transport):
             else:
                 self._fail("is gone", _SERVE_AGAIN if isinstance(self._board, str) else _MENDS[errno.ENODEV])
 
-    def _drop_events(self) -> None:
-        """Forget interrupts of steps that nobody waited for to the end."""
-        while self._poller.poll(0):
-            self._await_event(0)
-
     def _pause(self, waited: float) -> None:
         if self._events >= 0:
             self._await_event(min(waited / 10, _MAX_PAUSE))
@@ -269,7 +254,7 @@ class XdmaTransport(Transport):
 
     def _fail(self, what: str, mend: str) -> NoReturn:
         self._failed = True
-        then = ". Then call recover()" if self.status_offset >= 0 else ""
+        then = ". Then call recover()" if self.recoverable else ""
         raise DeviceError(f"{self._called} {what}; {mend}{then}")
 
 

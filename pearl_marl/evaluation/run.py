@@ -16,12 +16,11 @@ import numpy as np
 import numpy.typing as npt
 
 from pearl_marl.batch.actions import encode
-from pearl_marl.batch.step import BatchStep
-from pearl_marl.devices import BatchConfig, Device, Lockstep, make_device
-from pearl_marl.devices.comm_bram import CommBram
+from pearl_marl.batch.step import BatchStep, on_host
+from pearl_marl.devices import BatchConfig, Device, make_device
+from pearl_marl.devices.transport import STAGES
 from pearl_marl.errors import ArgumentError
 from pearl_marl.evaluation.episodes import RunningEpisodes
-from pearl_marl.evaluation.stages import STAGES, Stopwatch
 from pearl_marl.policies.loading import Policy
 from pearl_marl.spec import EnvSpec
 
@@ -52,8 +51,8 @@ class Evaluation:
     n_agents
         How many agents.
     device
-        Where they are stepped: a name or a device. With a :class:`~pearl_marl.devices.Lockstep`, the device
-        in it is what is timed.
+        Where they are stepped: a name or a device. Of a :class:`~pearl_marl.devices.Lockstep`, the device
+        that is checked is timed.
     episodes
         How many episodes count; one an agent, if not given.
     seed
@@ -126,8 +125,8 @@ class Evaluation:
         words = np.empty(self.config.n_envs, spec.action.dtype)
         self.device.open(self.config)
         try:
-            watch = Stopwatch(self.device)
-            obs = self.device.reset(self.seed)
+            stages = self.device.timed()
+            obs = on_host(self.device.reset(self.seed))
             self._add(obs)
             remaining = self.episodes
             while remaining:
@@ -136,18 +135,17 @@ class Evaluation:
                 chosen = time.perf_counter()
                 encoded = encode(actions, spec, words)
                 checked = time.perf_counter() - chosen
-                step = self.device.step_words(encoded)
-                stages = watch.seconds
-                stages = {"policy": chosen - began, **stages, "pack": checked + stages.get("pack", 0.0)}
-                self._seconds.append(stages)
-                if isinstance(watch.device, CommBram):
-                    self._cycles.add(watch.device.cycles)
+                step = self.device.step_words(encoded).on_host()
+                packed = checked + stages.get("pack", 0.0)
+                self._seconds.append({"policy": chosen - began, **stages, "pack": packed})
+                if self.device.cycles is not None:
+                    self._cycles.add(self.device.cycles)
                 self._add(encoded, *step[:4], step.final_obs[step.ended])
                 counted = self._count(step)
                 remaining -= counted
                 obs = step.obs
                 yield from (None,) * counted
-            if isinstance(self.device, Lockstep):
+            if self.device.words_compared is not None:
                 self.device.snapshot()  # compares the states after the last step
         finally:
             self.device.close()
@@ -195,8 +193,8 @@ class Evaluation:
         }
         if self._cycles:
             result["clock_cycles"] = {"min": min(self._cycles), "max": max(self._cycles)}
-        if isinstance(self.device, Lockstep):
-            result["words_compared"] = self.device.words
+        if self.device.words_compared is not None:
+            result["words_compared"] = self.device.words_compared
         return result
 
 

@@ -26,7 +26,8 @@ import numpy as np
 
 from pearl_marl.batch.actions import random_actions
 from pearl_marl.batch.config import BatchConfig
-from pearl_marl.devices.comm_bram import CommBram, Transport, identity
+from pearl_marl.devices.comm_bram import CommBram, identity
+from pearl_marl.devices.transport import Exchange, Transport
 from pearl_marl.errors import ArgumentError
 from pearl_marl.hardware import elaboration
 from pearl_marl.hardware.codec import Stream, pack, stream_bytes
@@ -215,15 +216,14 @@ class _Answers(Transport):
         if offset == self._layout["control"].offset:
             data[: self._identity.size] = self._identity[: data.size]
 
-    def wait(self, sequence: int) -> None:
+    def wait(self, step: Exchange) -> None:
         """Be done."""
 
-    def exchange(self, offset: int, data: Stream, answer_offset: int, answer: Stream, sequence: int) -> None:
+    def exchange(self, step: Exchange) -> None:
         self.asked = time.thread_time()
-        ters = self._layout["ters"].offset - answer_offset
-        answer[ters : ters + self._ters.size] = self._ters
-        status = self._layout["status"].offset - answer_offset + 4 * Status.SEQUENCE
-        answer[status : status + 4].view("<u4")[0] = sequence
+        ters = self._layout["ters"].offset - step.read_at
+        step.answer[ters : ters + self._ters.size] = self._ters
+        step.status[Status.SEQUENCE] = step.sequence
         self.answered = time.thread_time()
 
     def close(self) -> None:

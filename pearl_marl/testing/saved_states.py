@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode
 
-from pearl_marl.batch import slot_memory
+from pearl_marl.batch.slot_memory import SlotMemory
 from pearl_marl.devices import BatchConfig, Native
 from pearl_marl.testing.case import (
     SIZE,
@@ -84,7 +84,7 @@ class SavedStatesContract:
         device.reset(seed=0)
         trajectory(device, case.actions(5))
         snapshot = device.snapshot()
-        columns = slot_memory.views(case.spec, SIZE, snapshot.memory)
+        columns = SlotMemory(case.spec, SIZE, snapshot.memory).columns
         shuffled = {name: column[::-1].copy() for name, column in columns.items()}
         before = device.state()
         for name, column in columns.items():

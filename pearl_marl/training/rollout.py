@@ -15,7 +15,7 @@ from torch import Tensor, nn
 from torch.distributions import Normal
 
 from pearl_marl.batch.saved_state import SavedState
-from pearl_marl.devices import BatchConfig, BatchStep, Cuda, Device, make_device
+from pearl_marl.devices import BatchConfig, BatchStep, Device, make_device
 from pearl_marl.policies.network import Network, Policy
 from pearl_marl.spec import EnvSpec
 
@@ -42,15 +42,14 @@ class Agents:
     """
 
     def __init__(self, spec: EnvSpec, device: str | Device, n: int, seed: int, first: int = 0) -> None:
-        self.device = Cuda(results="torch") if device == Cuda.name else make_device(device)
+        self.device = make_device(device, tensors=True)
         self.device.open(BatchConfig(spec=spec, n_envs=n, first_slot=first))
         obs = self.device.reset(seed)
-        self._takes_tensors = isinstance(obs, Tensor)
         self.obs = torch.as_tensor(obs)
 
     def step(self, actions: Tensor) -> Any:
         """Step every agent; return a :class:`BatchStep` of tensors."""
-        given: Any = actions if self._takes_tensors else actions.numpy()
+        given: Any = actions if self.device.tensors else actions.numpy()
         results: Any = map(torch.as_tensor, self.device.step(given))
         step: Any = BatchStep(*results)
         self.obs = step.obs

@@ -15,16 +15,14 @@ from __future__ import annotations
 
 import itertools
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import torch
 
-from pearl_marl.batch import slot_memory
 from pearl_marl.batch.saved_state import SavedState
 from pearl_marl.devices import cluster
-from pearl_marl.devices.ray import Parcel, pack, unpack
+from pearl_marl.devices.ray import Parcel, contents, parcel
 from pearl_marl.errors import ArgumentError, DeviceError
 from pearl_marl.policies.network import Array
 from pearl_marl.spec import EnvSpec
@@ -43,7 +41,7 @@ class Worker:
     def begin(self, parcel: Parcel) -> SavedState:
         """Make the agents; return their state. In the parcel are arguments of :class:`RolloutWorker`."""
         torch.set_num_threads(1)
-        spec, device, settings, blocks = unpack(parcel)
+        spec, device, settings, blocks = contents(parcel)
         self.model = ActorCritic(spec, settings.width)
         self.worker = RolloutWorker(spec, device, settings, self.model, blocks)
         self.model.to(self.worker.where)
@@ -113,11 +111,11 @@ class RayWorkers:
 
     def _start(self, i: int) -> tuple[Any, SavedState]:
         """Return an actor for a shard, and its agents' first state."""
-        parcel = pack(self.spec, self.device, self.settings, self._blocks[i])
+        sent = parcel(self.spec, self.device, self.settings, self._blocks[i])
         for attempt in itertools.count(1):
             try:
                 actor = cluster.start_actor(Worker, resources=self._resources)
-                state: SavedState = cluster.get(actor.begin.remote(parcel))
+                state: SavedState = cluster.get(actor.begin.remote(sent))
                 return actor, state
             except cluster.lost() as error:
                 self._give_up(i, attempt, "while it started", error)
@@ -167,27 +165,12 @@ class RayWorkers:
 
     def state(self) -> SavedState:
         """Return all that the agents' continuation depends on: the same, however many shards there are."""
-        states, sizes = self._states, [slots.stop - slots.start for slots in self._slots()]
-        first, n = states[0], self.settings.n_agents
-        return replace(
-            first,
-            identity={**first.identity, "n_agents": n},
-            memory=slot_memory.join(self.spec, [state.memory for state in states], sizes),
-            stored=slot_memory.join(self.spec, [state.stored for state in states], sizes),
-        )
+        return SavedState.join(self.spec, self._states)
 
     def load(self, state: SavedState) -> None:
         """Go on from what :meth:`state` returned, or that of a :class:`RolloutWorker`."""
-        n = self.settings.n_agents
-        for i, slots in enumerate(self._slots()):
-            share = {"n_agents": slots.stop - slots.start, "first_slot": slots.start}
-            self._states[i] = replace(
-                state,
-                identity={**state.identity, **share},
-                memory=slot_memory.cut(self.spec, n, state.memory, slots),
-                stored=slot_memory.cut(self.spec, n, state.stored, slots),
-            )
-            self._apart[i] = True
+        self._states = [state.cut(self.spec, slots) for slots in self._slots()]
+        self._apart = [True] * len(self._states)
 
     def _slots(self) -> list[slice]:
         edges = [block_edges(self.settings, blocks) for blocks in self._blocks]

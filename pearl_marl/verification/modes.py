@@ -113,7 +113,7 @@ def verify(run: Run, lockstep: Lockstep, seed: int) -> Iterator[Run]:
         run.exact = False
         raise
     finally:
-        run.words = lockstep.words
+        run.words = lockstep.words_compared
         lockstep.close()
 
 

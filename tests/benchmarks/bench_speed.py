@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 import pearl_marl
-from pearl_marl.batch import slot_memory
 from pearl_marl.batch.actions import encode, random_actions
+from pearl_marl.batch.rewards import padded
+from pearl_marl.batch.slot_memory import SlotMemory
 from pearl_marl.compiler.kernels import compile_kernels
-from pearl_marl.devices.base import padded_rewards
 
 N = 43008
 
@@ -33,9 +33,9 @@ def actions_of(env: Any, n: int = N) -> np.ndarray:
 def test_kernel_only(env: Any, benchmark: Any) -> None:
     spec = env.spec
     arguments = (
-        slot_memory.allocate(spec, N),
+        SlotMemory(spec, N).bytes,
         encode(actions_of(env), spec, np.empty(N, spec.action.dtype)),
-        padded_rewards(spec, spec.rewards or ()),
+        padded(spec, spec.rewards or ()),
         np.zeros(N, np.float32),
         np.zeros(N, np.uint8),
     )

@@ -23,10 +23,14 @@ import pearl_marl
 from pearl_marl import rng
 from pearl_marl.cache import cache_folder
 from pearl_marl.compiler import kernels
+from pearl_marl.compiler.cuda_source import cuda_source
+from pearl_marl.compiler.kernel_source import kernel_source
+from pearl_marl.compiler.pieces import PREFIXES
+from pearl_marl.devices import BatchConfig, Native
 from pearl_marl.golden import u8, u32
 from pearl_marl.spec import EnvSpec, Golden
 
-from ..toy import DRIFT, LADDER
+from ..toy import DRIFT, LADDER, SLIDE
 
 SPEC = pearl_marl.get_spec("CliffWalking")
 
@@ -57,14 +61,14 @@ ASSEMBLY = """
 import json
 import numpy as np
 import pearl_marl
-from pearl_marl.batch import slot_memory
+from pearl_marl.batch.slot_memory import SlotMemory
 from pearl_marl.compiler.kernels import compile_kernels
 spec, n = pearl_marl.get_spec("CliffWalking"), 64
 env = pearl_marl.parallel_env("CliffWalking", n)
 env.reset_batch(seed=0)
 env.step_batch(np.zeros(n, np.uint8))
 found = compile_kernels(spec)
-found.advance(slot_memory.allocate(spec, n), np.zeros(n, np.uint8), np.zeros(2, np.float32),
+found.advance(SlotMemory(spec, n).bytes, np.zeros(n, np.uint8), np.zeros(2, np.float32),
               np.zeros(n, np.float32), np.zeros(n, np.uint8), n, 0, n)
 print(json.dumps([list(f.inspect_asm().values()) for f in (found.step, found.advance)]))
 """
@@ -145,6 +149,39 @@ def test_the_source_can_be_read(cache: Path) -> None:
         assert spec.name in text
         assert not re.search(r"\$\w", text), "a part of the template was left out"
         compile(text, str(path), "exec")
+
+
+@pytest.mark.parametrize("source", [kernel_source, cuda_source])
+@pytest.mark.parametrize("spec", [SPEC, DRIFT, LADDER, SLIDE, pearl_marl.get_spec("Seaquest")])
+def test_no_name_of_a_field_can_be_in_the_way(source: Callable[[EnvSpec], str], spec: EnvSpec) -> None:
+    """What is named after a field begins with one of the prefixes, and nothing else does."""
+    mine = dataclasses.replace(
+        spec,
+        state=tuple(dataclasses.replace(f, name=f"{f.name}_mine") for f in spec.state),
+        observation=tuple(dataclasses.replace(f, name=f"{f.name}_mine") for f in spec.observation),
+    )
+    text = source(mine)
+    names = set(re.findall(r"\b[A-Za-z_]\w*", text.split('"""', 2)[2]))
+    ours = {name for name in names if name.endswith("_mine")}
+    assert ours
+    for name in names:
+        prefixes = [prefix for prefix in PREFIXES if name.startswith(f"{prefix}_")]
+        if name in ours:
+            assert len(prefixes) == 1
+            assert f"    {prefixes[0]}_x " in text, "the first lines say what it is"
+        else:
+            # What follows is no name that a field can have.
+            assert not prefixes or re.fullmatch(r"lane_\d+|at_(elapsed|ended)", name)
+
+
+def test_fields_may_be_named_like_anything_in_a_kernel(cache: Path) -> None:
+    fields = [dataclasses.replace(f, name=name) for f, name in zip(SPEC.state, ("for", "i"), strict=True)]
+    odd = dataclasses.replace(SPEC, state=tuple(fields))
+    expected, found = (Native().open(BatchConfig(spec=spec, n_envs=3)) for spec in (SPEC, odd))
+    for device in (expected, found):
+        device.reset(seed=1)
+    actions = np.array([0, 1, 2], np.uint8)
+    np.testing.assert_array_equal(expected.step(actions).obs, found.step(actions).obs)
 
 
 # What has to make another kernel. Each pair of functions differs in one thing only.

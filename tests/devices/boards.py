@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 
 from pearl_marl.devices import BatchConfig, Xdma
-from pearl_marl.devices.comm_bram import Transport
 from pearl_marl.devices.served import ServedBoard
+from pearl_marl.devices.transport import Exchange, Transport
 from pearl_marl.devices.xdma_transport import XdmaTransport
 from pearl_marl.memory_map import MemoryMap, Status, StatusError
 
@@ -142,6 +142,11 @@ class FaultyTransport(XdmaTransport):
     """A link whose system calls go wrong where its :class:`Faults` say."""
 
     faults: Faults
+    status_at: int | None = None
+
+    def exchange(self, step: Exchange) -> None:
+        self.status_at = step.status_at
+        super().exchange(step)
 
     def _lock(self) -> None:
         if self.faults.attempts_left:
@@ -154,13 +159,13 @@ class FaultyTransport(XdmaTransport):
 
     def _pread(self, offset: int, data: np.ndarray) -> int:
         status = None
-        if offset < self.status_offset < offset + data.size:
-            start = self.status_offset - offset
+        if self.status_at is not None and offset < self.status_at < offset + data.size:
+            start = self.status_at - offset
             status = data[start : start + 4 * len(Status)].view("<u4")
         return self.faults.around(super()._pread, offset, data, status)
 
 
 def faulty(device: Xdma, faults: Faults) -> Xdma:
     """Let a device that is not open yet use a link with these faults."""
-    device._transport_type = type("FaultyTransport", (FaultyTransport,), {"faults": faults})
+    device.transport_type = type("FaultyTransport", (FaultyTransport,), {"faults": faults})
     return device

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from pearl_marl.batch import slot_memory
+from pearl_marl.batch.slot_memory import SlotMemory
 from pearl_marl.devices import BatchConfig, BatchStep, Native
 
 Array = np.ndarray[Any, Any]
@@ -29,12 +29,12 @@ class Flips(Native):
     def _step(self, actions: Array) -> BatchStep:
         results = super()._step(actions)
         field, tick, slot, column = self.flip
-        if self._tick == tick and (self.lasting or not self.flips):
+        if self.tick == tick and (self.lasting or not self.flips):
             self.flips += 1
             if field in BatchStep._fields:
                 flip_bit(getattr(results, field), slot, column)
             else:
-                flip_bit(slot_memory.views(self.config.spec, self.config.n_envs, self._memory)[field], slot)
+                flip_bit(SlotMemory(self.config.spec, self.config.n_envs, self._memory).columns[field], slot)
         return results
 
 
@@ -47,8 +47,8 @@ class FlipsStart(Native):
         super().__init__()
         self.slot = slot
 
-    def _reset(self, mask: Array | None) -> Array:
-        obs = super()._reset(mask)
+    def _reset(self, mask: Array | None, seed: int | None) -> Array:
+        obs = super()._reset(mask, seed)
         if mask is None or mask[self.slot]:
             flip_bit(obs, self.slot)
         return obs
@@ -61,7 +61,7 @@ class Forgets(Native):
 
     def _write(self, memory: Array, stored: Array) -> Array:
         obs = super()._write(memory, stored)
-        slot_memory.views(self.config.spec, self.config.n_envs, self._memory)["elapsed"][3] ^= 1
+        SlotMemory(self.config.spec, self.config.n_envs, self._memory).elapsed[3] ^= 1
         return obs
 
 

@@ -7,7 +7,8 @@ import pytest
 
 from pearl_marl import get_spec
 from pearl_marl.devices import BatchConfig
-from pearl_marl.devices.comm_bram import CommBram, Transport
+from pearl_marl.devices.comm_bram import CommBram
+from pearl_marl.devices.transport import Exchange, Transport
 from pearl_marl.errors import DeviceError
 from pearl_marl.hardware import elaboration
 from pearl_marl.memory_map import (
@@ -50,7 +51,7 @@ class Memory(Transport):
         self.transfers.append(("read", offset, data.size))
         data[:] = self.bytes[offset : offset + data.size]
 
-    def wait(self, sequence: int) -> None:
+    def wait(self, step: Exchange) -> None:
         pass
 
     def close(self) -> None:

@@ -21,7 +21,7 @@ import pearl_marl
 from pearl_marl import wrappers
 from pearl_marl.batch.actions import random_actions
 from pearl_marl.benchmark.contenders import contenders, measure
-from pearl_marl.compiler.cuda_kernels import cuda_source
+from pearl_marl.compiler.cuda_source import cuda_source
 from pearl_marl.devices import BatchConfig, Cuda, Lockstep, Native, Sharded, cuda
 from pearl_marl.errors import ActionError, ArgumentError, DeviceError
 from pearl_marl.verification import runs, verify
@@ -152,7 +152,7 @@ def test_dicts_and_gymnasium_are_on_the_host(autoreset: bool) -> None:
     env = pearl_marl.parallel_env("Blackjack", N, device=Cuda("torch"), **arguments)
     other = pearl_marl.parallel_env("Blackjack", N, **arguments)
     assert dict(env.reset(seed=1)[0]) == dict(other.reset(seed=1)[0])
-    while env.agents and env.device._tick < 6:
+    while env.agents and env.device.tick < 6:
         ours: Any = env.step(on_gpu(np.ones(N, np.int64)))
         theirs: Any = other.step(np.ones(N, np.int64))
         assert env.agents == other.agents
@@ -335,8 +335,8 @@ def test_the_source_is_the_specs() -> None:
     """A spec's fields, and nothing of another's."""
     source = cuda_source(pearl_marl.get_spec("CartPole"))
     compile(source, "CartPole", "exec")
-    assert "memory_int32[state_3_at + i]" in source
-    assert "state_4_at" not in source
+    assert "memory_int32[at_angular_velocity + i]" in source
+    assert "at_row" not in source
 
 
 @pytest.mark.gpu

@@ -12,7 +12,7 @@ from gymnasium.vector import AutoresetMode
 
 import pearl_marl
 from pearl_marl import verification
-from pearl_marl.batch import slot_memory
+from pearl_marl.batch.slot_memory import SlotMemory
 from pearl_marl.comparison.replay import Replay
 from pearl_marl.devices import BatchConfig, Device, Lockstep, Native, Reference
 from pearl_marl.errors import ArgumentError, DeviceError, LockstepError, OrderError
@@ -25,7 +25,7 @@ from .broken import Elsewhere, Flips, FlipsStart, Forgets, OtherWidth
 N = 70
 CLIFF = pearl_marl.get_spec("CliffWalking")
 RESULTS = {"obs": "obs", "rewards": "rewards", "terminations": "terminations", "truncations": "truncations"}
-STATE = {"state_0": "state.row", "state_1": "state.column", "elapsed": "elapsed"}
+STATE = {"row": "state.row", "column": "state.column", "elapsed": "elapsed"}
 
 
 def actions_for(spec: Any, steps: int, n: int = N) -> np.ndarray:
@@ -60,9 +60,9 @@ def test_one_bit_of_any_field(field: str, slot: int, mode: AutoresetMode, copy: 
     truth = Reference().open(replace(lockstep.config, copy=True))
     truth.reset(seed=5)
     trajectory(truth, actions[:12])
-    before = slot_memory.views(CLIFF, N, truth.snapshot().memory)
+    before = SlotMemory(CLIFF, N, truth.snapshot().memory).columns
     right = truth.step(actions[12])
-    after = slot_memory.views(CLIFF, N, truth.snapshot().memory)
+    after = SlotMemory(CLIFF, N, truth.snapshot().memory).columns
 
     t, error = until_error(lockstep, actions)
     assert (t, error.step, error.slot) == (12, 12, 1000 + slot)
@@ -73,8 +73,7 @@ def test_one_bit_of_any_field(field: str, slot: int, mode: AutoresetMode, copy: 
     flipped.view(f"u{flipped.itemsize}")[slot] ^= 1
     assert error.device_value == flipped[slot]
     assert error.action == actions[12, slot]
-    names = {"row": "state_0", "column": "state_1", "elapsed": "elapsed", "ended": "ended"}
-    assert error.state_before == {name: before[column][slot] for name, column in names.items()}
+    assert error.state_before == {name: column[slot] for name, column in before.items()}
     assert error.divergence.slots == 1
     assert f"step 12, slot {1000 + slot}: {error.field} is {error.device_value}" in str(error)
 
@@ -126,7 +125,7 @@ def test_equal_floats_of_other_bits() -> None:
 
 
 @pytest.mark.parametrize("state_every", [1, 3, 16, 100])
-@pytest.mark.parametrize("field", ["elapsed", "state_1"])
+@pytest.mark.parametrize("field", ["elapsed", "column"])
 def test_a_state_that_went_wrong_between_comparisons(field: str, state_every: int) -> None:
     """However late it is noticed, what is reported is where it began."""
     lockstep = open_pair(Flips(field, tick=21, slot=8), state_every=state_every, max_cycles=30)
@@ -194,8 +193,8 @@ def test_masked_resets_change_nothing_when_they_fail() -> None:
     config = BatchConfig(spec=CLIFF, n_envs=N, max_cycles=9)
 
     class Later(FlipsStart):
-        def _reset(self, mask: Any) -> Any:
-            return Native._reset(self, mask) if mask is None else super()._reset(mask)
+        def _reset(self, mask: Any, seed: int | None) -> Any:
+            return Native._reset(self, mask, seed) if mask is None else super()._reset(mask, seed)
 
     lockstep = Lockstep(Later(9), "reference").open(config)
     lockstep.reset(seed=1)
@@ -225,7 +224,7 @@ def test_a_wrong_dtype_is_a_difference() -> None:
 
 
 @pytest.mark.parametrize("state_every", [1, 16])
-@pytest.mark.parametrize("field", ["rewards", "state_0"])
+@pytest.mark.parametrize("field", ["rewards", "row"])
 def test_after_a_divergence_the_run_goes_on(field: str, state_every: int) -> None:
     """The call that raised has changed nothing: taken again without the mistake, all is as it should be."""
     actions = actions_for(CLIFF, 40)
@@ -287,18 +286,18 @@ def test_in_a_parallel_env() -> None:
         env.step(np.zeros(N, np.uint8))
     with pytest.raises(LockstepError, match=r"rewards is -1\.0000001192092896, not -1\.0"):
         env.step(np.zeros(N, np.uint8))
-    assert env.device.words > 0
+    assert env.device.words_compared > 0
     env.close()
 
 
 def test_words_are_counted() -> None:
     lockstep = Lockstep("native", "reference").open(BatchConfig(spec=CLIFF, n_envs=10, max_cycles=2))
     lockstep.reset(seed=0)
-    assert lockstep.words == 10 * (1 + 4)  # obs; row, column, elapsed, ended
+    assert lockstep.words_compared == 10 * (1 + 4)  # obs; row, column, elapsed, ended
     lockstep.step(np.zeros(10, np.uint8))
-    assert lockstep.words == 10 * (5 + 4 + 4)  # obs, reward, two flags, state
+    assert lockstep.words_compared == 10 * (5 + 4 + 4)  # obs, reward, two flags, state
     lockstep.step(np.zeros(10, np.uint8))
-    assert lockstep.words == 10 * (13 + 9)  # and everybody's final observation
+    assert lockstep.words_compared == 10 * (13 + 9)  # and everybody's final observation
 
 
 def test_a_divergence_survives_pickling() -> None:

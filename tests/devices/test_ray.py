@@ -176,9 +176,9 @@ class Dangerous(Native):
         super().__init__()
         self.file = str(file)
 
-    def _reset(self, mask: np.ndarray | None) -> Any:
+    def _reset(self, mask: np.ndarray | None, seed: int | None) -> Any:
         self._obey()
-        return super()._reset(mask)
+        return super()._reset(mask, seed)
 
     def _step(self, actions: np.ndarray) -> Any:
         self._obey()

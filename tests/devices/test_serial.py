@@ -20,6 +20,7 @@ import pytest
 import pearl_marl
 from pearl_marl.devices import Serial
 from pearl_marl.devices.serial import SerialTransport, request
+from pearl_marl.devices.transport import Exchange
 from pearl_marl.errors import DeviceError
 from pearl_marl.hardware import elaboration
 from pearl_marl.memory_map import MAGIC, PROTOCOL_VERSION
@@ -129,10 +130,12 @@ def test_responses_are_errors(board: Fake, response: int, sentence: str) -> None
 
 def test_a_wait_ends_with_the_step_or_with_patience(board: Fake) -> None:
     transport = SerialTransport(board.port, timeout=0.2)
-    transport.status_offset = 4
-    transport.wait(PROTOCOL_VERSION)
+    step = Exchange(0, np.zeros(64, np.uint8), status_at=4)
+    step.sequence = PROTOCOL_VERSION
+    transport.wait(step)
     began = time.monotonic()
-    transport.wait(PROTOCOL_VERSION + 1)
+    step.sequence = PROTOCOL_VERSION + 1
+    transport.wait(step)
     assert time.monotonic() - began >= 0.2
     transport.close()
 

@@ -17,9 +17,9 @@ import pytest
 
 from pearl_marl import get_spec, memory_map
 from pearl_marl.devices import BatchConfig, Device, Native, Rtl, Xdma, discovery, make_device, xdma_transport
-from pearl_marl.devices.rtl import Simulation
 from pearl_marl.devices.served import ServedBoard
 from pearl_marl.devices.simulator.model_build import library
+from pearl_marl.devices.simulator.simulation import Simulation
 from pearl_marl.devices.xdma_transport import XdmaTransport
 from pearl_marl.errors import ArgumentError, DeviceError
 from pearl_marl.memory_map import Doorbell
@@ -333,12 +333,12 @@ class AxiLink(XdmaTransport):
         self.simulation.read(offset, data)
         return data.size
 
-    def _drop_events(self) -> None:
-        pass
+    def begin(self) -> None:
+        """There are no interrupts of earlier steps."""
 
     def _await_event(self, seconds: float) -> None:
         if self.wired:
-            self.simulation.wait(0)
+            self.simulation.wait(None)
             self._interrupted = True
 
     def close(self) -> None:
@@ -350,7 +350,7 @@ class AxiLink(XdmaTransport):
 @pytest.mark.parametrize("completion", ["poll", "event"])
 def test_completion_on_the_hardware_itself(completion: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """A read during the step is noticed by the hardware, and read again; the interrupt spares that."""
-    monkeypatch.setattr(Xdma, "_transport_type", AxiLink)
+    monkeypatch.setattr(Xdma, "transport_type", AxiLink)
     config = BatchConfig(spec=SPEC, n_envs=N // 2, max_cycles=20)
     device, native = Xdma(completion=completion).open(config), Native().open(config)
     device.reset(seed=0)
@@ -365,7 +365,7 @@ def test_completion_on_the_hardware_itself(completion: str, monkeypatch: pytest.
 
 def test_hardware_that_was_reset_between_two_steps(monkeypatch: pytest.MonkeyPatch) -> None:
     """By a button, say: it would go on from anywhere, and answer in time."""
-    monkeypatch.setattr(Xdma, "_transport_type", AxiLink)
+    monkeypatch.setattr(Xdma, "transport_type", AxiLink)
     config = BatchConfig(spec=SPEC, n_envs=N // 2, max_cycles=20)
     device, native = Xdma(completion="event").open(config), Native().open(config)
     device.reset(seed=0)
@@ -382,7 +382,7 @@ def test_hardware_that_was_reset_between_two_steps(monkeypatch: pytest.MonkeyPat
 
 
 def test_an_interrupt_that_is_not_wired(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(Xdma, "_transport_type", AxiLink)
+    monkeypatch.setattr(Xdma, "transport_type", AxiLink)
     monkeypatch.setattr(AxiLink, "wired", False)
     device = Xdma(completion="event", timeout=0.01).open(BatchConfig(spec=SPEC, n_envs=N // 2))
     device.reset(seed=0)

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pearl_marl import EnvSpec
-from pearl_marl.batch import slot_memory
+from pearl_marl.batch.slot_memory import SlotMemory
 from pearl_marl.batch.step import BatchStep
 from pearl_marl.devices import BatchConfig, Native
 
@@ -40,9 +40,9 @@ def native_step(spec: EnvSpec, fields: list[Array], actions: Array, seed: int = 
     device = Native().open(BatchConfig(spec=spec, n_envs=n))
     device.reset(seed=seed)
     snapshot = device.snapshot()
-    columns = slot_memory.views(spec, n, snapshot.memory)
+    columns = SlotMemory(spec, n, snapshot.memory).columns
     for k, values in enumerate(fields):
-        columns[f"state_{k}"][:] = values
+        columns[spec.state[k].name][:] = values
     device.restore(snapshot)
     step = device.step(actions)
     device.close()

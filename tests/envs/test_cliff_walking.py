@@ -12,7 +12,7 @@ from scipy import stats
 
 import pearl_marl
 from pearl_marl import rng
-from pearl_marl.batch import slot_memory
+from pearl_marl.batch.slot_memory import SlotMemory
 from pearl_marl.devices import BatchConfig, Native
 from pearl_marl.golden import call_reference, u8, u32
 from pearl_marl.rendering import HeatMap
@@ -46,8 +46,8 @@ def native_step(slippery: bool, states: np.ndarray, actions: np.ndarray, seed: i
     device = Native().open(config)
     device.reset(seed=seed)
     snapshot = device.snapshot()
-    columns = slot_memory.views(config.spec, len(states), snapshot.memory)
-    columns["state_0"][:], columns["state_1"][:] = np.divmod(states, 12)
+    columns = SlotMemory(config.spec, len(states), snapshot.memory).columns
+    columns["row"][:], columns["column"][:] = np.divmod(states, 12)
     np.testing.assert_array_equal(device.restore(snapshot), states)
     step = device.step(actions)
     device.close()

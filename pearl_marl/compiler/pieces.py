@@ -1,0 +1,123 @@
+"""The pieces of source that the kernels of the CPU and those of the GPU are both put together from.
+
+A piece is an expression or a list of lines. Where words lie and how slots are gone through differs, and comes
+in as expressions. Variables that stand for a field are named as :data:`PREFIXES` says.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+
+import numpy as np
+
+from pearl_marl.batch import slot_memory
+from pearl_marl.spec import EnvSpec, Field
+
+PREFIXES = {
+    "state": "the field's column in the memory of the slots",
+    "block": "what of that column belongs to the block of slots at hand",
+    "lane": "those words again, in the one array that the step works on",
+    "stored": "the field's column in the stored starts",
+    "at": "where the field's column begins",
+    "word": "the slot's word of the field",
+    "new": "what a golden function returned for the field, not yet narrowed to its dtype",
+    "observed": "what observe() returned for a field of the observation, likewise",
+    "given": "the words of a field of the observation, as a device delivered them",
+    "part": "what of those words belongs to the block at hand",
+}
+"""What a variable holds whose name is prefix, underscore and field. Nothing else in a kernel begins so,
+and no keyword: a field may be called anything, ``i`` and ``for`` too."""
+
+
+def each(pattern: str, values: Iterable[object]) -> list[str]:
+    """Return what a pattern makes of names or numbers: ``state_row`` and ``state_column`` of ``state_{}``."""
+    return [pattern.format(value) for value in values]
+
+
+def narrowed(fields: Iterable[Field], values: Iterable[str]) -> list[str]:
+    """Return values in the dtypes of their fields."""
+    return [f"np.{f.dtype}({value})" for f, value in zip(fields, values, strict=True)]
+
+
+def assign(targets: Iterable[str], values: Iterable[str]) -> list[str]:
+    """Return an assignment a line."""
+    return [f"{target} = {value}" for target, value in zip(targets, values, strict=True)]
+
+
+def call(function: str, arguments: Iterable[str], results: Iterable[str]) -> str:
+    """Return the call of a golden function."""
+    return f"{', '.join(results)} = {function}({', '.join(arguments)})"
+
+
+def key(chain: object, tick: str, draw: object) -> str:
+    """Return one of the two keys of a draw, which are the same for all slots."""
+    return f"key(u32({chain}), u32(seed_0), u32(seed_1), np.uint64({tick}), u32({draw}))"
+
+
+def indented(lines: Iterable[str]) -> list[str]:
+    """Return lines of source one level further in."""
+    return [f"    {line}" for line in lines]
+
+
+def start(stored: Iterable[str], fresh: Iterable[str]) -> list[str]:
+    """Return how an episode begins: as it is stored, or afresh."""
+    return ["if use_stored:", *indented(stored), "else:", *indented(fresh)]
+
+
+def filled(template: str, words: dict[str, str], parts: dict[str, list[str]]) -> str:
+    """Return a template with ``$WORD`` replaced anywhere, and each line that is only ``$part`` by lines.
+
+    ``$PREFIXES`` stands for the explanation of those that are in use.
+    """
+    text = re.sub(
+        r"^( *)\$([a-z_]+)\n",
+        lambda match: "".join(f"{match[1]}{line}\n" for line in parts[match[2]]),
+        template,
+        flags=re.MULTILINE,
+    )
+    used = (p for p in PREFIXES if re.search(rf"\b{p}_", text))
+    words["PREFIXES"] = "\n".join(f"    {f'{p}_x':<12}{PREFIXES[p]}" for p in used)
+    return re.sub(r"\$([A-Z_]+)", lambda match: words[match[1]], text)
+
+
+class Pieces:
+    """The pieces of one environment. ``element``, a pattern, and ``row`` say where an observation goes."""
+
+    def __init__(self, spec: EnvSpec, element: str, row: str) -> None:
+        self.spec, self.element, self.row = spec, element, row
+        self.state = [f.name for f in spec.state]
+        self.observation = [f.name for f in spec.observation]
+        self.new = each("new_{}", self.state)
+        self.narrow = narrowed(spec.state, self.new)
+        self.reset_draws = range(spec.reset_draws)
+        self.step_draws = range(spec.reset_draws, spec.reset_draws + spec.step_draws)
+        self.categories = 0 if spec.rewards is None else 1 << spec.reward.bits
+        # Of a bool, kernels write the byte.
+        self.dtype = "uint8" if spec.observation_dtype == np.bool_ else str(spec.observation_dtype)
+        pad = slot_memory.ALIGNMENT
+        self.padded = f"p = (n + {pad - 1}) // {pad} * {pad}  # slots of a column, padded"
+
+    def reward(self, code: str, index: str) -> str:
+        """Return the reward of a code, which is ``index`` where rewards are looked up."""
+        if self.categories:
+            return f"table[{index} & {self.categories - 1}]"
+        return f"np.float32({code})" + _scale("float32", self.spec.reward)
+
+    def observe(self, state: Iterable[str]) -> list[str]:
+        """Return what makes the observation of a slot in a state."""
+        observed = each("observed_{}", self.observation)
+        return [call("observe", state, observed), *self.deliver(observed)]
+
+    def deliver(self, words: Iterable[str]) -> list[str]:
+        """Return what makes an observation of its words: element by element, or by ``unpack``."""
+        fields, dtype = self.spec.observation, self.dtype
+        words = narrowed(fields, words)
+        if self.spec.unpack is not None:
+            return [f"unpack({', '.join(words)}, {self.row})"]
+        values = (f"np.{dtype}({w}){_scale(dtype, f)}" for w, f in zip(words, fields, strict=True))
+        return assign(each(self.element, range(len(fields))), values)
+
+
+def _scale(dtype: str, field: Field) -> str:
+    return f" * np.{dtype}({2.0**-field.fraction!r})" if field.fraction else ""

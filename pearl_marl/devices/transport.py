@@ -1,0 +1,157 @@
+"""The way to a Comm-BRAM and back: what moves bytes, one step on that way, and how long its stages take."""
+
+from __future__ import annotations
+
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from pearl_marl.hardware.codec import Stream
+from pearl_marl.memory_map import Status, StatusError
+
+STAGES = {"pack": "T1", "write": "T2", "compute": "T3-T5", "read": "T6", "unpack": "T7"}
+"""The stages of a step, in their order, with the paper's names for their times."""
+
+
+class Exchange:
+    """A step on its way: what is written, where the answer goes, and whether that is the step's own.
+
+    Parameters
+    ----------
+    read_at, answer
+        The byte address of results and status, and where they go.
+    status_at
+        The byte address of the status in it.
+
+    Attributes
+    ----------
+    write_at, data, sequence
+        What the step in question writes, from which address on, and its sequence number.
+    """
+
+    write_at: int
+    data: Stream
+    sequence: int
+
+    def __init__(self, read_at: int, answer: Stream, status_at: int) -> None:
+        self.read_at, self.answer, self.status_at = read_at, answer, status_at
+        start = status_at - read_at
+        self.status = answer[start : start + 4 * len(Status)].view("<u4")
+
+    @property
+    def finished(self) -> int:
+        """The sequence number of the step that the answer belongs to."""
+        return int(self.status[Status.SEQUENCE])
+
+    @property
+    def error(self) -> StatusError:
+        """What the hardware reports."""
+        return StatusError(int(self.status[Status.ERROR]))
+
+    @property
+    def done(self) -> bool:
+        """Whether the answer is this step's, and was not read while the step still ran."""
+        return self.finished == self.sequence and not self.error & StatusError.TORN_READ
+
+
+class Transport(ABC):
+    """Moves bytes to and from a Comm-BRAM; all of its methods raise DeviceError when they cannot."""
+
+    @abstractmethod
+    def write(self, offset: int, data: Stream) -> None:
+        """Write all of ``data`` from byte address ``offset`` on."""
+
+    @abstractmethod
+    def read(self, offset: int, data: Stream) -> None:
+        """Fill all of ``data`` from byte address ``offset`` on."""
+
+    def begin(self) -> None:  # noqa: B027, as not every link keeps anything
+        """Forget what is left of earlier steps, before another one is written."""
+
+    @abstractmethod
+    def wait(self, step: Exchange) -> None:
+        """Return once a step has ended, or as soon as that is likely."""
+
+    def unfinished(self, step: Exchange, waited: float) -> bool:
+        """Return whether to read again, ``waited`` seconds after the write; may pause, or raise."""
+        return False
+
+    def exchange(self, step: Exchange) -> None:
+        """Do a whole step: write, wait, and read for as long as it is :meth:`unfinished`."""
+        self.begin()
+        self.write(step.write_at, step.data)
+        began = time.monotonic()
+        self.wait(step)
+        self.read(step.read_at, step.answer)
+        while self.unfinished(step, time.monotonic() - began):
+            self.read(step.read_at, step.answer)
+
+    def reconnect(self) -> None:  # noqa: B027, as not every connection can fail
+        """Make the connection anew if it has failed."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Release everything. Called once."""
+
+
+class TimedTransport(Transport):
+    """Another transport, and when its last write and read began and ended.
+
+    Parameters
+    ----------
+    inner
+        What moves the bytes.
+
+    Attributes
+    ----------
+    written, read_back
+        Beginning and end, by ``time.perf_counter``.
+    """
+
+    def __init__(self, inner: Transport) -> None:
+        self.inner = inner
+        self.written = self.read_back = 0.0, 0.0
+
+    def write(self, offset: int, data: Stream) -> None:
+        """See :class:`Transport`."""
+        self.written = _timed(self.inner.write, offset, data)
+
+    def read(self, offset: int, data: Stream) -> None:
+        """See :class:`Transport`."""
+        self.read_back = _timed(self.inner.read, offset, data)
+
+    def begin(self) -> None:
+        """See :class:`Transport`."""
+        self.inner.begin()
+
+    def wait(self, step: Exchange) -> None:
+        """See :class:`Transport`."""
+        self.inner.wait(step)
+
+    def unfinished(self, step: Exchange, waited: float) -> bool:
+        """See :class:`Transport`."""
+        return self.inner.unfinished(step, waited)
+
+    def reconnect(self) -> None:
+        """See :class:`Transport`."""
+        self.inner.reconnect()
+
+    def close(self) -> None:
+        """See :class:`Transport`."""
+        self.inner.close()
+
+
+def _timed(call: Callable[[int, Stream], None], offset: int, data: Stream) -> tuple[float, float]:
+    began = time.perf_counter()
+    call(offset, data)
+    return began, time.perf_counter()
+
+
+def word(transport: Transport, offset: int) -> int:
+    """Return the 32-bit word at a byte address."""
+    found: Any = np.empty(4, np.uint8)
+    transport.read(offset, found)
+    return int(found.view("<u4")[0])
