@@ -195,12 +195,6 @@ LIBRARIES = {
     "_np_random_seed",  # Gymnasium's, likewise
 }
 
-PENDING: set[str] = {
-    *("interfaces.parallel", "interfaces.vector"),
-    *("wrappers.base", "wrappers.episodes", "wrappers.observations", "wrappers.rllib"),
-    *("wrappers.stable_baselines3", "wrappers.statistics"),
-}
-
 
 def private(name: str) -> bool:
     return name.startswith("_") and not (name.startswith("__") and name.endswith("__"))
@@ -231,9 +225,7 @@ def strangers(text: str) -> list[str]:
 
 
 @pytest.mark.parametrize("module", sorted(m for m in MODULES if m != "__init__"))
-def test_no_module_uses_anothers_private_names(module: str, request: pytest.FixtureRequest) -> None:
-    if module in PENDING:
-        request.applymarker(pytest.mark.xfail(strict=True, reason="not yet in order"))
+def test_no_module_uses_anothers_private_names(module: str) -> None:
     assert strangers(MODULES[module].read_text()) == []
 
 

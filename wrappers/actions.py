@@ -9,10 +9,12 @@ import numpy as np
 from gymnasium.spaces import Box, Discrete, Space
 
 from pearl_marl.batch.actions import random_numbers
-from pearl_marl.devices import BatchStep
+from pearl_marl.batch.step import Array, BatchStep
 from pearl_marl.errors import ArgumentError
+from pearl_marl.interfaces.batch import Batch, Mask
 
-from .base import Array, Batch, Env, Mask, Slots, Transform, wrap
+from .base import Env, wrap
+from .transform import Slots, Transform
 
 
 class _Mapped(Transform):

@@ -5,42 +5,42 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from gymnasium.spaces import Space
 from gymnasium.vector import AutoresetMode
 
-from pearl_marl.devices import BatchStep
-from pearl_marl.errors import ArgumentError, OrderError
+from pearl_marl.batch.step import Array, BatchStep
+from pearl_marl.errors import ArgumentError
 from pearl_marl.golden import uniform_below
+from pearl_marl.interfaces.batch import Batch, Mask
 from pearl_marl.interfaces.parallel_interface import ParallelInterface
 
-from .base import Array, Batch, Env, Mask, Transform, WrappedParallelEnv, with_zeros, wrap
+from .base import Env, wrap
+from .spaces import with_zeros
+from .transform import Transform
 
 
 class _FrameSkip(Transform):
     def __init__(self, batch: Batch, space: Space[Any], action_space: Any, low: int, high: int) -> None:
         super().__init__(batch, space, action_space)
-        if batch._autoreset_mode is AutoresetMode.NEXT_STEP:
+        if batch.slot_autoreset_mode is AutoresetMode.NEXT_STEP:
             raise ArgumentError(
                 "frame_skip_v0 does not work in NEXT_STEP mode, whose slots spend a step resetting: "
                 "make the environment with autoreset_mode='SameStep'"
             )
         self._low, self._high = low, high
 
-    def step(self, actions: npt.ArrayLike) -> BatchStep:
-        actions = self.given(actions)
+    def take(self, actions: Array) -> BatchStep:
         count = self._low
         if self._high > count:
             count += int(uniform_below(self.draws()[:1], self._high - count + 1)[0])
-        step = self.batch.step_batch(actions)
-        self._tick += 1
+        step = super().take(actions)
         rewards, terminations, truncations, final_obs = (self.new.copy(array) for array in step[1:])
         over, started = step.ended, False
         for _ in range(1, count):
-            if over.all() or not self.batch._live.any():  # where agents leave, nobody may be left to step
+            if over.all() or not self.batch.live.any():  # where agents leave, nobody may be left to step
                 break
             started |= bool(over.any())
-            step = self.batch.step_batch(actions)
+            step = super().take(actions)
             running = ~over
             np.add(rewards, step.rewards, out=rewards, where=running)
             now = np.flatnonzero(step.ended & running)
@@ -48,7 +48,7 @@ class _FrameSkip(Transform):
             final_obs[now] = step.final_obs[now]
             over[now] = True
         # Slots that ended on the way have gone on into their next episodes: those begin here instead.
-        obs = self.batch._reset_slots(over) if started else step.obs
+        obs = self.batch.reset_slots(over) if started else step.obs
         return BatchStep(obs, rewards, terminations, truncations, final_obs)
 
 
@@ -77,55 +77,39 @@ class _BlackDeath(Transform):
 
     def __init__(self, batch: Batch, space: Space[Any], action_space: Any) -> None:
         super().__init__(batch, with_zeros(space), action_space)
-        self.present = np.zeros((), np.bool_)
+        self._everybody, self._nobody = np.ones(self.n, np.bool_), np.zeros(self.n, np.bool_)
+        self._present = np.zeros((), np.bool_)
         self._terminated, self._truncated = np.zeros(self.n, np.bool_), np.zeros(self.n, np.bool_)
         self.memory = {
-            "present": self.present,
+            "present": self._present,
             "terminated": self._terminated,
             "truncated": self._truncated,
         }
 
+    @property
+    def live(self) -> Mask:
+        return self._everybody if self._present else self._nobody
+
     def reset(self, obs: Array, seed: int | None, mask: Mask | None = None) -> Array:
-        self.present[...] = True
+        self._present[...] = True
         self._terminated[:] = self._truncated[:] = False
         return super().reset(obs, seed, mask)
 
-    def step(self, actions: npt.ArrayLike) -> BatchStep:
-        actions = self.given(actions)
-        if not self.present:
-            raise OrderError("step() with no agent left: every episode has ended, call reset() first")
-        alive = self.batch._live
-        step = self.batch.step_batch(actions)
-        self._tick += 1
+    def results(self, step: BatchStep) -> BatchStep:
+        alive = self.acting
         self._terminated |= step.terminations & alive
         self._truncated |= step.truncations & alive
-        self.present[...] = self.batch._live.any()
+        self._present[...] = self.batch.live.any()
         obs, rewards = self.new.copy(self.arrivals(step)), step.rewards.copy()
         obs[~alive] = 0
         rewards[~alive] = 0
-        over = ~self.present
+        over = ~self._present
         return BatchStep(obs, rewards, self._terminated & over, self._truncated & over, obs)
 
     def restored(self, obs: Array) -> Array:
         obs = obs.copy()
-        obs[~self.batch._live] = 0
+        obs[~self.batch.live] = 0
         return obs
-
-
-class _WithBlackDeath(WrappedParallelEnv):
-    transform: _BlackDeath
-
-    @property
-    def agents(self) -> list[str]:
-        return list(self._agents)
-
-    @property
-    def _agents(self) -> tuple[str, ...]:  # type: ignore[override]
-        return tuple(self.possible_agents) if self.transform.present else ()
-
-    @property
-    def _live(self) -> Mask:  # type: ignore[override]
-        return np.full(self._n, self.transform.present)
 
 
 def black_death_v3(env: ParallelInterface) -> Any:
@@ -134,8 +118,8 @@ def black_death_v3(env: ParallelInterface) -> Any:
     Then every agent gets the flags with which its own episode ended, in the step in which the last one
     does; SuperSuit says so a step late. For environments made with ``autoreset=False``.
     """
-    if not isinstance(env, ParallelInterface) or env._autoreset:
+    if not isinstance(env, ParallelInterface) or env.autoreset:
         raise ArgumentError(
             "black_death_v3 takes a ParallelEnv made with autoreset=False: no agent dies in others"
         )
-    return _WithBlackDeath(env, _BlackDeath(env, env._observation_space, env._action_space))
+    return wrap(env, _BlackDeath)

@@ -9,18 +9,24 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium.spaces import Box, Discrete, Space
 
+from pearl_marl.batch.recycling import Recycler
+from pearl_marl.batch.step import Array
 from pearl_marl.errors import ArgumentError
+from pearl_marl.interfaces.batch import Batch
 
 from . import kernels
-from .base import Array, Batch, Env, Slots, Transform, box, with_zeros, wrap
-from .recycling import Recycler
+from .base import Env, wrap
+from .spaces import box, with_zeros
+from .transform import Slots, Transform
+
+Change = Callable[[Array], Array]
 
 
 class _Mapped(Transform):
     """Observations through a function of whole batches."""
 
     def __init__(
-        self, batch: Batch, observation_space: Space[Any], action_space: Any, change: Callable[[Array], Array]
+        self, batch: Batch, observation_space: Space[Any], action_space: Any, change: Change
     ) -> None:
         super().__init__(batch, observation_space, action_space)
         self._change = change
@@ -29,7 +35,7 @@ class _Mapped(Transform):
         return self._change(obs)
 
 
-def _mapped(env: Env, name: str, change: Callable[[Array], Array]) -> Any:
+def _mapped(env: Env, name: str, change: Change) -> Any:
     """Wrap an environment whose ``Box`` goes through ``change`` as its observations do."""
 
     def make(batch: Batch, space: Space[Any], action_space: Any) -> Transform:
@@ -158,27 +164,31 @@ def resize_v1(env: Env, x_size: int, y_size: int, linear_interp: bool = True) ->
         if isinstance(size, bool) or not isinstance(size, int) or size < 1:
             raise ArgumentError(f"{name} is {size!r}; it must be a positive integer")
 
-    def nearest(old: int, new: int) -> Slots:
-        return ((np.arange(new) + 0.5) * old / new).astype(np.intp)
-
-    def mixed(obs: Array, axis: int, new: int) -> Array:
-        # As tinyscaler has it, with which SuperSuit resizes: the centres of the outermost pixels are the
-        # edges of the picture, and a new pixel shows what is at its centre.
-        at = (np.arange(new) + 0.5) * (obs.shape[axis] - 1) / new
-        low = at.astype(np.intp)
-        share = (at - low).astype(np.float32).reshape(-1, *(1,) * (obs.ndim - axis - 1))
-        one, other = obs.take(low, axis), obs.take(np.minimum(low + 1, obs.shape[axis] - 1), axis)
-        return np.asarray(one + (other - one) * share)
-
     def change(obs: Array) -> Array:
         if obs.ndim not in (3, 4):
             raise ArgumentError(f"resize_v1 takes pictures of 2 or 3 axes, not {obs.shape[1:]}")
         if not linear_interp:
-            return obs[:, nearest(obs.shape[1], y_size)][:, :, nearest(obs.shape[2], x_size)]
-        result: Array = mixed(mixed(obs.astype(np.float32), 2, x_size), 1, y_size).astype(obs.dtype)
+            return obs[:, _nearest(obs.shape[1], y_size)][:, :, _nearest(obs.shape[2], x_size)]
+        result: Array = _mixed(_mixed(obs.astype(np.float32), 2, x_size), 1, y_size).astype(obs.dtype)
         return result
 
     return _mapped(env, "resize_v1", change)
+
+
+def _nearest(old: int, new: int) -> Slots:
+    """Return which of ``old`` pixels each of ``new`` ones shows."""
+    return ((np.arange(new) + 0.5) * old / new).astype(np.intp)
+
+
+def _mixed(obs: Array, axis: int, new: int) -> Array:
+    """Return pictures with ``new`` pixels along an axis, each a mixture of the two nearest."""
+    # As tinyscaler has it, with which SuperSuit resizes: the centres of the outermost pixels are the
+    # edges of the picture, and a new pixel shows what is at its centre.
+    at = (np.arange(new) + 0.5) * (obs.shape[axis] - 1) / new
+    low = at.astype(np.intp)
+    share = (at - low).astype(np.float32).reshape(-1, *(1,) * (obs.ndim - axis - 1))
+    one, other = obs.take(low, axis), obs.take(np.minimum(low + 1, obs.shape[axis] - 1), axis)
+    return np.asarray(one + (other - one) * share)
 
 
 def agent_indicator_v0(env: Env, type_only: bool = False) -> Any:
@@ -199,35 +209,46 @@ def agent_indicator_v0(env: Env, type_only: bool = False) -> Any:
         return env
 
     def make(batch: Batch, space: Space[Any], action_space: Any) -> Transform:
-        n = batch._n
-        if isinstance(space, Discrete):
-            agents = np.arange(n)
-            if int(space.n) * n >= 1 << 63:
-                raise ArgumentError(f"{space} times {n} agents does not fit 63 bits")
-            shown = Discrete(int(space.n) * n, start=int(space.start) * n)
-            return _Mapped(batch, shown, action_space, lambda obs: obs * n + agents)
-        old: Box = box(space, "agent_indicator_v0")
-        if not 1 <= len(old.shape) <= 3:
-            raise ArgumentError(f"agent_indicator_v0 takes vectors and pictures, not shape {old.shape}")
-        # A picture without channels gets an axis for them.
-        one: tuple[int, ...] = (*old.shape, 1) if len(old.shape) == 2 else old.shape
-        kind = old.dtype if old.dtype.kind == "f" else np.dtype(np.float32)
-        new = Recycler()
-        numbers = (np.arange(n) / max(n - 1, 1)).astype(kind)
-        rows, width = int(np.prod(one[:-1])), one[-1]
-
-        def change(obs: Array) -> Array:
-            out = new.empty((n, *one[:-1], width + 1), kind)
-            kernels.appended(obs.reshape(n, rows, width), numbers, out.reshape(n, rows, width + 1))
-            return out
-
-        low, high = (
-            np.insert(bound.reshape(one).astype(kind), width, end, axis=-1)
-            for bound, end in ((old.low, 0), (old.high, 1))
+        n = batch.batch_size
+        shown, change = (
+            _numbered(space, n)
+            if isinstance(space, Discrete)
+            else _with_number(box(space, "agent_indicator_v0"), n)
         )
-        return _Mapped(batch, Box(low, high, dtype=kind.type), action_space, change)
+        return _Mapped(batch, shown, action_space, change)
 
     return wrap(env, make)
+
+
+def _numbered(space: Discrete, n: int) -> tuple[Discrete, Change]:
+    """Return the space of ``observation * n + agent``, and what computes it."""
+    if int(space.n) * n >= 1 << 63:
+        raise ArgumentError(f"{space} times {n} agents does not fit 63 bits")
+    agents = np.arange(n)
+    return Discrete(int(space.n) * n, start=int(space.start) * n), lambda obs: obs * n + agents
+
+
+def _with_number(space: Box, n: int) -> tuple[Box, Change]:
+    """Return the space of observations with one element more, from 0 to 1, and what appends it."""
+    if not 1 <= len(space.shape) <= 3:
+        raise ArgumentError(f"agent_indicator_v0 takes vectors and pictures, not shape {space.shape}")
+    # A picture without channels gets an axis for them.
+    one: tuple[int, ...] = (*space.shape, 1) if len(space.shape) == 2 else space.shape
+    kind = space.dtype if space.dtype.kind == "f" else np.dtype(np.float32)
+    new = Recycler()
+    numbers = (np.arange(n) / max(n - 1, 1)).astype(kind)
+    rows, width = int(np.prod(one[:-1])), one[-1]
+
+    def change(obs: Array) -> Array:
+        out = new.empty((n, *one[:-1], width + 1), kind)
+        kernels.appended(obs.reshape(n, rows, width), numbers, out.reshape(n, rows, width + 1))
+        return out
+
+    low, high = (
+        np.insert(bound.reshape(one).astype(kind), width, end, axis=-1)
+        for bound, end in ((space.low, 0), (space.high, 1))
+    )
+    return Box(low, high, dtype=kind.type), change
 
 
 def pad_observations_v0(env: Env) -> Any:

@@ -8,10 +8,12 @@ from typing import Any
 import numpy as np
 from gymnasium.spaces import Space
 
-from pearl_marl.devices import BatchStep
+from pearl_marl.batch.step import Array, BatchStep
 from pearl_marl.errors import ArgumentError
+from pearl_marl.interfaces.batch import Batch
 
-from .base import Array, Batch, Env, Transform, wrap
+from .base import Env, wrap
+from .transform import Transform
 
 
 class _Mapped(Transform):

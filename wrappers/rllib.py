@@ -62,7 +62,10 @@ def rllib_vector_env(env_id: str, *, wrap: Callable[[Any], Any] | None = None, *
         if wrap is None:
             return env
         wrapped = wrap(env)
-        if not isinstance(wrapped, VectorInterface) or wrapped._mode is not AutoresetMode.NEXT_STEP:
+        if (
+            not isinstance(wrapped, VectorInterface)
+            or wrapped.slot_autoreset_mode is not AutoresetMode.NEXT_STEP
+        ):
             raise ArgumentError(
                 f"wrap returned {type(wrapped).__name__}, which is not the environment it was given in "
                 "wrappers of this package"
@@ -105,7 +108,7 @@ def rllib_multi_agent_env(
         env: Any = parallel_env(env_id, **{**given, "autoreset": False})
         if wrap is not None:
             env = wrap(env)
-            if not isinstance(env, ParallelInterface) or env._autoreset:
+            if not isinstance(env, ParallelInterface) or env.autoreset:
                 raise ArgumentError(
                     f"wrap returned {type(env).__name__}, which is not the environment it was given in "
                     "wrappers of this package"

@@ -15,8 +15,11 @@ from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvStepReturn
 
 from pearl_marl.batch.slot_memory import SlotMemory
+from pearl_marl.batch.step import BatchStep
 from pearl_marl.devices.by_name import make_host_device
 from pearl_marl.errors import ArgumentError, OrderError
+from pearl_marl.evaluation.episodes import RunningEpisodes
+from pearl_marl.interfaces.batch import Batch
 from pearl_marl.interfaces.parallel_interface import ParallelInterface
 from pearl_marl.interfaces.vector_interface import VectorInterface
 
@@ -64,10 +67,10 @@ class PearlVecEnv(VecEnv):
     """
 
     def __init__(self, env: Any, staggered: bool = False) -> None:
-        spaces, n = _checked(env)
+        batch = _checked(env)
         self.env = env
-        self._show, observation_space = _observations_for_sb3(spaces[0])
-        super().__init__(n, observation_space, spaces[1])
+        self._show, observation_space = _observations_for_sb3(batch.slot_observation_space)
+        super().__init__(batch.batch_size, observation_space, batch.slot_action_space)
         device = make_host_device(env.unwrapped.device)
         if not isinstance(staggered, bool):
             raise ArgumentError(f"staggered is {staggered!r}; it must be True or False")
@@ -82,9 +85,7 @@ class PearlVecEnv(VecEnv):
         self._next_seed: int | None = None
         self._actions: Array | None = None
         self._began = time.time()
-        self._returns = np.zeros(n, np.float64)
-        self._starts = np.zeros(n, np.int64)
-        self._steps = 0
+        self._episodes = RunningEpisodes(self.num_envs)
 
     def reset(self) -> Array:
         """Begin an episode in every slot; return observations of shape ``(num_envs, ...)``."""
@@ -92,7 +93,7 @@ class PearlVecEnv(VecEnv):
         self._next_seed = self._actions = None
         if self._staggered:
             self._stagger()
-        self._returns[:] = self._starts[:] = self._steps = 0
+        self._episodes.clear()
         self._reset_seeds()
         return self._own(obs)
 
@@ -116,32 +117,25 @@ class PearlVecEnv(VecEnv):
             raise OrderError("step_wait() without a step under way: call step_async(actions) first")
         actions, self._actions = self._actions, None
         step = self.env.step_batch(actions)
-        ended = step.ended
-        self._steps += 1
-        self._returns += step.rewards
+        return self._own(step.obs), step.rewards, step.ended, self._infos(step)
+
+    def _infos(self, step: BatchStep) -> list[dict[str, Any]]:
+        """Count a step; return what SB3 is told of the episodes that it ended."""
         # A new one each step: should somebody write into it nevertheless, it is gone by the next.
         infos: list[dict[str, Any]] = [{}] * self.num_envs
-        slots = np.flatnonzero(ended)
-        if slots.size:
-            cut_short = ~step.terminations[slots]
-            lengths = self._steps - self._starts[slots]
-            seconds = round(time.time() - self._began, 6)
-            for slot, final, truncated, total, length in zip(
-                slots.tolist(),
-                self._show(step.final_obs[slots]),
-                cut_short.tolist(),
-                self._returns[slots].tolist(),
-                lengths.tolist(),
-                strict=True,
-            ):
-                infos[slot] = {
-                    "terminal_observation": final,
-                    "TimeLimit.truncated": truncated,
-                    "episode": {"r": total, "l": length, "t": seconds},
-                }
-            self._returns[slots] = 0
-            self._starts[slots] = self._steps
-        return self._own(step.obs), step.rewards, ended, infos
+        ended = self._episodes.add(step)
+        if not ended.slots.size:
+            return infos
+        seconds = round(time.time() - self._began, 6)
+        finals = self._show(step.final_obs[ended.slots])
+        columns = [column.tolist() for column in ended]
+        for final, slot, total, length, truncated in zip(finals, *columns, strict=True):
+            infos[slot] = {
+                "terminal_observation": final,
+                "TimeLimit.truncated": truncated,
+                "episode": {"r": total, "l": length, "t": seconds},
+            }
+        return infos
 
     def close(self) -> None:
         """Close the environment."""
@@ -232,22 +226,22 @@ class PearlVecEnv(VecEnv):
             )
 
 
-def _checked(env: Any) -> tuple[tuple[Space[Any], Space[Any]], int]:
-    """Return one slot's spaces and how many slots there are, or refuse the environment."""
-    if isinstance(env, ParallelInterface):
-        if not env._autoreset:
-            raise ArgumentError(
-                "agents of autoreset=False leave when their episode ends, and SB3's slots start over: "
-                "make the environment with autoreset=True"
-            )
-        return (env._observation_space, env._action_space), len(env.possible_agents)
+def _checked(env: Any) -> Batch:
+    """Return an environment whose slots start over as SB3 expects, or refuse it."""
+    if isinstance(env, ParallelInterface) and not env.autoreset:
+        raise ArgumentError(
+            "agents of autoreset=False leave when their episode ends, and SB3's slots start over: "
+            "make the environment with autoreset=True"
+        )
     if isinstance(env, VectorInterface):
-        if env._mode is not AutoresetMode.SAME_STEP:
+        mode = env.metadata["autoreset_mode"]
+        if mode is not AutoresetMode.SAME_STEP:
             raise ArgumentError(
-                f"autoreset_mode is {env._mode.name}, and SB3's slots start over in the step in which they "
+                f"autoreset_mode is {mode.name}, and SB3's slots start over in the step in which they "
                 "end: make the environment with autoreset_mode='SameStep'"
             )
-        return (env.single_observation_space, env.single_action_space), env.num_envs
+    if isinstance(env, (ParallelInterface, VectorInterface)):
+        return env
     raise ArgumentError(
         f"{type(env).__name__} is no environment of this package; sb3_vec_env takes those of "
         "parallel_env and make_vec, in this package's wrappers or none"

@@ -5,14 +5,16 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from gymnasium.spaces import Box, Space
 
-from pearl_marl.devices import BatchStep
+from pearl_marl.batch.step import Array, BatchStep
 from pearl_marl.errors import ArgumentError
+from pearl_marl.interfaces.batch import Batch, Mask
 
 from . import kernels
-from .base import Array, Batch, Env, Mask, Slots, Transform, box, wrap
+from .base import Env, wrap
+from .spaces import box
+from .transform import Slots, Transform
 
 
 class _Normalised(Transform):
@@ -30,10 +32,6 @@ class _Normalised(Transform):
         self._mean, self._variance, self._count = np.zeros(width), np.ones(width), np.full((), 1e-4)
         self._statistics = {"mean": self._mean, "variance": self._variance, "count": self._count}
         self.memory = dict(self._statistics)
-
-    def step(self, actions: npt.ArrayLike) -> BatchStep:
-        self._counted = self.batch._live  # those that leave in this step belong to it
-        return super().step(actions)
 
     def deviation(self) -> Array:
         """Return what to divide by."""
@@ -77,7 +75,7 @@ class _NormalisedObservation(_Normalised):
 
     def results(self, step: BatchStep) -> BatchStep:
         # What is counted is what is seen; the ends of episodes are not where the next begins at once.
-        self.update(step.obs if self.batch._autoreset else step.arrivals(), self._counted)
+        self.update(step.obs if self.batch.autoreset else step.arrivals(), self.acting)
         return super().results(step)
 
     def observe(self, obs: Array) -> Array:
@@ -99,7 +97,7 @@ class _NormalisedReward(_Normalised):
         self.memory["returns"] = self._returns
 
     def rewards(self, step: BatchStep) -> Array:
-        counted = self._counted & ~self._resetting
+        counted = self.acting & ~self.resetting
         kernels.discounted(self._returns, step.rewards, step.terminations, counted, self._gamma)
         self.update(self._returns, counted)
         return (step.rewards / self.deviation()).astype(np.float32)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import sys
 from typing import Any
 
 import numpy as np
@@ -11,11 +10,9 @@ import numpy.typing as npt
 from gymnasium.vector import AutoresetMode
 
 from pearl_marl.batch.config import BatchConfig
-from pearl_marl.batch.slot_memory import ALIGNMENT, aligned_bytes
+from pearl_marl.batch.recycling import Recycler
+from pearl_marl.batch.slot_memory import ALIGNMENT
 from pearl_marl.batch.step import BatchStep
-
-MAX_SETS = 8
-"""How many sets are kept for use again. Whoever holds on to more gets fresh memory for them."""
 
 
 class Layout:
@@ -57,36 +54,19 @@ class Layout:
             for start, shape, dtype in zip(self.starts, self.shapes, self.dtypes, strict=True)
         ]
 
-
-class _Set:
-    """One allocation and the five arrays in it; knows whether anybody else refers to them."""
-
-    def __init__(self, layout: Layout) -> None:
-        self.memory = aligned_bytes(layout.size)
-        parts = zip(layout.pieces(self.memory), layout.dtypes, layout.shapes, strict=True)
+    def arrays(self, memory: npt.NDArray[np.uint8]) -> BatchStep:
+        """Return the five arrays in a block of bytes."""
+        parts = zip(self.pieces(memory), self.dtypes, self.shapes, strict=True)
         arrays = [piece.view(dtype).reshape(shape) for piece, dtype, shape in parts]
-        if layout.starts[4] == layout.starts[0]:
+        if self.starts[4] == self.starts[0]:
             arrays[4] = arrays[0]
-        self.arrays = BatchStep(*arrays)
-        # NumPy lets a view of a view refer to what owns the memory, so the owner tells of all of them.
-        self._owner = self.memory.base
-        del arrays, parts
-        self._references_unshared = self._references()
-
-    def _references(self) -> tuple[int, ...]:
-        return (sys.getrefcount(self._owner), *map(sys.getrefcount, self.arrays))
-
-    def shared(self) -> bool:
-        """Return whether anybody outside refers to one of the arrays or to a view of one."""
-        return self._references() != self._references_unshared
+        return BatchStep(*arrays)
 
 
 class ResultArrays:
     """Hands out arrays for results: the same ones every time, or ones that nobody else refers to.
 
-    Fresh memory for 43,008 slots costs several times the step, because the system clears every
-    page of it. So where results are the user's to keep, a set of arrays is used again, but only
-    once neither the arrays nor any view of them is referred to outside.
+    Five array objects stay in every block of memory, so that a step makes no new views.
 
     Parameters
     ----------
@@ -96,27 +76,16 @@ class ResultArrays:
 
     def __init__(self, config: BatchConfig) -> None:
         self.layout = Layout(config)
-        self._copy = config.copy
-        self._sets = [_Set(self.layout)]
+        self._new = Recycler(self.layout.arrays)
+        # Without copies: the one block, and the arrays that every step writes over.
+        self._block = None if config.copy else self._new.block(self.layout.size)
+        self._same = None if self._block is None else BatchStep(*self._block.arrays)
 
     def take(self) -> BatchStep:
         """Return arrays to write the next results into; their content is of no meaning."""
-        results = self._next()
-        return BatchStep(*results.arrays) if self._copy else results.arrays
+        return self._same or BatchStep(*self._new.block(self.layout.size).arrays)
 
     def take_block(self) -> tuple[npt.NDArray[np.uint8], BatchStep]:
         """Do the same; return also the bytes that the arrays lie in, as :attr:`layout` has them."""
-        results = self._next()
-        return results.memory, BatchStep(*results.arrays) if self._copy else results.arrays
-
-    def _next(self) -> _Set:
-        if not self._copy:
-            return self._sets[0]
-        for results in self._sets:
-            if not results.shared():
-                break
-        else:
-            results = _Set(self.layout)
-            if len(self._sets) < MAX_SETS:
-                self._sets.append(results)
-        return results
+        block = self._block or self._new.block(self.layout.size)
+        return block.memory, self._same or BatchStep(*block.arrays)

@@ -3,11 +3,65 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from pearl_marl.batch.step import BatchStep
+
+
+class Ended(NamedTuple):
+    """The episodes that ended in one step, an element each.
+
+    Parameters
+    ----------
+    slots
+        Whose they were, in order.
+    returns, lengths
+        Their sums of rewards (``float64``) and numbers of steps.
+    truncated
+        Whether nothing but the time limit ended them.
+    """
+
+    slots: npt.NDArray[np.intp]
+    returns: npt.NDArray[np.float64]
+    lengths: npt.NDArray[np.int64]
+    truncated: npt.NDArray[np.bool_]
+
+
+NONE = Ended(np.zeros(0, np.intp), np.zeros(0), np.zeros(0, np.int64), np.zeros(0, np.bool_))
+"""What most steps of few slots end."""
+
+
+class RunningEpisodes:
+    """Return and length of every slot's episode so far.
+
+    Parameters
+    ----------
+    n
+        How many slots.
+    """
+
+    def __init__(self, n: int) -> None:
+        self._returns = np.zeros(n, np.float64)
+        self._starts = np.zeros(n, np.int64)
+        self._steps = 0
+
+    def clear(self) -> None:
+        """Begin an episode in every slot."""
+        self._returns[:] = self._starts[:] = self._steps = 0
+
+    def add(self, step: BatchStep) -> Ended:
+        """Count one step of every slot; return the episodes that it ended."""
+        self._steps += 1
+        self._returns += step.rewards
+        slots = np.flatnonzero(step.ended)
+        if not slots.size:
+            return NONE
+        returns, lengths = self._returns[slots], self._steps - self._starts[slots]
+        self._returns[slots], self._starts[slots] = 0, self._steps
+        return Ended(slots, returns, lengths, ~step.terminations[slots])
 
 
 class EpisodeStatistics:
@@ -25,9 +79,7 @@ class EpisodeStatistics:
     """
 
     def __init__(self, n: int) -> None:
-        self._returns = np.zeros(n, np.float64)
-        self._starts = np.zeros(n, np.int64)
-        self._steps = 0
+        self._running = RunningEpisodes(n)
         self.clear()
 
     def clear(self) -> None:
@@ -39,19 +91,15 @@ class EpisodeStatistics:
 
     def add(self, step: BatchStep) -> None:
         """Count one step of every slot."""
-        self._steps += 1
-        self._returns += step.rewards
-        ended = np.flatnonzero(step.ended)
-        if not ended.size:
+        ended = self._running.add(step)
+        if not ended.slots.size:
             return
-        returns, lengths = self._returns[ended], self._steps - self._starts[ended]
-        self.finished += ended.size
-        self.truncated += int(np.count_nonzero(~step.terminations[ended]))
+        returns, lengths = ended.returns, ended.lengths
+        self.finished += ended.slots.size
+        self.truncated += int(np.count_nonzero(ended.truncated))
         for i, values in enumerate((returns, returns**2, lengths, lengths.astype(np.float64) ** 2)):
             self._sums[i] += values.sum()
         self._extremes = [min(self._extremes[0], returns.min()), max(self._extremes[1], returns.max())]
-        self._returns[ended] = 0
-        self._starts[ended] = self._steps
 
     def summary(self) -> dict[str, Any]:
         """Return counts, means and standard deviations by name; means are ``None`` without episodes."""

@@ -20,6 +20,7 @@ from pearl_marl.batch.step import BatchStep, on_host
 from pearl_marl.devices import BatchConfig, Device, make_device
 from pearl_marl.devices.transport import STAGES
 from pearl_marl.errors import ArgumentError
+from pearl_marl.evaluation.episodes import RunningEpisodes
 from pearl_marl.policies.loading import Policy
 from pearl_marl.spec import EnvSpec
 
@@ -94,7 +95,7 @@ class Evaluation:
         self._quota[: self.episodes % n_agents] += 1
         self._first = np.cumsum(self._quota) - self._quota  # where an agent's episodes stand
         self._done = np.zeros(n_agents, np.int64)
-        self._sums, self._ages = np.zeros(n_agents), np.zeros(n_agents, np.int64)
+        self._running = RunningEpisodes(n_agents)
         self._returns, self._lengths = np.full(self.episodes, np.nan), np.zeros(self.episodes, np.int64)
         self._digest = hashlib.sha256()
         self._seconds: list[dict[str, float]] = []
@@ -155,17 +156,14 @@ class Evaluation:
 
     def _count(self, step: BatchStep) -> int:
         self.steps += 1
-        self._sums += step.rewards
-        self._ages += 1
-        ended = np.flatnonzero(step.ended)
-        taken = ended[self._done[ended] < self._quota[ended]]
-        places = self._first[taken] + self._done[taken]
-        self._returns[places], self._lengths[places] = self._sums[taken], self._ages[taken]
-        self.truncated += int(np.count_nonzero(~step.terminations[taken]))
-        self._done[taken] += 1
-        self._sums[ended] = 0
-        self._ages[ended] = 0
-        return taken.size
+        ended = self._running.add(step)
+        wanted = self._done[ended.slots] < self._quota[ended.slots]
+        slots = ended.slots[wanted]
+        places = self._first[slots] + self._done[slots]
+        self._returns[places], self._lengths[places] = ended.returns[wanted], ended.lengths[wanted]
+        self.truncated += int(np.count_nonzero(ended.truncated[wanted]))
+        self._done[slots] += 1
+        return slots.size
 
     def summary(self) -> dict[str, Any]:
         """Return all figures by name, for JSON.

@@ -10,20 +10,18 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from gymnasium.spaces import Box
-from gymnasium.vector import AutoresetMode
+from gymnasium.spaces import Box, Discrete
 
 from pearl_marl.batch.saved_state import SavedState
 from pearl_marl.batch.slot_memory import state_dtype
-from pearl_marl.batch.step import on_host
+from pearl_marl.batch.step import Array, on_host
 from pearl_marl.devices import BatchConfig, BatchStep, Device, make_device
 from pearl_marl.errors import ArgumentError, OrderError
+from pearl_marl.interfaces.batch import Mask
 from pearl_marl.interfaces.parallel_interface import ParallelInterface
 from pearl_marl.registry import get_spec
 from pearl_marl.rendering import OracleRenderer, check_render_mode
 from pearl_marl.spec import snake_case
-
-Array = npt.NDArray[Any]
 
 
 class PearlParallelEnv(ParallelInterface):
@@ -57,23 +55,26 @@ class PearlParallelEnv(ParallelInterface):
     ) -> None:
         spec = config.spec
         check_render_mode(spec, render_mode)
+        super().__init__(
+            [f"agent_{i}" for i in range(config.n_envs)],
+            # Copies, or seeding one environment's spaces would seed another's.
+            deepcopy(spec.observation_space),
+            deepcopy(spec.action_space),
+            "iu" if isinstance(spec.action_space, Discrete) else "iuf",
+            autoreset,
+        )
         self.spec = spec
         self.device = device.open(config, rewards)
         self.render_mode = render_mode
-        self.possible_agents = [f"agent_{i}" for i in range(config.n_envs)]
-        self.agents: list[str] = []
-        self._agents: tuple[str, ...] = ()
         self.metadata = {
             "name": f"{snake_case(spec.name)}_v{spec.version}",
             "render_modes": list(spec.render_modes),
             "render_fps": spec.render_fps,
             "is_parallelizable": True,
         }
-        # Copies, or seeding one environment's spaces would seed another's.
-        self._set_spaces(deepcopy(spec.observation_space), deepcopy(spec.action_space))
-        self._known = frozenset(self.possible_agents)
-        self._autoreset = autoreset
-        self._live = np.ones(config.n_envs, np.bool_)
+        # Nobody is there before the first reset. Arrays of `live` are replaced, never written into.
+        self._all = np.ones(config.n_envs, np.bool_)
+        self._live = ~self._all
         self.np_random = np.random.default_rng()
         self._renderer: OracleRenderer | None = None
         self._rendered_slot = 0
@@ -92,13 +93,27 @@ class PearlParallelEnv(ParallelInterface):
         obs = self.device.reset(seed)
         if seed is not None:
             self.np_random = np.random.default_rng(seed)
-        self._set_live(np.ones(len(obs), np.bool_))
+        self._live = self._all
         self._render_for_human()
         return obs
 
-    def step_batch(self, actions: npt.ArrayLike) -> BatchStep:
-        """See :meth:`ParallelInterface.step_batch`."""
-        return self._stepped(self.device.step(self._for_all(actions)))
+    @property
+    def live(self) -> Mask:
+        """Which slots' agents are there: none before the first reset; see :class:`Batch`."""
+        return self._live
+
+    @property
+    def ready(self) -> bool:
+        """Whether a step is possible: after the first reset, and until closed."""
+        return self.device.ready
+
+    def step_slots(self, actions: npt.ArrayLike) -> BatchStep:
+        """See :meth:`ParallelInterface.step_slots`."""
+        return self._stepped(self.device.step(actions))
+
+    def reset_slots(self, mask: Mask) -> Array:
+        """Begin an episode in the masked slots; return all observations."""
+        return self.device.reset(mask=mask)
 
     def send(self, actions: npt.ArrayLike) -> None:
         """Start a step and return at once; :meth:`recv` has its results.
@@ -106,43 +121,21 @@ class PearlParallelEnv(ParallelInterface):
         With two environments of half the slots each, one steps while the other's results are used.
         Takes and raises what :meth:`step_batch` does.
         """
-        self.device.send(self._for_all(actions))
+        self.device.send(self.filled(actions))
 
     def recv(self) -> BatchStep:
         """Wait for the step that :meth:`send` started and return its results."""
         return self._stepped(self.device.recv())
 
-    def _for_all(self, actions: npt.ArrayLike) -> npt.ArrayLike:
-        """Return actions that the device takes, whoever has left."""
-        if not self.agents and self.device.ready:
-            raise OrderError("step() with no agent left: every episode has ended, call reset() first")
-        return actions if len(self.agents) == len(self._live) else self._without_left(actions)
-
     def _stepped(self, result: BatchStep) -> BatchStep:
         """Take note of who leaves in a step, and show it."""
-        if not self._autoreset:
+        if not self.autoreset:
             leaving = on_host(result.ended) & self._live
             if leaving.any():
-                self._set_live(self._live & ~leaving)
+                self._live = self._live & ~leaving
         if self.render_mode == "human":
             self._render_for_human()
         return result
-
-    def _reset_slots(self, mask: npt.NDArray[np.bool_]) -> Array:
-        """Begin an episode in the masked slots; return all observations."""
-        return self.device.reset(mask=mask)
-
-    @property
-    def _ready(self) -> bool:
-        return self.device.ready
-
-    @property
-    def _n(self) -> int:
-        return len(self._live)
-
-    @property
-    def _autoreset_mode(self) -> AutoresetMode:
-        return self.device.config.autoreset_mode
 
     def state(self) -> Array:
         """Return the state of every slot, shape ``(n_agents, fields)``, as ``state_space`` has it."""
@@ -152,7 +145,7 @@ class PearlParallelEnv(ParallelInterface):
     def state_space(self) -> Box:
         """The space of :meth:`state`."""
         low, high = zip(*((f.low, f.high) for f in self.spec.state), strict=True)
-        shape = len(self._live), 1
+        shape = self.batch_size, 1
         dtype = state_dtype(self.spec)
         return Box(
             np.tile(np.array(low, dtype), shape), np.tile(np.array(high, dtype), shape), dtype=dtype.type
@@ -161,7 +154,7 @@ class PearlParallelEnv(ParallelInterface):
     def save_state(self) -> bytes:
         """Return all that the continuation depends on; :meth:`load_state` takes it, on any device."""
         saved = self.device.snapshot()
-        live = self._live if not self._autoreset else self._live[:0]
+        live = self._live[:0] if self.autoreset else self._live
         return replace(saved, identity=self._identity(), live=live.view(np.uint8)).to_bytes()
 
     def load_state(self, blob: bytes) -> Array:
@@ -178,7 +171,7 @@ class PearlParallelEnv(ParallelInterface):
         """
         saved = SavedState.from_bytes(blob, self._identity())
         obs = self.device.restore(saved)
-        self._set_live(np.ones(len(obs), np.bool_) if self._autoreset else saved.live.astype(np.bool_))
+        self._live = self._all if self.autoreset else saved.live.astype(np.bool_)
         return obs
 
     def recover(self) -> None:
@@ -213,13 +206,7 @@ class PearlParallelEnv(ParallelInterface):
                 f"render() without a render_mode: make the environment with one of {self.spec.render_modes}"
             )
         if agent is not None:
-            if agent in self._known and agent not in self._agents:
-                raise OrderError(f"render({agent!r}): its episode has ended, and it has left until reset()")
-            if agent not in self._known:
-                raise ArgumentError(
-                    f"there is no agent {agent!r}; agents are agent_0 to agent_{len(self._live) - 1}"
-                )
-            self._rendered_slot = int(agent.removeprefix("agent_"))
+            self._rendered_slot = self._slot_to_render(agent)
         state = self.device.state()[self._rendered_slot]
         if self._renderer is None:
             self._renderer = OracleRenderer(self.spec, self.render_mode)
@@ -233,31 +220,21 @@ class PearlParallelEnv(ParallelInterface):
             self._renderer = None
 
     def _identity(self) -> dict[str, Any]:
-        return {**self.device.config.identity(), "autoreset": self._autoreset}
+        return {**self.device.config.identity(), "autoreset": self.autoreset}
 
-    def _set_live(self, live: npt.NDArray[np.bool_]) -> None:
-        self._live = live
-        # The dicts of a step keep this one, whatever is done to the public list meanwhile.
-        self._agents = tuple(a for a, here in zip(self.possible_agents, live.tolist(), strict=True) if here)
-        self.agents = list(self._agents)
+    def _slot_to_render(self, agent: str) -> int:
+        slot = self.slots.get(agent)
+        if slot is None:
+            raise ArgumentError(
+                f"there is no agent {agent!r}; agents are agent_0 to agent_{self.batch_size - 1}"
+            )
+        if not self._live[slot]:
+            raise OrderError(f"render({agent!r}): its episode has ended, and it has left until reset()")
+        return slot
 
     def _render_for_human(self) -> None:
         if self.render_mode == "human":
             self.render()
-
-    def _without_left(self, actions: npt.ArrayLike) -> npt.ArrayLike:
-        """Return actions with a possible one where an agent has left: nobody looks at what was there."""
-        given: Any = actions
-        try:
-            array = np.asarray(given.cpu() if hasattr(given, "cpu") else given)
-        except ValueError:  # a ragged list, for the device to refuse
-            return actions
-        if (
-            array.shape != (len(self._live), *self._action_shape)
-            or array.dtype.kind not in self._action_kinds
-        ):
-            return actions
-        return np.where(self._live.reshape(-1, *(1,) * len(self._action_shape)), array, self._idle)
 
 
 def parallel_env(

@@ -10,52 +10,100 @@ import numpy as np
 import numpy.typing as npt
 import pettingzoo
 from gymnasium.spaces import Box, Discrete, Space
+from gymnasium.vector import AutoresetMode
 
 from pearl_marl.batch.actions import refuse_first
-from pearl_marl.batch.step import on_host
-from pearl_marl.devices import BatchStep
-from pearl_marl.errors import ActionError
+from pearl_marl.batch.step import Array, BatchStep, on_host
+from pearl_marl.errors import ActionError, OrderError
 from pearl_marl.interfaces.agent_dict import AgentDict, ended_infos, observations_in, python_values
-
-Array = npt.NDArray[Any]
+from pearl_marl.interfaces.batch import Mask
 
 
 class ParallelInterface(pettingzoo.ParallelEnv):  # type: ignore[misc]
-    """A ``ParallelEnv`` made of two methods on whole arrays, ``reset_batch`` and ``step_batch``.
+    """A ``ParallelEnv`` made of methods on whole arrays; a :class:`pearl_marl.interfaces.batch.Batch`.
+
+    A subclass has :attr:`live`, :attr:`ready`, :meth:`reset_batch`, :meth:`step_slots` and
+    :meth:`reset_slots`.
+
+    Parameters
+    ----------
+    agents
+        The names of all agents, in the order of the slots.
+    observation_space, action_space
+        One slot's spaces.
+    action_kinds
+        The kinds of dtype that actions may have.
+    autoreset
+        Whether agents stay when their episode ends.
 
     Attributes
     ----------
-    possible_agents, agents
-        ``"agent_0"`` and so on, in the order of the slots: all of them, and those still there.
+    possible_agents
+        ``"agent_0"`` and so on, in the order of the slots.
+    slots
+        Each agent's slot, by its name.
+    batch_size, slot_observation_space, slot_action_space, autoreset
+        See :class:`pearl_marl.interfaces.batch.Batch`.
     """
 
-    possible_agents: list[str]
-    # Whether agents stay when their episode ends; who is there, as a tuple that steps may keep, and by slot.
-    _autoreset: bool
-    _agents: tuple[str, ...]
-    _live: npt.NDArray[np.bool_]
-    _known: frozenset[str]
+    slot_autoreset_mode = AutoresetMode.SAME_STEP
 
-    def _set_spaces(self, observation_space: Space[Any], action_space: Discrete | Box) -> None:
-        self._observation_space, self._action_space = observation_space, action_space
+    def __init__(
+        self,
+        agents: list[str],
+        observation_space: Space[Any],
+        action_space: Discrete | Box,
+        action_kinds: str,
+        autoreset: bool,
+    ) -> None:
+        self.possible_agents = agents
+        self.slots = {agent: slot for slot, agent in enumerate(agents)}
+        self.batch_size = len(agents)
+        self.slot_observation_space, self.slot_action_space = observation_space, action_space
+        self.autoreset = autoreset
         self._observations = observations_in(observation_space)
-        self._action_shape = action_space.shape or ()
-        self._action_kinds = "iu" if isinstance(action_space, Discrete) else "iuf"
-        self._idle = action_space.low[0] if isinstance(action_space, Box) else 0
+        self._action_shape, self._action_kinds = action_space.shape or (), action_kinds
+        # An action that is possible, for whom nobody has one.
+        self._idle: Any = action_space.low if isinstance(action_space, Box) else int(action_space.start)
+        # As `live` is another array whenever it changes, these are known to fit it by which one it is: who is
+        # there, as a tuple that steps may keep and as the public list, and an array that says everybody.
+        self._named: Mask = np.zeros(0, np.bool_)
+        self._here: tuple[str, ...] = ()
+        self._agents: list[str] = []
+        self._everybody: Mask | None = None
+
+    @property
+    @abstractmethod
+    def live(self) -> Mask:
+        """Which slots' agents are there; see :class:`pearl_marl.interfaces.batch.Batch`."""
+
+    @property
+    @abstractmethod
+    def ready(self) -> bool:
+        """Whether a step is possible."""
+
+    @property
+    def agents(self) -> list[str]:
+        """The names of those that are there, in the order of the slots."""
+        self._name_who_is_there()
+        return self._agents
 
     def observation_space(self, agent: str) -> Space[Any]:
         """Return the observation space, one object for all agents."""
-        return self._observation_space
+        return self.slot_observation_space
 
     def action_space(self, agent: str) -> Space[Any]:
         """Return the action space, one object for all agents."""
-        return self._action_space
+        return self.slot_action_space
 
     @abstractmethod
     def reset_batch(self, seed: int | None = None) -> Array:
         """Begin an episode for every agent; return observations of shape ``(n_agents, ...)``."""
 
     @abstractmethod
+    def reset_slots(self, mask: Mask) -> Array:
+        """Begin an episode in the masked slots; return all observations."""
+
     def step_batch(self, actions: npt.ArrayLike) -> BatchStep:
         """Step every slot once, without any dict.
 
@@ -63,6 +111,7 @@ class ParallelInterface(pettingzoo.ParallelEnv):  # type: ignore[misc]
         ----------
         actions
             Shape ``(n_agents, *action_space.shape)``; integers cost least in the dtype of ``spec.action``.
+            What they hold for agents that have left is ignored.
 
         Returns
         -------
@@ -70,11 +119,36 @@ class ParallelInterface(pettingzoo.ParallelEnv):  # type: ignore[misc]
         autoreset, the slots of agents that left run on, and their rows have no meaning; in the step in
         which an agent ends, ``obs`` is already its slot's next start (``arrivals()`` is where it ended).
         """
+        if self.live is not self._everybody:
+            actions = self.filled(actions)
+        return self.step_slots(actions)
 
-    @property
-    def _ready(self) -> bool:
-        """Whether a step is possible."""
-        return True
+    @abstractmethod
+    def step_slots(self, actions: npt.ArrayLike) -> BatchStep:
+        """Do what :meth:`step_batch` does, with possible actions for agents that have left."""
+
+    def filled(self, actions: npt.ArrayLike) -> npt.ArrayLike:
+        """Return actions with a possible one where an agent has left: nobody looks at what was there.
+
+        Raises
+        ------
+        OrderError
+            Every agent has left.
+        """
+        live = self.live
+        if live.all():
+            self._everybody = live
+            return actions
+        if self.ready and not live.any():
+            raise OrderError("step() with no agent left: every episode has ended, call reset() first")
+        given: Any = actions
+        try:
+            array = np.asarray(given.cpu() if hasattr(given, "cpu") else given)
+        except ValueError:  # a ragged list, to be refused
+            return actions
+        if not self._are_actions(array, self.batch_size):
+            return actions
+        return np.where(live.reshape(-1, *(1,) * len(self._action_shape)), array, self._idle)
 
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
@@ -95,7 +169,7 @@ class ParallelInterface(pettingzoo.ParallelEnv):  # type: ignore[misc]
         obs = on_host(self.reset_batch(seed))
         nobody = np.zeros(len(obs), np.bool_)
         return (
-            AgentDict(self._agents, obs, self._observations),
+            AgentDict(self._name_who_is_there(), obs, self._observations),
             AgentDict(self.possible_agents, nobody, ended_infos(obs, self._observations)),
         )
 
@@ -120,16 +194,17 @@ class ParallelInterface(pettingzoo.ParallelEnv):  # type: ignore[misc]
         OrderError
             Before ``reset``, after ``close``, or once every agent has left.
         """
-        agents, live = self._agents, self._live
+        agents = self._name_who_is_there()
+        live = self._named
         given: Any = actions
-        if isinstance(actions, Mapping) and self._ready:
+        if isinstance(actions, Mapping) and self.ready:
             if not agents and not actions:  # PettingZoo's convention, which SuperSuit's black_death needs
                 return {}, {}, {}, {}, {}
-            given = self._action_array(actions)
+            given = self._action_array(agents, actions)
         result = self.step_batch(given).on_host()
         obs, rewards, terminations, truncations, final_obs = result
         ended = result.ended
-        if not self._autoreset:
+        if not self.autoreset:
             # Here an agent that ended sees its last observation, and nothing of what its slot does next.
             obs = result.arrivals()
             ended = np.zeros(len(agents), np.bool_)
@@ -145,27 +220,46 @@ class ParallelInterface(pettingzoo.ParallelEnv):  # type: ignore[misc]
             AgentDict(agents, ended, ended_infos(final_obs, self._observations)),
         )
 
-    def _action_array(self, actions: Mapping[str, Any]) -> Array:
-        """Return a dict's actions as an array over all slots, with a possible one where an agent has left."""
-        try:
-            values = [actions[agent] for agent in self._agents]
-        except KeyError as missing:
-            raise ActionError(
-                f"no action for {missing.args[0]!r}; all {len(self._agents)} agents in env.agents need one"
-            ) from None
-        if len(actions) != len(values):
-            here = set(self._agents)
-            extra = next(agent for agent in actions if agent not in here)
-            why = "its episode has ended" if extra in self._known else "there is no such agent"
-            raise ActionError(f"an action for {extra!r}, but {why}; only agents in env.agents act")
+    def _action_array(self, agents: tuple[str, ...], actions: Mapping[str, Any]) -> Array:
+        """Return a dict's actions as an array over all slots; the rows of agents that left hold anything."""
+        values = self._values(agents, actions)
         try:
             array = np.array(values)
         except ValueError:  # some are sequences
             array = np.empty(0)
-        if array.shape != (len(values), *self._action_shape) or array.dtype.kind not in self._action_kinds:
-            raise refuse_first(self._agents, values, self._action_space)
-        if len(values) == len(self._live):
+        if not self._are_actions(array, len(values)):
+            raise refuse_first(agents, values, self.slot_action_space)
+        if len(values) == self.batch_size:
             return array
-        whole = np.full((len(self._live), *self._action_shape), self._idle, array.dtype)
-        whole[self._live] = array
+        whole = np.empty((self.batch_size, *self._action_shape), array.dtype)
+        whole[self._named] = array
         return whole
+
+    def _values(self, agents: tuple[str, ...], actions: Mapping[str, Any]) -> list[Any]:
+        """Return the actions of those that are there, who must be the ones that have one."""
+        try:
+            values = [actions[agent] for agent in agents]
+        except KeyError as missing:
+            raise ActionError(
+                f"no action for {missing.args[0]!r}; all {len(agents)} agents in env.agents need one"
+            ) from None
+        if len(actions) != len(values):
+            here = set(agents)
+            extra = next(agent for agent in actions if agent not in here)
+            why = "its episode has ended" if extra in self.slots else "there is no such agent"
+            raise ActionError(f"an action for {extra!r}, but {why}; only agents in env.agents act")
+        return values
+
+    def _are_actions(self, array: Array, count: int) -> bool:
+        """Return whether an array has the shape and kind of dtype of so many actions."""
+        return array.shape == (count, *self._action_shape) and array.dtype.kind in self._action_kinds
+
+    def _name_who_is_there(self) -> tuple[str, ...]:
+        """Return the agents that are there. A tuple: whatever is done to the public list, dicts keep it."""
+        live = self.live
+        if live is not self._named:
+            pairs = zip(self.possible_agents, live.tolist(), strict=True)
+            self._here = tuple(agent for agent, here in pairs if here)
+            self._agents = list(self._here)
+            self._named = live
+        return self._here

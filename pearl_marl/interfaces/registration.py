@@ -34,14 +34,19 @@ def announce(spec: EnvSpec) -> None:
                 kind, f"pearl/{spec.id}", f"pearl_marl.interfaces.{entry_point}", kwargs=arguments
             )
     name = f"Pearl/{spec.id}"
-
-    def refuse(**_: Any) -> NoReturn:
-        raise ArgumentError(
-            f"{name} has a vector form only: call gymnasium.make_vec({name!r}, num_envs=...) instead of "
-            "gymnasium.make()"
-        )
-
     gymnasium.registry.pop(name, None)
     gymnasium.register(
-        name, refuse, vector_entry_point="pearl_marl.interfaces.vector:make_vec", kwargs=arguments
+        name,
+        "pearl_marl.interfaces.registration:refuse_make",
+        vector_entry_point="pearl_marl.interfaces.vector:make_vec",
+        kwargs=arguments,
+    )
+
+
+def refuse_make(env_id: str, **arguments: Any) -> NoReturn:
+    """Say what to call instead of ``gymnasium.make``, which makes one sub-environment."""
+    name = f"Pearl/{registry.get_spec(env_id).id}"
+    raise ArgumentError(
+        f"{name} has a vector form only: call gymnasium.make_vec({name!r}, num_envs=...), without a "
+        "vectorization_mode, instead of gymnasium.make()"
     )

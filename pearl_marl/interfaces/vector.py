@@ -6,16 +6,14 @@ import inspect
 from copy import deepcopy
 from typing import Any
 
-import numpy as np
 import numpy.typing as npt
 from gymnasium.vector import AutoresetMode
 
+from pearl_marl.batch.step import Array
 from pearl_marl.devices import BatchConfig, BatchStep, Device, make_device
 from pearl_marl.errors import ArgumentError
-from pearl_marl.interfaces.vector_interface import VectorInterface
+from pearl_marl.interfaces.vector_interface import VectorInterface, slot_autoreset_mode
 from pearl_marl.registry import get_spec
-
-Array = npt.NDArray[Any]
 
 
 class PearlVectorEnv(VectorInterface):
@@ -50,7 +48,7 @@ class PearlVectorEnv(VectorInterface):
         self.device = device.open(config, rewards)
         # Copies, or seeding one environment's spaces would seed another's.
         spaces = deepcopy(spec.observation_space), deepcopy(spec.action_space)
-        self._set_up(int(config.n_envs), *spaces, autoreset_mode)
+        super().__init__(config.n_envs, *spaces, autoreset_mode)
 
     def reset_batch(self, seed: int | None = None, mask: npt.ArrayLike | None = None) -> Array:
         """See :class:`VectorInterface`."""
@@ -62,12 +60,12 @@ class PearlVectorEnv(VectorInterface):
 
     def send(self, actions: npt.ArrayLike) -> None:
         """Start a step and return at once; :meth:`recv` has its results. Takes what :meth:`step` does."""
-        self._check_nobody_waits()
+        self.check_nobody_waits()
         self.device.send(actions)
 
     def recv(self) -> tuple[Array | tuple[Array, ...], Array, Array, Array, dict[str, Any]]:
         """Wait for the step that :meth:`send` started and return what :meth:`step` would have."""
-        return self._shown(self.device.recv())
+        return self.shown(self.device.recv())
 
     def recover(self) -> None:
         """Go on where the last call that succeeded left every sub-environment, after a DeviceError.
@@ -79,16 +77,10 @@ class PearlVectorEnv(VectorInterface):
         """
         self.device.recover()
 
-    def _reset_slots(self, mask: npt.NDArray[np.bool_]) -> Array:
-        return self.device.reset(mask=mask)
-
     @property
-    def _n(self) -> int:
-        return int(self.num_envs)
-
-    @property
-    def _autoreset_mode(self) -> AutoresetMode:
-        return self.device.config.autoreset_mode
+    def ready(self) -> bool:
+        """Whether a step is possible: after the first reset, and until closed."""
+        return self.device.ready
 
     def close_extras(self, **kwargs: Any) -> None:
         """Release the device."""
@@ -136,7 +128,7 @@ def make_vec(
     config = BatchConfig(
         spec=spec,
         n_envs=num_envs,
-        autoreset_mode=AutoresetMode.SAME_STEP if mode is AutoresetMode.DISABLED else mode,
+        autoreset_mode=slot_autoreset_mode(mode),
         max_cycles=max_cycles,
         initial_states=initial_states,
         copy=copy,

@@ -7,38 +7,64 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from gymnasium.spaces import Space, Tuple
+from gymnasium.spaces import Box, Discrete, Space, Tuple
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from pearl_marl.batch.step import on_host
-from pearl_marl.devices import BatchStep
+from pearl_marl.batch.step import Array, BatchStep, on_host
 from pearl_marl.errors import ArgumentError, OrderError
 from pearl_marl.interfaces.agent_dict import observations_in
+from pearl_marl.interfaces.batch import Mask
 
-Array = npt.NDArray[Any]
+
+def slot_autoreset_mode(mode: AutoresetMode) -> AutoresetMode:
+    """Return when a device's slots begin again under a mode: in DISABLED mode at once, but nobody sees it."""
+    return AutoresetMode.SAME_STEP if mode is AutoresetMode.DISABLED else mode
 
 
 class VectorInterface(VectorEnv[Any, Any, Any]):
-    """A ``VectorEnv`` made of two methods on whole arrays, ``reset_batch`` and ``step_batch``."""
+    """A ``VectorEnv`` made of methods on whole arrays; a :class:`pearl_marl.interfaces.batch.Batch`.
 
-    def _set_up(
-        self, num_envs: int, observation_space: Space[Any], action_space: Space[Any], mode: AutoresetMode
+    A subclass has :attr:`ready`, :meth:`reset_batch` and :meth:`step_batch`.
+
+    Parameters
+    ----------
+    num_envs
+        How many slots.
+    observation_space, action_space
+        One slot's spaces.
+    mode
+        What ``reset`` and ``step`` do with those that ended.
+
+    Attributes
+    ----------
+    batch_size, slot_observation_space, slot_action_space, slot_autoreset_mode, autoreset, live
+        See :class:`pearl_marl.interfaces.batch.Batch`. Nobody leaves.
+    """
+
+    def __init__(
+        self, num_envs: int, observation_space: Space[Any], action_space: Discrete | Box, mode: AutoresetMode
     ) -> None:
-        self.num_envs = num_envs
+        self.num_envs = self.batch_size = num_envs
         self.metadata = {"autoreset_mode": mode, "render_modes": []}
-        self.single_observation_space: Space[Any] = observation_space
+        self.single_observation_space = self.slot_observation_space = observation_space
         self.single_action_space: Space[Any] = action_space
+        self.slot_action_space = action_space
         self.observation_space = batch_space(observation_space, num_envs)
         self.action_space = batch_space(action_space, num_envs)
+        self.slot_autoreset_mode = slot_autoreset_mode(mode)
+        self.autoreset = mode is not AutoresetMode.DISABLED
+        self.live: Mask = np.ones(num_envs, np.bool_)
         self._observations = observations_in(observation_space)
         self._mode = mode
-        # As in ParallelInterface: whether those that ended go on by themselves, and who is there.
-        self._autoreset = mode is not AutoresetMode.DISABLED
-        self._live = np.ones(num_envs, np.bool_)
         # DISABLED mode only: who waits for a reset, and what everyone saw last.
         self._waiting = np.zeros(num_envs, np.bool_)
         self._seen: Array | None = None
+
+    @property
+    @abstractmethod
+    def ready(self) -> bool:
+        """Whether a step is possible: after the first reset, and until closed."""
 
     @abstractmethod
     def reset_batch(self, seed: int | None = None, mask: npt.ArrayLike | None = None) -> Array:
@@ -47,6 +73,10 @@ class VectorInterface(VectorEnv[Any, Any, Any]):
     @abstractmethod
     def step_batch(self, actions: npt.ArrayLike) -> BatchStep:
         """Step every slot once; in DISABLED mode as in SAME_STEP mode."""
+
+    def reset_slots(self, mask: Mask) -> Array:
+        """Begin an episode in the masked slots; return all observations."""
+        return self.reset_batch(mask=mask)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -103,10 +133,11 @@ class VectorInterface(VectorEnv[Any, Any, Any]):
         OrderError
             Before ``reset``, after ``close``, or in DISABLED mode while one that ended has not been reset.
         """
-        self._check_nobody_waits()
-        return self._shown(self.step_batch(actions))
+        self.check_nobody_waits()
+        return self.shown(self.step_batch(actions))
 
-    def _check_nobody_waits(self) -> None:
+    def check_nobody_waits(self) -> None:
+        """Refuse a step in DISABLED mode while one that ended has not been reset."""
         if self._mode is AutoresetMode.DISABLED and self._waiting.any():
             first = int(np.argmax(self._waiting))
             raise OrderError(
@@ -114,7 +145,7 @@ class VectorInterface(VectorEnv[Any, Any, Any]):
                 "reset(options={'reset_mask': terminations | truncations}) before the next step"
             )
 
-    def _shown(
+    def shown(
         self, result: BatchStep
     ) -> tuple[Array | tuple[Array, ...], Array, Array, Array, dict[str, Any]]:
         """Return a step's results as Gymnasium has them."""

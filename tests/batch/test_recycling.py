@@ -5,7 +5,8 @@ from __future__ import annotations
 import copy
 
 import numpy as np
-from pearl_marl.wrappers.recycling import MAX_BLOCKS, Recycler
+
+from pearl_marl.batch.recycling import MAX_BLOCKS, Recycler
 
 
 def address(array: np.ndarray) -> int:
@@ -46,3 +47,19 @@ def test_copies_share_nothing() -> None:
     array[:] = 1
     copy.deepcopy(new).empty((9,), np.uint8)[:] = 2
     assert set(array) == {1}
+
+
+def test_arrays_that_stay_in_a_block_tell_of_it_too() -> None:
+    new = Recycler(lambda memory: (memory[:4], memory[4:].view(np.float32)))
+    first, second = new.block(12).arrays
+    assert new.block(12).arrays[0] is not first, "the first block's are held"
+    kept = second[1:]
+    kept[:] = 5
+    number = id(first)
+    del first, second
+    for _ in range(5):
+        new.block(12).arrays[1][:] = 7
+    assert set(kept) == {5}
+    del kept
+    assert id(new.block(12).arrays[0]) == number
+    assert len(new._blocks) == 2

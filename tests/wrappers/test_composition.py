@@ -159,7 +159,7 @@ class TestSavedStates:
         env.reset(seed=1)
         for act in actions("Drift", 8):
             last = env.step_batch(act)
-        assert 0 < env.unwrapped._live.sum() < N
+        assert 0 < env.unwrapped.live.sum() < N
         blob, again = env.save_state(), make()
         np.testing.assert_array_equal(again.load_state(blob), last.obs)
         assert again.agents == env.agents == env.possible_agents

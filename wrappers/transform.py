@@ -1,0 +1,240 @@
+"""What a wrapper does: a change to whole arrays, on their way into and out of a batch of slots."""
+
+from __future__ import annotations
+
+import secrets
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from gymnasium.spaces import Box, Discrete, Space
+from gymnasium.vector import AutoresetMode
+
+from pearl_marl import rng
+from pearl_marl.batch.actions import refusal, refuse_first
+from pearl_marl.batch.recycling import Recycler
+from pearl_marl.batch.step import Array, BatchStep
+from pearl_marl.errors import OrderError
+from pearl_marl.interfaces.batch import Batch, Mask
+
+Slots = npt.NDArray[np.intp]
+
+
+class Transform:
+    """A change to what goes into and comes out of a batch of slots; by itself it changes nothing.
+
+    A subclass overrides :meth:`actions`, :meth:`rewards`, and of the observations either
+    :meth:`observe`, if each depends on nothing but itself, or :meth:`push`, :meth:`begin` and
+    :meth:`show`. What it keeps from step to step it keeps in :attr:`memory`.
+
+    Parameters
+    ----------
+    batch
+        What it is put around.
+    observation_space, action_space
+        One slot's spaces, with the change.
+
+    Attributes
+    ----------
+    batch, n
+        What it is put around, and how many slots that has.
+    observation_space, action_space
+        One slot's spaces, with the change.
+    action_kinds
+        The kinds of dtype that actions may have.
+    acting
+        Which slots' agents are there at the beginning of the step under way: :attr:`live` of the batch.
+    resetting
+        Which slots spend the step resetting; in NEXT_STEP mode only.
+    memory
+        Arrays that a saved state has to hold, by name. They are only ever written into, never replaced.
+    new
+        Makes arrays for results, ``new.empty(shape, dtype)`` and ``new.copy(array)``: see :class:`Recycler`.
+    """
+
+    keeps_history = False
+    """Whether observations depend on earlier ones: :meth:`push`, :meth:`begin` and :meth:`show` are used."""
+
+    def __init__(self, batch: Batch, observation_space: Space[Any], action_space: Discrete | Box) -> None:
+        self.batch, self.n = batch, batch.batch_size
+        self.observation_space, self.action_space = observation_space, action_space
+        inside: Transform | None = getattr(batch, "transform", None)
+        # Whom to ask about actions that are handed through.
+        self._taker = inside if inside is not None and inside.action_space is action_space else None
+        self.action_kinds = "iu" if isinstance(action_space, Discrete) else "iuf"
+        if self._taker is not None:
+            self.action_kinds = self._taker.action_kinds
+        self.memory: dict[str, Array] = {}
+        self.new = Recycler()
+        self.acting, self.resetting = batch.live, np.zeros(self.n, np.bool_)
+        self._seed: tuple[int, int] | None = None
+        self._tick = 0
+        self._depth: int = 0 if inside is None else inside._depth + 1
+
+    @property
+    def live(self) -> Mask:
+        """Which slots' agents are there, in the environment that this makes: those of the batch.
+
+        Another array whenever that changes; see :class:`pearl_marl.interfaces.batch.Batch`.
+        """
+        return self.batch.live
+
+    @property
+    def ready(self) -> bool:
+        """Whether there has been a reset."""
+        return self._seed is not None
+
+    def reset(self, obs: Array, seed: int | None, mask: Mask | None = None) -> Array:
+        """Take up that masked slots (all, if ``None``) begin an episode with ``obs``; return what to show."""
+        if seed is not None:
+            self._seed, self._tick = rng.seed_words(seed), 0
+        elif self._seed is None:
+            self._seed = rng.seed_words(secrets.randbits(64))
+        began = np.arange(self.n) if mask is None else np.flatnonzero(mask)
+        self.resetting[began] = False
+        self.episode_began(began)
+        if not self.keeps_history:
+            return self.observe(obs)
+        self.begin(obs, began)
+        return self.show()
+
+    def step(self, actions: npt.ArrayLike) -> BatchStep:
+        """Step every slot once."""
+        actions = self.actions(self.given(actions))
+        self.acting = self.batch.live
+        step = self.take(actions)
+        self._tick += 1
+        return self.results(step)
+
+    def take(self, actions: Array) -> BatchStep:
+        """Step the batch; once, unless a subclass has it otherwise."""
+        return self.batch.step_batch(actions)
+
+    def given(self, actions: npt.ArrayLike) -> Array:
+        """Return actions as an array; refuse them if it has not the shape and kind of dtype of actions."""
+        if not self.ready:
+            raise OrderError("step() before reset(): call reset() of the outermost wrapper first")
+        try:
+            array = np.asarray(actions)
+        except ValueError:  # a ragged list
+            raise refusal(actions, self.action_space, self.n) from None
+        shape = self.n, *(self.action_space.shape or ())
+        if array.shape != shape or array.dtype.kind not in self.action_kinds:
+            raise refusal(actions, self.action_space, self.n)
+        return array
+
+    def possible(self, actions: Array) -> Mask:
+        """Return which slots' actions can be taken, be it that a wrapper inside mends them."""
+        if self._taker is not None:
+            return self._taker.possible(actions)
+        space = self.action_space
+        if isinstance(space, Box):
+            within: Any = (space.low <= actions) & (actions <= space.high)
+            return np.asarray(within.reshape(self.n, -1).all(1))
+        result: Mask = (space.start <= actions) & (actions < space.start + space.n)
+        return result if actions.dtype.kind in "iu" else result & (actions == np.floor(actions))
+
+    def check(self, actions: Array) -> None:
+        """Refuse actions that are not possible; for transforms that may not hand them on."""
+        possible = self.possible(actions)
+        if not possible.all():
+            first = int(np.argmin(possible))
+            raise refuse_first([f"agent_{first}"], [actions[first].tolist()], self.action_space)
+
+    def results(self, step: BatchStep) -> BatchStep:
+        """Return the results of a step with the change."""
+        rewards = self.rewards(step)
+        if self.batch.slot_autoreset_mode is AutoresetMode.NEXT_STEP:
+            began = np.flatnonzero(self.resetting)
+            self.resetting[:] = step.ended
+            obs = final_obs = self._shown_next_step(step.obs, began)
+        else:
+            began = np.flatnonzero(step.ended)
+            obs, final_obs = self._shown_same_step(step, began)
+        if began.size:
+            self.episode_began(began)
+        return BatchStep(obs, rewards, step.terminations, step.truncations, final_obs)
+
+    def _shown_next_step(self, obs: Array, began: Slots) -> Array:
+        """Return what to show of a step in which some slots did nothing but begin."""
+        if not self.keeps_history:
+            return self.observe(obs)
+        self.push(obs)
+        self.begin(obs, began)
+        return self.show()
+
+    def _shown_same_step(self, step: BatchStep, began: Slots) -> tuple[Array, Array]:
+        """Return what to show of a step that some slots ended and began in, and of where they ended."""
+        if not self.keeps_history:
+            obs = self.observe(step.obs)
+            return obs, self.observe(step.final_obs) if began.size else obs
+        self.push(self.arrivals(step))
+        obs = self.show()
+        if not began.size:
+            return obs, obs
+        final_obs = self.new.copy(obs)
+        self.begin(step.obs, began)
+        obs[began] = self.show(began)
+        return obs, final_obs
+
+    def arrivals(self, step: BatchStep) -> Array:
+        """Return where a step took every slot: see :meth:`BatchStep.arrivals`."""
+        slots = np.flatnonzero(step.ended)
+        if not slots.size:
+            return step.obs
+        obs = self.new.copy(step.obs)
+        obs[slots] = step.final_obs.take(slots, 0)
+        return obs
+
+    def actions(self, actions: Array) -> Array:
+        """Return the actions to take instead. They may yet be refused: nothing is to change here."""
+        return actions
+
+    def rewards(self, step: BatchStep) -> Array:
+        """Return the rewards to give instead, in an array of their own or the step's."""
+        return step.rewards
+
+    def observe(self, obs: Array) -> Array:
+        """Return what to show instead of each observation, in an array of its own or ``obs`` itself."""
+        return obs
+
+    def push(self, obs: Array) -> None:
+        """Remember the observations of a step."""
+        raise NotImplementedError
+
+    def begin(self, obs: Array, slots: Slots) -> None:
+        """Remember the first observations of episodes, ``obs[slots]``, and nothing from before them."""
+        raise NotImplementedError
+
+    def show(self, slots: Slots | None = None) -> Array:
+        """Return what to show the slots (all, if ``None``) of what is remembered, in an array of its own."""
+        raise NotImplementedError
+
+    def episode_began(self, slots: Slots) -> None:
+        """Forget what else belongs to these slots' last episodes."""
+
+    def draws(self, index: int = 0) -> npt.NDArray[np.uint32]:
+        """Return a random ``u32`` a slot for this step; depends on seed, slot, step and wrapper only.
+
+        ``index``, below 256, tells apart what is drawn for different purposes.
+        """
+        assert self._seed is not None
+        # Far from the draws of any environment, and other ones for every wrapper around it.
+        return rng.draws(self._seed, np.arange(self.n), self._tick, 1 << 31 | self._depth << 8 | index)
+
+    def snapshot(self) -> dict[str, Array]:
+        """Return all that the continuation depends on."""
+        place = np.array([*(self._seed or (0, 0)), self._tick], np.uint64)
+        return {"place": place, "resetting": self.resetting, **self.memory}
+
+    def restore(self, saved: dict[str, Array]) -> None:
+        """Continue from a snapshot."""
+        seed_0, seed_1, self._tick = map(int, saved["place"])
+        self._seed = seed_0, seed_1
+        self.resetting[:] = saved["resetting"]
+        for name, array in self.memory.items():
+            array[...] = saved[name]
+
+    def restored(self, obs: Array) -> Array:
+        """Return what to show after :meth:`restore`, where the batch shows ``obs``."""
+        return self.show() if self.keeps_history else self.observe(obs)

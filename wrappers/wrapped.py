@@ -1,0 +1,156 @@
+"""An environment with a transform around it: as much of either interface as the change is about."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from pearl_marl.batch.step import Array, BatchStep
+from pearl_marl.errors import OrderError
+from pearl_marl.interfaces.batch import Mask
+from pearl_marl.interfaces.parallel_interface import ParallelInterface
+from pearl_marl.interfaces.vector_interface import VectorInterface
+
+from .saving import packed, unpacked
+from .transform import Transform
+
+
+class WrappedParallelEnv(ParallelInterface):
+    """An environment with a transform around it; everything else is as the environment has it.
+
+    Attributes
+    ----------
+    env
+        The environment inside.
+    transform
+        The :class:`Transform`.
+    """
+
+    def __init__(self, env: Any, transform: Transform) -> None:
+        self.env, self.transform = env, transform
+        self.metadata, self.render_mode = env.metadata, env.render_mode
+        spaces = transform.observation_space, transform.action_space
+        super().__init__(env.possible_agents, *spaces, transform.action_kinds, env.autoreset)
+
+    def __getattr__(self, name: str) -> Any:
+        return _inside(self, name)
+
+    def reset_batch(self, seed: int | None = None) -> Array:
+        """Begin an episode for every agent; return observations of shape ``(n_agents, ...)``."""
+        return self.transform.reset(self.env.reset_batch(seed), seed)
+
+    def reset_slots(self, mask: Mask) -> Array:
+        """Begin an episode in the masked slots; return all observations."""
+        return self.transform.reset(self.env.reset_slots(mask), None, mask)
+
+    def step_slots(self, actions: npt.ArrayLike) -> BatchStep:
+        """See :meth:`ParallelInterface.step_slots`."""
+        if not self.env.ready:
+            self.env.step_batch(actions)  # says why that is impossible
+        return self.transform.step(actions)
+
+    def save_state(self) -> bytes:
+        """Return all that the continuation depends on, what wrappers remember included."""
+        inner = self.env.save_state()
+        if not self.ready:
+            raise OrderError("save_state() before reset(): call reset() of the outermost wrapper first")
+        return packed(inner, self.transform)
+
+    def load_state(self, blob: bytes) -> Array:
+        """Continue from what :meth:`save_state` of an environment wrapped like this one returned."""
+        inner, remembered = unpacked(blob, self.transform)
+        obs = self.env.load_state(inner)
+        self.transform.restore(remembered)
+        return self.transform.restored(obs)
+
+    @property
+    def max_cycles(self) -> int:
+        """See :class:`pearl_marl.PearlParallelEnv`."""
+        limit: int = self.env.max_cycles
+        return limit
+
+    @max_cycles.setter
+    def max_cycles(self, value: int | None) -> None:
+        self.env.max_cycles = value
+
+    @property
+    def unwrapped(self) -> Any:
+        """The environment inside all wrappers."""
+        return self.env.unwrapped
+
+    @property
+    def live(self) -> Mask:
+        """Which slots' agents are there: the transform says."""
+        return self.transform.live
+
+    @property
+    def ready(self) -> bool:
+        """Whether a step is possible: after the first reset of this wrapper, and until closed."""
+        return self.transform.ready and bool(self.env.ready)
+
+    def state(self) -> Any:
+        """See :class:`pearl_marl.PearlParallelEnv`."""
+        return self.env.state()
+
+    def render(self, agent: str | None = None) -> Any:
+        """See :class:`pearl_marl.PearlParallelEnv`."""
+        return self.env.render(agent)
+
+    def close(self) -> None:
+        """Close the environment inside."""
+        self.env.close()
+
+
+class WrappedVectorEnv(VectorInterface):
+    """A vector environment with a transform around it; everything else is as the environment has it.
+
+    Attributes
+    ----------
+    env
+        The environment inside.
+    transform
+        The :class:`Transform`.
+    """
+
+    def __init__(self, env: Any, transform: Transform) -> None:
+        self.env, self.transform = env, transform
+        mode = env.metadata["autoreset_mode"]
+        super().__init__(env.num_envs, transform.observation_space, transform.action_space, mode)
+        self.spec, self.render_mode = env.spec, env.render_mode
+
+    def __getattr__(self, name: str) -> Any:
+        return _inside(self, name)
+
+    def reset_batch(self, seed: int | None = None, mask: npt.ArrayLike | None = None) -> Array:
+        """See :class:`VectorInterface`."""
+        obs = self.env.reset_batch(seed, mask)
+        return self.transform.reset(obs, seed, None if mask is None else np.asarray(mask, np.bool_))
+
+    def step_batch(self, actions: npt.ArrayLike) -> BatchStep:
+        """See :class:`VectorInterface`."""
+        return self.transform.step(actions)
+
+    @property
+    def ready(self) -> bool:
+        """Whether a step is possible: after the first reset of this wrapper, and until closed."""
+        return self.transform.ready and bool(self.env.ready)
+
+    @property
+    def unwrapped(self) -> Any:
+        """The environment inside all wrappers."""
+        return self.env.unwrapped
+
+    def close_extras(self, **kwargs: Any) -> None:
+        """Close the environment inside."""
+        self.env.close(**kwargs)
+
+
+def _inside(wrapped: Any, name: str) -> Any:
+    """Return an attribute of the environment inside a wrapped one."""
+    if name.startswith("_") or name == "env":
+        raise AttributeError(f"{type(wrapped).__name__} has no attribute {name!r}")
+    if name in ("send", "recv"):  # they would go past the wrapper
+        raise AttributeError(f"a wrapped environment has no {name}(): only step() and step_batch()")
+    return getattr(wrapped.env, name)
