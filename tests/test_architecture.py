@@ -21,6 +21,7 @@ ROOMS = (
         "golden",
         "errors",
         "cache",
+        "files",
         "version",
         "rng",
         "fixed_point",

@@ -12,7 +12,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from pearl_marl.policies.network import Policy
+from pearl_marl.policies.network import NetworkPolicy
 from pearl_marl.spec import EnvSpec
 from pearl_marl.training.rollout import Agents, Returns
 
@@ -73,8 +73,8 @@ class DQN:
         self.settings = settings
         torch.manual_seed(settings.seed)
         n, depth = settings.n_agents, settings.memory
-        self.policy = Policy(spec, "values", settings.width)
-        self.target = Policy(spec, "values", settings.width)
+        self.policy = NetworkPolicy(spec, "values", settings.width)
+        self.target = NetworkPolicy(spec, "values", settings.width)
         self.agents = Agents(spec, device, n, settings.seed)
         obs = self.agents.obs
         where = self.where = obs.device

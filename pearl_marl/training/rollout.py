@@ -16,7 +16,7 @@ from torch.distributions import Normal
 
 from pearl_marl.batch.saved_state import SavedState
 from pearl_marl.devices import BatchConfig, BatchStep, Cuda, Device, make_device
-from pearl_marl.policies.network import Network, Policy
+from pearl_marl.policies.network import Network, NetworkPolicy
 from pearl_marl.spec import EnvSpec
 
 ROWS = 16_384
@@ -122,7 +122,7 @@ class ActorCritic(nn.Module):
     def __init__(self, spec: EnvSpec, width: int) -> None:
         super().__init__()
         self.continuous = not hasattr(spec.action_space, "n")
-        self.policy = Policy(spec, "mean" if self.continuous else "logits", width)
+        self.policy = NetworkPolicy(spec, "mean" if self.continuous else "logits", width)
         # Of a picture, most of the work is to see what is on it: actor and critic do that together.
         self.shared = self.policy.network.encoder.kind == "picture"
         self.critic: nn.Module = (
