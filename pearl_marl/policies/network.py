@@ -293,7 +293,7 @@ def _described(header: dict[str, str]) -> dict[str, Any]:
         about = None
     if not isinstance(about, dict):
         raise ArgumentError("its metadata says nothing of its policy")
-    needed = {"environment": str, "options": dict, "kind": str}
+    needed: dict[str, type] = {"environment": str, "options": dict, "kind": str}
     if about.get("kind") != "table":
         needed["width"] = int
     for name, kind in needed.items():
