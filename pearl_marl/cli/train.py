@@ -38,15 +38,12 @@ Goal = Annotated[
 ]
 Every = Annotated[
     int | None,
-    typer.Option(
-        "--evaluate-every", min=1, help="Iterations between evaluations.", show_default="50 evaluations"
-    ),
+    typer.Option("--evaluate-every", help="Iterations between evaluations.", show_default="50 evaluations"),
 ]
 Shards = Annotated[
     int | None,
     typer.Option(
         "--shards",
-        min=1,
         help="How many processes step agents, by Ray; `ppo` only.",
         show_default="this process",
     ),
@@ -79,7 +76,9 @@ def command(
     options = dict(spec_of(env_id, option).options)
     given: dict[str, Any] = {"n_agents": n_agents, "iterations": iterations}
     given = {name: value for name, value in given.items() if value is not None}
-    settings = training.settings_for(algo, env_id, {**env_options(setting), **given, "seed": seed}, shards)
+    settings = training.settings_for(
+        algo, env_id, {**env_options(setting, "--set"), **given, "seed": seed}, shards
+    )
 
     columns = (
         TextColumn(f"{env_id}, {algo}"),
@@ -88,7 +87,7 @@ def command(
         TimeRemainingColumn(),
         TextColumn("{task.fields[note]}"),
     )
-    with Progress(*columns, console=error_console) as bar:
+    with Progress(*columns, console=error_console, transient=True) as bar:
         task = bar.add_task("train", total=settings.iterations, note="")
 
         def show(done: int, total: int, row: dict[str, Any]) -> None:
