@@ -14,7 +14,7 @@ from torch import Tensor, nn
 
 from pearl_marl.policies.network import NetworkPolicy
 from pearl_marl.spec import EnvSpec
-from pearl_marl.training.rollout import Agents, Returns
+from pearl_marl.training.rollout import Agents, Returns, go_on, kept
 from pearl_marl.training.settings import (
     SEEDS,
     SLOTS,
@@ -186,7 +186,7 @@ class DQN:
             "optimiser": self.optimiser.state_dict(),
             "memory": self.memory,
             "random": self.random.get_state(),
-            "agents": self.agents.state(),
+            "agents": kept(self.agents),
             "episodes": self.episodes.state(),
         }
 
@@ -198,5 +198,5 @@ class DQN:
         self.optimiser.load_state_dict(state["optimiser"])
         self.memory = state["memory"]
         self.random.set_state(state["random"])
-        self.agents.load(state["agents"])
+        go_on(self.agents, state["agents"])
         self.episodes.load(state["episodes"])

@@ -1,7 +1,8 @@
 """Proximal policy optimisation, one policy for all agents (Schulman et al., 2017, arXiv:1707.06347).
 
 A batch is tens of thousands of agents wide and few steps deep, so a rollout is a handful of calls of
-the network, and its noise is averaged away within a step. It is gathered by :mod:`.rollout`; here is learned.
+the network, and its noise is averaged away within a step. Here is learned;
+it is gathered by :mod:`pearl_marl.training.rollout`.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from torch import Tensor, nn
 
 from pearl_marl.errors import ArgumentError
 from pearl_marl.spec import EnvSpec
-from pearl_marl.training.rollout import ActorCritic, Returns, RolloutWorker
+from pearl_marl.training.rollout import ActorCritic, Returns, RolloutWorker, go_on, kept
 from pearl_marl.training.settings import (
     SEEDS,
     SLOTS,
@@ -182,7 +183,7 @@ class PPO:
             "model": self.model.state_dict(),
             "optimiser": self.optimiser.state_dict(),
             "random": self.random.get_state(),
-            "agents": self.worker.state(),
+            "agents": kept(self.worker),
             "episodes": self.episodes.state(),
         }
 
@@ -192,5 +193,5 @@ class PPO:
         self.model.load_state_dict(state["model"])
         self.optimiser.load_state_dict(state["optimiser"])
         self.random.set_state(state["random"])
-        self.worker.load(state["agents"])
+        go_on(self.worker, state["agents"])
         self.episodes.load(state["episodes"])

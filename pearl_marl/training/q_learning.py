@@ -18,7 +18,7 @@ from torch import Tensor
 from pearl_marl.errors import ArgumentError
 from pearl_marl.policies.network import Table
 from pearl_marl.spec import EnvSpec
-from pearl_marl.training.rollout import Agents, Returns
+from pearl_marl.training.rollout import Agents, Returns, go_on, kept
 from pearl_marl.training.settings import (
     SEEDS,
     SLOTS,
@@ -182,7 +182,7 @@ class QLearning:
             "values": self.policy.values,
             "updates": self.updates,
             "random": self.random.get_state(),
-            "agents": self.agents.state(),
+            "agents": kept(self.agents),
             "episodes": self.episodes.state(),
         }
 
@@ -191,6 +191,6 @@ class QLearning:
         self.done, self.updates = state["done"], state["updates"]
         self.policy.values[:] = state["values"]
         self.random.set_state(state["random"])
-        self.agents.load(state["agents"])
+        go_on(self.agents, state["agents"])
         self.rows = self.policy.rows(self.agents.obs)
         self.episodes.load(state["episodes"])

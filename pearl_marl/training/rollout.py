@@ -56,6 +56,11 @@ class Agents:
         self.obs = step.obs
         return step
 
+    @property
+    def identity(self) -> dict[str, Any]:
+        """What a saved state of these agents has to agree with."""
+        return self.device.config.identity()
+
     def state(self) -> SavedState:
         """Return all that the agents' continuation depends on."""
         return self.device.snapshot()
@@ -63,6 +68,16 @@ class Agents:
     def load(self, state: SavedState) -> None:
         """Go on from what :meth:`state` returned."""
         self.obs = torch.as_tensor(self.device.restore(state))
+
+
+def kept(agents: Any) -> Tensor:
+    """Return the state of agents, or of workers, as a checkpoint has it: bytes, which are plain data."""
+    return torch.frombuffer(bytearray(agents.state().to_bytes()), dtype=torch.uint8)
+
+
+def go_on(agents: Any, state: Tensor) -> None:
+    """Have agents, or workers, go on from what :func:`kept` returned."""
+    agents.load(SavedState.from_bytes(state.numpy().tobytes(), agents.identity))
 
 
 class Returns:
@@ -201,14 +216,14 @@ class Experience(NamedTuple):
 
 
 class RolloutWorker:
-    """Gathers with the agents of some blocks; see ``Settings.blocks`` of :mod:`.ppo`.
+    """Gathers with the agents of some blocks; see ``Settings.blocks`` of :mod:`pearl_marl.training.ppo`.
 
     Parameters
     ----------
     spec, device
         The environment, and where it is stepped.
     settings
-        Of :mod:`.ppo`.
+        Of :mod:`pearl_marl.training.ppo`.
     model
         What acts: its weights may change between rollouts.
     blocks
@@ -286,6 +301,11 @@ class RolloutWorker:
             advantage = torch.addcmul(errors[t], going_on[t], advantage)
             advantages[t] = advantage
         return advantages
+
+    @property
+    def identity(self) -> dict[str, Any]:
+        """What a saved state of these agents has to agree with."""
+        return self.agents.identity
 
     def state(self) -> SavedState:
         """Return all that the agents' continuation depends on."""

@@ -127,8 +127,13 @@ def train(
     )
     seconds, best = 0.0, -np.inf
     if (saved := run.resume()) is not None:
-        trainer.load(saved["trainer"])
-        seconds, best = saved["seconds"], saved["best"]
+        try:
+            seconds, best = float(saved["seconds"]), float(saved["best"])
+            trainer.load(saved["trainer"])
+            check_progress(trainer.done, settings.iterations)
+        except (ArithmeticError, AttributeError, LookupError, RuntimeError, TypeError, ValueError) as error:
+            why = " ".join(str(error).split()) or type(error).__name__
+            raise run.damaged(f"and cannot be gone on from ({why})") from error
     began, kept = time.perf_counter() - seconds, time.perf_counter()
     finished = goal is not None and best >= goal
     while trainer.done < settings.iterations and not finished:
@@ -150,6 +155,12 @@ def train(
             kept = time.perf_counter()
     run.draw_curve(f"{spec.name}: {algorithm}, {settings.n_agents:,} agents", goal)
     return run.rows
+
+
+def check_progress(done: Any, iterations: int) -> None:
+    """Refuse a number of iterations that a run of so many cannot have done."""
+    if not isinstance(done, int) or not 0 <= done <= iterations:
+        raise ValueError(f"it has done {done!r} iterations of {iterations}")
 
 
 def evaluate(policy: Any, spec: EnvSpec, n: int, seed: int = 1) -> tuple[float, float]:

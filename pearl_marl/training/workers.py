@@ -165,13 +165,17 @@ class RayWorkers:
         state = self._states[i] if self._apart[i] else None
         return self._actors[i].gather.remote(rollout, weights, state)
 
+    @property
+    def identity(self) -> dict[str, Any]:
+        """What a saved state of all agents has to agree with."""
+        return {**self._states[0].identity, "n_agents": self.settings.n_agents}
+
     def state(self) -> SavedState:
         """Return all that the agents' continuation depends on: the same, however many shards there are."""
         states, sizes = self._states, [slots.stop - slots.start for slots in self._slots()]
-        first, n = states[0], self.settings.n_agents
         return replace(
-            first,
-            identity={**first.identity, "n_agents": n},
+            states[0],
+            identity=self.identity,
             memory=slot_memory.join(self.spec, [state.memory for state in states], sizes),
             stored=slot_memory.join(self.spec, [state.stored for state in states], sizes),
         )

@@ -67,7 +67,9 @@ def refused(pearl: Pearl, folder: Path, *arguments: Any) -> str:
     status, out, err = pearl("train", *arguments, "--out", folder / "run")
     assert (status, out) == (2, ""), err
     assert not (folder / "run").exists()
-    (sentence,) = err.split("\n\n")[-1].strip().splitlines()  # below what the progress bar leaves, if it began
+    (sentence,) = (
+        err.split("\n\n")[-1].strip().splitlines()
+    )  # below what the progress bar leaves, if it began
     assert sentence.startswith("pearl: ")
     return str(sentence)
 
