@@ -20,6 +20,7 @@ from pearl_marl.cli.common import (
     print_json,
     spec_of,
 )
+from pearl_marl.cli.interrupts import interrupts
 from pearl_marl.errors import ArgumentError
 
 Algorithm = Annotated[str, typer.Option("--algo", help="`ppo`, `dqn` or `q-learning`.")]
@@ -67,8 +68,10 @@ def command(
     as_json: AsJson = False,
 ) -> None:
     """Train a policy that all agents share; with the --out of a run that was killed, go on with it."""
+    interrupts.advice = f": to go on, give the same command again, with the same --out {out}"
     try:
-        from pearl_marl.training import run as training
+        with interrupts.at_once():  # PyTorch takes seconds to load
+            from pearl_marl.training import run as training
     except ModuleNotFoundError as error:
         raise ArgumentError(
             f"training needs the Python package {error.name}: pip install 'pearl-marl[train]'"
