@@ -194,6 +194,7 @@ LIBRARIES = {
         "_setup_learn",
     ),  # Stable-Baselines3's, for who derives from it
     "_np_random_seed",  # Gymnasium's, likewise
+    "_exit",  # of Python's os
 }
 
 PENDING: set[str] = {
