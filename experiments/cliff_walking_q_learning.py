@@ -9,8 +9,10 @@ right after a few hundred steps.
 
 from __future__ import annotations
 
+import contextlib
 import json
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -46,43 +48,13 @@ def main(
     out: Annotated[Path, typer.Option(help="Where the curve and the table go.")] = Path("out/demo"),
 ) -> None:
     """Learn, draw the policy, and write learning_curve.png, q_learning.json and q_table.npy."""
-    rng = np.random.default_rng(seed)
-    env = pearl_marl.parallel_env("CliffWalking", n_agents, device=device)
-    obs = env.reset_batch(seed)
     table = np.zeros((ROWS * COLUMNS, 4))
-    curve: list[dict[str, Any]] = []
-    statistics = EpisodeStatistics(n_agents)
-
-    columns = (TextColumn("Q-learning"), BarColumn(), TimeElapsedColumn(), TextColumn("{task.fields[note]}"))
-    began = time.perf_counter()
-    with Progress(*columns, console=console) as progress:
-        task = progress.add_task("learn", total=steps, note="")
-        for step in range(1, steps + 1):
-            greedy = table.argmax(axis=1).astype(np.uint8)
-            explores = rng.random(n_agents, np.float32) < epsilon * (1 - step / (EXPLORING * steps))
-            actions = np.where(explores, rng.integers(0, 4, n_agents, np.uint8), greedy[obs])
-            result = env.step_batch(actions)
-            update(table, obs, actions, result, learning_rate, discount)
-            statistics.add(result)
-            obs = result.obs
-            if step % EVALUATE_EVERY == 0 or step == steps:
-                seconds = time.perf_counter() - began
-                greedy_return = evaluate(table, device)
-                summary = statistics.summary()
-                statistics.clear()
-                curve.append(
-                    {
-                        "agent_steps": step * n_agents,
-                        "seconds": seconds,
-                        "greedy_return": greedy_return,
-                        "exploring_return": summary["return_mean"],
-                    }
-                )
-                shown = "not at the goal yet" if greedy_return is None else f"return {greedy_return:g}"
-                progress.update(
-                    task, advance=EVALUATE_EVERY, note=f"{step * n_agents / 1e6:.1f} M steps, {shown}"
-                )
-    env.close()
+    try:
+        with contextlib.closing(pearl_marl.parallel_env("CliffWalking", n_agents, device=device)) as env:
+            curve = learn(table, env, steps, epsilon, learning_rate, discount, seed)
+    except pearl_marl.errors.PearlError as error:
+        Console(stderr=True).print(f"Error: {error}", highlight=False, markup=False, soft_wrap=True)
+        raise typer.Exit(2) from None
 
     solved = next((point for point in curve if point["greedy_return"] == OPTIMAL_RETURN), None)
     console.print(draw_policy(table))
@@ -106,6 +78,50 @@ def main(
         raise typer.Exit(1)
 
 
+def learn(
+    table: Table,
+    env: pearl_marl.PearlParallelEnv,
+    steps: int,
+    epsilon: float,
+    learning_rate: float,
+    discount: float,
+    seed: int,
+) -> list[dict[str, Any]]:
+    """Step all agents and write what they learn into the table; return the learning curve."""
+    rng = np.random.default_rng(seed)
+    n_agents = len(env.possible_agents)
+    obs = env.reset_batch(seed)
+    curve: list[dict[str, Any]] = []
+    statistics = EpisodeStatistics(n_agents)
+    columns = (TextColumn("Q-learning"), BarColumn(), TimeElapsedColumn(), TextColumn("{task.fields[note]}"))
+    began = time.perf_counter()
+    with Progress(*columns, console=console) as progress:
+        task = progress.add_task("learn", total=steps, note="")
+        for step in range(1, steps + 1):
+            greedy = table.argmax(axis=1).astype(np.uint8)
+            explores = rng.random(n_agents, np.float32) < epsilon * (1 - step / (EXPLORING * steps))
+            actions = np.where(explores, rng.integers(0, 4, n_agents, np.uint8), greedy[obs])
+            result = env.step_batch(actions)
+            update(table, obs, actions, result, learning_rate, discount)
+            statistics.add(result)
+            obs = result.obs
+            if step % EVALUATE_EVERY and step < steps:
+                continue
+            point = {
+                "agent_steps": step * n_agents,
+                "seconds": time.perf_counter() - began,
+                "greedy_return": evaluate(table),
+                "exploring_return": statistics.summary()["return_mean"],
+            }
+            statistics.clear()
+            curve.append(point)
+            greedy_return = point["greedy_return"]
+            shown = "not at the goal yet" if greedy_return is None else f"return {greedy_return:g}"
+            note = f"{step * n_agents / 1e6:.1f} M steps, {shown}"
+            progress.update(task, advance=EVALUATE_EVERY, note=note)
+    return curve
+
+
 def update(
     table: Table,
     obs: npt.NDArray[Any],
@@ -124,29 +140,30 @@ def update(
     flat += np.where(visits, learning_rate * (means - flat), 0)
 
 
-def evaluate(table: Table, device: str) -> float | None:
-    """Return the greedy policy's return, or None if it does not reach the goal in 100 steps."""
-    env = pearl_marl.parallel_env("CliffWalking", 1, device=device)
-    obs, total = env.reset_batch(seed=0), 0.0
-    for _ in range(100):
-        result = env.step_batch(table.argmax(axis=1)[obs])
-        total += float(result.rewards[0])
-        if result.terminations[0]:
-            return total
-        obs = result.obs
-    return None
+def greedy_steps(table: Table) -> Iterator[pearl_marl.devices.BatchStep]:
+    """Yield what the greedy policy meets in its first episode, in 100 steps at most.
+
+    On the CPU, whatever device learns: all give the same answers, and a board may serve one at a time.
+    """
+    with contextlib.closing(pearl_marl.parallel_env("CliffWalking", 1)) as env:
+        obs = env.reset_batch(seed=0)
+        for _ in range(100):
+            result = env.step_batch(table.argmax(axis=1)[obs])
+            yield result
+            if result.terminations[0]:
+                return
+            obs = result.obs
+
+
+def evaluate(table: Table) -> float | None:
+    """Return the greedy policy's return, or None if it does not reach the goal."""
+    steps = list(greedy_steps(table))
+    return sum(float(step.rewards[0]) for step in steps) if steps[-1].terminations[0] else None
 
 
 def greedy_path(table: Table) -> list[int]:
     """Return the cells that the greedy policy visits."""
-    env = pearl_marl.parallel_env("CliffWalking", 1)
-    path = [int(env.reset_batch(seed=0)[0])]
-    for _ in range(100):
-        result = env.step_batch(table.argmax(axis=1)[path[-1:]])
-        path.append(int(result.arrivals()[0]))
-        if result.terminations[0]:
-            break
-    return path
+    return [START, *(int(step.arrivals()[0]) for step in greedy_steps(table))]
 
 
 def draw_policy(table: Table) -> Text:

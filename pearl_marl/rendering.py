@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import gymnasium
 import numpy as np
 import numpy.typing as npt
+from gymnasium.error import DependencyNotInstalled
 
 from pearl_marl.batch.step import BatchStep
 from pearl_marl.errors import ArgumentError, PearlError
@@ -32,8 +35,10 @@ class OracleRenderer:
         assert spec.oracle is not None
         assert spec.pose is not None
         self._pose = spec.pose
-        env = gymnasium.make(spec.oracle, render_mode=mode, **spec.options).unwrapped
-        env.reset()
+        self._spec = spec
+        with _installed(spec):
+            env = gymnasium.make(spec.oracle, render_mode=mode, **spec.options).unwrapped
+            env.reset()
         self._env = env
 
     def render(self, state: npt.NDArray[Any]) -> Any:
@@ -42,11 +47,24 @@ class OracleRenderer:
         Returns an image of shape ``(height, width, 3)``, a string, or ``None`` for ``"human"``.
         """
         self._pose(self._env, tuple(state.tolist()))
-        return self._env.render()
+        with _installed(self._spec):
+            return self._env.render()
 
     def close(self) -> None:
         """Close the window, if there is one."""
         self._env.close()
+
+
+@contextlib.contextmanager
+def _installed(spec: EnvSpec) -> Iterator[None]:
+    """Say how to install a library that the renderer misses; which one, it tells only when it draws."""
+    try:
+        yield
+    except (DependencyNotInstalled, ImportError) as error:
+        missing = getattr(error.__cause__ or error, "name", None) or "pygame"
+        raise PearlError(
+            f"drawing {spec.name} needs {missing.partition('.')[0]}: pip install 'pearl-marl[render]'"
+        ) from error
 
 
 def check_render_mode(spec: EnvSpec, mode: str | None) -> None:

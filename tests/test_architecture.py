@@ -21,6 +21,7 @@ ROOMS = (
         "golden",
         "errors",
         "cache",
+        "files",
         "version",
         "rng",
         "fixed_point",
@@ -193,6 +194,7 @@ LIBRARIES = {
         "_setup_learn",
     ),  # Stable-Baselines3's, for who derives from it
     "_np_random_seed",  # Gymnasium's, likewise
+    "_exit",  # of Python's os
 }
 
 

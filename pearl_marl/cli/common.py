@@ -36,13 +36,13 @@ Options = Annotated[
 ]
 
 
-def env_options(pairs: Iterable[str] | None) -> dict[str, Any]:
+def env_options(pairs: Iterable[str] | None, option: str = "--option") -> dict[str, Any]:
     """Turn ``["is_slippery=true"]`` into keyword arguments; values are JSON, Python's, or strings."""
     result = {}
     for pair in pairs or ():
         name, equals, value = pair.partition("=")
         if not equals:
-            raise typer.BadParameter(f"{pair!r} is not NAME=VALUE", param_hint="--option")
+            raise ArgumentError(f"{option} is {pair!r}; it must be NAME=VALUE")
         result[name.replace("-", "_")] = _literal(value)
     return result
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -34,13 +35,17 @@ from pearl_marl.cli.common import (
 )
 from pearl_marl.errors import ArgumentError, PearlError
 from pearl_marl.evaluation.episodes import EpisodeStatistics
-from pearl_marl.interfaces.parallel import PearlParallelEnv, parallel_env
+from pearl_marl.interfaces.parallel import parallel_env
 from pearl_marl.rendering import HeatMap
+from pearl_marl.spec import EnvSpec
 
 ActionFile = Annotated[
     Path | None,
     typer.Option(
-        "--actions", metavar="FILE", help="A .npy file of actions, shape (steps, n_agents); random without."
+        "--actions",
+        metavar="FILE",
+        help="A .npy file of actions, of shape (steps, n_agents), or (steps, n_agents, 1) where one is an "
+        "array of shape (1,), as Pendulum's; random without.",
     ),
 ]
 MaxCycles = Annotated[int | None, typer.Option("--max-cycles", help="Time limit of an episode, 0 for none.")]
@@ -61,30 +66,32 @@ def command(
     """Step every agent with random (or given) actions: throughput and episode statistics."""
     if steps < 1:
         raise ArgumentError(f"--steps is {steps}; it must be at least 1")
-    options = spec_of(env_id, option).options
+    spec = spec_of(env_id, option)
     if out is not None:
         out_folder(out)
-    env = parallel_env(env_id, n_agents, device=device, max_cycles=max_cycles, copy=False, **options)
-    batches = _random(env, n_agents, steps, seed) if actions is None else _given(actions, n_agents, steps)
+    batches = (
+        _random(spec, n_agents, steps, seed) if actions is None else _given(actions, spec, n_agents, steps)
+    )
+    env = parallel_env(env_id, n_agents, device=device, max_cycles=max_cycles, copy=False, **spec.options)
     statistics = EpisodeStatistics(n_agents)
-    heat_map = HeatMap(env.spec) if env.spec.grid else None
+    heat_map = HeatMap(spec) if spec.grid else None
 
-    env.reset_batch(seed)
     stepping: list[float] = []
-    for batch in progress(batches, steps, f"{env.spec.name}, {n_agents:,} agents"):
-        began = time.perf_counter()
-        step = env.step_batch(batch)
-        stepping.append(time.perf_counter() - began)
-        statistics.add(step)
-        if heat_map is not None:
-            heat_map.add(step)
-    env.close()
+    with contextlib.closing(env):
+        env.reset_batch(seed)
+        for batch in progress(batches, steps, f"{spec.name}, {n_agents:,} agents"):
+            began = time.perf_counter()
+            step = env.step_batch(batch)
+            stepping.append(time.perf_counter() - began)
+            statistics.add(step)
+            if heat_map is not None:
+                heat_map.add(step)
 
     # The first step may load or compile the kernel, which says nothing about the others.
     typical = float(np.median(stepping[1:] or stepping))
     result = {
-        "environment": env.spec.id,
-        "options": dict(env.spec.options),
+        "environment": spec.id,
+        "options": dict(spec.options),
         "device": device,
         "n_agents": n_agents,
         "steps": steps,
@@ -117,21 +124,24 @@ def command(
         console.print(f"Wrote {path}")
 
 
-def _random(env: PearlParallelEnv, n: int, steps: int, seed: int) -> Iterator[npt.NDArray[Any]]:
+def _random(spec: EnvSpec, n: int, steps: int, seed: int) -> Iterator[npt.NDArray[Any]]:
     rng = np.random.default_rng(seed)
     for _ in range(steps):
-        yield random_actions(env.spec, rng, n)
+        yield random_actions(spec, rng, n)
 
 
-def _given(path: Path, n: int, steps: int) -> Iterator[npt.NDArray[Any]]:
+def _given(path: Path, spec: EnvSpec, n: int, steps: int) -> Iterator[npt.NDArray[Any]]:
     try:
         batches = np.load(path, mmap_mode="r")
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, EOFError) as error:
         raise ArgumentError(f"--actions {path} is no readable .npy file: {error}") from None
     if not isinstance(batches, np.ndarray):
         raise ArgumentError(f"--actions {path} holds several arrays; it must be a .npy file of one")
-    if batches.ndim != 2 or batches.shape[1] != n or len(batches) < steps:
-        raise ArgumentError(f"--actions {path} has shape {batches.shape}; {steps} steps need ({steps}, {n})")
+    needed = (steps, n, *(spec.action_space.shape or ()))
+    if batches.ndim != len(needed) or batches.shape[1:] != needed[1:] or len(batches) < steps:
+        raise ArgumentError(
+            f"--actions {path} has the shape {batches.shape}; {steps} steps of {n} agents need {needed}"
+        )
     return iter(batches[:steps])
 
 

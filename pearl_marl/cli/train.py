@@ -20,6 +20,7 @@ from pearl_marl.cli.common import (
     print_json,
     spec_of,
 )
+from pearl_marl.cli.interrupts import interrupts
 from pearl_marl.errors import ArgumentError
 
 Algorithm = Annotated[str, typer.Option("--algo", help="`ppo`, `dqn` or `q-learning`.")]
@@ -38,15 +39,12 @@ Goal = Annotated[
 ]
 Every = Annotated[
     int | None,
-    typer.Option(
-        "--evaluate-every", min=1, help="Iterations between evaluations.", show_default="50 evaluations"
-    ),
+    typer.Option("--evaluate-every", help="Iterations between evaluations.", show_default="50 evaluations"),
 ]
 Shards = Annotated[
     int | None,
     typer.Option(
         "--shards",
-        min=1,
         help="How many processes step agents, by Ray; `ppo` only.",
         show_default="this process",
     ),
@@ -70,8 +68,10 @@ def command(
     as_json: AsJson = False,
 ) -> None:
     """Train a policy that all agents share; with the --out of a run that was killed, go on with it."""
+    interrupts.advice = f": to go on, give the same command again, with the same --out {out}"
     try:
-        from pearl_marl.training import run as training
+        with interrupts.at_once():  # PyTorch takes seconds to load
+            from pearl_marl.training import run as training
     except ModuleNotFoundError as error:
         raise ArgumentError(
             f"training needs the Python package {error.name}: pip install 'pearl-marl[train]'"
@@ -79,7 +79,9 @@ def command(
     options = dict(spec_of(env_id, option).options)
     given: dict[str, Any] = {"n_agents": n_agents, "iterations": iterations}
     given = {name: value for name, value in given.items() if value is not None}
-    settings = training.settings_for(algo, env_id, {**env_options(setting), **given, "seed": seed}, shards)
+    settings = training.settings_for(
+        algo, env_id, {**env_options(setting, "--set"), **given, "seed": seed}, shards
+    )
 
     columns = (
         TextColumn(f"{env_id}, {algo}"),
@@ -88,7 +90,7 @@ def command(
         TimeRemainingColumn(),
         TextColumn("{task.fields[note]}"),
     )
-    with Progress(*columns, console=error_console) as bar:
+    with Progress(*columns, console=error_console, transient=True) as bar:
         task = bar.add_task("train", total=settings.iterations, note="")
 
         def show(done: int, total: int, row: dict[str, Any]) -> None:

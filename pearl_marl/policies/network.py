@@ -6,7 +6,7 @@ A trained one is a ``policy.safetensors`` with all that is needed to use it agai
 from __future__ import annotations
 
 import json
-import os
+import struct
 from pathlib import Path
 from typing import Any
 
@@ -15,16 +15,20 @@ import numpy.typing as npt
 import torch
 from gymnasium.spaces import Box, Discrete, Space, Tuple
 from safetensors import SafetensorError, safe_open
-from safetensors.torch import save_file
+from safetensors.torch import save
 from torch import Tensor, nn
 
 from pearl_marl.errors import ArgumentError
+from pearl_marl.files import replace_file
 from pearl_marl.registry import get_spec
 from pearl_marl.spec import EnvSpec
 
 Array = npt.NDArray[Any]
 
 FORMAT = "pearl-policy-1"
+
+KINDS = ("logits", "values", "mean")
+"""How a network's outputs are meant: see :class:`NetworkPolicy`."""
 
 
 class Encoder(nn.Module):
@@ -144,7 +148,7 @@ class Network(nn.Module):
         return result
 
 
-class Policy(nn.Module):
+class NetworkPolicy(nn.Module):
     """What chooses actions: a network, and how its outputs are meant.
 
     Parameters
@@ -258,7 +262,7 @@ class Table(nn.Module):
         _save(path, self.state_dict(), self.about)
 
 
-def load(path: Path) -> Policy | Table:
+def load(path: Path) -> NetworkPolicy | Table:
     """Read a policy, or the one in a run folder.
 
     Raises
@@ -275,15 +279,61 @@ def load(path: Path) -> Policy | Table:
         raise ArgumentError(f"{file} cannot be read as a policy: {error}") from None
     if header.get("format") != FORMAT:
         raise ArgumentError(f"{file} is no policy of `pearl train`: its format is {header.get('format')}")
-    about = json.loads(header["policy"])
+    try:
+        return _rebuilt(_described(header), tensors)
+    except ArgumentError as error:
+        raise ArgumentError(f"{file} is damaged, or of another version: {error}") from None
+
+
+def _described(header: dict[str, str]) -> dict[str, Any]:
+    """Return what a file's metadata say of its policy."""
+    try:
+        about = json.loads(header["policy"])
+    except (KeyError, ValueError):
+        about = None
+    if not isinstance(about, dict):
+        raise ArgumentError("its metadata says nothing of its policy")
+    needed: dict[str, type] = {"environment": str, "options": dict, "kind": str}
+    if about.get("kind") != "table":
+        needed["width"] = int
+    for name, kind in needed.items():
+        if name not in about:
+            raise ArgumentError(f"its policy has no {name!r}")
+        if not isinstance(about[name], kind):
+            raise ArgumentError(f"its policy has the {name} {about[name]!r}")
+    return about
+
+
+def _rebuilt(about: dict[str, Any], tensors: dict[str, Tensor]) -> NetworkPolicy | Table:
+    """Make the policy that metadata describe, with these tensors."""
     spec = get_spec(about["environment"]).with_options(**about["options"])
+    policy: NetworkPolicy | Table
     if about["kind"] == "table":
-        table = Table(spec, len(tensors["values"]))
-        table.load_state_dict(tensors)
-        return table
-    policy = Policy(spec, about["kind"], about["width"])
+        values = tensors.get("values", torch.empty(0))
+        policy = Table(spec, len(values))
+    elif about["kind"] in KINDS:
+        width, hidden = about["width"], tensors.get("network.hidden.weight", torch.empty(0))
+        if hidden.shape != (width, width):  # and memory for another width need not be there
+            raise ArgumentError(f"its policy has the width {width}, and layers of {tuple(hidden.shape)}")
+        policy = NetworkPolicy(spec, about["kind"], width)
+    else:
+        raise ArgumentError(
+            f"its policy has the kind {about['kind']!r}; possible are {', '.join(KINDS)}, table"
+        )
+    expected = {name: tensor.shape for name, tensor in policy.state_dict().items()}
+    for name in {**expected, **tensors}:
+        found = tensors[name].shape if name in tensors else None
+        if found != expected.get(name):
+            raise ArgumentError(
+                f"its tensors are not those of {spec.name}: {name} has the shape {_shape(found)}, "
+                f"not {_shape(expected.get(name))}"
+            )
     policy.load_state_dict(tensors)
     return policy
+
+
+def _shape(shape: Any) -> str:
+    return "of nothing" if shape is None else str(tuple(shape))
 
 
 def _about(spec: EnvSpec) -> dict[str, Any]:
@@ -291,6 +341,18 @@ def _about(spec: EnvSpec) -> dict[str, Any]:
 
 
 def _save(path: Path, tensors: dict[str, Tensor], about: dict[str, Any]) -> None:
-    scratch = path.with_suffix(".tmp")
-    save_file(tensors, scratch, {"format": FORMAT, "policy": json.dumps(about)})
-    os.replace(scratch, path)
+    content = save(tensors, {"format": FORMAT, "policy": json.dumps(about)})
+    replace_file(path, _ordered(content))
+
+
+def _ordered(content: bytes) -> bytes:
+    """Return a safetensors file with its header in alphabetical order.
+
+    The library writes metadata in an order that differs from run to run; equal policies are to be equal
+    files.
+    """
+    (size,) = struct.unpack_from("<Q", content)
+    header = json.loads(content[8 : 8 + size])
+    text = json.dumps(header, sort_keys=True, separators=(",", ":")).encode()
+    text += b" " * (-len(text) % 8)  # tensors begin at a multiple of eight
+    return struct.pack("<Q", len(text)) + text + content[8 + size :]

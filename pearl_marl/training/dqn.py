@@ -12,13 +12,23 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from pearl_marl.policies.network import Policy
+from pearl_marl.policies.network import NetworkPolicy
 from pearl_marl.spec import EnvSpec
-from pearl_marl.training.rollout import Agents, Returns
+from pearl_marl.training.rollout import Agents, Returns, go_on, kept
+from pearl_marl.training.settings import (
+    SEEDS,
+    SLOTS,
+    WIDEST,
+    Checked,
+    check_memory,
+    count,
+    number,
+    observation_bytes,
+)
 
 
 @dataclass(frozen=True)
-class Settings:
+class Settings(Checked):
     """What a run of DQN depends on.
 
     Attributes
@@ -49,32 +59,35 @@ class Settings:
         Of everything random.
     """
 
-    n_agents: int = 512
-    iterations: int = 1000
-    memory: int = 200
-    warm_up: int = 10
-    updates: int = 4
-    minibatch: int = 256
-    learning_rate: float = 2e-3
-    discount: float = 0.99
-    refresh: int = 50
-    explore_first: float = 1.0
-    explore_last: float = 0.02
-    exploring: float = 0.2
-    reward_scale: float = 1.0
-    width: int = 64
-    seed: int = 0
+    n_agents: int = count(512, most=SLOTS)
+    iterations: int = count(1000)
+    memory: int = count(200)
+    warm_up: int = count(10, least=0)
+    updates: int = count(4)
+    minibatch: int = count(256)
+    learning_rate: float = number(2e-3, most=1, above=True)
+    discount: float = number(0.99, most=1)
+    refresh: int = count(50)
+    explore_first: float = number(1.0, most=1)
+    explore_last: float = number(0.02, most=1)
+    exploring: float = number(0.2, most=1, above=True)
+    reward_scale: float = number(1.0, above=True)
+    width: int = count(64, most=WIDEST)
+    seed: int = count(0, least=0, most=SEEDS)
 
 
 class DQN:
     """A run of DQN: :meth:`iterate` is a step of all agents with its updates."""
 
     def __init__(self, spec: EnvSpec, device: Any, settings: Settings) -> None:
+        n, depth = settings.n_agents, settings.memory
+        # Of every step in memory two observations, action, reward and end; of those learned from, no less.
+        needed = (n * depth + settings.minibatch) * (2 * observation_bytes(spec) + 13)
+        check_memory(spec, settings, ("n_agents", "memory", "minibatch"), needed, device)
         self.settings = settings
         torch.manual_seed(settings.seed)
-        n, depth = settings.n_agents, settings.memory
-        self.policy = Policy(spec, "values", settings.width)
-        self.target = Policy(spec, "values", settings.width)
+        self.policy = NetworkPolicy(spec, "values", settings.width)
+        self.target = NetworkPolicy(spec, "values", settings.width)
         self.agents = Agents(spec, device, n, settings.seed)
         obs = self.agents.obs
         where = self.where = obs.device
@@ -173,7 +186,7 @@ class DQN:
             "optimiser": self.optimiser.state_dict(),
             "memory": self.memory,
             "random": self.random.get_state(),
-            "agents": self.agents.state(),
+            "agents": kept(self.agents),
             "episodes": self.episodes.state(),
         }
 
@@ -185,5 +198,5 @@ class DQN:
         self.optimiser.load_state_dict(state["optimiser"])
         self.memory = state["memory"]
         self.random.set_state(state["random"])
-        self.agents.load(state["agents"])
+        go_on(self.agents, state["agents"])
         self.episodes.load(state["episodes"])

@@ -1,7 +1,8 @@
 """Proximal policy optimisation, one policy for all agents (Schulman et al., 2017, arXiv:1707.06347).
 
 A batch is tens of thousands of agents wide and few steps deep, so a rollout is a handful of calls of
-the network, and its noise is averaged away within a step. It is gathered by :mod:`.rollout`; here is learned.
+the network, and its noise is averaged away within a step. Here is learned;
+it is gathered by :mod:`pearl_marl.training.rollout`.
 """
 
 from __future__ import annotations
@@ -15,12 +16,22 @@ from torch import Tensor, nn
 
 from pearl_marl.errors import ArgumentError
 from pearl_marl.spec import EnvSpec
-from pearl_marl.training.rollout import ActorCritic, Returns, RolloutWorker
+from pearl_marl.training.rollout import ActorCritic, Returns, RolloutWorker, go_on, kept
+from pearl_marl.training.settings import (
+    SEEDS,
+    SLOTS,
+    WIDEST,
+    Checked,
+    check_memory,
+    count,
+    number,
+    observation_bytes,
+)
 from pearl_marl.training.workers import RayWorkers
 
 
 @dataclass(frozen=True)
-class Settings:
+class Settings(Checked):
     """What a run of PPO depends on.
 
     Attributes
@@ -52,20 +63,27 @@ class Settings:
         Of everything random.
     """
 
-    n_agents: int = 1024
-    depth: int = 32
-    iterations: int = 60
-    epochs: int = 4
-    minibatch: int = 4096
-    learning_rate: float = 3e-3
-    discount: float = 0.98
-    trace: float = 0.9
-    clip: float = 0.2
-    entropy: float = 0.0
-    reward_scale: float = 1.0
-    width: int = 64
-    blocks: int = 1
-    seed: int = 0
+    n_agents: int = count(1024, most=SLOTS)
+    depth: int = count(32)
+    iterations: int = count(60)
+    epochs: int = count(4)
+    minibatch: int = count(4096)
+    learning_rate: float = number(3e-3, most=1, above=True)
+    discount: float = number(0.98, most=1)
+    trace: float = number(0.9, most=1)
+    clip: float = number(0.2, above=True)
+    entropy: float = number(0.0)
+    reward_scale: float = number(1.0, above=True)
+    width: int = count(64, most=WIDEST)
+    blocks: int = count(1, most=SLOTS)
+    seed: int = count(0, least=0, most=SEEDS)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.blocks > self.n_agents:
+            raise ArgumentError(
+                f"setting 'blocks' is {self.blocks}; it must be 1 to {self.n_agents}, the number of agents"
+            )
 
 
 class PPO:
@@ -84,8 +102,9 @@ class PPO:
     """
 
     def __init__(self, spec: EnvSpec, device: Any, settings: Settings, shards: int | None = None) -> None:
-        if not 1 <= settings.blocks <= settings.n_agents:
-            raise ArgumentError(f"setting 'blocks' is {settings.blocks}; it must be 1 to {settings.n_agents}")
+        # Of every step at least an observation, and six numbers of its experience.
+        needed = settings.n_agents * settings.depth * (observation_bytes(spec) + 6 * 4)
+        check_memory(spec, settings, ("n_agents", "depth"), needed, device)
         self.settings = settings
         torch.manual_seed(settings.seed)
         self.model = ActorCritic(spec, settings.width)
@@ -143,8 +162,9 @@ class PPO:
         outputs, values = self.model(obs)
         logs, entropy = self.model.weigh(outputs, actions)
         ratio = (logs - old_logs).exp()
-        deviation, mean = torch.std_mean(advantages)
-        advantages = (advantages - mean) / (deviation + 1e-8)
+        if len(advantages) > 1:  # one alone has no deviation
+            deviation, mean = torch.std_mean(advantages)
+            advantages = (advantages - mean) / (deviation + 1e-8)
         policy_loss = -torch.min(ratio * advantages, ratio.clamp(1 - clip, 1 + clip) * advantages).mean()
         value_loss = (values - returns).square().mean()
         self.optimiser.zero_grad()
@@ -163,7 +183,7 @@ class PPO:
             "model": self.model.state_dict(),
             "optimiser": self.optimiser.state_dict(),
             "random": self.random.get_state(),
-            "agents": self.worker.state(),
+            "agents": kept(self.worker),
             "episodes": self.episodes.state(),
         }
 
@@ -173,5 +193,5 @@ class PPO:
         self.model.load_state_dict(state["model"])
         self.optimiser.load_state_dict(state["optimiser"])
         self.random.set_state(state["random"])
-        self.worker.load(state["agents"])
+        go_on(self.worker, state["agents"])
         self.episodes.load(state["episodes"])

@@ -18,11 +18,20 @@ from torch import Tensor
 from pearl_marl.errors import ArgumentError
 from pearl_marl.policies.network import Table
 from pearl_marl.spec import EnvSpec
-from pearl_marl.training.rollout import Agents, Returns
+from pearl_marl.training.rollout import Agents, Returns, go_on, kept
+from pearl_marl.training.settings import (
+    SEEDS,
+    SLOTS,
+    Checked,
+    check_memory,
+    count,
+    number,
+    observation_bytes,
+)
 
 
 @dataclass(frozen=True)
-class Settings:
+class Settings(Checked):
     """What a run of Q-learning depends on.
 
     Attributes
@@ -45,14 +54,20 @@ class Settings:
         Of everything random.
     """
 
-    n_agents: int = 43008
-    learners: int = 1
-    iterations: int = 300
-    epsilon: float = 0.2
-    rate: float = 0.5
-    fading: float = 0.0
-    discount: float = 1.0
-    seed: int = 0
+    n_agents: int = count(43008, most=SLOTS)
+    learners: int = count(1, most=SLOTS)
+    iterations: int = count(300)
+    epsilon: float = number(0.2, most=1)
+    rate: float = number(0.5, most=1, above=True)
+    fading: float = number(0.0)
+    discount: float = number(1.0, most=1)
+    seed: int = count(0, least=0, most=SEEDS)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        n, learners = self.n_agents, self.learners
+        if n % learners:
+            raise ArgumentError(f"setting 'learners' is {learners}; it must divide n_agents, {n}")
 
 
 EXPLORING = 0.8
@@ -84,8 +99,9 @@ class QLearning:
     ) -> None:
         self.settings = settings
         n, learners = settings.n_agents, settings.learners
-        if not 1 <= learners <= n or n % learners:
-            raise ArgumentError(f"setting 'learners' is {learners}; it must divide n_agents, {n}")
+        # Of every agent an observation and some ten numbers; of every entry of a table, one.
+        needed = n * (observation_bytes(spec) + 10 * 8) + learners * Table(spec).values.numel() * 4
+        check_memory(spec, settings, ("n_agents", "learners"), needed, device)
         self.policy = Table(spec, learners)
         entries = len(spec.rewards or ())
         for name, given, shape in (("rates", rates, (learners,)), ("rewards", rewards, (learners, entries))):
@@ -166,7 +182,7 @@ class QLearning:
             "values": self.policy.values,
             "updates": self.updates,
             "random": self.random.get_state(),
-            "agents": self.agents.state(),
+            "agents": kept(self.agents),
             "episodes": self.episodes.state(),
         }
 
@@ -175,6 +191,6 @@ class QLearning:
         self.done, self.updates = state["done"], state["updates"]
         self.policy.values[:] = state["values"]
         self.random.set_state(state["random"])
-        self.agents.load(state["agents"])
+        go_on(self.agents, state["agents"])
         self.rows = self.policy.rows(self.agents.obs)
         self.episodes.load(state["episodes"])

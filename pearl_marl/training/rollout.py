@@ -16,7 +16,7 @@ from torch.distributions import Normal
 
 from pearl_marl.batch.saved_state import SavedState
 from pearl_marl.devices import BatchConfig, BatchStep, Device, make_device
-from pearl_marl.policies.network import Network, Policy
+from pearl_marl.policies.network import Network, NetworkPolicy
 from pearl_marl.spec import EnvSpec
 
 ROWS = 16_384
@@ -55,6 +55,11 @@ class Agents:
         self.obs = step.obs
         return step
 
+    @property
+    def identity(self) -> dict[str, Any]:
+        """What a saved state of these agents has to agree with."""
+        return self.device.config.identity()
+
     def state(self) -> SavedState:
         """Return all that the agents' continuation depends on."""
         return self.device.snapshot()
@@ -62,6 +67,16 @@ class Agents:
     def load(self, state: SavedState) -> None:
         """Go on from what :meth:`state` returned."""
         self.obs = torch.as_tensor(self.device.restore(state))
+
+
+def kept(agents: Any) -> Tensor:
+    """Return the state of agents, or of workers, as a checkpoint has it: bytes, which are plain data."""
+    return torch.frombuffer(bytearray(agents.state().to_bytes()), dtype=torch.uint8)
+
+
+def go_on(agents: Any, state: Tensor) -> None:
+    """Have agents, or workers, go on from what :func:`kept` returned."""
+    agents.load(SavedState.from_bytes(state.numpy().tobytes(), agents.identity))
 
 
 class Returns:
@@ -121,7 +136,7 @@ class ActorCritic(nn.Module):
     def __init__(self, spec: EnvSpec, width: int) -> None:
         super().__init__()
         self.continuous = not hasattr(spec.action_space, "n")
-        self.policy = Policy(spec, "mean" if self.continuous else "logits", width)
+        self.policy = NetworkPolicy(spec, "mean" if self.continuous else "logits", width)
         # Of a picture, most of the work is to see what is on it: actor and critic do that together.
         self.shared = self.policy.network.encoder.kind == "picture"
         self.critic: nn.Module = (
@@ -200,14 +215,14 @@ class Experience(NamedTuple):
 
 
 class RolloutWorker:
-    """Gathers with the agents of some blocks; see ``Settings.blocks`` of :mod:`.ppo`.
+    """Gathers with the agents of some blocks; see ``Settings.blocks`` of :mod:`pearl_marl.training.ppo`.
 
     Parameters
     ----------
     spec, device
         The environment, and where it is stepped.
     settings
-        Of :mod:`.ppo`.
+        Of :mod:`pearl_marl.training.ppo`.
     model
         What acts: its weights may change between rollouts.
     blocks
@@ -285,6 +300,11 @@ class RolloutWorker:
             advantage = torch.addcmul(errors[t], going_on[t], advantage)
             advantages[t] = advantage
         return advantages
+
+    @property
+    def identity(self) -> dict[str, Any]:
+        """What a saved state of these agents has to agree with."""
+        return self.agents.identity
 
     def state(self) -> SavedState:
         """Return all that the agents' continuation depends on."""

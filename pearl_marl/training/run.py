@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import difflib
+import math
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -35,27 +36,27 @@ def settings_for(algorithm: str, env_id: str, given: dict[str, Any], shards: int
     Raises
     ------
     ArgumentError
-        There is no such algorithm or setting, or a value is not of its type.
+        There is no such algorithm or setting, or a value is out of its range.
     """
     if algorithm not in ALGORITHMS:
         raise ArgumentError(f"--algo is {algorithm!r}; possible are {', '.join(map(repr, ALGORITHMS))}")
-    default = SETTINGS[algorithm]()
-    kinds: dict[str, Any] = {name: type(value) for name, value in dataclasses.asdict(default).items()}
-    for name, value in given.items():
-        if name not in kinds:
-            near = difflib.get_close_matches(name, kinds, 1)
-            hint = f"did you mean {near[0]!r}?" if near else f"there are {', '.join(kinds)}"
+    names = [setting.name for setting in dataclasses.fields(SETTINGS[algorithm])]
+    for name in given:
+        if name not in names:
+            near = difflib.get_close_matches(name, names, 1)
+            hint = f"did you mean {near[0]!r}?" if near else f"there are {', '.join(names)}"
             raise ArgumentError(f"{algorithm} has no setting {name!r}; {hint}")
-        number = (int, float) if kinds[name] is float else kinds[name]
-        if isinstance(value, bool) or not isinstance(value, number) or value < 0:
-            raise ArgumentError(f"setting {name!r} is {value!r}; it must be a number like {kinds[name](1)}")
-    if shards is not None and "blocks" not in kinds:
-        raise ArgumentError(f"{algorithm} does not learn with --shards: leave it out, or use ppo")
     preset = PRESETS.get((algorithm, get_spec(env_id).name), {})
-    settings = {**preset, **given}
-    if shards is not None and "blocks" not in given:
-        settings["blocks"] = min(BLOCKS, settings.get("n_agents", default.n_agents))
-    return SETTINGS[algorithm](**settings)
+    settings = SETTINGS[algorithm](**{**preset, **given})
+    if shards is None:
+        return settings
+    if "blocks" not in names:
+        raise ArgumentError(f"{algorithm} does not learn with --shards: leave it out, or use ppo")
+    if shards < 1:
+        raise ArgumentError(f"--shards is {shards}; it must be at least 1, or left out for this process")
+    if "blocks" in given:
+        return settings
+    return dataclasses.replace(settings, blocks=min(BLOCKS, settings.n_agents))
 
 
 def train(
@@ -104,7 +105,11 @@ def train(
         The folder holds a run of other settings, or cannot be written; or the algorithm does not suit the
         environment.
     """
-    every = evaluate_every or max(1, settings.iterations // 50)
+    every = max(1, settings.iterations // 50) if evaluate_every is None else evaluate_every
+    if every < 1:
+        raise ArgumentError(f"--evaluate-every is {every}; it must be a whole number of at least 1")
+    if goal is not None and not math.isfinite(goal):
+        raise ArgumentError(f"--goal is {goal}; it must be a finite number")
     spec = get_spec(env_id).with_options(**options)
     spread = {} if shards is None else {"shards": shards}
     trainer = ALGORITHMS[algorithm](spec, device, settings, **spread)
@@ -122,8 +127,13 @@ def train(
     )
     seconds, best = 0.0, -np.inf
     if (saved := run.resume()) is not None:
-        trainer.load(saved["trainer"])
-        seconds, best = saved["seconds"], saved["best"]
+        try:
+            seconds, best = float(saved["seconds"]), float(saved["best"])
+            trainer.load(saved["trainer"])
+            check_progress(trainer.done, settings.iterations)
+        except (ArithmeticError, AttributeError, LookupError, RuntimeError, TypeError, ValueError) as error:
+            why = " ".join(str(error).split()) or type(error).__name__
+            raise run.damaged(f"and cannot be gone on from ({why})") from error
     began, kept = time.perf_counter() - seconds, time.perf_counter()
     finished = goal is not None and best >= goal
     while trainer.done < settings.iterations and not finished:
@@ -145,6 +155,12 @@ def train(
             kept = time.perf_counter()
     run.draw_curve(f"{spec.name}: {algorithm}, {settings.n_agents:,} agents", goal)
     return run.rows
+
+
+def check_progress(done: Any, iterations: int) -> None:
+    """Refuse a number of iterations that a run of so many cannot have done."""
+    if not isinstance(done, int) or not 0 <= done <= iterations:
+        raise ValueError(f"it has done {done!r} iterations of {iterations}")
 
 
 def evaluate(policy: Any, spec: EnvSpec, n: int, seed: int = 1) -> tuple[float, float]:

@@ -5,11 +5,13 @@
     config.json            settings, seed, versions, machine
     metrics.csv            a row for each report; the same figures for TensorBoard beside it
     checkpoint.pt          all that the continuation depends on
+    checkpoint.previous.pt the one before
     policy.safetensors     the best policy so far that was evaluated
     learning_curve.png     when the run is done
 
 Everything is written beside and renamed, and metrics and checkpoint belong together: whenever a run is
-killed, it goes on from its last checkpoint as if nothing had happened.
+killed, it goes on from its last checkpoint as if nothing had happened. A folder may be somebody else's: a
+checkpoint is tensors and plain data, and no code in it is ever run.
 """
 
 from __future__ import annotations
@@ -17,7 +19,7 @@ from __future__ import annotations
 import csv
 import io
 import json
-import os
+import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -26,9 +28,12 @@ from torch.utils.tensorboard import SummaryWriter
 
 from pearl_marl.benchmark.machine import machine
 from pearl_marl.errors import ArgumentError
+from pearl_marl.files import replace_file
 from pearl_marl.rendering import import_pyplot
 
-FORMAT = 2
+CHECKPOINT, PREVIOUS = "checkpoint.pt", "checkpoint.previous.pt"
+
+FORMAT = 3
 """Of checkpoints; another number for every change of what trainers keep in them."""
 
 
@@ -61,12 +66,14 @@ class RunFolder:
         try:
             path.mkdir(parents=True, exist_ok=True)
             if config.exists():
-                self._refuse_others(json.loads(config.read_text())["settings"], settings)
+                self._refuse_others(_settings(config), settings)
             else:
-                _replace(config, json.dumps({"settings": settings, "machine": machine()}, indent=2).encode())
+                about = {"settings": settings, "machine": machine()}
+                replace_file(config, json.dumps(about, indent=2).encode())
         except OSError as error:
             raise ArgumentError(f"--out {path} is no folder that can be written: {error.strerror}") from None
         self._board: SummaryWriter | None = None
+        self._resumed = path / CHECKPOINT
 
     def _refuse_others(self, theirs: dict[str, Any], ours: dict[str, Any]) -> None:
         for name in {**theirs, **ours}:
@@ -82,16 +89,33 @@ class RunFolder:
         Raises
         ------
         ArgumentError
-            It is of another version of this package.
+            It is damaged, or of another version of this package.
         """
-        file = self.path / "checkpoint.pt"
-        if not file.exists():
+        last, previous = self.path / CHECKPOINT, self.path / PREVIOUS
+        # Killed between two renames, or the last one deleted since it was damaged.
+        self._resumed = previous if previous.exists() and not last.exists() else last
+        if not self._resumed.exists():
             return None
-        checkpoint: dict[str, Any] = torch.load(file, weights_only=False)
+        try:
+            checkpoint = _read(self._resumed)
+        except _DamagedError as error:
+            raise self.damaged(str(error)) from None
         if checkpoint.get("format") != FORMAT:
-            raise ArgumentError(f"{file} is of another version of this package: give another --out")
-        self.rows = checkpoint.pop("rows")
+            raise ArgumentError(f"{self._resumed} is of another version of this package: give another --out")
+        rows = checkpoint.pop("rows", None)
+        if not isinstance(rows, list) or not all(_is_row(row) for row in rows):
+            raise self.damaged("and has no metrics")
+        self.rows = rows
         return checkpoint
+
+    def damaged(self, why: str) -> ArgumentError:
+        """Return the error that refuses the checkpoint that was read, and says how to go on."""
+        file, previous = self._resumed, self.path / PREVIOUS
+        then = f"to go on from {previous}" if file != previous and previous.exists() else "to begin again"
+        return ArgumentError(
+            f"{file} is damaged, or of another version of this package, {why}: delete it and give the same "
+            f"command again {then}"
+        )
 
     def report(self, agent_steps: int, **metrics: float | None) -> None:
         """Note the figures of the moment; written with the next checkpoint, and for TensorBoard at once."""
@@ -106,7 +130,7 @@ class RunFolder:
         """Keep what the continuation depends on, and the metrics."""
         buffer = io.BytesIO()
         torch.save({**state, "rows": self.rows, "format": FORMAT}, buffer)
-        _replace(self.path / "checkpoint.pt", buffer.getvalue())
+        replace_file(self.path / CHECKPOINT, buffer.getvalue(), keep=self.path / PREVIOUS)
         self.write_metrics()
 
     def write_metrics(self) -> None:
@@ -116,7 +140,7 @@ class RunFolder:
         writer = csv.DictWriter(text, names)
         writer.writeheader()
         writer.writerows(self.rows)
-        _replace(self.path / "metrics.csv", text.getvalue().encode())
+        replace_file(self.path / "metrics.csv", text.getvalue().encode())
         if self._board is not None:
             self._board.flush()
 
@@ -139,7 +163,40 @@ class RunFolder:
         return path
 
 
-def _replace(path: Path, content: bytes) -> None:
-    scratch = path.with_name(f"{path.name}.tmp")
-    scratch.write_bytes(content)
-    os.replace(scratch, path)
+class _DamagedError(Exception):
+    """A file is not what it should be; says why."""
+
+
+def _read(file: Path) -> dict[str, Any]:
+    """Read tensors and plain data, of an archive whose checksums are right: PyTorch does not look at them."""
+    try:
+        with zipfile.ZipFile(file) as archive:
+            wrong = archive.testzip()
+    except Exception as error:  # whatever a reader makes of random bytes
+        raise _DamagedError("and is no archive of PyTorch") from error
+    if wrong is not None:
+        raise _DamagedError(f"and the checksum of {wrong} in it is wrong")
+    try:
+        checkpoint = torch.load(file, weights_only=True)
+    except Exception as error:  # likewise; what is no plain data is refused, and not run
+        raise _DamagedError("and holds more than tensors and plain data") from error
+    if not isinstance(checkpoint, dict):
+        raise _DamagedError("and holds no state of a training")
+    return checkpoint
+
+
+def _is_row(row: Any) -> bool:
+    return isinstance(row, dict) and isinstance(row.get("agent_steps"), int)
+
+
+def _settings(config: Path) -> dict[str, Any]:
+    """Return the settings in a run's config.json."""
+    try:
+        settings = json.loads(config.read_bytes())["settings"]
+    except (ValueError, TypeError, KeyError, RecursionError):
+        settings = None
+    if not isinstance(settings, dict):
+        raise ArgumentError(
+            f"{config} is damaged, and does not say of what settings the run is: give another --out"
+        )
+    return settings

@@ -163,6 +163,11 @@ class RayWorkers:
         state = self._states[i] if self._apart[i] else None
         return self._actors[i].gather.remote(rollout, weights, state)
 
+    @property
+    def identity(self) -> dict[str, Any]:
+        """What a saved state of all agents has to agree with."""
+        return {**self._states[0].identity, "n_agents": self.settings.n_agents}
+
     def state(self) -> SavedState:
         """Return all that the agents' continuation depends on: the same, however many shards there are."""
         return SavedState.join(self.spec, self._states)

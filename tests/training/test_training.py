@@ -113,7 +113,7 @@ def test_what_learners_differ_in_has_to_be_of_them_all(name: str, shape: tuple[i
 def test_a_checkpoint_of_another_version_is_refused(tmp_path: Path) -> None:
     run("q-learning", "CliffWalking", tmp_path, **SMALL["q-learning"])
     file = tmp_path / "checkpoint.pt"
-    torch.save({**torch.load(file, weights_only=False), "format": 1}, file)
+    torch.save({**torch.load(file, weights_only=True), "format": 1}, file)
     with pytest.raises(ArgumentError, match=r"checkpoint.pt is of another version.*another --out"):
         run("q-learning", "CliffWalking", tmp_path, **SMALL["q-learning"])
 
@@ -267,7 +267,7 @@ def test_a_killed_run_goes_on_as_if_nothing_had_been(algorithm: str, tmp_path: P
     timeless = [[{**row, "seconds": 0} for row in part] for part in (whole, rows)]
     assert timeless[0] == timeless[1]
     ends = [
-        torch.load(folder / "checkpoint.pt", weights_only=False) for folder in (tmp_path / "whole", killed)
+        torch.load(folder / "checkpoint.pt", weights_only=True) for folder in (tmp_path / "whole", killed)
     ]
     assert same(ends[0]["trainer"], ends[1]["trainer"])
 

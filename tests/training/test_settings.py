@@ -1,0 +1,145 @@
+"""Settings out of their range: one sentence that names setting, value and range, before any work."""
+
+from __future__ import annotations
+
+import importlib
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from pearl_marl import get_spec
+from pearl_marl.errors import ArgumentError
+
+torch = pytest.importorskip("torch", reason="torch is not installed: pip install '.[train]'")
+training = importlib.import_module("pearl_marl.training.run")
+
+Pearl = Callable[..., tuple[int, str, str]]
+
+SET = {
+    "ppo": {
+        "depth=0": "a whole number from 1 to",
+        "epochs=0": "a whole number from 1 to",
+        "minibatch=0": "a whole number from 1 to",
+        "minibatch=-3": "a whole number from 1 to",
+        "minibatch=2.5": "a whole number from 1 to",
+        "minibatch=true": "a whole number from 1 to",
+        "width=0": "a whole number from 1 to 16,384",
+        "width=10000000": "a whole number from 1 to 16,384",
+        "learning_rate=0": "a number above 0 up to 1",
+        "learning_rate=NaN": "a number above 0 up to 1",
+        "learning_rate=Infinity": "a number above 0 up to 1",
+        "learning_rate=-1e999": "a number above 0 up to 1",
+        "learning_rate=high": "a number above 0 up to 1",
+        "discount=1.5": "a number from 0 to 1",
+        "discount=-0.1": "a number from 0 to 1",
+        "trace=NaN": "a number from 0 to 1",
+        "clip=0": "a number above 0",
+        "entropy=-1": "a number of at least 0",
+        "entropy=Infinity": "a number of at least 0",
+        "reward_scale=NaN": "a number above 0",
+        "blocks=0": "a whole number from 1 to",
+        "blocks=2000": "1 to 512",
+    },
+    "dqn": {
+        "memory=0": "a whole number from 1 to",
+        "updates=0": "a whole number from 1 to",
+        "refresh=0": "a whole number from 1 to",
+        "warm_up=-1": "a whole number from 0 to",
+        "exploring=0": "a number above 0 up to 1",
+        "explore_first=2": "a number from 0 to 1",
+    },
+    "q-learning": {
+        "learners=0": "a whole number from 1 to",
+        "learners=5": "it must divide n_agents, 43008",
+        "rate=0": "a number above 0 up to 1",
+        "epsilon=1.5": "a number from 0 to 1",
+        "fading=-1": "a number of at least 0",
+    },
+}
+CASES = [(algorithm, given, words) for algorithm, cases in SET.items() for given, words in cases.items()]
+
+
+def refused(pearl: Pearl, folder: Path, *arguments: Any) -> str:
+    """Return the sentence with which a training is refused; it leaves no folder."""
+    status, out, err = pearl("train", *arguments, "--out", folder / "run")
+    assert (status, out) == (2, ""), err
+    assert not (folder / "run").exists()
+    (sentence,) = (
+        err.split("\n\n")[-1].strip().splitlines()
+    )  # below what the progress bar leaves, if it began
+    assert sentence.startswith("pearl: ")
+    return str(sentence)
+
+
+@pytest.mark.parametrize(("algorithm", "given", "words"), CASES)
+def test_what_is_set(pearl: Pearl, algorithm: str, given: str, words: str, tmp_path: Path) -> None:
+    env = "CliffWalking" if algorithm == "q-learning" else "CartPole"
+    sentence = refused(pearl, tmp_path, env, "--algo", algorithm, "--set", given)
+    name, _, value = given.partition("=")
+    shown = {"NaN": "nan", "Infinity": "inf", "-1e999": "-inf", "high": "'high'", "true": "True"}.get(
+        value, value
+    )
+    assert f"setting '{name}' is {shown}; it must" in sentence
+    assert words in sentence
+
+
+@pytest.mark.parametrize("algorithm", SET)
+@pytest.mark.parametrize(
+    ("option", "value", "words"),
+    [
+        ("--iterations", 0, "setting 'iterations' is 0; it must be a whole number from 1 to"),
+        ("--iterations", -1, "setting 'iterations' is -1; it must be a whole number from 1 to"),
+        ("--n-agents", 0, "setting 'n_agents' is 0; it must be a whole number from 1 to 4,294,967,296"),
+        (
+            "--n-agents",
+            5_000_000_000,
+            "setting 'n_agents' is 5000000000; it must be a whole number from 1 to",
+        ),
+        ("--seed", -1, "setting 'seed' is -1; it must be a whole number from 0 to"),
+        ("--evaluate-every", 0, "--evaluate-every is 0; it must be a whole number of at least 1"),
+        ("--evaluate-every", -5, "--evaluate-every is -5; it must be a whole number of at least 1"),
+        ("--goal", "nan", "--goal is nan; it must be a finite number"),
+        ("--set", "depth", "--set is 'depth'; it must be NAME=VALUE"),
+        ("--option", "depth", "--option is 'depth'; it must be NAME=VALUE"),
+        ("--n-agents", 4_000_000_000, "GiB of memory, and this machine has"),
+    ],
+)
+def test_options(pearl: Pearl, algorithm: str, option: str, value: Any, words: str, tmp_path: Path) -> None:
+    env = "CliffWalking" if algorithm == "q-learning" else "CartPole"
+    assert words in refused(pearl, tmp_path, env, "--algo", algorithm, option, value)
+
+
+def test_shards(pearl: Pearl, tmp_path: Path) -> None:
+    assert "--shards is 0; it must be at least 1" in refused(pearl, tmp_path, "CartPole", "--shards", 0)
+
+
+@pytest.mark.parametrize(
+    ("algorithm", "given"),
+    [
+        ("ppo", {"depth": 10**11}),
+        ("dqn", {"memory": 10**11}),
+        ("dqn", {"minibatch": 10**12}),
+        ("q-learning", {"n_agents": 2**31, "learners": 2**31}),
+    ],
+)
+def test_what_no_machine_can_hold_is_refused(algorithm: str, given: dict[str, Any]) -> None:
+    settings = training.settings_for(algorithm, "CliffWalking", given)
+    with pytest.raises(ArgumentError, match=r"takes at least .* GiB of memory, and this machine has .* GiB"):
+        training.ALGORITHMS[algorithm](get_spec("CliffWalking"), "native", settings)
+
+
+@pytest.mark.parametrize("algorithm", training.SETTINGS)
+def test_settings_made_by_hand_are_checked_too(algorithm: str) -> None:
+    with pytest.raises(ArgumentError, match=re.escape("'iterations' is 0; it must be a whole number from 1")):
+        training.SETTINGS[algorithm](iterations=0)
+
+
+def test_one_step_to_learn_from_leaves_finite_weights() -> None:
+    """The last minibatch may be of one step, of which there is no deviation."""
+    settings = training.settings_for("ppo", "CartPole", {"n_agents": 1, "depth": 5, "minibatch": 2})
+    trainer = training.ALGORITHMS["ppo"](get_spec("CartPole"), "native", settings)
+    trainer.iterate()
+    assert all(tensor.isfinite().all() for tensor in trainer.model.state_dict().values())
