@@ -43,6 +43,10 @@ FRESH = 1000
 """Seed of the episodes by which a trained policy is judged."""
 
 
+QUICK_AGENTS, QUICK_EVALUATIONS = 10_752, 6
+"""Of a quick report's trainings: a quarter of the agents, and how often they are evaluated."""
+
+
 class Goal(NamedTuple):
     """What is to be reached, and what a training run aims at: a little more, for its few episodes."""
 
@@ -92,14 +96,16 @@ def collect(quick: bool, progress: Progress) -> list[Row]:
         for seed in (SEEDS[:1] if quick else SEEDS)
         if not quick or goal.algorithm == "q-learning"
     ]
-    return [_reach(goal, seed) for goal, seed in progress(work, len(work), "training")]
+    return [_reach(goal, seed, quick) for goal, seed in progress(work, len(work), "training")]
 
 
-def _reach(goal: Goal, seed: int) -> Row:
+def _reach(goal: Goal, seed: int, quick: bool) -> Row:
     spec = get_spec(goal.env_id)
-    settings = settings_for(goal.algorithm, goal.env_id, {"seed": seed})
+    given = {"seed": seed, "n_agents": QUICK_AGENTS} if quick else {"seed": seed}
+    settings = settings_for(goal.algorithm, goal.env_id, given)
+    every = settings.iterations // QUICK_EVALUATIONS if quick else None
     with tempfile.TemporaryDirectory() as folder:
-        rows = train(goal.env_id, {}, goal.algorithm, settings, "native", Path(folder), goal.aim)
+        rows = train(goal.env_id, {}, goal.algorithm, settings, "native", Path(folder), goal.aim, every)
         best = network.load(Path(folder))
     n = min(goal.episodes, 20_000)
     evaluation = Evaluation(spec, best.choose, n, episodes=goal.episodes, seed=FRESH)
