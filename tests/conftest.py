@@ -18,8 +18,8 @@ os.environ.setdefault("SDL_VIDEODRIVER", "dummy")
 # Without a GPU, numba's simulator stands in for one. Numba reads this when numba.cuda is imported, here and
 # in the processes that tests start.
 os.environ.setdefault("NUMBA_ENABLE_CUDASIM", "0" if os.path.exists("/dev/nvidiactl") else "1")
-# Processes of tests share the cores: PyTorch with as many threads as cores in each of them is slower than with
-# one, on a busy machine many times.
+# Processes of tests share the cores. PyTorch with as many threads as cores in each of them is slower than
+# with one, and on a busy machine many times.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 # Simulated devices take longer to compile than a test takes to step them.
 os.environ.setdefault("PEARL_LIGHT_SIMULATION", "1")
