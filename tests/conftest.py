@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
+import shutil
 import sys
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 from unittest import mock
 
@@ -15,6 +18,11 @@ os.environ.setdefault("SDL_VIDEODRIVER", "dummy")
 # Without a GPU, numba's simulator stands in for one. Numba reads this when numba.cuda is imported, here and
 # in the processes that tests start.
 os.environ.setdefault("NUMBA_ENABLE_CUDASIM", "0" if os.path.exists("/dev/nvidiactl") else "1")
+# Processes of tests share the cores. PyTorch with as many threads as cores in each of them is slower than
+# with one, and on a busy machine many times.
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+# Simulated devices take longer to compile than a test takes to step them.
+os.environ.setdefault("PEARL_LIGHT_SIMULATION", "1")
 
 import pearl_marl
 from pearl_marl import cli, registry
@@ -45,6 +53,30 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         for item in items:
             if "slow" in item.keywords:
                 item.add_marker(pytest.mark.skip(reason="slow: run pytest --slow"))
+
+
+Once = Callable[[str, Callable[[Path], object]], Path]
+
+
+@pytest.fixture(scope="session")
+def once(tmp_path_factory: pytest.TempPathFactory) -> Once:
+    """Return a function that has a folder made once a run, by the process of xdist that asks first."""
+    shared = tmp_path_factory.getbasetemp()
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        shared = shared.parent
+
+    def once(name: str, make: Callable[[Path], object]) -> Path:
+        folder, made = shared / f"once-{name}", shared / f"once-{name}.made"
+        with (shared / f"once-{name}.lock").open("w") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            if not made.exists():
+                shutil.rmtree(folder, ignore_errors=True)
+                folder.mkdir()
+                make(folder)
+                made.touch()
+        return folder
+
+    return once
 
 
 @pytest.fixture

@@ -89,7 +89,7 @@ def test_a_forked_child_can_step() -> None:
     queue = context.Queue()
     child = context.Process(target=_steps_in_a_child, args=(device, queue), daemon=True)
     child.start()
-    assert queue.get(timeout=30) == device.step(actions(1)[0]).obs.sum()
+    assert queue.get(timeout=1800) == device.step(actions(1)[0]).obs.sum()
     child.join()
 
 

@@ -150,7 +150,7 @@ class Meeting(Native):
     def _step(self, actions: np.ndarray) -> Any:
         folder, name, others = self.place
         Path(folder, name).touch()
-        deadline = time.monotonic() + 100
+        deadline = time.monotonic() + 1800
         while len(os.listdir(folder)) < others:
             assert time.monotonic() < deadline, "the others do not step at the same time"
             time.sleep(0.01)
@@ -192,7 +192,7 @@ class Dangerous(Native):
                 case "slow":
                     Path(self.file).unlink()
                     Path(f"{self.file}.pid").write_text(str(os.getpid()))
-                    time.sleep(300)
+                    time.sleep(3600)
                 case "failed":
                     Path(self.file).unlink()
                     raise DeviceError("failed")
@@ -228,7 +228,7 @@ def test_lost_actors_are_replaced(tmp_path: Path, opened: Any) -> None:
         if t == 80:
             seconds = time.monotonic() - began
             killer.join()
-    assert 0 < seconds < 250, "it was killed within the step"
+    assert 0 < seconds < 3600, "it was killed within the step"
     np.testing.assert_array_equal(device.state(), native.state())
     assert not {process(device, 0), process(device, 1)} & set(first)
 
@@ -345,7 +345,7 @@ def test_close_ends_the_actors(opened: Any) -> None:
     device = opened(Ray(["native"]))
     pid = process(device, 0)
     device.close()
-    deadline = time.monotonic() + 20
+    deadline = time.monotonic() + 1800
     while os.path.exists(f"/proc/{pid}") and time.monotonic() < deadline:
         time.sleep(0.02)
     assert not os.path.exists(f"/proc/{pid}")

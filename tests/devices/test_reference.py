@@ -122,10 +122,10 @@ def test_a_refused_reset_keeps_seed_and_tick() -> None:
 
 
 def test_it_is_fast_enough_to_be_asked() -> None:
-    """43,008 slots for 300 steps take about a second; ten times that would still do."""
+    """43,008 slots for 30 steps: seconds of this processor, however busy it is with other things."""
     device = open_reference(CLIFF, 43008, max_cycles=50)
     actions = np.random.default_rng(0).integers(4, size=(30, 43008), dtype=np.uint8)
-    began = time.perf_counter()
+    began = time.thread_time()
     for row in actions:
         device.step(row)
-    assert time.perf_counter() - began < 6
+    assert time.thread_time() - began < 6

@@ -82,7 +82,7 @@ def board() -> Iterator[Fake]:
 
 
 def test_any_length_goes_through(board: Fake) -> None:
-    transport = SerialTransport(board.port, timeout=5)
+    transport = SerialTransport(board.port, timeout=1800)
     written = np.random.default_rng(1).integers(0, 256, 300_000, np.uint8)  # more than a request can have
     transport.write(64, written)
     read = np.zeros_like(written)
@@ -103,14 +103,14 @@ def test_any_length_goes_through(board: Fake) -> None:
 def test_what_is_damaged_is_not_delivered(
     board: Fake, damage: Callable[[bytes], bytes], sentence: str
 ) -> None:
-    transport = SerialTransport(board.port, timeout=0.1)
+    transport = SerialTransport(board.port, timeout=2)
     board.damage = damage
     word = np.zeros(4, np.uint8)
     with pytest.raises(DeviceError, match=sentence):
         transport.read(0, word)
     assert not word.any()
     # The next answer is not taken for what is left of this one.
-    board.damage = bytes
+    board.damage, transport._timeout = bytes, 1800
     transport.read(4, word)
     assert word.view("<u4")[0] == PROTOCOL_VERSION
     transport.close()
@@ -121,7 +121,7 @@ def test_what_is_damaged_is_not_delivered(
     [(2, r"failed at R 0x10: the hardware refused it"), (3, r"there is nothing at that address")],
 )
 def test_responses_are_errors(board: Fake, response: int, sentence: str) -> None:
-    transport = SerialTransport(board.port, timeout=5)
+    transport = SerialTransport(board.port, timeout=1800)
     board.response = response
     with pytest.raises(DeviceError, match=sentence):
         transport.read(16, np.zeros(4, np.uint8))
@@ -129,31 +129,32 @@ def test_responses_are_errors(board: Fake, response: int, sentence: str) -> None
 
 
 def test_a_wait_ends_with_the_step_or_with_patience(board: Fake) -> None:
-    transport = SerialTransport(board.port, timeout=0.2)
+    transport = SerialTransport(board.port, timeout=1800)
     step = Exchange(0, np.zeros(64, np.uint8), status_at=4)
     step.sequence = PROTOCOL_VERSION
     transport.wait(step)
+    transport._timeout = 2
     began = time.monotonic()
     step.sequence = PROTOCOL_VERSION + 1
     transport.wait(step)
-    assert time.monotonic() - began >= 0.2
+    assert time.monotonic() - began >= 2
     transport.close()
 
 
 def test_one_process_at_a_time(board: Fake) -> None:
-    first = SerialTransport(board.port, timeout=1)
+    first = SerialTransport(board.port, timeout=1800)
     with pytest.raises(DeviceError, match=r"is in use by another process"):
-        SerialTransport(board.port, timeout=1)
+        SerialTransport(board.port, timeout=1800)
     first.close()
-    SerialTransport(board.port, timeout=1).close()
+    SerialTransport(board.port, timeout=1800).close()
 
 
 def test_what_is_no_port_is_told(tmp_path) -> None:
     with pytest.raises(DeviceError, match=r"tty_none cannot be opened: No such file"):
-        SerialTransport("/dev/tty_none", timeout=1)
+        SerialTransport("/dev/tty_none", timeout=1800)
     (tmp_path / "file").touch()
     with pytest.raises(DeviceError, match=r"file is no serial port"):
-        SerialTransport(str(tmp_path / "file"), timeout=1)
+        SerialTransport(str(tmp_path / "file"), timeout=1800)
 
 
 def test_a_board_for_something_else_is_refused(board: Fake) -> None:
@@ -163,11 +164,11 @@ def test_a_board_for_something_else_is_refused(board: Fake) -> None:
         ("FrozenLake", 7, r"the serial device has env_hash .* it takes hardware built for FrozenLake"),
     ):
         with pytest.raises(DeviceError, match=sentence):
-            pearl_marl.parallel_env(name, n_agents=n_agents, device=Serial(board.port))
+            pearl_marl.parallel_env(name, n_agents=n_agents, device=Serial(board.port, timeout=1800))
 
 
 def test_an_unplugged_board_is_told(board: Fake) -> None:
-    transport = SerialTransport(board.port, timeout=0.2)
+    transport = SerialTransport(board.port, timeout=1800)
     board.unplug()
     with pytest.raises(DeviceError, match=r"the serial port .* failed: Input/output error"):
         transport.read(0, np.zeros(4, np.uint8))
@@ -179,7 +180,7 @@ def test_an_unplugged_board_is_told(board: Fake) -> None:
 def test_a_board_that_is_plugged_in_again_is_found(board: Fake, tmp_path: Path) -> None:
     port, word = tmp_path / "port", np.zeros(4, np.uint8)
     port.symlink_to(board.port)
-    transport = SerialTransport(str(port), timeout=1)
+    transport = SerialTransport(str(port), timeout=1800)
     board.unplug()
     with pytest.raises(DeviceError, match=r"failed: Input/output error"):
         transport.read(0, word)

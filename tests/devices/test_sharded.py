@@ -85,7 +85,7 @@ def test_parts_step_at_the_same_time() -> None:
 
     class Meeting(Native):
         def _step(self, actions: np.ndarray) -> Any:
-            meeting.wait(timeout=20)
+            meeting.wait(timeout=1800)
             return super()._step(actions)
 
     device = opened(Sharded([Meeting(), Meeting(), Meeting()]))

@@ -2,13 +2,35 @@
 
 from __future__ import annotations
 
+import functools
 import itertools
+from collections.abc import Callable, Sequence
+from types import SimpleNamespace
 from typing import Any
 
 import cocotb
+import harness
 from cocotb.clock import Clock
 from cocotb.triggers import ClockCycles
 from cocotbext.axi import AxiBus, AxiMaster
+
+
+def each_variant(**parameters: Sequence[Any]) -> Callable[[Any], Any]:
+    """A test of every variant in the build: of its instance, and its arguments as ``given``.
+
+    ``parameters`` are cocotb's own, as in ``cocotb.parametrize``.
+    """
+
+    def decorate(function: Any) -> Any:
+        variants = harness.arguments()
+
+        @functools.wraps(function)
+        async def test(dut: Any, variant: str, **chosen: Any) -> None:
+            await function(getattr(dut, variant), SimpleNamespace(**variants[variant]), **chosen)
+
+        return cocotb.test(cocotb.parametrize(variant=list(variants), **parameters)(test))
+
+    return decorate
 
 
 async def start(dut: Any, **idle: int) -> None:

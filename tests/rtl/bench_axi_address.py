@@ -5,15 +5,15 @@ from __future__ import annotations
 import random
 from typing import Any
 
-import cocotb
+from bench import each_variant
 from cocotb.triggers import Timer
 
 FIXED, INCR, WRAP = range(3)
 BITS = 16
 
 
-@cocotb.test
-async def addresses_follow_the_standard(dut: Any) -> None:
+@each_variant()
+async def addresses_follow_the_standard(dut: Any, given: Any) -> None:
     source = random.Random(7)
     for _ in range(300):
         burst, size = source.choice((FIXED, INCR, WRAP)), source.randrange(8)

@@ -6,55 +6,58 @@ import random
 from typing import Any
 
 import cocotb
-import harness
-from bench import axi_master, start
+from bench import axi_master, each_variant, start
 from cocotb.triggers import Combine, FallingEdge, RisingEdge, with_timeout
 from cocotbext.axi import AxiMaster
 from cocotbext.axi.constants import AxiResp
 
-WORD = harness.arguments()["word"] // 8
 IDLES = (0.0, 0.4)
 WORDS, READ_ONLY = 64, 8
-SIZE, WRITABLE = WORDS * WORD, (WORDS - READ_ONLY) * WORD
 FIXED, INCR, WRAP = range(3)
 
 
-async def clear(axi: AxiMaster) -> bytearray:
-    await axi.write(0, bytes(WRITABLE))
-    return bytearray(WRITABLE)
+def sizes(given: Any) -> tuple[int, int, int]:
+    """The bytes of a word, of the memory, and of what may be written of it."""
+    width = given.word // 8
+    return width, WORDS * width, (WORDS - READ_ONLY) * width
 
 
-@cocotb.test
-@cocotb.parametrize(idle=IDLES)
-async def memory_is_memory_to_any_burst(dut: Any, idle: float) -> None:
+async def clear(axi: AxiMaster, writable: int) -> bytearray:
+    await axi.write(0, bytes(writable))
+    return bytearray(writable)
+
+
+@each_variant(idle=IDLES)
+async def memory_is_memory_to_any_burst(dut: Any, given: Any, idle: float) -> None:
+    width, _, writable = sizes(given)
     await start(dut)
     source = random.Random(8)
     axi = axi_master(dut, source, idle)
-    truth = await clear(axi)
+    truth = await clear(axi, writable)
     for _ in range(60):
-        begin = source.randrange(WRITABLE)
-        length = source.randint(1, min(WRITABLE - begin, 12 * WORD))
-        beat = source.randint(0, WORD.bit_length() - 1)
+        begin = source.randrange(writable)
+        length = source.randint(1, min(writable - begin, 12 * width))
+        beat = source.randint(0, width.bit_length() - 1)
         data = source.randbytes(length)
         answer = await with_timeout(axi.write(begin, data, size=beat), 1, "ms")
         assert answer.resp == AxiResp.OKAY
         truth[begin : begin + length] = data
-        begin = source.randrange(WRITABLE)
-        length = source.randint(1, min(WRITABLE - begin, 12 * WORD))
-        beat = source.randint(0, WORD.bit_length() - 1)
+        begin = source.randrange(writable)
+        length = source.randint(1, min(writable - begin, 12 * width))
+        beat = source.randint(0, width.bit_length() - 1)
         answer = await with_timeout(axi.read(begin, length, size=beat), 1, "ms")
         assert answer.resp == AxiResp.OKAY
         assert answer.data == truth[begin : begin + length]
 
 
-@cocotb.test
-@cocotb.parametrize(idle=IDLES)
-async def reads_and_writes_at_once_all_end(dut: Any, idle: float) -> None:
+@each_variant(idle=IDLES)
+async def reads_and_writes_at_once_all_end(dut: Any, given: Any, idle: float) -> None:
+    _, _, writable = sizes(given)
     await start(dut)
     source = random.Random(9)
     axi = axi_master(dut, source, idle)
-    await clear(axi)
-    half = WRITABLE // 2
+    await clear(axi, writable)
+    half = writable // 2
 
     async def writes() -> None:
         for i in range(20):
@@ -68,29 +71,30 @@ async def reads_and_writes_at_once_all_end(dut: Any, idle: float) -> None:
     assert (await axi.read(half, 20)).data == bytes(range(20))
 
 
-@cocotb.test
-@cocotb.parametrize(idle=IDLES)
-async def errors_are_told_and_change_nothing(dut: Any, idle: float) -> None:
+@each_variant(idle=IDLES)
+async def errors_are_told_and_change_nothing(dut: Any, given: Any, idle: float) -> None:
+    width, whole, writable = sizes(given)
     await start(dut)
     source = random.Random(10)
     axi = axi_master(dut, source, idle)
-    await clear(axi)
-    before = (await axi.read(WRITABLE, SIZE - WRITABLE)).data
-    for length in (1, WORD, 3 * WORD):
-        assert (await axi.write(WRITABLE, b"\xff" * length)).resp == AxiResp.SLVERR
-        assert (await axi.write(SIZE, b"\xff" * length)).resp == AxiResp.DECERR
-        assert (await axi.read(SIZE, length)).resp == AxiResp.DECERR
-    assert (await axi.read(WRITABLE, SIZE - WRITABLE)).data == before
+    await clear(axi, writable)
+    before = (await axi.read(writable, whole - writable)).data
+    for length in (1, width, 3 * width):
+        assert (await axi.write(writable, b"\xff" * length)).resp == AxiResp.SLVERR
+        assert (await axi.write(whole, b"\xff" * length)).resp == AxiResp.DECERR
+        assert (await axi.read(whole, length)).resp == AxiResp.DECERR
+    assert (await axi.read(writable, whole - writable)).data == before
     # One bad beat makes a bad burst, and the worst one names it.
-    assert (await axi.write(WRITABLE - WORD, bytes(2 * WORD))).resp == AxiResp.SLVERR
-    assert (await axi.write(SIZE - WORD, bytes(2 * WORD))).resp == AxiResp.DECERR
-    assert (await axi.read(SIZE - WORD, 2 * WORD)).resp == AxiResp.DECERR
+    assert (await axi.write(writable - width, bytes(2 * width))).resp == AxiResp.SLVERR
+    assert (await axi.write(whole - width, bytes(2 * width))).resp == AxiResp.DECERR
+    assert (await axi.read(whole - width, 2 * width)).resp == AxiResp.DECERR
     # And the next one is good again.
-    assert (await axi.write(0, bytes(WORD))).resp == AxiResp.OKAY
+    assert (await axi.write(0, bytes(width))).resp == AxiResp.OKAY
 
 
-@cocotb.test
-async def whole_words_stream(dut: Any) -> None:
+@each_variant()
+async def whole_words_stream(dut: Any, given: Any) -> None:
+    width, _, _ = sizes(given)
     await start(dut)
     axi = axi_master(dut, random.Random(11), 0)
     beats = {"w": 0, "r": 0}
@@ -107,18 +111,19 @@ async def whole_words_stream(dut: Any) -> None:
                 last = cycle
         assert last - first == 31, f"{channel}: 32 beats took {last - first + 1} cycles"
 
-    for channel, work in (("w", axi.write(0, bytes(32 * WORD))), ("r", axi.read(0, 32 * WORD))):
+    for channel, work in (("w", axi.write(0, bytes(32 * width))), ("r", axi.read(0, 32 * width))):
         counting = cocotb.start_soon(count(channel))
         await with_timeout(work, 1, "ms")
         await with_timeout(counting, 1, "ms")
 
 
-@cocotb.test
-async def fixed_and_wrapping_bursts(dut: Any) -> None:
+@each_variant()
+async def fixed_and_wrapping_bursts(dut: Any, given: Any) -> None:
+    width, _, _ = sizes(given)
     names = ("awvalid", "wvalid", "bready", "arvalid", "rready", "awid", "arid")
     await start(dut, **{f"s_axi_{name}": 0 for name in names})
     source = random.Random(12)
-    size = WORD.bit_length() - 1
+    size = width.bit_length() - 1
 
     async def put(**values: int) -> None:
         for name, value in values.items():
@@ -137,7 +142,7 @@ async def fixed_and_wrapping_bursts(dut: Any) -> None:
         await until("awready")
         await put(awvalid=0)
         for i, word in enumerate(words):
-            await put(wdata=word, wstrb=(1 << WORD) - 1, wlast=int(i == len(words) - 1), wvalid=1)
+            await put(wdata=word, wstrb=(1 << width) - 1, wlast=int(i == len(words) - 1), wvalid=1)
             await until("wready")
         await put(wvalid=0, bready=1)
         while dut.s_axi_bvalid.value == 0:
@@ -164,12 +169,12 @@ async def fixed_and_wrapping_bursts(dut: Any) -> None:
 
     await FallingEdge(dut.clk_i)
     for length in (2, 4, 8, 16):
-        words = [source.getrandbits(8 * WORD) for _ in range(length)]
+        words = [source.getrandbits(8 * width) for _ in range(length)]
         await write(0, INCR, words)
         shift = source.randrange(length)
         turned = words[shift:] + words[:shift]
-        assert await read(shift * WORD, WRAP, length) == turned
-        await write(shift * WORD, WRAP, words)
+        assert await read(shift * width, WRAP, length) == turned
+        await write(shift * width, WRAP, words)
         assert await read(0, INCR, length) == words[-shift:] + words[:-shift] if shift else words
-        await write(WORD, FIXED, words)
-        assert await read(WORD, FIXED, 3) == [words[-1]] * 3
+        await write(width, FIXED, words)
+        assert await read(width, FIXED, 3) == [words[-1]] * 3

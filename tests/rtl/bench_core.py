@@ -9,20 +9,13 @@ from __future__ import annotations
 import itertools
 from typing import Any
 
-import cocotb
-import harness
 import numpy as np
-from bench import spec_of, start
+from bench import each_variant, spec_of, start
 from cocotb.triggers import FallingEdge
 from gymnasium.spaces import Box
 
 from pearl_marl.golden import call_reference
-from pearl_marl.spec import Field, word_bits
-
-ARGUMENTS = harness.arguments()
-SPEC = spec_of(ARGUMENTS["env"], ARGUMENTS["options"])
-LATENCY, II = ARGUMENTS["latency"], ARGUMENTS["ii"]
-DRAWS = SPEC.reset_draws + SPEC.step_draws
+from pearl_marl.spec import EnvSpec, Field, word_bits
 
 
 def split(words: list[int], fields: tuple[Field, ...]) -> list[np.ndarray]:
@@ -52,36 +45,43 @@ def join(columns: Any, fields: tuple[Field, ...], count: int) -> list[int]:
 
 
 def golden(
-    states: list[int], actions: np.ndarray, first: np.ndarray, hold: np.ndarray, draws: np.ndarray
+    spec: EnvSpec,
+    states: list[int],
+    actions: np.ndarray,
+    first: np.ndarray,
+    hold: np.ndarray,
+    draws: np.ndarray,
 ) -> dict[str, list[int]]:
     """Return what every case has to give, by port."""
     n = len(states)
-    words = [np.ascontiguousarray(draws[:, d]) for d in range(DRAWS)]
-    drawn = call_reference(SPEC.golden.initial, words[: SPEC.reset_draws])
+    words = [np.ascontiguousarray(draws[:, d]) for d in range(spec.reset_draws + spec.step_draws)]
+    drawn = call_reference(spec.golden.initial, words[: spec.reset_draws])
     origin = [
         np.where(first, new, old).astype(field.dtype)
-        for new, old, field in zip(drawn, split(states, SPEC.state), SPEC.state, strict=True)
+        for new, old, field in zip(drawn, split(states, spec.state), spec.state, strict=True)
     ]
-    act = actions.astype(SPEC.action.dtype)
-    *moved, reward, terminated = call_reference(SPEC.golden.step, [*origin, act, *words[SPEC.reset_draws :]])
+    act = actions.astype(spec.action.dtype)
+    *moved, reward, terminated = call_reference(spec.golden.step, [*origin, act, *words[spec.reset_draws :]])
     after = [
         np.where(hold, old, new).astype(field.dtype)
-        for old, new, field in zip(origin, moved, SPEC.state, strict=True)
+        for old, new, field in zip(origin, moved, spec.state, strict=True)
     ]
-    observed = call_reference(SPEC.golden.observe, after)
+    observed = call_reference(spec.golden.observe, after)
     return {
-        "state_o": join(after, SPEC.state, n),
-        "obs_o": join(observed, SPEC.observation, n),
-        "reward_o": join([reward], (SPEC.reward,), n),
+        "state_o": join(after, spec.state, n),
+        "obs_o": join(observed, spec.observation, n),
+        "reward_o": join([reward], (spec.reward,), n),
         "terminated_o": join([terminated], (Field("terminated", 1),), n),
     }
 
 
-def all_cases(generator: np.random.Generator) -> tuple[list[int], np.ndarray, np.ndarray, np.ndarray]:
+def all_cases(
+    spec: EnvSpec, limit: int, generator: np.random.Generator
+) -> tuple[list[int], np.ndarray, np.ndarray, np.ndarray]:
     """Return states, actions, ``first`` and ``hold`` of every case, or of as many as the limit allows."""
-    bits, limit, space = word_bits(SPEC.state), ARGUMENTS["limit"], SPEC.action_space
+    bits, space = word_bits(spec.state), spec.action_space
     if isinstance(space, Box):
-        scale = 2**SPEC.action.fraction
+        scale = 2**spec.action.fraction
         least, most = (round(float(bound[0]) * scale) for bound in (space.low, space.high))
     else:
         least, most = 0, int(space.n) - 1
@@ -95,34 +95,37 @@ def all_cases(generator: np.random.Generator) -> tuple[list[int], np.ndarray, np
     return states, generator.integers(least, most, size=limit, endpoint=True), first, hold
 
 
-def edge_draws() -> list[int]:
+def edge_draws(spec: EnvSpec) -> list[int]:
     """Return draws at which something may change: thirds, ends, and the core's own thresholds."""
     values = {0, 0x55555555, 0x55555556, 0xAAAAAAAA, 0xAAAAAAAB, 0xFFFFFFFF, 0x12345678}
-    for threshold in (SPEC.core_parameters or {}).values():
+    for threshold in (spec.core_parameters or {}).values():
         values |= {value for value in range(threshold - 1, threshold + 2) if 0 <= value < 1 << 32}
     return sorted(values)
 
 
-@cocotb.test
-async def every_case_equals_the_golden_step(dut: Any) -> None:
+@each_variant()
+async def every_case_equals_the_golden_step(dut: Any, given: Any) -> None:
     await start(dut, valid_i=0, first_i=0, hold_i=0, state_i=0, action_i=0, rng_i=0)
+    spec = spec_of(given.env, given.options)
     generator = np.random.default_rng(13)
-    states, actions, first, hold = all_cases(generator)
+    states, actions, first, hold = all_cases(spec, given.limit, generator)
     count = len(states)
-    draws = generator.integers(1 << 32, size=(count, max(1, DRAWS)), dtype=np.uint32)
+    draws = generator.integers(
+        1 << 32, size=(count, max(1, spec.reset_draws + spec.step_draws)), dtype=np.uint32
+    )
     # In about half of the cases the last draw is an edge, in some the first.
-    edges = np.array(edge_draws(), np.uint32)
+    edges = np.array(edge_draws(spec), np.uint32)
     for column, share in ((-1, 0.5), (0, 0.2)):
         chosen = generator.random(count) < share
         draws[chosen, column] = generator.choice(edges, np.count_nonzero(chosen))
-    due = golden(states, actions, first, hold, draws)
+    due = golden(spec, states, actions, first, hold, draws)
     random_words = [sum(d << (32 * i) for i, d in enumerate(row)) for row in draws.tolist()]
-    action_words = join([actions], (SPEC.action,), count)
+    action_words = join([actions], (spec.action,), count)
     inputs = list(zip(states, action_words, first.tolist(), hold.tolist(), random_words, strict=True))
     await FallingEdge(dut.clk_i)
-    for cycle in range(II * count + LATENCY):
-        number, phase = divmod(cycle - LATENCY, II)
-        if cycle >= LATENCY:
+    for cycle in range(given.ii * count + given.latency):
+        number, phase = divmod(cycle - given.latency, given.ii)
+        if cycle >= given.latency:
             arrived = phase == 0 and number < count
             assert dut.valid_o.value == int(arrived)
             if arrived:
@@ -130,7 +133,7 @@ async def every_case_equals_the_golden_step(dut: Any) -> None:
                 for port in ("state_o", "obs_o") if hold[number] else due:
                     found, expected = int(getattr(dut, port).value), due[port][number]
                     assert found == expected, f"{port} of {inputs[number]}: {found}, not {expected}"
-        number, phase = divmod(cycle, II)
+        number, phase = divmod(cycle, given.ii)
         send = phase == 0 and number < count
         dut.valid_i.value = int(send)
         if send:

@@ -5,25 +5,22 @@ from __future__ import annotations
 import random
 from typing import Any
 
-import cocotb
-import harness
 import numpy as np
-from bench import start
+from bench import each_variant, start
 from cocotb.triggers import FallingEdge
 
 from pearl_marl import rng
 from pearl_marl.golden import u32
 
-PE_NUM, DRAWS = harness.arguments()["pe_num"], harness.arguments()["draws"]
 DRAW_LATENCY = 3
 
 
-@cocotb.test
-async def draws_equal_the_hash(dut: Any) -> None:
+@each_variant()
+async def draws_equal_the_hash(dut: Any, given: Any) -> None:
     await start(dut, slot_i=0, key_a_i=0, key_b_i=0)
     source = random.Random(2)
     for _ in range(4):
-        keys = [(source.getrandbits(32), source.getrandbits(32)) for _ in range(DRAWS)]
+        keys = [(source.getrandbits(32), source.getrandbits(32)) for _ in range(given.draws)]
         dut.key_a_i.value = sum(a << (32 * i) for i, (a, _) in enumerate(keys))
         dut.key_b_i.value = sum(b << (32 * i) for i, (_, b) in enumerate(keys))
         await FallingEdge(dut.clk_i)
@@ -32,7 +29,7 @@ async def draws_equal_the_hash(dut: Any) -> None:
             slot = 0xFFFFFFFF if cycle == 0 else source.getrandbits(32)
             dut.slot_i.value = slot
             # Slot numbers wrap at 32 bits.
-            slots = np.arange(slot, slot + PE_NUM, dtype=np.uint64).astype(np.uint32)
+            slots = np.arange(slot, slot + given.pe_num, dtype=np.uint64).astype(np.uint32)
             with np.errstate(over="ignore"):
                 words = [[int(rng.draw(u32(s), u32(a), u32(b))) for a, b in keys] for s in slots]
             flat = [word for row in words for word in row]

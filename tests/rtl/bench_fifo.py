@@ -5,16 +5,12 @@ from __future__ import annotations
 import random
 from typing import Any
 
-import cocotb
-import harness
-from bench import start
+from bench import each_variant, start
 from cocotb.triggers import FallingEdge
 
-DEPTH = harness.arguments()["depth"]
 
-
-@cocotb.test
-async def first_in_first_out(dut: Any) -> None:
+@each_variant()
+async def first_in_first_out(dut: Any, given: Any) -> None:
     await start(dut, push_i=0, data_i=0, pop_i=0)
     source = random.Random(6)
     queue: list[int] = []
@@ -26,7 +22,7 @@ async def first_in_first_out(dut: Any) -> None:
         if queue:
             assert int(dut.data_o.value) == queue[0]
         pop = bool(queue) and source.random() > bias
-        push = len(queue) < DEPTH and source.random() < bias
+        push = len(queue) < given.depth and source.random() < bias
         data = source.getrandbits(32)
         dut.pop_i.value, dut.push_i.value, dut.data_i.value = int(pop), int(push), data
         await FallingEdge(dut.clk_i)

@@ -5,23 +5,18 @@ from __future__ import annotations
 import random
 from typing import Any
 
-import cocotb
-import harness
-from bench import start
+from bench import each_variant, start
 from cocotb.triggers import FallingEdge
 
-ROW, WORD, ROWS, WORDS = (harness.arguments()[k] for k in ("row", "word", "rows", "words"))
 
-
-@cocotb.test
-@cocotb.parametrize(idle=[0.0, 0.4])
-async def words_are_the_stream(dut: Any, idle: float) -> None:
+@each_variant(idle=[0.0, 0.4])
+async def words_are_the_stream(dut: Any, given: Any, idle: float) -> None:
     await start(dut, start_i=0, valid_i=0, last_i=0, row_i=0)
     source = random.Random(3)
     for _ in range(3):
-        rows = [source.getrandbits(ROW) for _ in range(ROWS)]
-        stream = sum(row << (ROW * i) for i, row in enumerate(rows))
-        expected = [(stream >> (WORD * i)) & ((1 << WORD) - 1) for i in range(WORDS)]
+        rows = [source.getrandbits(given.row) for _ in range(given.rows)]
+        stream = sum(row << (given.row * i) for i, row in enumerate(rows))
+        expected = [(stream >> (given.word * i)) & ((1 << given.word) - 1) for i in range(given.words)]
         await FallingEdge(dut.clk_i)
         dut.start_i.value = 1
         await FallingEdge(dut.clk_i)
@@ -29,18 +24,20 @@ async def words_are_the_stream(dut: Any, idle: float) -> None:
         written, sent, cycles = [], 0, 0
         while dut.done_o.value == 0:
             cycles += 1
-            assert cycles < 40 + 8 * (ROWS + WORDS), f"stuck after {sent} rows and {len(written)} words"
-            send = sent < ROWS and dut.room.value == 1 and source.random() >= idle
+            assert cycles < 40 + 8 * (given.rows + given.words), (
+                f"stuck after {sent} rows and {len(written)} words"
+            )
+            send = sent < given.rows and dut.room.value == 1 and source.random() >= idle
             dut.valid_i.value = int(send)
-            dut.last_i.value = int(send and sent == ROWS - 1)
-            dut.row_i.value = rows[sent] if send else source.getrandbits(ROW)
+            dut.last_i.value = int(send and sent == given.rows - 1)
+            dut.row_i.value = rows[sent] if send else source.getrandbits(given.row)
             sent += send
             if dut.we_o.value == 1:
                 assert int(dut.waddr_o.value) == len(written)
                 written.append(int(dut.wdata_o.value))
             await FallingEdge(dut.clk_i)
         dut.valid_i.value = 0
-        assert sent == ROWS
+        assert sent == given.rows
         assert written == expected
         if not idle:
-            assert cycles <= max(ROWS, WORDS) + 3
+            assert cycles <= max(given.rows, given.words) + 3

@@ -5,14 +5,11 @@ from __future__ import annotations
 import random
 from typing import Any
 
-import cocotb
-import harness
-from bench import start
+from bench import each_variant, start
 from cocotb.triggers import FallingEdge, ReadOnly
 
 from pearl_marl.memory_map import REGION_NAMES
 
-WORD, WORDS, ADDRESS_BITS = (harness.arguments()[k] for k in ("word", "words", "address_bits"))
 RESULTS = {"observations", "rewards", "ters"}
 READ_ONLY = RESULTS | {"status"}
 # What may be read while a step runs.
@@ -20,8 +17,8 @@ SHARED = READ_ONLY | {"control", "doorbell"}
 OKAY, SLVERR, DECERR = 0, 2, 3
 
 
-@cocotb.test
-async def requests_reach_their_regions(dut: Any) -> None:
+@each_variant()
+async def requests_reach_their_regions(dut: Any, given: Any) -> None:
     inputs = ("req_i", "we_i", "addr_i", "wdata_i", "busy_i", "rdata_i")
     await start(dut, **dict.fromkeys(inputs, 0))
     source = random.Random(15)
@@ -35,18 +32,18 @@ async def requests_reach_their_regions(dut: Any) -> None:
         dut.busy_i.value = busy
         fresh = None
         if source.random() < 0.8:
-            address = source.randrange(12 * WORDS)
+            address = source.randrange(12 * given.words)
             if source.random() < 0.1:  # far behind the map is a hole, whatever the lower bits are
-                address |= 1 << source.randrange((12 * WORDS).bit_length(), ADDRESS_BITS)
-            fresh = source.random() < 0.5, address, source.getrandbits(WORD)
+                address |= 1 << source.randrange((12 * given.words).bit_length(), given.address_bits)
+            fresh = source.random() < 0.5, address, source.getrandbits(given.word)
             dut.we_i.value, dut.addr_i.value, dut.wdata_i.value = fresh
         dut.req_i.value = int(fresh is not None)
         # Regions that are not read answer something, too.
-        words = [source.getrandbits(WORD) for _ in REGION_NAMES]
+        words = [source.getrandbits(given.word) for _ in REGION_NAMES]
         answer = due.pop(0)
         if read is not None:
             words[read[0]] = read[1]
-        dut.rdata_i.value = sum(word << (WORD * i) for i, word in enumerate(words))
+        dut.rdata_i.value = sum(word << (given.word * i) for i, word in enumerate(words))
         await ReadOnly()
 
         assert dut.rvalid_o.value == int(answer is not None)
@@ -61,7 +58,7 @@ async def requests_reach_their_regions(dut: Any) -> None:
             due.append(None)
         else:
             write, address, data = asked
-            number, index = divmod(address, WORDS)
+            number, index = divmod(address, given.words)
             name = REGION_NAMES[number] if number < len(REGION_NAMES) else None
             allowed = name not in READ_ONLY and not busy if write else name in SHARED or not busy
             if name is None:
@@ -77,7 +74,7 @@ async def requests_reach_their_regions(dut: Any) -> None:
                     assert int(dut.wdata_o.value) == data
                     due.append((OKAY, None))
                 else:
-                    read = number, source.getrandbits(WORD)
+                    read = number, source.getrandbits(given.word)
                     due.append((OKAY, read[1]))
                     strobes["torn"] = int(name in RESULTS and busy)
                     strobes["untorn"] = int(name == "observations" and index == 0 and not busy)

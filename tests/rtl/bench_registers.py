@@ -5,29 +5,25 @@ from __future__ import annotations
 import random
 from typing import Any
 
-import cocotb
-import harness
-from bench import start
+from bench import each_variant, start
 from cocotb.triggers import FallingEdge, ReadOnly
 
 from pearl_marl.memory_map import MAGIC, PROTOCOL_VERSION, Control, Doorbell, Mode, Status, StatusError
 
-WORD = harness.arguments()["word"]
-IDENTITY = [MAGIC, PROTOCOL_VERSION, 0x1234, 7, 4, WORD, 6, 9]
-PER_WORD = WORD // 32
 
+@each_variant()
+async def words_equal_the_model(dut: Any, given: Any) -> None:
+    per_word = given.word // 32
+    identity = [MAGIC, PROTOCOL_VERSION, 0x1234, 7, 4, given.word, 6, 9]
 
-def words_of(data: int) -> list[int]:
-    return [data >> (32 * i) & 0xFFFFFFFF for i in range(PER_WORD)]
+    def words_of(data: int) -> list[int]:
+        return [data >> (32 * i) & 0xFFFFFFFF for i in range(per_word)]
 
-
-@cocotb.test
-async def words_equal_the_model(dut: Any) -> None:
     flags = ("done_i", "busy_write_i", "busy_doorbell_i", "torn_i", "untorn_i")
     inputs = ("index_i", "control_we_i", "doorbell_we_i", "wdata_i", "cycles_i", *flags)
     await start(dut, **dict.fromkeys(inputs, 0))
     source = random.Random(16)
-    control, doorbell, status = [*IDENTITY, *[0] * 8], [0, 0], [0, 0, int(StatusError.RESET)]
+    control, doorbell, status = [*identity, *[0] * 8], [0, 0], [0, 0, int(StatusError.RESET)]
     rung, stale = 0, False
     for _ in range(3000):
         await FallingEdge(dut.clk_i)
@@ -36,10 +32,10 @@ async def words_equal_the_model(dut: Any) -> None:
         data = sum(word << (32 * i) for i, word in enumerate(doorbell)) if kind == "again" else 0
         if kind != "again":
             edges = (0, 1, 0xFFFFFFFF, source.getrandbits(32))
-            data = sum(source.choice(edges) << (32 * i) for i in range(PER_WORD))
-        data &= (1 << WORD) - 1
+            data = sum(source.choice(edges) << (32 * i) for i in range(per_word))
+        data &= (1 << given.word) - 1
         size = len(Control) if kind == "control" else len(Doorbell)
-        index = 0 if kind == "again" and PER_WORD > 1 else source.randrange(-(-size // PER_WORD))
+        index = 0 if kind == "again" and per_word > 1 else source.randrange(-(-size // per_word))
         event = source.choice((*flags, *["none"] * 5))
         cycles = source.getrandbits(32)
         dut.index_i.value, dut.wdata_i.value, dut.cycles_i.value = index, data, cycles
@@ -49,7 +45,7 @@ async def words_equal_the_model(dut: Any) -> None:
             getattr(dut, flag).value = int(flag == event)
         await ReadOnly()
 
-        written = dict(zip(range(index * PER_WORD, (index + 1) * PER_WORD), words_of(data), strict=True))
+        written = dict(zip(range(index * per_word, (index + 1) * per_word), words_of(data), strict=True))
         rings = kind in ("doorbell", "again") and written.get(Doorbell.SEQUENCE, rung) != rung
         assert dut.ring_o.value == int(rings)
         tick = control[Control.TICK_LOW] | control[Control.TICK_HIGH] << 32
@@ -91,6 +87,6 @@ async def words_equal_the_model(dut: Any) -> None:
             assert dut.keys_stale_o.value == 1
             stale = False
         for port, words in (("control_o", control), ("doorbell_o", doorbell), ("status_o", status)):
-            padded = [*words, *[0] * (len(control) + PER_WORD)]
+            padded = [*words, *[0] * (len(control) + per_word)]
             found = words_of(int(getattr(dut, port).value))
-            assert found == padded[index * PER_WORD : (index + 1) * PER_WORD], port
+            assert found == padded[index * per_word : (index + 1) * per_word], port

@@ -5,26 +5,23 @@ from __future__ import annotations
 import random
 from typing import Any
 
-import cocotb
-import harness
 import numpy as np
-from bench import start
+from bench import each_variant, start
 from cocotb.triggers import ClockCycles, FallingEdge, RisingEdge
 
 from pearl_marl import rng
 from pearl_marl.golden import u32, u64
 
-DRAWS = harness.arguments()["draws"]
 EDGES = (0, 1, 0xFFFFFFFF, 1 << 32, (1 << 64) - 1)
 
 
-def keys(chain: int, seed: tuple[int, int], tick: int) -> list[int]:
+def keys(chain: int, seed: tuple[int, int], tick: int, draws: int) -> list[int]:
     with np.errstate(over="ignore"):
-        return [int(rng.key(u32(chain), u32(seed[0]), u32(seed[1]), u64(tick), u32(i))) for i in range(DRAWS)]
+        return [int(rng.key(u32(chain), u32(seed[0]), u32(seed[1]), u64(tick), u32(i))) for i in range(draws)]
 
 
-@cocotb.test
-async def keys_equal_the_chain(dut: Any) -> None:
+@each_variant()
+async def keys_equal_the_chain(dut: Any, given: Any) -> None:
     await start(dut, restart_i=0, seed_i=0, tick_i=0)
     source = random.Random(1)
     for case in range(20):
@@ -44,11 +41,11 @@ async def keys_equal_the_chain(dut: Any) -> None:
             dut.restart_i.value = 1
             await FallingEdge(dut.clk_i)
             dut.restart_i.value = 0
-        for _ in range(4 * (4 + DRAWS)):
+        for _ in range(4 * (4 + given.draws)):
             assert dut.valid_o.value == 0
             await RisingEdge(dut.clk_i)
             await FallingEdge(dut.clk_i)
         assert dut.valid_o.value == 1
         for port, chain in ((dut.key_a_o, rng.CHAIN_A), (dut.key_b_o, rng.CHAIN_B)):
-            expected = sum(word << (32 * i) for i, word in enumerate(keys(chain, seed, tick)))
+            expected = sum(word << (32 * i) for i, word in enumerate(keys(chain, seed, tick, given.draws)))
             assert int(port.value) == expected

@@ -5,13 +5,12 @@ from __future__ import annotations
 import random
 from typing import Any
 
-import cocotb
-from bench import start
+from bench import each_variant, start
 from cocotb.triggers import FallingEdge, ReadOnly
 
 
-@cocotb.test
-async def a_step_takes_its_course(dut: Any) -> None:
+@each_variant()
+async def a_step_takes_its_course(dut: Any, given: Any) -> None:
     await start(dut, ring_i=0, keys_valid_i=0, results_done_i=0)
     source = random.Random(17)
     for _ in range(200):

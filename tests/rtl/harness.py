@@ -1,4 +1,8 @@
-"""Builds a module under Verilator once and runs a cocotb bench on it."""
+"""Builds modules under Verilator once and runs a cocotb bench on them.
+
+Most of a bench's time is the start of a compiler or a simulator. So the variants of a module stand side by
+side in one build, and one simulation goes from one to the next.
+"""
 
 from __future__ import annotations
 
@@ -11,15 +15,17 @@ import re
 import shutil
 import tempfile
 import time
-from collections.abc import Mapping
+import xml.etree.ElementTree as ET
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 import platformdirs
 from cocotb_tools.config import libs_dir
-from cocotb_tools.runner import get_results, get_runner
+from cocotb_tools.runner import get_runner
 
 from pearl_marl.hardware import elaboration, toolchain
 from pearl_marl.hardware.build import Build
@@ -40,21 +46,26 @@ class Design:
     sources: tuple[Path, ...]
     parameters: Mapping[str, int | str] = field(default_factory=dict)
     macros: Mapping[str, str] = field(default_factory=dict)
-    build_args: tuple[str, ...] = ()
-    """For Verilator, on top of those of all designs."""
+    text: str = ""
+    """The top, where no file has it."""
 
     def digest(self) -> str:
         texts = [path.read_text() for path in self.sources]
-        return _digest(self.top, texts, dict(self.parameters), dict(self.macros), self.build_args)
+        return _digest(self.top, self.text, texts, dict(self.parameters), dict(self.macros))
+
+
+MAKE = ("OPT_FAST=-O0", "OPT_SLOW=-O0", "OPT_GLOBAL=-O1", "VM_PARALLEL_BUILDS=0")
+"""To optimise takes the compiler longer than it saves any bench. So does reading the same headers again for
+every file of a design, and it is made one."""
 
 
 def build_args() -> list[str]:
     counted = ["--coverage-line", "--coverage-toggle"] if os.environ.get(COVERAGE_VARIABLE) else []
-    return ["--assert", "-Wno-fatal", *counted]
+    return ["--assert", "-Wno-fatal", "--output-split", "0", *counted]
 
 
 def _digest(*parts: Any) -> str:
-    tools = [version("verilator"), version("cocotb"), build_args()]
+    tools = [version("verilator"), version("cocotb"), build_args(), MAKE]
     return hashlib.sha256(json.dumps([tools, parts]).encode()).hexdigest()[:24]
 
 
@@ -91,6 +102,24 @@ def whole(build: Build) -> Design:
     return Design("pearl_top", tuple(elaboration.sources(spec)), parameters, elaboration.macros(spec))
 
 
+def side_by_side(designs: Sequence[Design]) -> Design:
+    """A design with an instance of each, ``v0`` and so on; they are wired to nothing but the bench.
+
+    They have to agree in their macros, and in every file that two of them share.
+    """
+    instances = []
+    for i, design in enumerate(designs):
+        given = ", ".join(f".{name}({value})" for name, value in design.parameters.items())
+        instances.append(f"  {design.top} #({given}) v{i} ();\n")
+        assert design.macros == designs[0].macros
+    sources = dict.fromkeys(path for design in designs for path in design.sources)
+    text = f"module {VARIANTS};\n{''.join(instances)}endmodule\n"
+    return Design(VARIANTS, tuple(sources), macros=designs[0].macros, text=text)
+
+
+VARIANTS = "variants"
+
+
 def build(design: Design) -> Path:
     """Build a design unless it is in the cache; safe with many processes at it."""
     folder = CACHE / design.digest()
@@ -98,24 +127,29 @@ def build(design: Design) -> Path:
     with (CACHE / f"{folder.name}.lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         if not folder.exists():
-            os.environ.update(toolchain.environment())
             scratch = Path(tempfile.mkdtemp(dir=CACHE))
+            own = scratch / f"{design.top}.sv"
+            if design.text:
+                own.write_text(design.text)
+            tools = toolchain.environment()
+            tools["MAKEFLAGS"] = " ".join([tools["MAKEFLAGS"], *MAKE])
             # Verilator's own library takes most of a small build's time and is always the same. It is
             # dated ahead, since make would otherwise find it older than this build's makefile.
             library = CACHE / f"library-{_digest()}"
             for built in library.glob("*.o"):
                 os.utime(shutil.copy(built, scratch), times=(time.time() + 3600,) * 2)
             try:
-                get_runner("verilator").build(
-                    sources=list(design.sources),
-                    hdl_toplevel=design.top,
-                    parameters=dict(design.parameters),
-                    defines=dict(design.macros),
-                    build_args=[*build_args(), *design.build_args],
-                    build_dir=scratch,
-                    timescale=("1ns", "1ps"),
-                    log_file=scratch / "build.log",
-                )
+                with mock.patch.dict(os.environ, tools):
+                    get_runner("verilator").build(
+                        sources=[*design.sources, *([own] if design.text else [])],
+                        hdl_toplevel=design.top,
+                        parameters=dict(design.parameters),
+                        defines=dict(design.macros),
+                        build_args=build_args(),
+                        build_dir=scratch,
+                        timescale=("1ns", "1ps"),
+                        log_file=scratch / "build.log",
+                    )
                 if not library.exists():
                     spare = Path(tempfile.mkdtemp(dir=CACHE))
                     for built in scratch.glob("verilated*.o"):
@@ -128,7 +162,7 @@ def build(design: Design) -> Path:
                         path.unlink() if path.is_file() else shutil.rmtree(path)
                 # Only whole builds get the name that is looked for.
                 scratch.rename(folder)
-            except SystemExit as error:
+            except (SystemExit, RuntimeError) as error:
                 log = (scratch / "build.log").read_text().splitlines()[-40:]
                 raise AssertionError("\n".join(log)) from error
             finally:
@@ -138,16 +172,60 @@ def build(design: Design) -> Path:
 
 def run(design: Design, bench: str, tmp_path: Path, **arguments: Any) -> None:
     """Run all cocotb tests of the module ``bench`` on a design; ``arguments`` reach it as JSON."""
+    results, log = _simulate(design, bench, tmp_path, arguments)
+    assert results, f"no test of {bench} ran\n{log}"
+    assert all(result == PASSED for result in results.values()), log
+
+
+@dataclass(frozen=True)
+class Variant:
+    """A design among others, and what the bench has to know of it."""
+
+    name: str
+    design: Design
+    arguments: Mapping[str, Any]
+
+
+def run_variants(variants: Sequence[Variant], bench: str, tmp_path: Path) -> list[str]:
+    """Run all cocotb tests of the module ``bench`` on every variant, one after the other in one simulation.
+
+    Return of each variant an empty text if all its tests passed, else the log of the simulation that says
+    why not.
+    """
+    design = side_by_side([variant.design for variant in variants])
+    waiting = {f"v{i}": dict(variant.arguments) for i, variant in enumerate(variants)}
+    logs = dict.fromkeys(waiting, "")
+    while waiting:
+        folder = Path(tempfile.mkdtemp(dir=tmp_path))
+        results, log = _simulate(design, bench, folder, waiting)
+        found = {name: [v for k, v in results.items() if f"/variant={name}/" in f"{k}/"] for name in waiting}
+        bad = {name for name, of_one in found.items() if not of_one or any(v != PASSED for v in of_one)}
+        # An assertion of the sources ends the simulation, and what comes after it has not been tried yet.
+        ended = {name for name, of_one in found.items() if ENDED in of_one}
+        logs |= dict.fromkeys(ended or bad, log)
+        waiting = {name: waiting[name] for name in waiting if ended and name not in ended}
+    return list(logs.values())
+
+
+PASSED, ENDED = "", "SimFailure"
+"""Results of a test; of a failed one it is its failure's type, and that one says that the simulator ended."""
+
+
+def _simulate(
+    design: Design, bench: str, folder: Path, arguments: Mapping[str, Any]
+) -> tuple[dict[str, str], str]:
+    """Run the tests of a bench; return the result of each, and the end of what the simulation wrote."""
     built = build(design)
     runner = get_runner("verilator")
-    log = tmp_path / "bench.log"
-    try:
-        results = runner.test(
+    log, results = folder / "bench.log", folder / "results.xml"
+    # The runner raises one or the other when a test fails, or the simulator does. The results say it too.
+    with contextlib.suppress(SystemExit, RuntimeError):
+        runner.test(
             hdl_toplevel=design.top,
             hdl_toplevel_lang="verilog",
             test_module=bench,
             build_dir=built,
-            test_dir=tmp_path,
+            test_dir=folder,
             # A build remembers where cocotb was when it was made; another virtual environment that
             # finds it in the cache keeps its own cocotb elsewhere.
             extra_env={
@@ -158,19 +236,23 @@ def run(design: Design, bench: str, tmp_path: Path, **arguments: Any) -> None:
                 "COCOTB_REWRITE_ASSERTION_FILES": "bench*.py",
             },
             log_file=log,
-            results_xml=str(tmp_path / "results.xml"),
+            results_xml=str(results),
         )
-    except SystemExit as error:
-        raise AssertionError("\n".join(log.read_text().splitlines()[-60:])) from error
-    if folder := os.environ.get(COVERAGE_VARIABLE):
-        with tempfile.NamedTemporaryFile(dir=folder, suffix=".dat", delete=False) as kept:
-            kept.write((tmp_path / "coverage.dat").read_bytes())
-    count, failed = get_results(results)
-    assert count > 0, f"no test of {bench} ran"
-    # The runner fails by itself under pytest only.
-    assert failed == 0, f"{failed} tests of {bench} failed"
+    text = "\n".join(log.read_text(errors="replace").splitlines()[-60:])
+    if not results.exists():
+        return {}, text
+    if counted := os.environ.get(COVERAGE_VARIABLE):
+        with tempfile.NamedTemporaryFile(dir=counted, suffix=".dat", delete=False) as kept:
+            kept.write((folder / "coverage.dat").read_bytes())
+    cases = ET.parse(results).getroot().iter("testcase")
+    return {str(case.get("name")): _result(case) for case in cases if case.find("skipped") is None}, text
+
+
+def _result(case: ET.Element) -> str:
+    failures = [*case.iter("failure"), *case.iter("error")]
+    return str(failures[0].get("type")) if failures else PASSED
 
 
 def arguments() -> Any:
-    """In a bench: what the pytest side passed to :func:`run`."""
+    """In a bench: what the pytest side passed to :func:`run`, or of each variant by its instance's name."""
     return json.loads(os.environ[BENCH_VARIABLE])

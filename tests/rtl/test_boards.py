@@ -89,7 +89,7 @@ def plugged_in(tmp_path: Path) -> Iterator[str]:
 def test_a_program_steps_the_ulx3s(plugged_in: str) -> None:
     """Every word of every step, in every mode, over a line of bits."""
     for plan in runs(SPEC, SIZE[0], 12, max_cycles=2):
-        for _ in verify(plan, Lockstep(Serial(plugged_in), "native"), seed=5):
+        for _ in verify(plan, Lockstep(Serial(plugged_in, timeout=1800), "native"), seed=5):
             pass
         assert plan.exact
         assert plan.truncated
@@ -98,7 +98,7 @@ def test_a_program_steps_the_ulx3s(plugged_in: str) -> None:
 def test_the_ulx3s_goes_on_after_damage(plugged_in: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Whichever answer is damaged, steps go on as if nothing had happened."""
     actions = np.random.default_rng(3).integers(0, 4, (4, SIZE[0]), np.uint8)
-    device, native = Serial(plugged_in, checkpoint_every=2), Native()
+    device, native = Serial(plugged_in, timeout=1800, checkpoint_every=2), Native()
     for each in (device, native):
         each.open(BatchConfig(spec=SPEC, n_envs=SIZE[0]))
         each.reset(seed=4)

@@ -1,13 +1,19 @@
-"""Each module alone, over the product of its parameters."""
+"""Each module alone, over the product of its parameters.
+
+The variants of a module are one build and one simulation, which the first test of them starts. Each is a test
+of its own all the same: if one fails, even by an assertion that ends the simulation, the others are tried.
+"""
 
 from __future__ import annotations
 
+import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import pytest
 from bench import spec_of
-from harness import core, module, run
+from harness import Variant, core, module, run_variants
 
 from pearl_marl.hardware import elaboration
 
@@ -16,140 +22,164 @@ RATIOS = [(32, 32), (8, 32), (96, 32), (64, 128), (48, 32), (24, 32), (42, 32), 
 ROWS_RATIOS = [(13, row, word) for row, word in RATIOS] + [(1, 7, 32), (1, 96, 32)]
 
 
-@pytest.mark.parametrize("draws", [1, 3])
-def test_keys(draws: int, tmp_path: Path) -> None:
-    run(module("pearl_rng", DRAWS=draws), "bench_rng", tmp_path, draws=draws)
+def variant(top: str, parameters: Mapping[str, int], /, **arguments: Any) -> Variant:
+    """One with these parameters, of which the bench is told what is among ``arguments``."""
+    name = "-".join(map(str, (top.removeprefix("pearl_"), *parameters.values())))
+    return Variant(name, module(top, **parameters), arguments)
 
 
-@pytest.mark.parametrize(("pe_num", "draws"), [(1, 1), (3, 2)])
-def test_draws(pe_num: int, draws: int, tmp_path: Path) -> None:
-    design = module("pearl_draw_row", PE_NUM=pe_num, DRAWS=draws)
-    run(design, "bench_draw_row", tmp_path, pe_num=pe_num, draws=draws)
-
-
-@pytest.mark.parametrize("top", ["pearl_packer", "pearl_unpacker"])
-@pytest.mark.parametrize(("rows", "row", "word"), ROWS_RATIOS)
-def test_packing(top: str, rows: int, row: int, word: int, tmp_path: Path) -> None:
+def packing(top: str, rows: int, row: int, word: int) -> Variant:
     # A last row that is all padding but for its first bit is the shortest stream of so many rows.
     words = -(-((rows - 1) * row + 1) // word)
-    design = module(top, ROW_BITS=row, DATA_WL=word, WORDS=words)
-    run(design, top.replace("pearl", "bench"), tmp_path, row=row, word=word, rows=rows, words=words)
+    parameters = {"ROW_BITS": row, "DATA_WL": word, "WORDS": words}
+    return variant(top, parameters, row=row, word=word, rows=rows, words=words)
 
 
-@pytest.mark.parametrize(("rows", "row", "word"), [(1, 6, 32), (5, 32, 32), (4, 72, 32), (3, 160, 64)])
-def test_row_memory(rows: int, row: int, word: int, tmp_path: Path) -> None:
-    design = module("pearl_row_memory", ROWS=rows, ROW_BITS=row, DATA_WL=word)
-    run(design, "bench_row_memory", tmp_path, rows=rows, row=row, word=word)
+def fixed_point(top: str, latency: int, **parameters: int) -> Variant:
+    given = {name.lower(): value for name, value in parameters.items()}
+    return variant(top, parameters, top=top, latency=latency, **given)
 
 
-@pytest.mark.parametrize(("shift", "addend"), [(1, 0), (30, 0), (30, -(1 << 31)), (32, 86699678), (62, 0)])
-def test_fixed_multiply(shift: int, addend: int, tmp_path: Path) -> None:
-    parameters = {"SHIFT": shift, "ADDEND": addend}
-    design = module("pearl_fixed_multiply", **parameters)
-    run(design, "bench_fixed", tmp_path, top=design.top, latency=3, **parameters)
+def group_reader(groups: int, pe_num: int, word: int, ii: int, obs: int, reward: int) -> Variant:
+    parameters = {
+        "GROUPS": groups,
+        "PE_NUM": pe_num,
+        "DATA_WL": word,
+        "II": ii,
+        "OBS_BITS": obs,
+        "REWARD_BITS": reward,
+    }
+    sizes = {"groups": groups, "pe_num": pe_num, "word": word, "ii": ii, "obs": obs, "reward": reward}
+    return variant("pearl_group_reader", parameters, **sizes)
 
 
-@pytest.mark.parametrize(("top", "latency"), [("pearl_sine_cosine", 17), ("pearl_reciprocal", 19)])
-def test_fixed_point(top: str, latency: int, tmp_path: Path) -> None:
-    run(module(top), "bench_fixed", tmp_path, top=top, latency=latency)
-
-
-@pytest.mark.parametrize("depth", [2, 8])
-def test_fifo(depth: int, tmp_path: Path) -> None:
-    run(module("pearl_fifo", DEPTH=depth), "bench_fifo", tmp_path, depth=depth)
-
-
-def test_axi_address(tmp_path: Path) -> None:
-    run(module("pearl_axi_address"), "bench_axi_address", tmp_path)
-
-
-@pytest.mark.parametrize("word", [32, 256, 1024])
-def test_axi_slave(word: int, tmp_path: Path) -> None:
-    design = module("axi_memory", DATA_WL=word, ADDR_BITS=14)
-    run(design, "bench_axi_slave", tmp_path, word=word)
-
-
-# The narrow address is that of a small map, the wide one that of a bus of 64 bits.
-@pytest.mark.parametrize(("word", "words", "bits"), [(32, 3, 8), (128, 1, 60)])
-def test_port(word: int, words: int, bits: int, tmp_path: Path) -> None:
-    design = module("port_map", DATA_WL=word, REGION_WORDS=words, WORD_ADDR_BITS=bits)
-    run(design, "bench_port", tmp_path, word=word, words=words, address_bits=bits)
-
-
-@pytest.mark.parametrize("word", [32, 64, 128, 1024])
-def test_registers(word: int, tmp_path: Path) -> None:
-    design = module("pearl_registers", DATA_WL=word, ENV_HASH=0x1234)
-    run(design, "bench_registers", tmp_path, word=word)
-
-
-def test_sequencer(tmp_path: Path) -> None:
-    run(module("pearl_sequencer"), "bench_sequencer", tmp_path)
+MODULES = {
+    "rng": [variant("pearl_rng", {"DRAWS": draws}, draws=draws) for draws in (1, 3)],
+    "draw_row": [
+        variant("pearl_draw_row", {"PE_NUM": pe_num, "DRAWS": draws}, pe_num=pe_num, draws=draws)
+        for pe_num, draws in ((1, 1), (3, 2))
+    ],
+    "packer": [packing("pearl_packer", *sizes) for sizes in ROWS_RATIOS],
+    "unpacker": [packing("pearl_unpacker", *sizes) for sizes in ROWS_RATIOS],
+    "row_memory": [
+        variant(
+            "pearl_row_memory",
+            {"ROWS": rows, "ROW_BITS": row, "DATA_WL": word},
+            rows=rows,
+            row=row,
+            word=word,
+        )
+        for rows, row, word in ((1, 6, 32), (5, 32, 32), (4, 72, 32), (3, 160, 64))
+    ],
+    "fixed": [
+        *(
+            fixed_point("pearl_fixed_multiply", 3, SHIFT=shift, ADDEND=addend)
+            for shift, addend in ((1, 0), (30, 0), (30, -(1 << 31)), (32, 86699678), (62, 0))
+        ),
+        fixed_point("pearl_sine_cosine", 17),
+        fixed_point("pearl_reciprocal", 19),
+    ],
+    "fifo": [variant("pearl_fifo", {"DEPTH": depth}, depth=depth) for depth in (2, 8)],
+    "axi_address": [variant("pearl_axi_address", {})],
+    "axi_slave": [
+        variant("axi_memory", {"DATA_WL": word, "ADDR_BITS": 14}, word=word) for word in (32, 256, 1024)
+    ],
+    # The narrow address is that of a small map, the wide one that of a bus of 64 bits.
+    "port": [
+        variant(
+            "port_map",
+            {"DATA_WL": word, "REGION_WORDS": words, "WORD_ADDR_BITS": bits},
+            word=word,
+            words=words,
+            address_bits=bits,
+        )
+        for word, words, bits in ((32, 3, 8), (128, 1, 60))
+    ],
+    "registers": [
+        variant("pearl_registers", {"DATA_WL": word, "ENV_HASH": 0x1234}, word=word)
+        for word in (32, 64, 128, 1024)
+    ],
+    "sequencer": [variant("pearl_sequencer", {})],
+    "group_reader": [
+        group_reader(10, 4, 32, 1, 6, 1),  # the core is the limit
+        group_reader(10, 16, 32, 1, 6, 1),  # the observations' packer is
+        group_reader(7, 8, 32, 1, 3, 13),  # the rewards' is
+        group_reader(9, 4, 64, 4, 13, 5),  # a core that takes four cycles
+        group_reader(1, 1, 1024, 1, 6, 1),
+    ],
+}
+"""By the bench that tests them."""
 
 
 @pytest.mark.parametrize(
-    ("groups", "pe_num", "word", "ii", "obs", "reward"),
-    [
-        (10, 4, 32, 1, 6, 1),  # the core is the limit
-        (10, 16, 32, 1, 6, 1),  # the observations' packer is
-        (7, 8, 32, 1, 3, 13),  # the rewards' is
-        (9, 4, 64, 4, 13, 5),  # a core that takes four cycles
-        (1, 1, 1024, 1, 6, 1),
-    ],
+    ("name", "number"),
+    [(name, number) for name, variants in MODULES.items() for number in range(len(variants))],
+    ids=[variant.name for variants in MODULES.values() for variant in variants],
 )
-def test_group_reader(
-    groups: int, pe_num: int, word: int, ii: int, obs: int, reward: int, tmp_path: Path
-) -> None:
-    design = module(
-        "pearl_group_reader",
-        GROUPS=groups,
-        PE_NUM=pe_num,
-        DATA_WL=word,
-        II=ii,
-        OBS_BITS=obs,
-        REWARD_BITS=reward,
-    )
-    sizes = {"groups": groups, "pe_num": pe_num, "word": word, "ii": ii, "obs": obs, "reward": reward}
-    run(design, "bench_group_reader", tmp_path, **sizes)
+def test_module(name: str, number: int, once: Any) -> None:
+    check(f"bench_{name}", name, MODULES[name], number, once)
+
+
+def check(bench: str, group: str, variants: list[Variant], number: int, once: Any) -> None:
+    def simulate(folder: Path) -> None:
+        (folder / "logs.json").write_text(json.dumps(run_variants(variants, bench, folder)))
+
+    log = json.loads((once(f"rtl-{group}", simulate) / "logs.json").read_text())[number]
+    assert not log, log
 
 
 LAKE = {"desc": ["SFHSFGSF", "GHSFFFFH", "FSHFHSFF"]}
 
+TIMINGS = {
+    "CliffWalking": (2, 1),
+    "FrozenLake": (3, 1),
+    "CartPole": (56, 1),
+    "Pendulum": (43, 1),
+    "MountainCar": (29, 1),
+    "Seaquest": (9, 1),
+    "Taxi": (5, 1),
+    "Blackjack": (17, 1),
+    "ShiftAdd": (4, 4),
+}
 
-@pytest.mark.parametrize(
-    ("env", "options", "latency", "ii"),
-    [
-        ("CliffWalking", {"is_slippery": False}, 2, 1),
-        ("CliffWalking", {"is_slippery": True}, 2, 1),
-        ("FrozenLake", {}, 3, 1),
-        ("FrozenLake", {"map_name": "8x8", "success_rate": 0.8}, 3, 1),
-        ("FrozenLake", {**LAKE, "is_slippery": False}, 3, 1),
-        ("FrozenLake", {**LAKE, "success_rate": 0}, 3, 1),
-        ("CartPole", {}, 56, 1),
-        ("CartPole", {"sutton_barto_reward": True}, 56, 1),
-        ("Pendulum", {}, 43, 1),
-        ("Pendulum", {"g": -3.7}, 43, 1),
-        ("MountainCar", {}, 29, 1),
-        ("MountainCar", {"goal_velocity": 0.01}, 29, 1),
-        ("Seaquest", {}, 9, 1),
-        ("Seaquest", {"sticky_action_prob": 0.9, "difficulty_ramping": False}, 9, 1),
-        ("Taxi", {}, 5, 1),
-        ("Taxi", {"fickle_passenger": True, "fickle_probability": 0.5}, 5, 1),
-        ("Taxi", {"fickle_passenger": True, "is_rainy": True}, 5, 1),
-        ("Blackjack", {}, 17, 1),
-        ("Blackjack", {"sab": False, "natural": True}, 17, 1),
-        ("ShiftAdd", {}, 4, 4),
+OPTIONS: dict[str, list[dict[str, Any]]] = {
+    "CliffWalking": [{"is_slippery": False}, {"is_slippery": True}],
+    "FrozenLake": [
+        {},
+        {"map_name": "8x8", "success_rate": 0.8},
+        {**LAKE, "is_slippery": False},
+        {**LAKE, "success_rate": 0},
     ],
-)
-def test_core(env: str, options: dict[str, Any], latency: int, ii: int, tmp_path: Path) -> None:
-    spec = spec_of(env, options)
-    assert elaboration.core_timing(spec) == (latency, ii)
-    run(
-        core(spec),
-        "bench_core",
-        tmp_path,
-        env=env,
-        options=options,
-        latency=latency,
-        ii=ii,
-        limit=25_000,
-    )
+    "CartPole": [{}, {"sutton_barto_reward": True}],
+    "Pendulum": [{}, {"g": -3.7}],
+    "MountainCar": [{}, {"goal_velocity": 0.01}],
+    "Seaquest": [{}, {"sticky_action_prob": 0.9, "difficulty_ramping": False}],
+    "Taxi": [
+        {},
+        {"fickle_passenger": True, "fickle_probability": 0.5},
+        {"fickle_passenger": True, "is_rainy": True},
+    ],
+    "Blackjack": [{}, {"sab": False, "natural": True}],
+    "ShiftAdd": [{}],
+}
+
+CORES = [(env, number) for env, all_options in OPTIONS.items() for number in range(len(all_options))]
+
+
+@pytest.mark.parametrize(("env", "number"), CORES)
+def test_core(env: str, number: int, once: Any) -> None:
+    latency, ii = TIMINGS[env]
+    variants = [
+        Variant(
+            env,
+            core(spec_of(env, options)),
+            {"env": env, "options": options, "latency": latency, "ii": ii, "limit": 25_000},
+        )
+        for options in OPTIONS[env]
+    ]
+    check("bench_core", env, variants, number, once)
+
+
+@pytest.mark.parametrize(("env", "number"), CORES)
+def test_timing_of_a_core(env: str, number: int) -> None:
+    assert elaboration.core_timing(spec_of(env, OPTIONS[env][number])) == TIMINGS[env]

@@ -73,7 +73,7 @@ def check(
         env=toolchain.environment(),
         capture_output=True,
         text=True,
-        timeout=300,
+        timeout=1800,
     )
     return done.stdout + done.stderr
 

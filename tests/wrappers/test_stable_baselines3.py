@@ -565,7 +565,7 @@ def test_dqn_learns_cliff_walking() -> None:
 def test_the_rollout_experiment_runs(tmp_path: Path) -> None:
     script = Path(__file__).parents[2] / "experiments" / "sb3_rollout.py"
     arguments = ["--n-agents", "16", "--steps", "4", "--rounds", "1", "--out", str(tmp_path)]
-    done = subprocess.run([sys.executable, script, *arguments], capture_output=True, text=True, timeout=300)
+    done = subprocess.run([sys.executable, script, *arguments], capture_output=True, text=True, timeout=1800)
     assert done.returncode == 0, done.stdout + done.stderr
     figures = json.loads((tmp_path / "sb3_rollout.json").read_text())
     assert [(row["name"], row["n_agents"]) for row in figures] == [("ours", 16), ("SuperSuit", 16)]

@@ -17,7 +17,7 @@ import shutil
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
@@ -36,7 +36,14 @@ _VERILATOR = ("-O3", "--flatten", "--x-assign", "fast", "--x-initial", "fast")
 _TRACED = ("--trace", "--trace-max-width", "65536", "--public-flat-rw")
 # The library is loaded as one piece, and nobody replaces its functions: calls within it are direct.
 _FAST = "-O3 -march=native -fno-semantic-interposition"
-_MAKE = (f"OPT_FAST={_FAST}", "OPT_SLOW=-O0", "OPT_GLOBAL=-O1", "LDFLAGS=-shared")
+_LIBRARY = "OPT_GLOBAL=-O1"
+_MAKE = (f"OPT_FAST={_FAST}", "OPT_SLOW=-O0", _LIBRARY, "LDFLAGS=-shared")
+
+LIGHT = "PEARL_LIGHT_SIMULATION"
+"""A variable of the environment: where it is ``1``, a device is quick to build and not to step, for tests."""
+
+_LIGHT_VERILATOR = ("--output-split", "0")
+_LIGHT_MAKE = ("OPT_FAST=-O1 -march=native", *_MAKE[1:], "VM_PARALLEL_BUILDS=0")
 
 
 def library(build: Build, traced: bool = False, pipelined: bool = True) -> Path:
@@ -58,8 +65,11 @@ def library(build: Build, traced: bool = False, pipelined: bool = True) -> Path:
     """
     spec, layout = build
     parameters = {**elaboration.top_parameters(build), "PIPELINED": int(pipelined)}
+    light = os.environ.get(LIGHT) == "1"
+    make = _LIGHT_MAKE if light else _MAKE
     arguments = [
         *_VERILATOR,
+        *(_LIGHT_VERILATOR if light else []),
         *(_TRACED if traced else []),
         *(f"-G{name}={value}" for name, value in parameters.items()),
         *(f"+define+{name}={value}" for name, value in elaboration.macros(spec).items()),
@@ -67,7 +77,7 @@ def library(build: Build, traced: bool = False, pipelined: bool = True) -> Path:
     sources = elaboration.sources(spec)
     code = _columns(layout) + _CODE.read_text()
     texts = [code, *(path.read_text() for path in (*sources, Path(pyverilator_mends.__file__)))]
-    digest = _digest(_tools(), arguments, _MAKE, traced, texts)
+    digest = _digest(_tools(), arguments, make, traced, texts)
     folder = cache_folder("rtl")
     title = f"{spec.name}-{layout.n_envs}-{layout.pe_num}-{layout.data_wl}{'' if pipelined else '-serial'}"
     entry = folder / f"{title}{'-traced' if traced else ''}-{digest}"
@@ -78,7 +88,7 @@ def library(build: Build, traced: bool = False, pipelined: bool = True) -> Path:
                 shutil.rmtree(left_over, ignore_errors=True)
             print(f"pearl: building the simulated device {title} ...", file=sys.stderr, flush=True)
             began = time.perf_counter()
-            _build(entry, [*arguments, *map(str, sources)], code, traced)
+            _build(entry, [*arguments, *map(str, sources)], code, traced, make)
             took = time.perf_counter() - began
             print(f"pearl: built it in {took:.0f} s; kept in {entry}", file=sys.stderr, flush=True)
     return entry / "model.so"
@@ -94,17 +104,17 @@ def _columns(layout: MemoryMap) -> str:
     return "".join(lines)
 
 
-def _build(entry: Path, arguments: list[str], code: str, traced: bool) -> None:
+def _build(entry: Path, arguments: list[str], code: str, traced: bool, make: Sequence[str]) -> None:
     scratch = Path(tempfile.mkdtemp(prefix=f"{entry.name}.", suffix=".tmp", dir=entry.parent))
     try:
         work, result = scratch / "work", scratch / "result"
         work.mkdir()
         result.mkdir()
         pyverilator_mends.generate(work, arguments, code, traced)
-        common = entry.parent / f"verilated-{_digest(_tools(), _MAKE)}"
+        common = entry.parent / f"verilated-{_digest(_tools(), _LIBRARY)}"
         _lend(common, work)
         jobs = len(os.sched_getaffinity(0))
-        toolchain.run(["make", "-C", str(work), "-f", f"V{pyverilator_mends.TOP}.mk", f"-j{jobs}", *_MAKE])
+        toolchain.run(["make", "-C", str(work), "-f", f"V{pyverilator_mends.TOP}.mk", f"-j{jobs}", *make])
         _keep(work, common)
         built = (work / f"V{pyverilator_mends.TOP}").rename(result / "model.so")
         (result / "checksum").write_text(hashlib.sha256(built.read_bytes()).hexdigest())
