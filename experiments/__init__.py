@@ -1,1 +1,4 @@
-"""Training scripts, and one script for each table and figure; installed as ``pearl_marl.experiments``."""
+"""Scripts: one for each table and figure, and the report; installed as ``pearl_marl.experiments``.
+
+They may import everything but ``cli``.
+"""

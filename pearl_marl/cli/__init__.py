@@ -1,4 +1,7 @@
-"""The command line: ``pearl``. One file a command; this one puts them together."""
+"""The command line: ``pearl``. One file a command; this one puts them together.
+
+May import everything; of the experiments, :mod:`~pearl_marl.cli.report` alone.
+"""
 
 from __future__ import annotations
 
