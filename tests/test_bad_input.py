@@ -459,3 +459,13 @@ def test_registering_twice_warns(toys: None) -> None:
 def test_memory_maps_of_too_many_elements() -> None:
     with pytest.raises(ArgumentError, match="pe_num is 3"):
         memory_map(DRIFT, 2, 3, 32)
+
+
+@pytest.mark.parametrize("command", ["run", "eval", "bench", "verify"])
+def test_more_agents_than_there_is_memory_for(command: str, pearl: Any) -> None:
+    """Refused before any of it is taken: half of it would be enough to have the system end other programs."""
+    more = ["--policy", "random"] if command == "eval" else []
+    status, _, err = pearl(command, "CliffWalking", "--n-agents", 4_000_000_000, *more)
+    assert status == 2
+    assert "4,000,000,000 agents of CliffWalking take at least" in err
+    assert "agents at most" in err

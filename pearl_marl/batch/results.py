@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from typing import Any
 
 import numpy as np
@@ -11,8 +12,9 @@ from gymnasium.vector import AutoresetMode
 
 from pearl_marl.batch.config import BatchConfig
 from pearl_marl.batch.recycling import Recycler
-from pearl_marl.batch.slot_memory import ALIGNMENT
+from pearl_marl.batch.slot_memory import ALIGNMENT, size
 from pearl_marl.batch.step import BatchStep
+from pearl_marl.errors import ArgumentError
 
 
 class Layout:
@@ -63,6 +65,31 @@ class Layout:
         return BatchStep(*arrays)
 
 
+def check_memory(config: BatchConfig, more: int = 0) -> None:
+    """Refuse a batch whose slots and results this machine has not the memory for, before any is taken.
+
+    Parameters
+    ----------
+    config
+        The batch.
+    more
+        Bytes that the caller takes for each agent besides.
+
+    Raises
+    ------
+    ArgumentError
+        Says how many agents there is memory for.
+    """
+    n = config.n_envs
+    needed = size(config.spec, n) + Layout(config).size + n * more
+    there = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    if needed > there:
+        raise ArgumentError(
+            f"{n:,} agents of {config.spec.name} take at least {needed / 2**30:,.1f} GiB of memory, and this "
+            f"machine has {there / 2**30:,.1f} GiB: {there * n // needed:,} agents at most"
+        )
+
+
 class ResultArrays:
     """Hands out arrays for results: the same ones every time, or ones that nobody else refers to.
 
@@ -75,6 +102,7 @@ class ResultArrays:
     """
 
     def __init__(self, config: BatchConfig) -> None:
+        check_memory(config)
         self.layout = Layout(config)
         self._new = Recycler(self.layout.arrays)
         # Without copies: the one block, and the arrays that every step writes over.

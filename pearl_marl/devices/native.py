@@ -56,11 +56,11 @@ class Native(Device):
     def _open(self, config: BatchConfig) -> None:
         spec, n = config.spec, config.n_envs
         self._kernels = compile_kernels(spec)
+        self._results = ResultArrays(config)
         self._memory = SlotMemory(spec, n).bytes
         # Without stored initial states the kernels get the memory itself, and do not look.
         self._stored = SlotMemory(spec, n).bytes if config.initial_states == "stored" else self._memory
         self._mode = (config.autoreset_mode is AutoresetMode.NEXT_STEP, self._stored is not self._memory)
-        self._results = ResultArrays(config)
         self._pool = Threads(max(self._threads, _cores()), "pearl-native")
 
     def _ranges(self) -> list[tuple[int, int]]:

@@ -38,11 +38,11 @@ class Reference(Device):
     def _open(self, config: BatchConfig) -> None:
         self._next_step = config.autoreset_mode is AutoresetMode.NEXT_STEP
         self._slots = np.arange(config.first_slot, config.first_slot + config.n_envs)
+        self._results = ResultArrays(config)
         self._memory = SlotMemory(config.spec, config.n_envs)
         self._stored: SlotMemory | None = None
         if config.initial_states == "stored":
             self._stored = SlotMemory(config.spec, config.n_envs)
-        self._results = ResultArrays(config)
 
     def _reset(self, mask: Array | None, seed: int | None) -> Array:
         memory = self._memory

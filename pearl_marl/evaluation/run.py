@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pearl_marl.batch.actions import encode
+from pearl_marl.batch.results import check_memory
 from pearl_marl.batch.step import BatchStep, on_host
 from pearl_marl.devices import BatchConfig, Device, make_device
 from pearl_marl.devices.transport import STAGES
@@ -87,6 +88,7 @@ class Evaluation:
         if max_cycles is None:
             max_cycles = spec.max_cycles or LIMIT
         self.config = BatchConfig(spec=spec, n_envs=n_agents, max_cycles=max_cycles, copy=False)
+        check_memory(self.config, 48)  # what is noted of an agent
         self.episodes = n_agents if episodes is None else episodes
         self.device = make_device(device)
         self.seed, self._policy = seed, policy

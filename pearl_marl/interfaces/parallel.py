@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium.spaces import Box, Discrete
 
+from pearl_marl.batch.results import check_memory
 from pearl_marl.batch.saved_state import SavedState
 from pearl_marl.batch.slot_memory import state_dtype
 from pearl_marl.batch.step import Array, on_host
@@ -22,6 +23,9 @@ from pearl_marl.interfaces.parallel_interface import ParallelInterface
 from pearl_marl.registry import get_spec
 from pearl_marl.rendering import OracleRenderer, check_render_mode
 from pearl_marl.spec import snake_case
+
+NAME_BYTES = 200
+"""About what an agent's name takes, with its place in a list, a tuple and a dict."""
 
 
 class PearlParallelEnv(ParallelInterface):
@@ -55,6 +59,7 @@ class PearlParallelEnv(ParallelInterface):
     ) -> None:
         spec = config.spec
         check_render_mode(spec, render_mode)
+        check_memory(config, NAME_BYTES)
         super().__init__(
             [f"agent_{i}" for i in range(config.n_envs)],
             # Copies, or seeding one environment's spaces would seed another's.

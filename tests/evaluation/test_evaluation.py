@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from pearl_marl import get_spec
-from pearl_marl.devices import BatchConfig, Device, Lockstep, Native, by_name
+from pearl_marl.devices import BatchConfig, Cuda, Device, Lockstep, Native, by_name
 from pearl_marl.devices.simulator.simulation import Simulation
 from pearl_marl.devices.transport import STAGES
 from pearl_marl.errors import ActionError, ArgumentError, LockstepError
@@ -195,6 +195,13 @@ def test_in_lockstep() -> None:
     wrong = Flips("elapsed", tick=evaluation.steps - 1, slot=3)
     with pytest.raises(LockstepError):  # the states are compared at the end, if not before
         done(CARDS, hit_below_17(), 20, Lockstep(wrong, "native", state_every=1000))
+
+
+def test_a_device_that_keeps_its_results_as_tensors() -> None:
+    """A policy is a function of NumPy arrays, wherever they come from."""
+    pytest.importorskip("numba_cuda", reason="numba-cuda is not installed: pip install 'pearl-marl[cuda]'")
+    pytest.importorskip("torch", reason="torch is not installed: pip install 'pearl-marl[train]'")
+    assert digest(Cuda(results="torch")) == digest(Native())
 
 
 def test_refused_evaluations() -> None:
