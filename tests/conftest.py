@@ -42,7 +42,18 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--simulated-gpu", action="store_true", help=help)
 
 
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
+    from .scheduling import Scheduling
+
+    return Scheduling(config, log)
+
+
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    if hasattr(config, "workerinput"):
+        from .scheduling import group, urgency
+
+        items.sort(key=lambda item: urgency(group(item.nodeid)))
     if os.environ["NUMBA_ENABLE_CUDASIM"] == "1":
         for item in items:
             if "gpu" in item.keywords:

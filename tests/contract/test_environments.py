@@ -11,8 +11,18 @@ from typing import Any
 import pytest
 
 import pearl_marl
+from pearl_marl.compiler.cuda_kernels import simulated
 from pearl_marl.devices import Device, Sharded
-from pearl_marl.testing import HALF, SIZE, Case, ContractSuite, assert_same_trajectory, rows, trajectory
+from pearl_marl.testing import (
+    HALF,
+    SIZE,
+    STEPS,
+    Case,
+    ContractSuite,
+    assert_same_trajectory,
+    rows,
+    trajectory,
+)
 
 from ..devices.boards import OwnBoard
 from ..toy import TOYS
@@ -56,12 +66,32 @@ class TestSlowDevices(ContractSuite):
     devices = ("reference", "lockstep")
 
 
+class ShortCase(Case):
+    """Steps are few, as a simulated GPU takes a hundredth of a second for each."""
+
+    def actions(self, steps: int = STEPS, n: int = SIZE, seed: int = 0) -> Any:
+        return super().actions(min(steps, STEPS // 2), n, seed)
+
+    def habits(self, steps: int = STEPS, n: int = SIZE) -> Any:
+        return super().habits(min(steps, STEPS // 2), n)
+
+
 @pytest.mark.usefixtures("toys")
 class TestGpu(ContractSuite):
-    """A GPU, or where there is none the simulator, which is slow: one small environment that draws."""
+    """A GPU, or where there is none the simulator, which is slow: one small environment that draws.
+
+    There ``make test-cuda`` has all the steps, as everywhere else.
+    """
 
     environments = ("Ladder",)
     devices = ("cuda",)
+
+    @pytest.fixture
+    def case(self, env_id: str, device_name: str, request: pytest.FixtureRequest) -> Iterator[Case]:
+        short = simulated() and not request.config.getoption("--simulated-gpu")
+        case = (ShortCase if short else Case)(env_id, device_name)
+        yield case
+        case.close()
 
 
 @pytest.mark.simulatable

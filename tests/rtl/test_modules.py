@@ -114,7 +114,7 @@ MODULES = {
 @pytest.mark.parametrize(
     ("name", "number"),
     [(name, number) for name, variants in MODULES.items() for number in range(len(variants))],
-    ids=[variant.name for variants in MODULES.values() for variant in variants],
+    ids=[f"{name}-{variant.name}" for name, variants in MODULES.items() for variant in variants],
 )
 def test_module(name: str, number: int, once: Any) -> None:
     check(f"bench_{name}", name, MODULES[name], number, once)

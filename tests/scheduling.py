@@ -1,0 +1,57 @@
+"""Which tests go to which process of xdist: together what shares something dear, and the longest first.
+
+Two processes that need the same kernel, model or cluster at the same time would each make it.
+"""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+from xdist.scheduler import LoadScopeScheduling
+
+FIRST = (
+    "tests/contract/test_environments.py::TestEnvironments::Seaquest",
+    "tests/docs/test_docs.py::test_walks",
+    "tests/cli/test_report.py",
+    "tests/rtl/test_modules.py",
+    "tests/training/test_workers.py",
+    "tests/devices/test_ray.py",
+    "tests/rtl/test_top.py",
+    "tests/rtl/test_netlist.py",
+    "tests/rtl/test_boards.py",
+    "tests/rtl/test_proofs.py",
+    "tests/contract/test_environments.py::TestEnvironments",
+    "tests/envs/test_seaquest.py",
+    "tests/hardware",
+    "tests/cli/test_new.py",
+    "tests/devices/test_rtl.py",
+    "tests/contract",
+    "tests/wrappers/test_stable_baselines3.py",
+    "tests/envs/test_frozen_lake.py",
+    "tests/docs",
+    "tests/training",
+)
+"""Beginnings of groups' names; what comes after them takes less than half a minute each."""
+
+
+def group(test: str) -> str:
+    """Return the group of a test: of the contract an environment, of the pages a test, else a file."""
+    file, _, rest = test.partition("::")
+    if file.endswith("contract/test_environments.py"):
+        environment = re.search(r"\[(\w+)", rest)
+        return f"{file}::{rest.partition('::')[0]}::{environment[1] if environment else ''}"
+    return test if file.endswith("docs/test_docs.py") else file
+
+
+def urgency(name: str) -> int:
+    return next((i for i, first in enumerate(FIRST) if name.startswith(first)), len(FIRST))
+
+
+class Scheduling(LoadScopeScheduling):
+    def __init__(self, config: Any, log: Any = None) -> None:
+        super().__init__(config, log)
+        config.option.loadscopereorder = False
+
+    def _split_scope(self, nodeid: str) -> str:
+        return group(nodeid)
