@@ -71,6 +71,7 @@ class SavedState:
             identity={**self.identity, **here},
             memory=part(self.memory),
             stored=part(self.stored),
+            live=self.live[slots],
         )
 
     @classmethod
@@ -90,6 +91,7 @@ class SavedState:
             identity={**parts[0].identity, "n_agents": sum(sizes)},
             memory=whole("memory"),
             stored=whole("stored"),
+            live=np.concatenate([part.live for part in parts]),
         )
 
     def copy(self) -> SavedState:

@@ -38,7 +38,7 @@ class Interrupts:
     @contextlib.contextmanager
     def watched(self) -> Iterator[None]:
         """Note Ctrl-C in the block."""
-        self.__init__()  # type: ignore[misc]
+        self.noted, self.advice = False, ""
         if threading.current_thread() is not threading.main_thread():  # only that one is told of signals
             yield
             return

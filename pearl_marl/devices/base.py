@@ -97,7 +97,11 @@ class Device(ABC):
         self.under_way = StepUnderWay(f"pearl-{self.name}", self._actions)
         self.recovery = self._make_recovery()
         if rewards is not None:
-            self._apply_rewards(rewards)
+            try:
+                self._apply_rewards(rewards)
+            except BaseException:
+                self.close()
+                raise
         return self
 
     def reset(self, seed: int | None = None, mask: npt.ArrayLike | None = None) -> Array:
@@ -125,9 +129,11 @@ class Device(ABC):
             raise ArgumentError("a seed restarts every slot, so it cannot come with a reset mask")
         if chosen is not None and not self._ready:
             raise OrderError("the first reset starts every slot: call reset() without a mask first")
-        if seed is None and not self._ready:
+        if seed is not None:
+            seed = rng.checked_seed(seed)
+        elif not self._ready:
             seed = secrets.randbits(64)
-        words = None if seed is None else rng.seed_words(rng.checked_seed(seed))
+        words = None if seed is None else rng.seed_words(seed)
         self._before("reset")
         position = self.position
         if words is not None:
@@ -137,10 +143,10 @@ class Device(ABC):
         self._ready = True
         try:
             obs = self._reset(chosen, seed)
+            self._after("reset", seed, chosen)
         except BaseException:
             self.position = position
             raise
-        self._after("reset", seed, chosen)
         return obs
 
     def step(self, actions: npt.ArrayLike) -> BatchStep:
@@ -168,9 +174,9 @@ class Device(ABC):
         if recovery is not None:
             recovery.before(self, "step_words")
         result = self._step(words)
-        self.tick += 1
         if recovery is not None:
-            recovery.after(self, "step_words", words)
+            self._after("step_words", words)
+        self.tick += 1
         return result
 
     def send(self, actions: npt.ArrayLike) -> None:
@@ -185,8 +191,8 @@ class Device(ABC):
         if not hasattr(self, "under_way") or self.under_way.pending is None:
             raise OrderError("recv() without a step under way: call send() first")
         words, result = self.under_way.finish()
-        self.tick += 1
         self._after("step_words", words)
+        self.tick += 1
         return result
 
     def encoded(self, actions: Any) -> Array:
@@ -277,10 +283,10 @@ class Device(ABC):
         self._ready = True
         try:
             obs = self._write(saved.memory, saved.stored)
+            self._after("restore", saved)
         except BaseException:
             self.position = position
             raise
-        self._after("restore", saved)
         return obs
 
     def recover(self) -> None:
@@ -319,7 +325,8 @@ class Device(ABC):
         Returns
         -------
         The seconds of the last step's stages, by the names of :data:`~pearl_marl.devices.transport.STAGES`; a
-        device without a link to hardware has ``"compute"`` alone. Each step writes them anew.
+        device without a link to hardware has ``"compute"`` alone. Each step writes them anew. What is kept
+        for :meth:`recover` is not among them.
         """
         self.check_idle("timed")
         seconds: dict[str, float] = {}
@@ -379,8 +386,13 @@ class Device(ABC):
             self.recovery.before(self, call)
 
     def _after(self, call: str, *arguments: Any) -> None:
-        if self.recovery is not None:
+        if self.recovery is None:
+            return
+        try:
             self.recovery.after(self, call, *arguments)
+        except BaseException:  # the slots have moved, and that is not noted
+            self.known = False
+            raise
 
     def __getstate__(self) -> dict[str, Any]:
         # A copy is a device of its own that goes on from here: threads, buffers and compiled code stay.

@@ -109,7 +109,7 @@ class Lockstep(Device):
 
     def _reset(self, mask: Array | None, seed: int | None) -> Array:
         before = None
-        if self.reference.ready:
+        if self._since is not None:  # the first reset of all may have begun different episodes
             self._compare_states()
             before = self.reference.snapshot()
         copy = None if mask is None else mask.copy()

@@ -196,7 +196,8 @@ class DQN:
         self.policy.load_state_dict(state["policy"])
         self.target.load_state_dict(state["target"])
         self.optimiser.load_state_dict(state["optimiser"])
-        self.memory = state["memory"]
+        for name, rows in self.memory.items():
+            rows.copy_(state["memory"][name])
         self.random.set_state(state["random"])
         go_on(self.agents, state["agents"])
         self.episodes.load(state["episodes"])

@@ -188,7 +188,8 @@ class QLearning:
 
     def load(self, state: dict[str, Any]) -> None:
         """Go on from what :meth:`state` returned."""
-        self.done, self.updates = state["done"], state["updates"]
+        self.done = state["done"]
+        self.updates.copy_(state["updates"])
         self.policy.values[:] = state["values"]
         self.random.set_state(state["random"])
         go_on(self.agents, state["agents"])

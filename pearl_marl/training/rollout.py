@@ -127,7 +127,8 @@ class Returns:
 
     def load(self, state: tuple[Tensor, Tensor]) -> None:
         """Go on from what :meth:`state` returned."""
-        self._under_way, self._finished = state
+        for mine, kept in zip(self.state(), state, strict=True):
+            mine.copy_(kept)
 
 
 class ActorCritic(nn.Module):

@@ -11,8 +11,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 
-from pearl_marl.errors import ArgumentError
+from pearl_marl.errors import ArgumentError, PearlError, SavedStateError
 from pearl_marl.evaluation.run import Evaluation
 from pearl_marl.registry import get_spec
 from pearl_marl.spec import EnvSpec
@@ -23,9 +24,14 @@ from pearl_marl.training.run_folder import RunFolder
 ALGORITHMS: dict[str, Any] = {"ppo": ppo.PPO, "dqn": dqn.DQN, "q-learning": q_learning.QLearning}
 SETTINGS: dict[str, Any] = {"ppo": ppo.Settings, "dqn": dqn.Settings, "q-learning": q_learning.Settings}
 
-
 BLOCKS = 8
 """Into how many blocks agents are divided for shards, unless said otherwise: see ``ppo.Settings``."""
+
+_UNUSABLE = ArithmeticError, AttributeError, LookupError, RuntimeError, TypeError, ValueError
+"""What trainers raise where a checkpoint does not hold what it should."""
+
+_NOT_ITS_FAULT = PearlError, torch.cuda.OutOfMemoryError
+"""Of these, what says that a device or a GPU has failed: the checkpoint is as good as it was."""
 
 
 def settings_for(algorithm: str, env_id: str, given: dict[str, Any], shards: int | None = None) -> Any:
@@ -130,10 +136,14 @@ def train(
         try:
             seconds, best = float(saved["seconds"]), float(saved["best"])
             trainer.load(saved["trainer"])
-            check_progress(trainer.done, settings.iterations)
-        except (ArithmeticError, AttributeError, LookupError, RuntimeError, TypeError, ValueError) as error:
+            if not isinstance(trainer.done, int) or not 0 <= trainer.done <= settings.iterations:
+                raise ValueError(f"it has done {trainer.done!r} iterations of {settings.iterations}")
+        except _UNUSABLE as error:
+            if isinstance(error, _NOT_ITS_FAULT) and not isinstance(error, SavedStateError):
+                raise
             why = " ".join(str(error).split()) or type(error).__name__
             raise run.damaged(f"and cannot be gone on from ({why})") from error
+        run.write_metrics()  # a kill may have left those of an earlier moment
     began, kept = time.perf_counter() - seconds, time.perf_counter()
     finished = goal is not None and best >= goal
     while trainer.done < settings.iterations and not finished:
@@ -155,12 +165,6 @@ def train(
             kept = time.perf_counter()
     run.draw_curve(f"{spec.name}: {algorithm}, {settings.n_agents:,} agents", goal)
     return run.rows
-
-
-def check_progress(done: Any, iterations: int) -> None:
-    """Refuse a number of iterations that a run of so many cannot have done."""
-    if not isinstance(done, int) or not 0 <= done <= iterations:
-        raise ValueError(f"it has done {done!r} iterations of {iterations}")
 
 
 def evaluate(policy: Any, spec: EnvSpec, n: int, seed: int = 1) -> tuple[float, float]:

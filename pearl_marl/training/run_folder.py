@@ -17,6 +17,7 @@ checkpoint is tensors and plain data, and no code in it is ever run.
 from __future__ import annotations
 
 import csv
+import errno
 import io
 import json
 import zipfile
@@ -89,17 +90,14 @@ class RunFolder:
         Raises
         ------
         ArgumentError
-            It is damaged, or of another version of this package.
+            It cannot be read, is damaged, or is of another version of this package.
         """
         last, previous = self.path / CHECKPOINT, self.path / PREVIOUS
         # Killed between two renames, or the last one deleted since it was damaged.
         self._resumed = previous if previous.exists() and not last.exists() else last
         if not self._resumed.exists():
             return None
-        try:
-            checkpoint = _read(self._resumed)
-        except _DamagedError as error:
-            raise self.damaged(str(error)) from None
+        checkpoint = self._read()
         if checkpoint.get("format") != FORMAT:
             raise ArgumentError(f"{self._resumed} is of another version of this package: give another --out")
         rows = checkpoint.pop("rows", None)
@@ -107,6 +105,27 @@ class RunFolder:
             raise self.damaged("and has no metrics")
         self.rows = rows
         return checkpoint
+
+    def _read(self) -> dict[str, Any]:
+        """Read tensors and plain data, of an archive whose checksums are right: PyTorch ignores those."""
+        why = "and is no archive of PyTorch"
+        try:
+            with zipfile.ZipFile(self._resumed) as archive:
+                wrong = archive.testzip()
+            why = f"and the checksum of {wrong} in it is wrong"
+            if wrong is None:
+                why = "and holds more than tensors and plain data"  # which is refused, and not run
+                checkpoint = torch.load(self._resumed, map_location="cpu", weights_only=True)
+                why = "and holds no state of a training"
+                if isinstance(checkpoint, dict):
+                    return checkpoint
+        except MemoryError:
+            raise
+        except Exception as error:  # whatever a reader makes of random bytes
+            if isinstance(error, OSError) and error.errno != errno.EINVAL:  # of a place before the file
+                raise ArgumentError(f"{self._resumed} cannot be read: {error.strerror or error}") from None
+            raise self.damaged(why) from error
+        raise self.damaged(why)
 
     def damaged(self, why: str) -> ArgumentError:
         """Return the error that refuses the checkpoint that was read, and says how to go on."""
@@ -161,28 +180,6 @@ class RunFolder:
         figure.savefig(path, dpi=120)
         plt.close(figure)
         return path
-
-
-class _DamagedError(Exception):
-    """A file is not what it should be; says why."""
-
-
-def _read(file: Path) -> dict[str, Any]:
-    """Read tensors and plain data, of an archive whose checksums are right: PyTorch does not look at them."""
-    try:
-        with zipfile.ZipFile(file) as archive:
-            wrong = archive.testzip()
-    except Exception as error:  # whatever a reader makes of random bytes
-        raise _DamagedError("and is no archive of PyTorch") from error
-    if wrong is not None:
-        raise _DamagedError(f"and the checksum of {wrong} in it is wrong")
-    try:
-        checkpoint = torch.load(file, weights_only=True)
-    except Exception as error:  # likewise; what is no plain data is refused, and not run
-        raise _DamagedError("and holds more than tensors and plain data") from error
-    if not isinstance(checkpoint, dict):
-        raise _DamagedError("and holds no state of a training")
-    return checkpoint
 
 
 def _is_row(row: Any) -> bool:

@@ -17,6 +17,7 @@ from gymnasium.vector import AutoresetMode
 import pearl_marl
 from pearl_marl import get_spec
 from pearl_marl.devices import BatchConfig, BatchStep, Device, Lockstep, Native, Rtl, Sharded, Xdma
+from pearl_marl.devices.recovery import CheckpointLog
 from pearl_marl.errors import ArgumentError, DeviceError, OrderError
 from pearl_marl.testing import assert_same_step
 
@@ -116,6 +117,47 @@ RARELY = (
     ("set_max_cycles", 0),
     ("set_max_cycles", 40),
 )
+
+
+@pytest.mark.parametrize("call", ["step", "reset", "restore", "set_rewards", "recv"])
+def test_a_call_that_was_not_noted_did_not_happen(call: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Ctrl-C comes when the slots have moved, but what is kept for recover() has not."""
+
+    def interrupted(*_: Any) -> None:
+        raise KeyboardInterrupt
+
+    device, native = both(Faults())
+    for a in actions(3):
+        assert_same_step(device.step(a), native.step(a))
+    arguments = {
+        "step": (actions(1)[0],), "reset": (7,), "restore": (native.snapshot(),), "set_rewards": ([-2, -50],),
+        "recv": (),
+    }[call]  # fmt: skip
+    if call == "recv":
+        device.send(actions(1)[0])
+    with monkeypatch.context() as patch:
+        patch.setattr(CheckpointLog, "after", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            getattr(device, call)(*arguments)
+    with pytest.raises(DeviceError, match=r"recover\(\)"):
+        device.step(actions(1)[0])
+    device.recover()
+    for a in actions(3, seed=1):
+        assert_same_step(device.step(a), native.step(a))
+    np.testing.assert_array_equal(device.snapshot().memory, native.snapshot().memory)
+    device.close()
+
+
+def test_a_device_that_cannot_take_its_rewards_is_closed() -> None:
+    class Refuses(Native):
+        def _apply_rewards(self, table: Any) -> None:
+            raise DeviceError("unplugged")
+
+    device = Refuses()
+    with pytest.raises(DeviceError, match="unplugged"):
+        device.open(BatchConfig(**CONFIG), rewards=[-2, -50])
+    with pytest.raises(OrderError, match="after close"):
+        device.reset()
 
 
 def test_one_of_two_boards_fails() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pickle
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -207,6 +208,15 @@ def test_masked_resets_change_nothing_when_they_fail() -> None:
     assert lockstep.snapshot().to_bytes() == before.to_bytes()
     mask[9] = False
     lockstep.reset(mask=mask)
+
+
+def test_a_first_reset_that_diverges_can_be_made_again(tmp_path: Path) -> None:
+    lockstep = Lockstep(FlipsStart(9), "reference").open(BatchConfig(spec=CLIFF, n_envs=N))
+    for _ in range(2):
+        with pytest.raises(LockstepError, match="slot 9") as caught:
+            lockstep.reset(seed=np.int64(5))
+        caught.value.replay.write(tmp_path / "replay.json")
+    assert Replay.read(tmp_path / "replay.json").divergence == caught.value.divergence
 
 
 def test_restores() -> None:

@@ -15,11 +15,12 @@ from typing import Any
 import pytest
 
 from pearl_marl import files
-from pearl_marl.errors import ArgumentError
+from pearl_marl.errors import ArgumentError, DeviceError
 
 torch = pytest.importorskip("torch", reason="torch is not installed: pip install '.[train]'")
 training = importlib.import_module("pearl_marl.training.run")
 run_folder = importlib.import_module("pearl_marl.training.run_folder")
+rollout = importlib.import_module("pearl_marl.training.rollout")
 
 GIVEN = {"n_agents": 64, "iterations": 6}
 
@@ -150,6 +151,52 @@ def test_a_state_of_other_agents_is_refused(folder: Path) -> None:
     checkpoint["trainer"]["agents"] = checkpoint["trainer"]["agents"][:-1].clone()
     torch.save(checkpoint, file)
     refused(folder, r"checkpoint\.pt is damaged.*checksum")
+
+
+def test_a_device_that_fails_is_not_the_checkpoints_fault(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fails(*_: Any) -> None:
+        raise DeviceError("the board is away")
+
+    monkeypatch.setattr(rollout.Agents, "load", fails)
+    with pytest.raises(DeviceError, match="the board is away"):
+        run(folder)
+
+
+@pytest.mark.parametrize(
+    ("error", "raised", "words"),
+    [
+        (
+            PermissionError(13, "Permission denied"),
+            ArgumentError,
+            r"checkpoint\.pt cannot be read",
+        ),
+        (MemoryError(), MemoryError, None),
+    ],
+    ids=["permission", "memory"],
+)
+def test_a_checkpoint_that_cannot_be_read_is_not_damaged(
+    error: Exception,
+    raised: type[Exception],
+    words: str | None,
+    folder: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def fails(*_: Any, **__: Any) -> None:
+        raise error
+
+    monkeypatch.setattr(torch, "load", fails)
+    with pytest.raises(raised, match=words):
+        run(folder)
+
+
+def test_metrics_are_those_of_the_checkpoint_gone_on_from(folder: Path) -> None:
+    metrics = folder / "metrics.csv"
+    whole = metrics.read_bytes()
+    metrics.write_bytes(whole.splitlines(keepends=True)[0])
+    run(folder)
+    assert metrics.read_bytes() == whole
 
 
 def test_a_checkpoint_is_plain_data_of_checked_archives(folder: Path) -> None:
