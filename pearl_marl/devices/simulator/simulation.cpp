@@ -25,7 +25,7 @@ constexpr int kRowMemories = 2;
 // A reset flushes the pipeline, so it lasts longer than any core's latency.
 constexpr uint64_t kResetCycles = 1000;
 
-// What a call returns, as pearl_marl/devices/rtl.py reads it.
+// What a call returns, as simulation.py beside this reads it.
 enum Answer : int { kOkay = 0, kNoHandshake = 1, kNoInterrupt = 2, kStopped = 3, kRefused = 16 };
 
 struct Window {
