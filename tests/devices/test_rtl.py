@@ -316,7 +316,7 @@ def test_a_damaged_entry_is_built_again(damage: bytes, own_cache: Path, capfd: p
 
 def test_a_build_that_is_killed_leaves_nothing_behind(own_cache: Path) -> None:
     program = (
-        "from pearl_marl import get_spec, memory_map; from pearl_marl.devices import model_build; "
+        "from pearl_marl import get_spec, memory_map; from pearl_marl.devices.simulator import model_build; "
         "s = get_spec('CliffWalking'); model_build.library(s, memory_map.memory_map(s, 40, 40, 32))"
     )
     process = subprocess.Popen([sys.executable, "-c", program], start_new_session=True)

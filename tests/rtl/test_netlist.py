@@ -60,8 +60,7 @@ def netlist(cells: str, folder: Path) -> Design:
         "opt_clean -purge",
         "write_verilog -noattr netlist.v",
     )
-    # To optimise so many small functions takes the compiler minutes, and saves the bench a second.
-    return Design("pearl_top", (folder / "netlist.v",), build_args=("-CFLAGS", "-O0"))
+    return Design("pearl_top", (folder / "netlist.v",))
 
 
 def invert(cells: str, flip_flop: str) -> str:
