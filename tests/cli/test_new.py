@@ -6,7 +6,6 @@ import os
 import shutil
 import subprocess
 import sys
-import sysconfig
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -221,9 +220,9 @@ class Installed:
         self._call(sys.executable, "-m", "venv", "--without-pip", folder / "venv")
         (wheel,) = folder.glob("*.whl")
         self._call(*pip, "--python", self.python, "install", *offline, wheel)
-        # What the package depends on is that of this environment, but not its own sources.
+        # What the package depends on is where NumPy is, but not its own sources.
         site = next((folder / "venv").glob("lib/python*/site-packages"))
-        (site / "others.pth").write_text(sysconfig.get_paths()["purelib"] + "\n")
+        (site / "others.pth").write_text(f"{Path(np.__file__).parents[1]}\n")
         self._call(self.python.with_name("pearl"), "new", "TwoRooms", cwd=folder)
 
     def _call(self, *command: Any, **arguments: Any) -> None:

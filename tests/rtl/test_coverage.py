@@ -7,7 +7,7 @@ from pathlib import Path
 import harness
 import pytest
 import rtl_coverage
-from harness import module, run
+from harness import Variant, module, run_variants
 
 
 def test_one_module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -15,7 +15,9 @@ def test_one_module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     data.mkdir()
     bench.mkdir()
     monkeypatch.setenv(harness.COVERAGE_VARIABLE, str(data))
-    run(module("pearl_fifo", DEPTH=8), "bench_fifo", bench, depth=8)
+    assert run_variants([Variant("8", module("pearl_fifo", DEPTH=8), {"depth": 8})], "bench_fifo", bench) == [
+        ""
+    ]
     (file,) = data.iterdir()
     text = file.read_text()
     fifo = rtl_coverage.merge([file])["pearl_fifo"]

@@ -59,20 +59,16 @@ def netlist(cells: str, folder: Path) -> Design:
         "opt_clean -purge",
         "write_verilog -noattr netlist.v",
     )
-    # To optimise so many small functions takes the compiler minutes, and saves the bench a second.
-    return Design("pearl_top", (folder / "netlist.v",), build_args=("-CFLAGS", "-O0"))
+    return Design("pearl_top", (folder / "netlist.v",))
 
 
-def invert(cells: str, flip_flop: str) -> str:
-    """Invert every bit of the LUT that feeds a flip-flop."""
-    fed = re.search(r"\.D\((\S+)\),\s*\.Q\(" + re.escape(flip_flop), cells)
-    assert fed, f"there is no flip-flop {flip_flop}"
-    feeds = re.compile(r"\.INIT\((\d+)'([dh])(\w+)\)\s*\) \S+ \([^;]*\.O\(" + re.escape(fed[1]) + r"\)")
-    lut = feeds.search(cells)
-    assert lut, f"no LUT feeds {flip_flop}"
-    bits, base = int(lut[1]), {"d": 10, "h": 16}[lut[2]]
-    inverted = int(lut[3], base) ^ (1 << bits) - 1
-    return f"{cells[: lut.start(1)]}{bits}'h{inverted:x}{cells[lut.end(3) :]}"
+def breakable(cells: str, flip_flop: str) -> str:
+    """Give the design an input that inverts what goes into a flip-flop: one build is sound and broken."""
+    cells, ports = re.subn(r"^module pearl_top\(", r"\g<0>fault_i, ", cells, flags=re.MULTILINE)
+    fed = re.compile(r"(\.D\()(\S+)(\),\s*\.Q\(" + re.escape(flip_flop) + ")")
+    cells, flip_flops = fed.subn(r"\1\2 ^ fault_i\3", cells)
+    assert (ports, flip_flops) == (1, 1), f"there is no flip-flop {flip_flop}"
+    return re.sub(r"^module pearl_top\([^;]*;", r"\g<0>\n  input fault_i;", cells, flags=re.MULTILINE)
 
 
 @pytest.mark.skipif(COVERAGE_VARIABLE in os.environ, reason="a netlist has none of the sources' lines")
@@ -83,13 +79,14 @@ def test_netlist_equals_the_model_and_a_broken_one_does_not(tmp_path: Path) -> N
     for folder in folders:
         folder.mkdir()
     cells = mapped(Build.of(spec_of(env, {}), *size), folders[0])
+    design = netlist(breakable(cells, FAULTY), folders[0])
 
-    def bench(cells: str, folder: Path) -> None:
-        arguments = {"env": env, "options": {}, "size": size, "idle": 0.3, "steps": 8, "netlist": True}
-        run(netlist(cells, folder), "bench_top", folder, **arguments)
+    def bench(fault: int, folder: Path) -> None:
+        arguments = {"env": env, "options": {}, "size": size, "idle": 0.3, "steps": 8, "fault": fault}
+        run(design, "bench_top", folder, **arguments)
 
-    bench(cells, folders[1])
+    bench(0, folders[1])
     with pytest.raises(AssertionError, match=r"steps_equal_the_model_in_every_mode +FAIL"):
-        bench(invert(cells, FAULTY), folders[2])
+        bench(1, folders[2])
     # It failed for a wrong word, not for a tool or for a bus that hangs.
     assert re.search(r"AssertionError: .*max_cycles \d, step \d", (folders[2] / "bench.log").read_text())
