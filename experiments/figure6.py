@@ -15,7 +15,6 @@ from pearl_marl.benchmark.ours import simulated
 from pearl_marl.benchmark.paper import TABLE_2
 from pearl_marl.devices import Rtl
 from pearl_marl.errors import ArgumentError
-from pearl_marl.hardware.build import Build
 from pearl_marl.hardware.fitting import PARTS
 from pearl_marl.latency import LINKS
 from pearl_marl.plan import Plan, plan
@@ -212,7 +211,7 @@ def simulated_without_pipeline(spec: EnvSpec, n: int) -> Contender:
 def predicted_without_pipeline(spec: EnvSpec, chosen: Plan) -> Row:
     """Predict the same form behind the same link: states go to it and come back with every step."""
     layout = chosen.chosen.layout
-    prediction = pipeline.predicted(Build.of(spec, layout.n_envs, 1, layout.data_wl), False, chosen.host)
+    prediction = pipeline.predicted(spec, layout.n_envs, 1, layout.data_wl, False, chosen.host)
     build = f"1 PE, {layout.data_wl}-bit words, {CLOCK / 1e6:g} MHz, {LINK.name}"
     return {
         "kind": "predicted",

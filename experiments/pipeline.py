@@ -40,26 +40,36 @@ class Comparison(NamedTuple):
         return self.pipelined.rate / self.serial.rate
 
 
-def predicted(build: Build, pipelined: bool = True, host: HostTimes | None = None) -> Prediction:
+def predicted(
+    spec: EnvSpec,
+    n_envs: int,
+    pe_num: int,
+    data_wl: int,
+    pipelined: bool = True,
+    host: HostTimes | None = None,
+) -> Prediction:
     """Predict a step on the paper's board and link; ``.rate`` has the slots' steps per second.
 
     Parameters
     ----------
-    build
-        What is stepped.
+    spec, n_envs, pe_num, data_wl
+        What is stepped, and the build's sizes.
     pipelined
         See :func:`pearl_marl.latency.predict`; the paper's form without pipeline has a ``pe_num`` of 1.
     host
         What the host takes; measured if not given.
     """
-    spec, layout = build
-    host = host or measure_host(spec, layout.n_envs)
-    return predict(spec, layout, LINK, host, BOARDS[BOARD].clock_mhz * 1e6, pipelined)
+    host = host or measure_host(spec, n_envs)
+    return predict(
+        *Build.of(spec, n_envs, pe_num, data_wl), LINK, host, BOARDS[BOARD].clock_mhz * 1e6, pipelined
+    )
 
 
-def simulated_rate(build: Build, clock: float, pipelined: bool = True) -> float:
+def simulated_rate(
+    spec: EnvSpec, n_envs: int, pe_num: int, data_wl: int, clock: float, pipelined: bool = True
+) -> float:
     """Return the slots' steps per second of the hardware alone at a clock in hertz, by its cycles."""
-    return build.layout.n_envs * clock / step_cycles(*build, pipelined)
+    return n_envs * clock / step_cycles(*Build.of(spec, n_envs, pe_num, data_wl), pipelined)
 
 
 def fitting(spec: EnvSpec, pe_num: int, data_wl: int) -> int:
@@ -76,8 +86,8 @@ def compare(env_id: str, n_envs: int | None = None) -> Comparison:
     n = n_envs or fitting(spec, sizes.pe_num, sizes.data_wl)
     host = measure_host(spec, n)
     return Comparison(
-        predicted(Build.of(spec, n, sizes.pe_num, sizes.data_wl), True, host),
-        predicted(Build.of(spec, n, 1, sizes.data_wl), False, host),
+        predicted(spec, n, sizes.pe_num, sizes.data_wl, True, host),
+        predicted(spec, n, 1, sizes.data_wl, False, host),
     )
 
 

@@ -68,6 +68,7 @@ def command(
     as_json: AsJson = False,
 ) -> None:
     """Train a policy that all agents share; with the --out of a run that was killed, go on with it."""
+    interrupts.advice = f": to go on, give the same command again, with the same --out {out}"
     try:
         with interrupts.at_once():  # PyTorch takes seconds to load
             from pearl_marl.training import run as training
@@ -81,7 +82,6 @@ def command(
     settings = training.settings_for(
         algo, env_id, {**env_options(setting, "--set"), **given, "seed": seed}, shards
     )
-    interrupts.advice = f": to go on, give the same command again, with the same --out {out}"
 
     columns = (
         TextColumn(f"{env_id}, {algo}"),

@@ -15,7 +15,6 @@ from pearl_marl.batch.actions import random_actions
 from pearl_marl.devices import BatchConfig, Rtl
 from pearl_marl.errors import ArgumentError, DeviceError
 from pearl_marl.hardware import elaboration
-from pearl_marl.hardware.build import Build
 from pearl_marl.hardware.fitting import PARTS, modelled_bram36
 from pearl_marl.hardware.synthesis import Memory, Usage
 from pearl_marl.latency import (
@@ -167,7 +166,7 @@ def test_with_and_without_the_pipeline(monkeypatch: pytest.MonkeyPatch) -> None:
     spec = get_spec("Seaquest")
     assert modelled_bram36(memory_map(spec, n := pipeline.fitting(spec, 16, 1024), 16, 1024)) <= 1030
     assert modelled_bram36(memory_map(spec, n + 1024, 16, 1024)) > 1030
-    rate = pipeline.simulated_rate(Build.of(SPEC, 70, 1, 32), 100e6, pipelined=False)
+    rate = pipeline.simulated_rate(SPEC, 70, 1, 32, 100e6, pipelined=False)
     assert rate == pytest.approx(70 * 100e6 / 287), "docs/latency.md has it measured"
 
 
