@@ -124,7 +124,7 @@ class Transform:
         return array
 
     def possible(self, actions: Array) -> Mask:
-        """Return which slots' actions can be taken, be it that a wrapper inside mends them."""
+        """Return which slots' actions are valid, or become valid in a wrapper inside."""
         if self._taker is not None:
             return self._taker.possible(actions)
         space = self.action_space

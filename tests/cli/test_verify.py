@@ -118,7 +118,7 @@ def test_a_divergence_is_shown_written_replayed_and_mended(pearl, tmp_path, monk
     assert status == 0
     assert "The divergence is gone: native agrees with reference" in out
 
-    monkeypatch.setitem(by_name._BY_NAME, "broken", Native)  # mended under its own name
+    monkeypatch.setitem(by_name._BY_NAME, "broken", Native)  # the fixed one, under its own name
     status, out, _ = pearl("verify", path, "--json")
     assert (status, json.loads(out)["exact"], json.loads(out)["divergence"]) == (0, True, None)
     assert json.loads(out)["recorded"]["slot"] == 6
