@@ -1,0 +1,77 @@
+"""The graph of an environment's core: what one slot does in one step, from the core's inputs to its outputs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from pearl_marl.compiler.gating import held
+from pearl_marl.compiler.graph import Graph, Node
+from pearl_marl.compiler.tracing import trace
+from pearl_marl.spec import EnvSpec, Field
+
+
+class Output(NamedTuple):
+    """A field of one of a core's outputs."""
+
+    port: str
+    field: str
+    offset: int
+    bits: int
+    node: Node
+
+
+class CoreGraph(NamedTuple):
+    """A graph, and the outputs of a core in it."""
+
+    graph: Graph
+    outputs: list[Output]
+
+
+def core_graph(spec: EnvSpec) -> CoreGraph:
+    """Return the graph of an environment's core.
+
+    Inputs are ``first``, ``hold``, ``action``, the state's fields, each by its name, and ``draw_0`` and so on.
+
+    Raises
+    ------
+    ArgumentError
+        The golden functions do what no hardware can; the message names the file and the line.
+    """
+    graph = Graph()
+    first, hold = graph.input("first_i", 1), graph.input("hold_i", 1)
+    fields = [graph.input(f"state_i.{f.name}", f.bits, f.signed) for f in spec.state]
+    action = graph.input("action_i", spec.action.bits, spec.action.signed)
+    draws = [graph.input(f"rng_i[{k}]", 32) for k in range(spec.reset_draws + spec.step_draws)]
+    fresh = _narrowed(graph, trace(graph, spec.golden.initial, draws[: spec.reset_draws]), spec.state)
+    start = [graph.choose(first, new, old) for new, old in zip(fresh, fields, strict=True)]
+    for node, field in zip(start, spec.state, strict=True):
+        if node.op not in ("input", "constant"):
+            node.name = field.name
+        graph.free(node)  # what the step does is seen by values of fields, not of inputs
+    results = trace(graph, spec.golden.step, [*start, action, *draws[spec.reset_draws :]])
+    *moved, reward, terminated = _narrowed(
+        graph, results, [*spec.state, spec.reward, Field("terminated", 1)]
+    )
+    after, (reward, terminated) = held(graph, hold, start, moved, [reward, terminated])
+    after = _narrowed(graph, after, spec.state)
+    for node, field in zip(after, spec.state, strict=True):
+        if node.name is None and node.op != "constant":
+            node.name = f"next_{field.name}"
+    observed = _narrowed(graph, trace(graph, spec.golden.observe, after), spec.observation)
+    outputs = [*_packed("state_o", spec.state, after), *_packed("obs_o", spec.observation, observed)]
+    outputs.append(Output("reward_o", "reward", 0, spec.reward.bits, reward))
+    outputs.append(Output("terminated_o", "terminated", 0, 1, terminated))
+    return CoreGraph(graph, outputs)
+
+
+def _narrowed(graph: Graph, nodes: Sequence[Node], fields: Sequence[Field]) -> list[Node]:
+    return [graph.wrap(node, f.bits, f.signed) for node, f in zip(nodes, fields, strict=True)]
+
+
+def _packed(port: str, fields: Sequence[Field], nodes: Sequence[Node]) -> list[Output]:
+    outputs, offset = [], 0
+    for field, node in zip(fields, nodes, strict=True):
+        outputs.append(Output(port, field.name, offset, field.bits, node))
+        offset += field.bits
+    return outputs

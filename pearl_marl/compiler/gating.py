@@ -1,0 +1,178 @@
+"""``hold`` by gating: a slot that is held keeps its state because what would change it is switched off.
+
+To choose between the old state and the new one at the end would cost a multiplexer a bit, and the old state would
+have to be carried along. So a word that has to be 0 under hold is made so where that takes the fewest bits, such as
+in the flag that decides on a move; and ``row + down - up`` keeps ``row`` if ``down`` and ``up`` are 0. What nobody
+looks at under hold is anything then.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Literal
+
+from pearl_marl.compiler.graph import Graph, Node, in_order
+
+Demand = Node | Literal["zero", "ones"] | None
+"""What a node has to be under hold: this word, all zeros, all ones, anything."""
+Plan = tuple[Demand, ...]
+"""What a node's arguments have to be so that it is what it has to be."""
+
+
+def held(
+    graph: Graph, hold: Node, start: Sequence[Node], moved: Sequence[Node], unseen: Sequence[Node]
+) -> tuple[list[Node], list[Node]]:
+    """Return ``moved`` such that it is ``start`` under hold, and ``unseen``, which may be anything there."""
+    gates = _Gates(graph, hold, start, in_order([*moved, *unseen]))
+    for word, node in zip(start, moved, strict=True):
+        gates.plan(node, word)
+    return [gates.gated(n, word) for word, n in zip(start, moved, strict=True)], [gates.free(n) for n in unseen]
+
+
+class _Gates:
+    def __init__(self, graph: Graph, hold: Node, start: Sequence[Node], order: Sequence[Node]) -> None:
+        self.graph, self.hold, self.order = graph, hold, order
+        self.go = graph.logical_not(hold)
+        self.go.name = "go"
+        self.leaves = {*start, *(n for n in order if not n.args)}
+        self.plans: dict[tuple[Node, Demand], Plan | None] = {}
+        """How each demand that somebody has is met; ``None`` stands for a gate at the node itself."""
+        self.first: dict[Node, Demand] = {}
+        """A demand that is met by arguments, of nodes that have one."""
+        self.made: dict[tuple[Node, Demand], Node] = {}
+
+    def plan(self, node: Node, word: Node) -> None:
+        """Decide how a node comes to be ``word`` under hold."""
+        reaching = self._reaching(word)
+        cost: dict[tuple[Node, Demand], float] = {}
+        best: dict[tuple[Node, Demand], Plan | None] = {}
+        for n in self.order:
+            for demand in ("zero", "ones", word) if n in reaching else ("zero", "ones"):
+                key = n, demand
+                if n is word and demand is word:
+                    cost[key], best[key] = 0, ()
+                    continue
+                if key in self.plans:
+                    cost[key], best[key] = 0, self.plans[key]
+                    continue
+                cost[key], best[key] = self._cost_here(n, demand), None
+                if n in self.leaves:
+                    continue
+                for plan in _plans(self.graph, n, demand):
+                    try:
+                        total = sum(cost[a, d] for a, d in zip(n.args, plan, strict=True) if d is not None)
+                    except KeyError:  # an argument that does not reach the word
+                        continue
+                    if total <= cost[key] - (n.is_constant()):
+                        cost[key], best[key] = total, plan
+        waiting: list[tuple[Node, Demand]] = [(node, word)]
+        while waiting:
+            key = waiting.pop()
+            if key in self.plans or key[1] is None or key[0] is key[1]:
+                continue
+            plan = self.plans[key] = best.get(key)
+            if plan is not None:
+                self.first.setdefault(*key)
+                waiting += zip(key[0].args, plan, strict=True)
+
+    def _reaching(self, word: Node) -> set[Node]:
+        found = {word}
+        for n in self.order:
+            if n not in self.leaves and any(a in found for a in n.args):
+                found.add(n)
+        return found
+
+    def _cost_here(self, n: Node, demand: Demand) -> float:
+        if n.is_constant(0 if demand == "zero" else -1 if demand == "ones" else None) and isinstance(demand, str):
+            return 0
+        return n.bits if isinstance(demand, str) else 2 * n.bits
+
+    def free(self, node: Node) -> Node:
+        """Return a node made anew of gated ones; under hold it may be anything."""
+        return self.gated(node, self.first.get(node))
+
+    def gated(self, node: Node, demand: Demand) -> Node:
+        if node is demand or (demand is None and node in self.leaves):
+            return node
+        for n in in_order([node]):  # bottom up, since a graph is deeper than Python's stack
+            if n not in self.leaves:
+                self._make(n, self.first.get(n))
+        return self._make(node, demand)
+
+    def _make(self, n: Node, demand: Demand) -> Node:
+        if n is demand or (demand is None and n in self.leaves):
+            return n
+        key = n, demand
+        if key not in self.made:
+            graph, plan = self.graph, self.plans.get(key)
+            if demand is None:
+                made = graph.again(n, [self._make(a, self.first.get(a)) for a in n.args])
+            elif plan is not None:
+                args = zip(n.args, plan, strict=True)
+                made = graph.again(n, [self._make(a, d or self.first.get(a)) for a, d in args])
+            else:
+                whole = n if n in self.leaves else self._make(n, None)
+                if isinstance(demand, Node):
+                    made = graph.choose(self.hold, demand, whole)
+                elif demand == "zero":
+                    made = graph.choose(self.go, whole, graph.constant(0))
+                else:
+                    made = graph.or_(graph.mask(self.hold) if not whole.is_flag else self.hold, whole)
+                if made.name is None:
+                    made.name, made.line = n.name, n.line
+            self.made[key] = made
+        return self.made[key]
+
+
+def _plans(graph: Graph, n: Node, demand: Demand) -> Iterator[Plan]:
+    """Yield what the arguments of a node can be so that it is what it has to be."""
+    if demand == "zero":
+        yield from _zero(n)
+    elif demand == "ones":
+        yield from _ones(n)
+    elif demand is not None:
+        yield from _kept(graph, n, demand)
+
+
+def _zero(n: Node) -> Iterator[Plan]:
+    match n.op:
+        case "and" | "mul":
+            yield from (("zero", None), (None, "zero"))
+        case "or" | "xor" | "add" | "sub":
+            yield "zero", "zero"
+        case "mask" | "left" | "right" | "wrap" | "divide":
+            yield ("zero",)
+        case "left_by" | "right_by":
+            yield "zero", None
+        case "not" | "invert":
+            yield ("ones",)
+        case "choose":
+            yield from (("zero", None, "zero"), ("ones", "zero", None), (None, "zero", "zero"))
+        case "table" if n.imm[0] == 0:
+            yield ("zero",)
+
+
+def _ones(n: Node) -> Iterator[Plan]:
+    match n.op:
+        case "or":
+            yield from (("ones", None), (None, "ones"))
+        case "and":
+            yield "ones", "ones"
+        case "not" | "invert":
+            yield ("zero",)
+        case "mask":
+            yield ("ones",)
+
+
+def _kept(graph: Graph, n: Node, word: Node) -> Iterator[Plan]:
+    match n.op:
+        case "or" | "xor" | "add":
+            yield from ((word, "zero"), ("zero", word))
+        case "sub" | "left_by" | "right_by":
+            yield word, "zero"
+        case "and":
+            yield from ((word, "ones"), ("ones", word))
+        case "choose":
+            yield from (("zero", None, word), ("ones", word, None), (None, word, word))
+        case "wrap" if graph.wrap(word, *n.imm) is word:
+            yield (word,)

@@ -1,0 +1,278 @@
+"""From the operations of a graph to those of an FPGA: multipliers of its width, and sums that fit a stage.
+
+The result is a graph of the same integers, modulo the bits that somebody uses. ``add``, ``sub``, ``mul`` and
+``divide`` have become ``sum``, of shifted and signed words and a constant, ``join``, of words side by side, and
+``mul`` of words that one multiplier takes.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from pearl_marl.compiler.core_graph import Output
+from pearl_marl.compiler.graph import Graph, Node, in_order
+from pearl_marl.compiler.operations import bits_of
+from pearl_marl.compiler.targets import Target
+from pearl_marl.compiler.widths import used_bits, width
+
+
+class Term(NamedTuple):
+    """What is added: ``sign * (node << shift)``."""
+
+    sign: int
+    shift: int
+    node: Node
+
+    @property
+    def low(self) -> int:
+        """The least value."""
+        return (self.node.low if self.sign > 0 else -self.node.high) << self.shift
+
+    @property
+    def high(self) -> int:
+        """The greatest value."""
+        return (self.node.high if self.sign > 0 else -self.node.low) << self.shift
+
+    @property
+    def top(self) -> int:
+        """The bit above its highest."""
+        return self.shift + self.node.bits
+
+
+def lowered(graph: Graph, outputs: Sequence[Output], target: Target) -> list[Output]:
+    """Return the outputs of a core in a new graph, of operations that its target has."""
+    nodes = _rounding_joined(graph, _divisions_multiplied(graph, [o.node for o in outputs]))
+    lowering = _Lowering(nodes, [o.bits for o in outputs], target)
+    return [o._replace(node=lowering.made[node]) for o, node in zip(outputs, nodes, strict=True)]
+
+
+def _divisions_multiplied(graph: Graph, roots: Sequence[Node]) -> list[Node]:
+    """Replace divisions by constants by exact multiplications."""
+
+    def change(node: Node, args: Sequence[Node]) -> Node:
+        if node.op != "divide":
+            return graph.again(node, args)
+        by, (a,) = node.imm, args
+        below = -(a.low // by) if a.low < 0 else 0  # so many times the divisor more, and it is not negative
+        a = graph.add(a, graph.constant(below * by))
+        # With so many fraction bits the reciprocal, rounded up, is near enough for every dividend.
+        fraction = a.bits + by.bit_length()
+        quotient = graph.right(graph.mul(a, graph.constant(-(-(1 << fraction) // by))), fraction)
+        return graph.add(quotient, graph.constant(-below))
+
+    return _changed(roots, change)
+
+
+def _rounding_joined(graph: Graph, roots: Sequence[Node]) -> list[Node]:
+    """Let what is added to a rounded product join the product's own sum, for one carry chain less."""
+    uses = Counter(arg for node in in_order(roots) for arg in node.args)
+
+    def multiplied(node: Node) -> bool:
+        return node.op == "mul" or (node.op in ("add", "sub", "right") and any(map(multiplied, node.args)))
+
+    def change(node: Node, args: Sequence[Node]) -> Node:
+        if node.op == "add":
+            for i, (x, y) in enumerate((args, args[::-1])):
+                inside = x.args[0] if x.op == "right" else x
+                if inside is not x and uses[node.args[i]] == 1 and multiplied(inside) and not multiplied(y):
+                    return graph.right(graph.add(inside, graph.left(y, x.imm)), x.imm)
+        return graph.again(node, args)
+
+    return _changed(roots, change)
+
+
+def _changed(roots: Sequence[Node], change: object) -> list[Node]:
+    made: dict[Node, Node] = {}
+    for node in in_order(roots):
+        made[node] = change(node, [made[a] for a in node.args]) if node.args else node  # type: ignore[operator]
+        if made[node].name is None and not made[node].is_constant():
+            made[node].name, made[node].line = node.name, node.line
+    return [made[root] for root in roots]
+
+
+class _Lowering:
+    def __init__(self, roots: Sequence[Node], bits: Sequence[int], target: Target) -> None:
+        self.target, self.graph = target, Graph(exact=False)
+        order = in_order(roots)
+        self.used = used_bits(order, list(zip(roots, bits, strict=True)))
+        self.uses = Counter([*(arg for node in order for arg in node.args), *roots])
+        self.made: dict[Node, Node] = {}
+        for node in order:
+            made = self.made[node] = self._lower(node)
+            if made.name is None and not made.is_constant():
+                made.name, made.line = node.name, node.line
+
+    def _lower(self, node: Node) -> Node:
+        graph, args = self.graph, [self.made[a] for a in node.args]
+        match node.op:
+            case "constant":
+                return graph.constant(node.imm)
+            case "input":
+                low_bits = (node.bits, node.low < 0)
+                return graph.input(node.imm, *low_bits)
+            case "right" | "left" | "wrap":
+                return graph.again(node, args)
+            case "add" | "sub" | "mul":
+                terms: list[Term] = []
+                constant = self._flatten(node, 1, 0, terms, whole=True)
+                return self._total(terms, constant, width(node, self.used), node)
+        return graph.make(node.op, *args, imm=node.imm, like=node)
+
+    def _flatten(self, node: Node, sign: int, shift: int, terms: list[Term], whole: bool = False) -> int:
+        """Add the terms that a node is the sum of; return the constant among them."""
+        if node.is_constant():
+            return sign * (int(node.imm) << shift)
+        if node.op == "left":
+            return self._flatten(node.args[0], sign, shift + node.imm, terms)
+        if whole or self.uses[node] == 1:
+            if node.op in ("add", "sub"):
+                a, b = node.args
+                constant = self._flatten(a, sign, shift, terms)
+                return constant + self._flatten(b, -sign if node.op == "sub" else sign, shift, terms)
+            if node.op == "mul":
+                terms += (
+                    Term(sign * t.sign, shift + t.shift, t.node) for t in self._products(node, width(node, self.used))
+                )
+                return 0
+        terms.append(Term(sign, shift, self.made[node]))
+        return 0
+
+    # ---- products
+
+    def _products(self, node: Node, bits: int) -> list[Term]:
+        """Return the terms of a product, of which so many bits are used."""
+        a, b = (self._cut(self.made[arg], bits) for arg in node.args)
+        if b.is_constant():
+            digits = signed_digits(b.imm)
+            if a.bits <= 2 or (len(digits) > 2 and a.bits <= 4):
+                values = range(1 << a.bits)
+                index = self.graph.wrap(a, a.bits, False)
+                signed = [v - (1 << a.bits) if a.low < 0 and v >> (a.bits - 1) else v for v in values]
+                return [Term(1, 0, self.graph.table([v * b.imm for v in signed], index))]
+            if len(digits) <= 3 and (len(digits) == 1 or self._multipliers(a, b, bits) > 2):
+                return [Term(sign, shift, a) for sign, shift in digits]
+        wide, narrow = self.target.family.multiplier
+        pieces = [(self._pieces(a, u), self._pieces(b, v)) for u, v in ((wide, narrow), (narrow, wide))]
+        xs, ys = min(pieces, key=lambda pair: len(pair[0]) * len(pair[1]))
+        if a is b and (square := self._pieces(a, narrow)) and len(square) * (len(square) + 1) // 2 <= len(xs) * len(ys):
+            xs = ys = square
+        terms = []
+        for i, (x, low_x) in enumerate(xs):
+            for j, (y, low_y) in enumerate(ys):
+                doubled = xs is ys and i != j
+                if (xs is ys and j < i) or low_x + low_y + doubled >= bits:
+                    continue
+                product = self.graph.mul(x, y)
+                if not product.is_constant(0):
+                    terms.append(Term(1, low_x + low_y + doubled, product))
+        return terms
+
+    def _multipliers(self, a: Node, b: Node, bits: int) -> int:
+        wide, narrow = self.target.family.multiplier
+        return min(
+            len(self._pieces(a, u)) * len(self._pieces(b, v)) for u, v in ((wide, narrow), (narrow, wide))
+        )
+
+    def _cut(self, node: Node, bits: int) -> Node:
+        return node if node.bits <= bits else self.graph.wrap(node, bits, False)
+
+    def _pieces(self, node: Node, bits: int) -> list[tuple[Node, int]]:
+        """Cut a word into pieces of so many bits; the last one has the sign."""
+        pieces, shift = [], 0
+        while node.bits > bits + (node.low < 0):
+            pieces.append((self.graph.wrap(node, bits, False), shift))
+            node, shift = self.graph.right(node, bits), shift + bits
+        return [*pieces, (node, shift)]
+
+    # ---- sums
+
+    def _total(self, terms: list[Term], constant: int, bits: int, node: Node | None = None) -> Node:
+        """Return a sum, of which so many bits are used, in parts that fit a stage."""
+        graph = self.graph
+        terms = _side_by_side(graph, [t for t in terms if t.shift < bits])
+        if not terms:
+            return graph.constant(constant)
+        if len(terms) == 1 and constant == 0 and terms[0].sign > 0:
+            return graph.left(terms[0].node, terms[0].shift)
+        made = min(bits, bits_of(sum(t.low for t in terms) + constant, sum(t.high for t in terms) + constant))
+        low = min(t.shift for t in terms)
+        words = sum(t.node.bits > 1 for t in terms)
+        if self.target.addition(words + (constant != 0 and words > 1), made - low) <= self.target.budget:
+            return self._sum(terms, constant, node)
+        if low and constant % (1 << low) == 0:
+            shifted = [t._replace(shift=t.shift - low) for t in terms]
+            return graph.left(self._total(shifted, constant >> low, bits - low), low)
+        if words > 2:
+            return self._paired(terms, constant, bits, node)
+        return self._halved(terms, constant, bits, made, node)
+
+    def _sum(self, terms: Sequence[Term], constant: int, node: Node | None) -> Node:
+        weights = tuple((t.sign, t.shift) for t in terms)
+        return self.graph.make("sum", *(t.node for t in terms), imm=(constant, weights), like=node and self._like(node))
+
+    def _like(self, node: Node) -> Node | None:
+        """Return the node if its values are not only right modulo what is used of them."""
+        return node if width(node, self.used) >= node.bits else None
+
+    def _paired(self, terms: list[Term], constant: int, bits: int, node: Node | None) -> Node:
+        """Add the two neighbours first whose sum is the shortest."""
+        terms = sorted(terms, key=lambda t: t.shift)
+        pairs = zip(terms, terms[1:], strict=False)
+        i = min(enumerate(pairs), key=lambda p: (max(t.top for t in p[1]) - p[1][0].shift, -p[1][0].shift))[0]
+        own = constant if constant % (1 << terms[i].shift) == 0 else 0
+        pair = self._total(terms[i : i + 2], own, bits)
+        shift = 0
+        while pair.op == "left":
+            pair, shift = pair.args[0], shift + pair.imm
+        return self._total([*terms[:i], *terms[i + 2 :], Term(1, shift, pair)], constant - own, bits, node)
+
+    def _halved(self, terms: list[Term], constant: int, bits: int, made: int, node: Node | None) -> Node:
+        """Add lower halves first, and upper halves with their carry in a later stage."""
+        graph = self.graph
+        first, *others = sorted(terms, key=lambda t: t.shift)
+        if len(others) == 1 and first.shift == 0 and first.sign > 0:
+            cut = others[0].shift
+            if cut and constant % (1 << cut) == 0 and first.node.bits > cut:  # the lowest bits are there already
+                upper = [Term(1, 0, graph.right(first.node, cut)), others[0]._replace(shift=0)]
+                return self._joined(self._total(upper, constant >> cut, bits - cut), first.node, cut)
+        cut = (made + 1) // 2
+        if cut < 8:
+            return self._sum(terms, constant, node)
+        lower = [t._replace(node=graph.wrap(t.node, cut - t.shift, False)) for t in terms if t.shift < cut]
+        upper = [
+            Term(t.sign, 0, graph.right(t.node, cut - t.shift)) if t.shift < cut else t._replace(shift=t.shift - cut)
+            for t in terms
+        ]
+        below = self._total(lower, constant & ((1 << cut) - 1), cut + 2)
+        upper = [t for t in (*upper, Term(1, 0, graph.right(below, cut))) if not t.node.is_constant(0)]
+        return self._joined(self._total(upper, constant >> cut, bits - cut), below, cut)
+
+    def _joined(self, upper: Node, lower: Node, bits: int) -> Node:
+        return self.graph.make("join", upper, self.graph.wrap(lower, bits, False), imm=bits)
+
+
+def _side_by_side(graph: Graph, terms: list[Term]) -> list[Term]:
+    """Join words that do not overlap: where one ends before the other begins nothing has to be added."""
+    for upper in terms:
+        for lower in terms:
+            fits = upper.shift - lower.shift >= lower.node.bits and lower.node.low >= 0
+            if fits and upper.sign > 0 and lower.sign > 0:
+                joined = graph.make("join", upper.node, lower.node, imm=upper.shift - lower.shift)
+                rest = [t for t in terms if t is not upper and t is not lower]
+                return _side_by_side(graph, [*rest, Term(1, lower.shift, joined)])
+    return terms
+
+
+def signed_digits(value: int) -> list[tuple[int, int]]:
+    """Return a constant as few powers of two: their signs and exponents."""
+    digits, shift = [], 0
+    while value:
+        if value & 1:
+            digit = 2 - (value & 3)
+            digits.append((digit, shift))
+            value -= digit
+        value >>= 1
+        shift += 1
+    return digits

@@ -1,0 +1,130 @@
+"""What the operations of a graph mean: of integers, of ranges of them, and of arrays of few of them.
+
+A node is a mathematical integer, which never overflows; ``wrap`` is where a word does. ``imm`` is what an operation
+has besides its arguments: a constant's value, a shift, ``(bits, signed)`` of a wrap, the entries of a table.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from pearl_marl.compiler.graph import Node
+
+Range = tuple[int, int]
+
+
+def word_range(bits: int, signed: bool) -> Range:
+    """Return the least and the greatest value of a word."""
+    return (-(1 << bits - 1), (1 << bits - 1) - 1) if signed else (0, (1 << bits) - 1)
+
+
+def bits_of(low: int, high: int) -> int:
+    """Return the width that holds a range, with a sign's bit if it begins below 0."""
+    if low >= 0:
+        return max(1, high.bit_length())
+    return max((-low - 1).bit_length(), max(high, 0).bit_length()) + 1
+
+
+def wrapped(value: int, bits: int, signed: bool) -> int:
+    """Return a value modulo ``2**bits``."""
+    low, _ = word_range(bits, signed)
+    return (value - low) % (1 << bits) + low
+
+
+def _product(_: Any, a: Node, b: Node) -> Range:
+    ends = [x * y for x in (a.low, a.high) for y in (b.low, b.high)]
+    if a is b:
+        return (0 if a.low <= 0 <= a.high else min(ends[0], ends[3])), max(ends)
+    return min(ends), max(ends)
+
+
+def _logic(op: str) -> Callable[..., Range]:
+    def result(_: Any, a: Node, b: Node) -> Range:
+        if op == "and" and (a.low >= 0 or b.low >= 0):
+            return 0, min(x.high for x in (a, b) if x.low >= 0)
+        ones = (1 << max(bits_of(min(x.low, 0), max(x.high, ~x.low)) - (x.low < 0) for x in (a, b))) - 1
+        if a.low >= 0 and b.low >= 0:
+            return (max(a.low, b.low) if op == "or" else 0), ones
+        return ~ones, ones
+
+    return result
+
+
+def _sum(imm: Any, *args: Node) -> Range:
+    constant, weights = imm
+    low = sum((x.low if sign > 0 else -x.high) << shift for (sign, shift), x in zip(weights, args, strict=True))
+    high = sum((x.high if sign > 0 else -x.low) << shift for (sign, shift), x in zip(weights, args, strict=True))
+    return low + constant, high + constant
+
+
+def _left(_: Any, a: Node, by: Node) -> Range:
+    return min(a.low << by.low, a.low << by.high), max(a.high << by.low, a.high << by.high)
+
+
+def _right(_: Any, a: Node, by: Node) -> Range:
+    return min(a.low >> by.low, a.low >> by.high), max(a.high >> by.low, a.high >> by.high)
+
+
+RANGES: dict[str, Callable[..., Range]] = {
+    "add": lambda _, a, b: (a.low + b.low, a.high + b.high),
+    "sub": lambda _, a, b: (a.low - b.high, a.high - b.low),
+    "mul": _product,
+    "divide": lambda by, a: (a.low // by, a.high // by),
+    "and": _logic("and"),
+    "or": _logic("or"),
+    "xor": _logic("xor"),
+    "invert": lambda _, a: (~a.high, ~a.low),
+    "not": lambda _, a: (0, 1),
+    "mask": lambda _, a: (-1, 0),
+    "left": lambda by, a: (a.low << by, a.high << by),
+    "right": lambda by, a: (a.low >> by, a.high >> by),
+    "left_by": _left,
+    "right_by": _right,
+    "equal": lambda _, a, b: (0, 1),
+    "less": lambda _, a, b: (0, 1),
+    "choose": lambda _, c, a, b: (min(a.low, b.low), max(a.high, b.high)),
+    "table": lambda entries, i: (min(entries), max(entries)),
+    "wrap": lambda imm, a: word_range(*imm),
+    # What lowering makes of the above.
+    "sum": _sum,
+    "join": lambda bits, a, b: (a.low << bits, (a.high << bits) + (1 << bits) - 1),
+}
+"""The range of a result, of ``imm`` and the arguments."""
+
+
+def _wrap(imm: Any, a: Any) -> Any:
+    bits, signed = imm
+    low, _ = word_range(bits, signed)
+    return ((a - low) & ((1 << bits) - 1)) + low
+
+
+VALUES: dict[str, Callable[..., Any]] = {
+    "add": lambda _, a, b: a + b,
+    "sub": lambda _, a, b: a - b,
+    "mul": lambda _, a, b: a * b,
+    "divide": lambda by, a: a // by,
+    "and": lambda _, a, b: a & b,
+    "or": lambda _, a, b: a | b,
+    "xor": lambda _, a, b: a ^ b,
+    "invert": lambda _, a: ~a,
+    "not": lambda _, a: 1 - a,
+    "mask": lambda _, a: -a,
+    "left": lambda by, a: a << by,
+    "right": lambda by, a: a >> by,
+    "left_by": lambda _, a, by: a << by,
+    "right_by": lambda _, a, by: a >> by,
+    "equal": lambda _, a, b: 1 * (a == b),
+    "less": lambda _, a, b: 1 * (a < b),
+    "choose": lambda _, c, a, b: np.where(c == 1, a, b) if isinstance(c, np.ndarray) else (a if c else b),
+    "table": lambda entries, i: np.array(entries)[i] if isinstance(i, np.ndarray) else entries[i],
+    "wrap": _wrap,
+    "sum": lambda imm, *args: sum(
+        (s * (x << k) for (s, k), x in zip(imm[1], args, strict=True)), start=imm[0]
+    ),
+    "join": lambda bits, a, b: (a << bits) + (b & ((1 << bits) - 1)),
+}
+"""The result itself, of Python integers or of arrays of ``int64`` that are small enough."""

@@ -1,0 +1,96 @@
+"""What hardware a core is made for: how long its operations take, and how wide its multipliers are.
+
+Times are those of the slowest speed grade, with a share for routing, in ns. They are rough: they decide where stages
+are cut, and placement has the last word.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from pearl_marl.compiler.graph import Node
+
+
+@dataclass(frozen=True, slots=True)
+class Family:
+    """The operations of a family of FPGAs."""
+
+    register: float
+    """From a register's clock to its output, and the set-up time of the next."""
+    level: float
+    """A table of four inputs, and the way to it."""
+    carry: float
+    """A bit of a carry chain."""
+    chain: float
+    """To enter and leave one."""
+    multiplier: tuple[int, int]
+    """Bits of a multiplier's two words, without signs."""
+
+
+FAMILIES = {
+    "ecp5": Family(register=1.0, level=1.0, carry=0.045, chain=0.9, multiplier=(17, 17)),
+    "xc7": Family(register=0.9, level=0.8, carry=0.03, chain=0.9, multiplier=(24, 17)),
+    "gowin": Family(register=1.0, level=1.1, carry=0.05, chain=1.0, multiplier=(17, 17)),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Target:
+    """A family at a clock."""
+
+    family: Family
+    mhz: float
+
+    @property
+    def budget(self) -> float:
+        """What a stage's operations may take together."""
+        return 1000 / self.mhz - self.family.register
+
+    def addition(self, terms: int, bits: int) -> float:
+        """Return how long a sum of words takes: a tree that leaves two, and a carry chain."""
+        tree = math.ceil(math.log(terms / 2) / math.log(1.5)) * 0.9 * self.family.level if terms > 2 else 0.0
+        if bits <= 3:
+            return tree + 0.45 * bits * self.family.level
+        return tree + self.family.chain + self.family.carry * bits
+
+    def delay(self, node: Node, bits: int) -> float:
+        """Return how long an operation takes whose result has so many bits."""
+        level = self.family.level
+        match node.op:
+            case "input":
+                return level
+            case "mul":
+                return self.budget
+            case "and" | "or":
+                return 0.5 * level
+            case "xor":
+                return 0.55 * level
+            case "choose":
+                return 0.75 * level + (min(0.6, 0.02 * bits) if bits > 4 else 0)
+            case "equal":
+                wide = max(a.bits for a in node.args)
+                return level * max(0.6, math.log(wide if node.args[1].op == "constant" else 2 * wide, 4))
+            case "less" | "sum" if is_small(node, bits):
+                return 1.1 * level
+            case "less":
+                wide = max(a.bits for a in node.args)
+                if wide <= 5:
+                    return level * math.log(wide if "constant" in {a.op for a in node.args} else 2 * wide, 4)
+                return self.family.chain + self.family.carry * wide
+            case "sum":
+                constant, weights = node.imm
+                terms = sum(a.bits > 1 for a in node.args)
+                terms += constant != 0 and terms > 1
+                return self.addition(terms, bits - min(shift for _, shift in weights))
+            case "left_by" | "right_by":
+                return 0.8 * level * node.args[1].bits
+            case "table":
+                return level * max(1, math.log(len(node.imm), 6))
+        return 0.0
+
+
+def is_small(node: Node, bits: int) -> bool:
+    """Return whether a sum or comparison is so small that a table is better than a carry chain."""
+    inputs = {a for a in node.args if a.op != "constant"}
+    return sum(a.bits for a in inputs) <= 6 and bits <= 6 and (node.op == "less" or bits > 1)

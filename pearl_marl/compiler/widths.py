@@ -1,0 +1,76 @@
+"""Which bits of a node somebody uses."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+
+from pearl_marl.compiler.graph import Node
+
+WIRES = frozenset({"wrap", "left", "right", "join", "mask", "not", "invert"})
+"""Operations that take no logic: which wire goes where, and inversions that tables take in."""
+
+
+def used_bits(order: Sequence[Node], outputs: Iterable[tuple[Node, int]]) -> dict[Node, int]:
+    """Return the bits of each node that its users look at, given the outputs and their widths."""
+    used = dict.fromkeys(order, 0)
+
+    def ask(node: Node, bits: int) -> None:
+        bits &= (1 << node.bits) - 1 if node.low < 0 else node.ones
+        used[node] |= bits
+
+    def ask_signed(node: Node, bits: int) -> None:
+        """Ask for bits of which those beyond the sign are the sign."""
+        if node.low < 0 and bits >> node.bits:
+            bits |= 1 << (node.bits - 1)
+        ask(node, bits)
+
+    for node, bits in outputs:
+        ask_signed(node, (1 << bits) - 1)
+    for node in reversed(order):
+        bits = used[node]
+        full = (1 << bits.bit_length()) - 1
+        match node.op:
+            case "add" | "sub" | "mul":
+                for arg in node.args:
+                    ask_signed(arg, full)
+            case "sum":
+                for (_, shift), arg in zip(node.imm[1], node.args, strict=True):
+                    ask_signed(arg, full >> shift)
+            case "and":
+                a, b = node.args
+                for x, y in ((a, b), (b, a)):
+                    ask_signed(x, bits & (y.ones if y.low >= 0 else y.imm if y.is_constant() else -1))
+            case "or" | "xor":
+                for arg in node.args:
+                    ask_signed(arg, bits)
+            case "invert":
+                ask_signed(node.args[0], bits)
+            case "choose":
+                ask(node.args[0], 1)
+                for arg in node.args[1:]:
+                    ask_signed(arg, bits)
+            case "wrap":
+                wide = node.imm[0]
+                kept = bits & ((1 << wide) - 1)
+                ask_signed(node.args[0], kept | (1 << (wide - 1) if bits >> wide else 0))
+            case "left":
+                ask_signed(node.args[0], bits >> node.imm)
+            case "right":
+                ask_signed(node.args[0], bits << node.imm)
+            case "join":
+                ask_signed(node.args[0], bits >> node.imm)
+                ask(node.args[1], bits & ((1 << node.imm) - 1))
+            case "mask" | "not":
+                ask(node.args[0], 1)
+            case "left_by":
+                ask_signed(node.args[0], full)
+                ask(node.args[1], -1)
+            case _:
+                for arg in node.args:
+                    ask(arg, -1)
+    return used
+
+
+def width(node: Node, used: Mapping[Node, int]) -> int:
+    """Return how many bits of a node are made: those up to the highest that is used."""
+    return max(1, used[node].bit_length())
