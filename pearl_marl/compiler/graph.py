@@ -51,7 +51,7 @@ class Node:
     """Where in the author's file it was made."""
 
     def __repr__(self) -> str:
-        return f"{self.name or self.op}_{self.number}[{self.low}..{self.high}]"
+        return f"{self.name or (self.imm if self.op == 'input' else self.op)}_{self.number}[{self.low}..{self.high}]"
 
     @property
     def bits(self) -> int:
@@ -94,7 +94,6 @@ class Graph:
         if key not in self._nodes:
             low, high = word_range(bits, signed)
             node = self._nodes[key] = self._new("input", (), name, (low, high), high)
-            node.name = name
             self.free(node)
         return self._nodes[key]
 

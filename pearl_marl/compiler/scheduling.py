@@ -1,0 +1,131 @@
+"""In which stage of the pipeline each operation is done.
+
+Two operations that are too long for one stage together are a stage apart. Of all the schedules of the least latency
+that is the one with the fewest register bits: a linear programme of differences, whose solution is whole by itself.
+"""
+
+from __future__ import annotations
+
+import heapq
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+from pearl_marl.compiler.core_graph import Output
+from pearl_marl.compiler.graph import Node, in_order
+from pearl_marl.compiler.targets import Target
+from pearl_marl.compiler.widths import WIRES, used_bits, width
+from pearl_marl.errors import DeviceError
+
+
+class Schedule(NamedTuple):
+    """When operations are done. Wires and constants are in no stage: they are wherever they are used."""
+
+    order: list[Node]
+    """The operations, each after what it is made of."""
+    used: Mapping[Node, int]
+    """The bits of each node that somebody uses."""
+    stage: Mapping[Node, int]
+    last: Mapping[Node, int]
+    """The last stage in which somebody uses it."""
+    latency: int
+
+    @property
+    def register_bits(self) -> int:
+        """How many bits are kept from a stage to the next, all stages together."""
+        return sum(self.used[n].bit_count() * (self.last[n] - self.stage[n]) for n in self.order)
+
+
+def scheduled(outputs: Sequence[Output], target: Target) -> Schedule:
+    """Return the schedule of a lowered core."""
+    whole = in_order(o.node for o in outputs)
+    used = used_bits(whole, [(o.node, o.bits) for o in outputs])
+    sources: dict[Node, list[Node]] = {}
+    for node in whole:
+        sources[node] = (
+            [node] if node.op not in WIRES and node.args or node.op == "input"
+            else list(dict.fromkeys(s for a in node.args for s in sources[a]))
+        )
+    order = [n for n in whole if sources[n] == [n]]
+    number = {n: i for i, n in enumerate(order)}
+    arguments = [sorted({number[s] for a in n.args for s in sources[a]}) for n in order]
+    delays = [target.delay(n, width(n, used)) for n in order]
+    ends = {number[s] for o in outputs for s in sources[o.node]}
+    apart = _too_far(arguments, delays, target.budget)
+    early = [0] * len(order)
+    for j, below in enumerate(arguments):
+        early[j] = max([0, *(early[i] for i in below), *(early[i] + 1 for i in apart[j])])
+    latency = max((early[i] for i in ends), default=0) + 1
+    bits = [used[n].bit_count() for n in order]
+    stage = _fewest_registers(order, arguments, apart, ends, bits, latency)
+    last = list(stage)
+    for j, below in enumerate(arguments):
+        for i in below:
+            last[i] = max(last[i], stage[j])
+    for i in ends:
+        last[i] = latency
+    return Schedule(order, used, dict(zip(order, stage, strict=True)), dict(zip(order, last, strict=True)), latency)
+
+
+def _too_far(arguments: Sequence[Sequence[int]], delays: Sequence[float], budget: float) -> list[list[int]]:
+    """Return for each operation those before it that have to be in an earlier stage."""
+    users: list[list[int]] = [[] for _ in arguments]
+    for j, below in enumerate(arguments):
+        for i in below:
+            users[i].append(j)
+    apart: list[list[int]] = [[] for _ in arguments]
+    for i in range(len(arguments)):
+        longest, queue, done = {i: delays[i]}, [i], set()
+        while queue:
+            j = heapq.heappop(queue)
+            if j in done:
+                continue
+            done.add(j)
+            if j != i and longest[j] > budget + 1e-9:
+                apart[j].append(i)
+                continue  # what is beyond it is further still
+            for k in users[j]:
+                longest[k] = max(longest.get(k, 0.0), longest[j] + delays[k])
+                heapq.heappush(queue, k)
+    return apart
+
+
+def _fewest_registers(
+    order: Sequence[Node],
+    arguments: Sequence[Sequence[int]],
+    apart: Sequence[Sequence[int]],
+    ends: set[int],
+    bits: Sequence[int],
+    latency: int,
+) -> list[int]:
+    """Return the stage of each operation, of ``latency`` stages and the outputs' registers after them."""
+    try:
+        from scipy.optimize import linprog
+        from scipy.sparse import coo_array
+    except ModuleNotFoundError as error:
+        raise DeviceError(
+            f"generating a core needs the Python package {error.name}; install it with: pip install 'pearl-marl[rtl]'"
+        ) from None
+    count = len(order)
+    rows: list[tuple[list[tuple[int, float]], float]] = []
+    for j, below in enumerate(arguments):
+        for i in below:
+            rows.append(([(i, 1), (j, -1)], 0))  # after its arguments
+            rows.append(([(j, 1), (count + i, -1)], 0))  # which are kept until then
+        rows += (([(i, 1), (j, -1)], -1) for i in apart[j])
+    rows += (([(i, 1), (count + i, -1)], 0) for i in range(count))
+    cells = defaultdict(list)
+    for number, (terms, _) in enumerate(rows):
+        for column, value in terms:
+            cells["value"].append(value)
+            cells["row"].append(number)
+            cells["column"].append(column)
+    matrix = coo_array((cells["value"], (cells["row"], cells["column"])), shape=(len(rows), 2 * count))
+    # A little for being late, so that of equally good schedules it is always the same one.
+    cost = [1e-4 - (b + 1e-2) for b in bits] + [b + 1e-2 for b in bits]
+    bounds = [(0, 0 if n.op == "input" else latency - 1) for n in order]
+    bounds += [(latency if i in ends else 0, latency) for i in range(count)]
+    found = linprog(cost, matrix.tocsr(), [limit for _, limit in rows], bounds=bounds, method="highs")
+    if found.status != 0:
+        raise DeviceError(f"the stages of the core could not be found: {found.message}")
+    return [round(value) for value in found.x[:count]]
