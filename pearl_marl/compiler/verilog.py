@@ -198,6 +198,8 @@ class _Body:
             count(node)
         for output in self.outputs:
             uses[output.node] += 1
+            if output.node.op in WIRES:
+                count(output.node)
         depth: dict[Node, int] = {}
         for node in self.schedule.order:
             depth[node] = 1 + max((depth[a] for a in node.args if a in self.inlined), default=0)
