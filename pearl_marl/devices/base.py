@@ -2,11 +2,9 @@
 
 ::
 
-    Device(...)  --open(spec, n_envs, ...)-->  open  --reset(seed)-->  ready  --step(actions)-->  ...
+    Device(...)  --open(config)-->  open  --reset(seed)-->  ready  --step(actions)-->  ...
 
-:class:`Device` does what all devices share (order of calls, checks, seeds, saved states, ``send``
-and ``recv``); a subclass moves the slots. What is kept for a failure, a device owns: see
-:mod:`pearl_marl.devices.recovery`.
+:class:`Device` does what all devices share; a subclass moves the slots.
 """
 
 from __future__ import annotations
@@ -14,6 +12,7 @@ from __future__ import annotations
 import secrets
 import time
 from abc import ABC, abstractmethod
+from concurrent.futures import Future
 from dataclasses import replace
 from typing import Any, Self
 
@@ -27,9 +26,8 @@ from pearl_marl.batch.config import BatchConfig
 from pearl_marl.batch.saved_state import SavedState
 from pearl_marl.batch.slot_memory import SlotMemory
 from pearl_marl.batch.step import Array, BatchStep
-from pearl_marl.devices.copies import unopened
-from pearl_marl.devices.recovery import Position, Recovery
-from pearl_marl.devices.threads import StepUnderWay
+from pearl_marl.devices.recovery import CheckpointLog, Position
+from pearl_marl.devices.threads import Threads
 from pearl_marl.errors import ArgumentError, DeviceError, OrderError
 
 
@@ -46,7 +44,7 @@ class Device(ABC):
     seed, tick
         The position in the random numbers: see :mod:`pearl_marl.rng`.
     reward_table
-        The reward of every word of the reward field: see :mod:`pearl_marl.batch.rewards`.
+        The reward of every word of the reward field.
     made_with
         The attributes that it had before it was opened, which are the settings of a copy.
     """
@@ -54,28 +52,33 @@ class Device(ABC):
     name: str
     """As users write it, for example ``"native"``."""
 
+    tensors = False
+    """Whether results are tensors on a GPU rather than NumPy arrays."""
+
+    words_compared: int | None = None
+    """How many words have been compared with another device's; ``None`` where none are."""
+
     checkpoint_every: int | None = None
     """Steps between two states that are kept for :meth:`recover`; ``None`` keeps nothing."""
+
+    recovery_type: type[CheckpointLog] | None = None
+    """What keeps them; ``None`` where nothing can fail under way."""
+
+    recovery: CheckpointLog | None = None
+    """One of these, from :meth:`open` on."""
 
     known = True
     """Whether the slots are where the calls so far have brought them: not after a call failed under way."""
 
-    recovery: Recovery | None = None
-    """What is kept for :meth:`recover`, from :meth:`open` on; ``None`` where nothing can fail under way."""
+    under_way: tuple[Any, Future[BatchStep]] | None = None
+    """Between :meth:`send` and :meth:`recv`: the step's words, and what will have its results."""
 
     config: BatchConfig
     _closed = False
     _ready = False
 
     def open(self, config: BatchConfig, rewards: npt.ArrayLike | None = None) -> Self:
-        """Take up a batch of slots.
-
-        Parameters
-        ----------
-        config
-            What to step.
-        rewards
-            Replaces the environment's reward table: see :meth:`set_rewards`.
+        """Take up a batch of slots; ``rewards`` replaces its reward table, as :meth:`set_rewards` does.
 
         Raises
         ------
@@ -94,8 +97,9 @@ class Device(ABC):
         self.seed = (0, 0)
         self.tick = 0
         self._actions = np.empty(config.n_envs, config.spec.action.dtype)
-        self.under_way = StepUnderWay(f"pearl-{self.name}", self._actions)
-        self.recovery = self._make_recovery()
+        self._thread = Threads(1, f"pearl-{self.name}")
+        if self.recovery_type is not None:
+            self.recovery = self.recovery_type(self.checkpoint_every)
         if rewards is not None:
             try:
                 self._apply_rewards(rewards)
@@ -164,7 +168,7 @@ class Device(ABC):
         OrderError
             Before the first reset, after ``close``, or between ``send`` and ``recv``.
         """
-        if not self._ready or self.under_way.pending is not None:
+        if not self._ready or self.under_way is not None:
             self.check_idle("step", ready=True)
         return self.step_words(self.encoded(actions))
 
@@ -188,9 +192,14 @@ class Device(ABC):
 
     def recv(self) -> BatchStep:
         """Wait for the step that :meth:`send` started and return its results."""
-        if not hasattr(self, "under_way") or self.under_way.pending is None:
+        if self.under_way is None:
             raise OrderError("recv() without a step under way: call send() first")
-        words, result = self.under_way.finish()
+        words, step = self.under_way
+        try:
+            result = step.result()
+        finally:
+            if step.done():  # or Ctrl-C came first, and the step is still under way
+                self.under_way = None
         self._after("step_words", words)
         self.tick += 1
         return result
@@ -200,13 +209,7 @@ class Device(ABC):
         return encode(actions, self.config.spec, self._actions, self.config.first_slot)
 
     def set_rewards(self, table: npt.ArrayLike) -> None:
-        """Replace the reward table, from the next step on.
-
-        Parameters
-        ----------
-        table
-            Finite numbers, as many as the environment has reward categories.
-        """
+        """Replace the reward table, from the next step on: a finite number for each reward category."""
         self.check_idle("set_rewards")
         padded = reward_tables.reward_table(self.config.spec, table)
         self._before("set_rewards")
@@ -221,18 +224,8 @@ class Device(ABC):
         return self.reward_table[: len(self.config.spec.rewards or ())].copy()
 
     @property
-    def tensors(self) -> bool:
-        """Whether results are tensors on a GPU rather than NumPy arrays."""
-        return False
-
-    @property
     def cycles(self) -> int | None:
         """Clock cycles that the last step took in the hardware; ``None`` where there is none."""
-        return None
-
-    @property
-    def words_compared(self) -> int | None:
-        """How many words have been compared with another device's; ``None`` where none are."""
         return None
 
     @property
@@ -307,11 +300,7 @@ class Device(ABC):
             self.recovery.recover(self)
 
     def set_max_cycles(self, max_cycles: int | None) -> None:
-        """Replace the time limit, from the next step on; see :class:`BatchConfig`.
-
-        Steps are counted only while there is a limit: where there was none, every episode counts
-        from now.
-        """
+        """Replace the time limit, from the next step on; where there was none, steps count from now."""
         self.check_idle("set_max_cycles")
         config = replace(self.config, max_cycles=max_cycles)
         self._before("set_max_cycles")
@@ -320,13 +309,10 @@ class Device(ABC):
         self._after("set_max_cycles", max_cycles)
 
     def timed(self) -> dict[str, float]:
-        """Time every step from now on.
+        """Time every step from now on; return where each step writes the seconds of its stages.
 
-        Returns
-        -------
-        The seconds of the last step's stages, by the names of :data:`~pearl_marl.devices.transport.STAGES`; a
-        device without a link to hardware has ``"compute"`` alone. Each step writes them anew. What is kept
-        for :meth:`recover` is not among them.
+        They are named as in :data:`~pearl_marl.devices.transport.STAGES`; a device without a link to hardware
+        has ``"compute"`` alone. What is kept for :meth:`recover` is not among them.
         """
         self.check_idle("timed")
         seconds: dict[str, float] = {}
@@ -335,7 +321,7 @@ class Device(ABC):
         def timed_step(words: Array) -> BatchStep:
             began = time.perf_counter()
             result = step(words)
-            seconds["compute"] = time.perf_counter() - began
+            seconds.update(self._stages(began, time.perf_counter()))
             return result
 
         setattr(self, "_step", timed_step)  # noqa: B010, as mypy takes methods for constants
@@ -347,7 +333,7 @@ class Device(ABC):
             return
         self._closed, self._ready = True, False
         if hasattr(self, "config"):
-            self.under_way.close()
+            self._thread.close()
             self._close()
 
     @property
@@ -373,7 +359,7 @@ class Device(ABC):
             raise OrderError(f"{call}() before open(): this {self.name} device has no batch yet")
         if ready and not self._ready:
             raise OrderError(f"{call}() before reset(): call reset() first")
-        if self.under_way.pending is not None:
+        if self.under_way is not None:
             raise OrderError(f"{call}() between send() and recv(): call recv() first")
 
     def check_known(self) -> None:
@@ -399,7 +385,7 @@ class Device(ABC):
         if not hasattr(self, "config"):
             return {"settings": self.__dict__}
         saved = self.snapshot() if self._ready else None
-        settings = {name: unopened(value) for name, value in self.made_with.items()}
+        settings = {name: _unopened(value) for name, value in self.made_with.items()}
         return {"settings": settings, "config": self.config, "rewards": self.reward_table, "saved": saved}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -414,10 +400,6 @@ class Device(ABC):
     def _open(self, config: BatchConfig) -> None:
         """Get ready to step the slots of ``config``, or raise DeviceError."""
 
-    def _make_recovery(self) -> Recovery | None:
-        """Return what is kept for :meth:`recover`; ``None`` where nothing can fail under way."""
-        return None
-
     @abstractmethod
     def _reset(self, mask: Array | None, seed: int | None) -> Array:
         """Start the masked slots (all, if ``None``) at ``tick``; return all observations.
@@ -431,7 +413,13 @@ class Device(ABC):
 
     def _begin(self, words: Array) -> None:
         """Start a step whose results :meth:`recv` will ask for."""
-        self.under_way.begin(self._step, words)
+        if words is not self._actions:  # the caller may change his own
+            self._actions[:] = words
+        self.under_way = self._actions, self._thread.submit(self._step, self._actions)
+
+    def _stages(self, began: float, ended: float) -> dict[str, float]:
+        """Return the seconds of the last step's stages; it took from ``began`` to ``ended``."""
+        return {"compute": ended - began}
 
     @abstractmethod
     def _read(self) -> tuple[Array, Array]:
@@ -455,3 +443,23 @@ class Device(ABC):
     @abstractmethod
     def _close(self) -> None:
         """Release everything; called once."""
+
+
+def count_or_none(name: str, value: Any) -> int | None:
+    """Return a setting that is a positive integer or ``None``; refuse what is neither."""
+    if value is None:
+        return None
+    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < 1:
+        raise ArgumentError(f"{name} is {value!r}; it must be a positive integer or None")
+    return int(value)
+
+
+def _unopened(setting: Any) -> Any:
+    """Return a setting of a device as it was when that was made: other devices in it without a batch."""
+    if isinstance(setting, list):
+        return [_unopened(value) for value in setting]
+    if not hasattr(setting, "made_with"):  # no device, or one that is not open
+        return setting
+    fresh = object.__new__(type(setting))
+    fresh.__dict__.update({name: _unopened(value) for name, value in setting.made_with.items()})
+    return fresh

@@ -13,6 +13,7 @@ kernel as the native device's, from the seed and the tick.
 
 from __future__ import annotations
 
+import itertools
 import mmap
 import time
 from abc import abstractmethod
@@ -26,7 +27,7 @@ from pearl_marl.batch.slot_memory import SlotMemory
 from pearl_marl.batch.step import Array, BatchStep
 from pearl_marl.compiler.kernels import compile_kernels
 from pearl_marl.devices.base import Device
-from pearl_marl.devices.transport import STAGES, Exchange, TimedTransport, Transport, word
+from pearl_marl.devices.transport import STAGES, Exchange, Transport, word
 from pearl_marl.errors import DeviceError
 from pearl_marl.hardware import elaboration
 from pearl_marl.hardware.build import Build
@@ -132,22 +133,13 @@ class CommBram(Device):
 
         ``"compute"`` lies between the end of the write and the beginning of the read that had the results.
         """
-        self.check_idle("timed")
-        self._transport = link = TimedTransport(self._transport)
-        seconds: dict[str, float] = {}
-        step = self._step
-
-        def timed_step(actions: Array) -> BatchStep:
-            began = time.perf_counter()
-            result = step(actions)
-            ended = time.perf_counter()
-            (writing, written), (reading, read) = link.written, link.read_back
-            lasted = (writing - began, written - writing, reading - written, read - reading, ended - read)
-            seconds.update(zip(STAGES, lasted, strict=True))
-            return result
-
-        setattr(self, "_step", timed_step)  # noqa: B010, as mypy takes methods for constants
+        seconds = super().timed()
+        self._transport.timed = True
         return seconds
+
+    def _stages(self, began: float, ended: float) -> dict[str, float]:
+        edges = itertools.pairwise((began, *self._transport.times, ended))
+        return {stage: end - begin for stage, (begin, end) in zip(STAGES, edges, strict=True)}
 
     def _reset(self, mask: Array | None, seed: int | None) -> Array:
         if mask is not None:

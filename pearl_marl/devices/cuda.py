@@ -9,6 +9,7 @@ from __future__ import annotations
 import warnings
 from bisect import bisect_right
 from collections.abc import Iterator
+from concurrent.futures import Future
 from contextlib import contextmanager
 from dataclasses import replace
 from importlib import import_module
@@ -61,11 +62,7 @@ class Cuda(Device):
         if results not in ("numpy", "torch"):
             raise ArgumentError(f"results is {results!r}; possible are 'numpy' and 'torch'")
         self.results = results
-
-    @property
-    def tensors(self) -> bool:
-        """Whether results are tensors on the GPU."""
-        return self.results == "torch"
+        self.tensors = results == "torch"
 
     def encoded(self, actions: Any) -> Any:
         """Return actions as a step takes them: words on the host, or what is on the GPU already."""
@@ -98,7 +95,7 @@ class Cuda(Device):
 
     def _open(self, config: BatchConfig) -> None:
         self._gpu = available()
-        self._torch = _torch() if self.results == "torch" else None
+        self._torch = _torch() if self.tensors else None
         self._next_step = config.autoreset_mode is AutoresetMode.NEXT_STEP
         spec, n = config.spec, config.n_envs
         with _failures():
@@ -182,7 +179,9 @@ class Cuda(Device):
 
     def _begin(self, words: Any) -> None:
         if isinstance(words, _OnGpu):  # queued here and now, as nothing waits for it
-            self.under_way.done(words, self._step(words))
+            results: Future[BatchStep] = Future()
+            results.set_result(self._step(words))
+            self.under_way = words, results
         else:
             super()._begin(words)
 

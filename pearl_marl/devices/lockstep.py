@@ -19,7 +19,7 @@ from pearl_marl.comparison.divergence import (
     state_words,
 )
 from pearl_marl.comparison.replay import Replay
-from pearl_marl.devices.base import Device
+from pearl_marl.devices.base import Device, count_or_none
 from pearl_marl.devices.by_name import make_host_device
 from pearl_marl.errors import ArgumentError, LockstepError, PearlError
 
@@ -58,16 +58,12 @@ class Lockstep(Device):
     def __init__(
         self, device: str | Device, reference: str | Device = "native", state_every: int | None = None
     ) -> None:
-        if state_every is not None and (
-            isinstance(state_every, bool) or not isinstance(state_every, int) or state_every < 1
-        ):
-            raise ArgumentError(f"state_every is {state_every!r}; it must be a positive integer or None")
+        self._asked = count_or_none("state_every", state_every)
         self.device, self.reference = make_host_device(device), make_host_device(reference)
         if self.device is self.reference:
             raise ArgumentError("a device is not its own reference: lockstep takes two")
         self.name = f"lockstep of {self.device.name} and {self.reference.name}"
-        self._words = 0
-        self._asked = state_every
+        self.words_compared: int = 0
 
     def recover(self) -> None:
         """Go on from the last call that succeeded on both devices; see :meth:`Device.recover`."""
@@ -89,11 +85,6 @@ class Lockstep(Device):
     def cycles(self) -> int | None:
         """Those of the device that is checked."""
         return self.device.cycles
-
-    @property
-    def words_compared(self) -> int:
-        """How many words have been compared."""
-        return self._words
 
     def _open(self, config: BatchConfig) -> None:
         self._every = self._asked or (1 if config.n_envs <= SMALL else STEPS_BETWEEN_STATES)
@@ -129,7 +120,7 @@ class Lockstep(Device):
         for words in observation_words(self.config.spec, "obs", ours, theirs):
             found.add(words)
         self._add_states(found)
-        self._words += found.words
+        self.words_compared += found.words
         if found:
             if previous is not None:
                 self._continue_from(previous)
@@ -145,7 +136,7 @@ class Lockstep(Device):
             found.add(words)
         if found or len(self._taken) >= self._every:
             self._add_states(found)
-        self._words += found.words
+        self.words_compared += found.words
         if found:
             self._diverged(found, undo=1)
         if len(self._taken) >= self._every:
@@ -178,7 +169,7 @@ class Lockstep(Device):
     def _compare_states(self) -> None:
         found = Comparison()
         self._add_states(found)
-        self._words += found.words
+        self.words_compared += found.words
         if found:
             self._diverged(found, undo=0)
         self._agreed()

@@ -36,8 +36,8 @@ from pearl_marl.compiler.kernel_source import kernel_source
 from pearl_marl.compiler.kernels import kernel_name
 from pearl_marl.devices import cluster
 from pearl_marl.devices.base import Device
-from pearl_marl.devices.by_name import make_host_device
-from pearl_marl.devices.recovery import CHECKPOINT_EVERY, CheckpointLog, Recovery
+from pearl_marl.devices.by_name import make_distinct
+from pearl_marl.devices.recovery import CHECKPOINT_EVERY, CheckpointLog
 from pearl_marl.devices.sharded import Sharded
 from pearl_marl.errors import ArgumentError, DeviceError
 from pearl_marl.spec import EnvSpec
@@ -49,6 +49,26 @@ TRIES = 3
 
 CLOSE_SECONDS = 10.0
 """How long a device may take to close before its actor is ended anyway."""
+
+
+class _ShardLogs(CheckpointLog):
+    """The logs of all shards: a call has succeeded only if it has on all of them."""
+
+    def before(self, device: Any, call: str) -> None:
+        """Mark the moment to go back to, unless there is one already."""
+        if device.known:
+            for part in device.parts:
+                part.recovery.mark()
+
+    def after(self, device: Any, call: str, *arguments: Any) -> None:
+        """Every shard has noted it in its own log."""
+
+    def recover(self, device: Any) -> None:
+        """Bring every shard to the mark; see :meth:`Device.recover`."""
+        self.before(device, "recover")
+        device.known = False
+        device.on_all(lambda part, _: part.recovery.rewind(part))
+        device.known = True
 
 
 class Ray(Sharded):
@@ -72,6 +92,8 @@ class Ray(Sharded):
         what is lost stays lost.
     """
 
+    recovery_type = _ShardLogs
+
     def __init__(
         self,
         shards: Sequence[str | Device],
@@ -79,11 +101,7 @@ class Ray(Sharded):
         resources: Mapping[str, float] | Sequence[Mapping[str, float] | None] | None = None,
         checkpoint_every: int | None = CHECKPOINT_EVERY,
     ) -> None:
-        if isinstance(shards, (str, Device)) or not len(shards):
-            raise ArgumentError(f"shards is {shards!r}; it must be a list of at least one device")
-        made = [make_host_device(shard) for shard in shards]
-        if len(set(map(id, made))) < len(made):
-            raise ArgumentError("the same device is among the shards twice; each is for one actor")
+        made = make_distinct("shards", shards, "each is for one actor")
         if any(isinstance(device, Ray) for device in made):
             raise ArgumentError("a shard of a Ray device is a Ray device itself: list its shards instead")
         if resources is None or isinstance(resources, Mapping):
@@ -100,58 +118,19 @@ class Ray(Sharded):
         self.part_checkpoint_every = self.checkpoint_every
         self.name = f"ray({', '.join(device.name for device in made)})"
 
-    def _make_recovery(self) -> Recovery:
-        return _ShardLogs()
-
     def _open_parts(self, config: BatchConfig) -> None:
         cluster.connect()
         self.on_all(partial(self.open_part, config))
 
 
-class _ShardLogs(Recovery):
-    """The logs of all shards: a call has succeeded only if it has on all of them."""
-
-    def before(self, device: Device, call: str) -> None:
-        """Mark the moment to go back to, unless there is one already."""
-        assert isinstance(device, Ray)
-        if device.known:
-            for part in device.parts:
-                _log(part).mark()
-
-    def after(self, device: Device, call: str, *arguments: Any) -> None:
-        """Every shard has noted it in its own log."""
-
-    def recover(self, device: Device) -> None:
-        """Bring every shard to the mark; see :meth:`Device.recover`."""
-        assert isinstance(device, Ray)
-        self.before(device, "recover")
-        device.known = False
-        device.on_all(lambda part, _: _log(part).rewind(part))
-        device.known = True
-
-
-def _log(shard: Device) -> CheckpointLog:
-    assert isinstance(shard.recovery, CheckpointLog)
-    return shard.recovery
-
-
 class _Shard(Device):
-    """A device that is in an actor, as a device here.
+    """A device that is in an actor, which holds ``resources``, as a device here."""
 
-    Parameters
-    ----------
-    device
-        What the actor opens, not open here.
-    resources
-        What the actor holds.
-    """
+    recovery_type = CheckpointLog
 
     def __init__(self, device: Device, resources: Mapping[str, float]) -> None:
         self.name = device.name
         self._device, self._resources = device, resources
-
-    def _make_recovery(self) -> Recovery:
-        return CheckpointLog(self.checkpoint_every)
 
     def _apply_rewards(self, table: npt.ArrayLike) -> None:
         self._ask("call", "set_rewards", np.array(table))
@@ -209,14 +188,9 @@ class _Shard(Device):
             self._drop()
 
     def _ask(self, call: str, *arguments: Any, anew: bool = False) -> Any:
-        """Make a call in the actor; if that is lost, in another one.
+        """Call a method of :class:`_Host` in the actor; if that is lost, in another one.
 
-        Parameters
-        ----------
-        call, *arguments
-            A method of :class:`_Host`.
-        anew
-            Whether what comes of it does not depend on what was before.
+        ``anew`` says that what comes of it does not depend on what was before.
         """
         for tries_left in reversed(range(TRIES)):
             try:

@@ -25,8 +25,9 @@ import zlib
 import numpy as np
 
 from pearl_marl.batch.config import BatchConfig
+from pearl_marl.devices.base import count_or_none
 from pearl_marl.devices.comm_bram import CommBram
-from pearl_marl.devices.recovery import CHECKPOINT_EVERY, CheckpointLog, Recovery, checked_every
+from pearl_marl.devices.recovery import CHECKPOINT_EVERY, CheckpointLog
 from pearl_marl.devices.transport import Exchange, Transport, word
 from pearl_marl.errors import DeviceError
 from pearl_marl.hardware.codec import Stream
@@ -174,6 +175,7 @@ class Serial(CommBram):
     """
 
     name = "serial"
+    recovery_type = CheckpointLog
 
     def __init__(
         self,
@@ -181,7 +183,7 @@ class Serial(CommBram):
         timeout: float = 1.0,
         checkpoint_every: int | None = CHECKPOINT_EVERY,
     ) -> None:
-        self.checkpoint_every = checked_every(checkpoint_every)
+        self.checkpoint_every = count_or_none("checkpoint_every", checkpoint_every)
         self._port, self._timeout = port, timeout
 
     def _connect(self, config: BatchConfig) -> tuple[Transport, MemoryMap]:
@@ -193,6 +195,3 @@ class Serial(CommBram):
         except BaseException:
             transport.close()
             raise
-
-    def _make_recovery(self) -> Recovery:
-        return CheckpointLog(self.checkpoint_every)

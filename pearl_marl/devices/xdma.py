@@ -13,8 +13,9 @@ from typing import ClassVar
 import numpy as np
 
 from pearl_marl.batch.config import BatchConfig
+from pearl_marl.devices.base import count_or_none
 from pearl_marl.devices.comm_bram import CommBram
-from pearl_marl.devices.recovery import CHECKPOINT_EVERY, CheckpointLog, Recovery, checked_every
+from pearl_marl.devices.recovery import CHECKPOINT_EVERY, CheckpointLog
 from pearl_marl.devices.transport import Transport
 from pearl_marl.devices.xdma_transport import COMPLETIONS, XdmaTransport
 from pearl_marl.errors import ArgumentError
@@ -39,6 +40,7 @@ class Xdma(CommBram):
     """
 
     name = "xdma"
+    recovery_type = CheckpointLog
     transport_type: ClassVar[type[XdmaTransport]] = XdmaTransport
     """What moves the bytes; tests put links that fail in its place."""
 
@@ -49,7 +51,7 @@ class Xdma(CommBram):
         timeout: float = 10.0,
         checkpoint_every: int | None = CHECKPOINT_EVERY,
     ) -> None:
-        self.checkpoint_every = checked_every(checkpoint_every)
+        self.checkpoint_every = count_or_none("checkpoint_every", checkpoint_every)
         if isinstance(board, (int, np.integer)):
             if isinstance(board, bool) or board < 0:
                 raise ArgumentError(f"board is {board!r}; it must be a number from 0 on, or a folder")
@@ -73,9 +75,6 @@ class Xdma(CommBram):
             raise
         transport.recoverable = True
         return transport, layout
-
-    def _make_recovery(self) -> Recovery:
-        return CheckpointLog(self.checkpoint_every)
 
 
 def _layout_of(transport: Transport, config: BatchConfig) -> MemoryMap:

@@ -78,8 +78,11 @@ class Simulation(Transport):
         self._check(self._functions.pearl_wait(self._host))
 
     def exchange(self, step: Exchange) -> None:
-        """Do a whole step in one call."""
-        self.step(step.write_at, step.data, step.read_at, step.answer)
+        """Do a whole step in one call, unless its stages are timed."""
+        if self.timed:
+            super().exchange(step)
+        else:
+            self.step(step.write_at, step.data, step.read_at, step.answer)
 
     def step(self, offset: int, data: Stream, answer_offset: int, answer: Stream) -> None:
         """Write, clock until the interrupt, and read, in one call."""
