@@ -63,8 +63,13 @@ class SavedState:
         first, n = self.identity["first_slot"], self.identity["n_agents"]
         here = {"n_agents": slots.stop - slots.start, "first_slot": first + slots.start}
 
-        def part(memory: Bytes) -> Bytes:  # there may be no stored initial states
-            return SlotMemory(spec, n, memory).cut(slots).bytes if memory.size else memory
+        def part(memory: Bytes) -> Bytes:
+            if not memory.size:  # there may be no stored initial states
+                return memory
+            whole, share = SlotMemory(spec, n, memory), SlotMemory(spec, here["n_agents"])
+            for name, column in share.columns.items():
+                column[:] = whole.columns[name][slots]
+            return share.bytes
 
         return replace(
             self,
@@ -83,8 +88,11 @@ class SavedState:
             shares = [getattr(part, name) for part in parts]
             if not shares[0].size:
                 return shares[0]  # type: ignore[no-any-return]
-            memories = [SlotMemory(spec, n, share) for n, share in zip(sizes, shares, strict=True)]
-            return SlotMemory.join(memories).bytes
+            columns = [SlotMemory(spec, n, share).columns for n, share in zip(sizes, shares, strict=True)]
+            memory = SlotMemory(spec, sum(sizes))
+            for name, column in memory.columns.items():
+                np.concatenate([share[name] for share in columns], out=column)
+            return memory.bytes
 
         return replace(
             parts[0],
@@ -103,9 +111,8 @@ class SavedState:
         header = {"identity": self.identity, "seed": self.seed, "tick": self.tick, "rewards": self.rewards}
         header["lengths"] = [len(getattr(self, name)) for name in _ARRAYS]
         head = json.dumps(header).encode()
-        body = (
-            struct.pack("<Q", len(head)) + head + b"".join(getattr(self, name).tobytes() for name in _ARRAYS)
-        )
+        arrays = (getattr(self, name).tobytes() for name in _ARRAYS)
+        body = b"".join([struct.pack("<Q", len(head)), head, *arrays])
         return _MAGIC + _VERSION + struct.pack("<I", zlib.crc32(body)) + body
 
     @classmethod

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import asdict, dataclass
 from typing import Any, NamedTuple, Self
 
@@ -128,10 +128,7 @@ def observation_words(
     spec: EnvSpec, name: str, device: Array, reference: Array, where: Array | None = None
 ) -> Iterator[Words]:
     """Yield the words of an array of observations: one, or as many as the observation has fields."""
-    if device.shape != reference.shape or reference.ndim == 1:
-        yield Words(name, device, reference, where)
-        return
-    if spec.unpack is not None:
+    if device.shape != reference.shape or reference.ndim == 1 or spec.unpack is not None:
         yield Words(name, device, reference, where)
         return
     device, reference = (array.reshape(len(array), -1) for array in (device, reference))
@@ -155,13 +152,7 @@ def state_of(spec: EnvSpec, n: int, saved: SavedState, i: int) -> dict[str, int]
 
 
 class Comparison:
-    """Compares words, counts them, and keeps those that differ.
-
-    Attributes
-    ----------
-    words
-        How many were compared.
-    """
+    """Compares words, and keeps those that differ; ``words`` counts how many were compared."""
 
     def __init__(self) -> None:
         self.words = 0
@@ -171,13 +162,16 @@ class Comparison:
         """Whether any word differed."""
         return bool(self._differing)
 
-    def add(self, words: Words) -> None:
-        """Compare every slot's word, or array of words."""
-        field, ours, theirs, where = words
+    def add(self, all_words: Iterable[Words]) -> None:
+        """Compare every slot's words."""
+        for words in all_words:
+            self._add(*words)
+
+    def _add(self, field: str, ours: Array, theirs: Array, where: Array | None) -> None:
         if ours.dtype != theirs.dtype or ours.shape != theirs.shape:
             unequal = np.arange(len(theirs)) == 0
             ours, theirs = (np.array([f"{a.dtype} of shape {a.shape}"]) for a in (ours, theirs))
-            words = words._replace(field=f"{field} array")
+            field += " array"
         else:
             # As integers: two floats may be equal and yet have other bits, or have the same and be unequal.
             bits = f"u{theirs.dtype.itemsize}"
@@ -190,7 +184,7 @@ class Comparison:
             place = f"[{', '.join(map(str, element))}]" if element else ""
             at: Any = (slice(None), *element)
             # Copies: a device may write its next results where these are.
-            apart = Words(f"{words.field}{place}", ours[at].copy(), theirs[at].copy())
+            apart = Words(f"{field}{place}", ours[at].copy(), theirs[at].copy())
             self._differing.append((apart, unequal[at]))
 
     def first(self) -> tuple[int, int, tuple[Difference, ...]]:

@@ -33,13 +33,12 @@ STEPS_BETWEEN_STATES = 16
 
 
 class Lockstep(Device):
-    """A device, and another one that it must agree with.
+    """A device, and another one that it must agree with; it is used as the device would be.
 
-    It is used as the device would be, and answers as it does. Whatever both return is compared bit
-    for bit: observations, rewards, terminations, truncations, and final observations where a slot
-    ended. So are their states, after every ``state_every`` steps and at every reset, snapshot and
-    restore. At the first difference the call raises :class:`~pearl_marl.errors.LockstepError`, and
-    both devices are given the state that the reference had before the call.
+    Whatever both return is compared bit for bit, final observations where a slot ended. So are their
+    states, after every ``state_every`` steps and at every reset, snapshot and restore. At the first
+    difference the call raises :class:`~pearl_marl.errors.LockstepError`, and both devices are given the
+    state that the reference had before the call.
 
     A state that went wrong between two comparisons is not reported late: the steps since the last
     one are taken again, with a comparison after each, to find the first that differs.
@@ -117,8 +116,7 @@ class Lockstep(Device):
         previous = None if self._since is None else self.reference.snapshot()
         ours, theirs = self._both(begin)
         found = Comparison()
-        for words in observation_words(self.config.spec, "obs", ours, theirs):
-            found.add(words)
+        found.add(observation_words(self.config.spec, "obs", ours, theirs))
         self._add_states(found)
         self.words_compared += found.words
         if found:
@@ -132,8 +130,7 @@ class Lockstep(Device):
         ours, theirs = self._both(lambda device: device.step_words(actions))
         self._taken.append(actions.copy())
         found = Comparison()
-        for words in result_words(self.config.spec, ours, theirs):
-            found.add(words)
+        found.add(result_words(self.config.spec, ours, theirs))
         if found or len(self._taken) >= self._every:
             self._add_states(found)
         self.words_compared += found.words
@@ -180,8 +177,7 @@ class Lockstep(Device):
 
     def _add_states(self, found: Comparison) -> None:
         saved = self.device.snapshot(), self.reference.snapshot()
-        for words in state_words(self.config.spec, self.config.n_envs, *saved):
-            found.add(words)
+        found.add(state_words(self.config.spec, self.config.n_envs, *saved))
 
     def _both(self, call: Callable[[Device], T]) -> tuple[T, T]:
         """Call both devices. Should one refuse, neither has moved."""

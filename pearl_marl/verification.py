@@ -1,4 +1,4 @@
-"""Holding a device against the golden functions: in which modes, with which actions, for how long."""
+"""Holding a device against the golden functions in every mode, and replaying where it differed."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ import numpy.typing as npt
 from gymnasium.vector import AutoresetMode
 
 from pearl_marl.batch.actions import random_actions
+from pearl_marl.comparison.replay import Replay
 from pearl_marl.devices import BatchConfig, Lockstep
 from pearl_marl.errors import LockstepError
 from pearl_marl.spec import EnvSpec
@@ -19,30 +20,18 @@ from pearl_marl.spec import EnvSpec
 
 @dataclass
 class Run:
-    """One mode, how long to run in it, and what has come of it so far.
-
-    Parameters
-    ----------
-    config
-        The mode.
-    steps
-        How many steps it gets.
-
-    Attributes
-    ----------
-    taken, words, episodes, truncated
-        Steps taken, words compared, episodes ended, and those of them that were only truncated.
-    exact
-        Whether all was the same; ``None`` before the end.
-    """
+    """One mode, how many steps it gets, and what has come of it so far."""
 
     config: BatchConfig
     steps: int
     taken: int = 0
     words: int = 0
+    """How many have been compared."""
     episodes: int = 0
     truncated: int = 0
+    """How many of the episodes were only truncated."""
     exact: bool | None = None
+    """Whether all was the same; ``None`` before the end."""
 
 
 def runs(
@@ -132,3 +121,24 @@ def sticky_actions(spec: EnvSpec, n: int, steps: int, seed: int) -> Iterator[npt
         drawn = random_actions(spec, rng, n)
         change = (rng.random(n) < changes).reshape(-1, *(1,) * (drawn.ndim - 1))
         actions = np.where(change, drawn, actions)
+
+
+def replay(recorded: Replay, lockstep: Lockstep) -> LockstepError | None:
+    """Make a call again on a new ``lockstep`` of the two devices, which is closed afterwards.
+
+    Returns where they differ now, ``None`` if they agree.
+    """
+    lockstep.open(recorded.config)
+    try:
+        if recorded.before is not None:
+            lockstep.restore(recorded.before)
+        if recorded.actions is not None:
+            lockstep.step_words(recorded.actions)
+        elif recorded.divergence.call == "reset":
+            lockstep.reset(recorded.seed, recorded.mask)
+        lockstep.snapshot()
+    except LockstepError as error:
+        return error
+    finally:
+        lockstep.close()
+    return None
