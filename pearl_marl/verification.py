@@ -42,17 +42,10 @@ def runs(
     initial_states: str | None = None,
     max_cycles: int | None = None,
 ) -> list[Run]:
-    """Return the modes to run in, every combination of what is left open, with the steps shared out.
+    """Return the modes to run in: every combination of what is ``None``, with the steps shared out.
 
-    Parameters
-    ----------
-    spec, n_agents
-        The environment and the size.
-    steps
-        Of all runs together; each gets one at least.
-    autoreset_mode, initial_states, max_cycles
-        ``None`` is both modes, both kinds of starts, and once without a limit and once with one that
-        is reached twice.
+    Without ``max_cycles`` there is once no limit, and once one that is reached twice. Each run gets at least
+    one step.
     """
     modes = [AutoresetMode.SAME_STEP, AutoresetMode.NEXT_STEP] if autoreset_mode is None else [autoreset_mode]
     starts = ["random", "stored"] if initial_states is None else [initial_states]
@@ -79,10 +72,7 @@ def runs(
 def verify(run: Run, lockstep: Lockstep, seed: int) -> Iterator[Run]:
     """Step a lockstep through a run, with a masked reset half way; yield the run after every step.
 
-    Raises
-    ------
-    LockstepError
-        At the first word that differs.
+    At the first word that differs it raises LockstepError.
     """
     lockstep.open(run.config)
     try:
@@ -107,11 +97,9 @@ def verify(run: Run, lockstep: Lockstep, seed: int) -> Iterator[Run]:
 
 
 def sticky_actions(spec: EnvSpec, n: int, steps: int, seed: int) -> Iterator[npt.NDArray[Any]]:
-    """Yield random actions that get somewhere: a slot repeats its action for a while.
+    """Yield random actions that end episodes: independent ones hardly ever swing up a mountain.
 
-    Independent actions hardly ever walk twelve cells or swing up a mountain, so that no episode
-    would end. Here a slot keeps its action with a probability of its own: of every five slots one
-    never does, and the others for 2, 4, 8 and 16 steps on average.
+    Of every five slots one never repeats its action, and the others do for 2, 4, 8 and 16 steps on average.
     """
     rng = np.random.default_rng(seed)
     changes = 0.5 ** (np.arange(n) % 5)

@@ -1,9 +1,7 @@
 """A call in which two devices part, with all that it takes to make it again: a small JSON file.
 
-The file holds the state of the batch before the call, and the call. One slot is enough where that
-slot alone parts again, which a fault of a core does: see :meth:`Replay.alone`. A fault of what
-lies around the cores may need the slot's neighbours, so otherwise the file holds the whole batch,
-compressed.
+One slot is enough where that slot alone parts again, which a fault of a core does: see :meth:`Replay.alone`.
+A fault of what lies around the cores may need its neighbours; then the file holds the whole batch.
 """
 
 from __future__ import annotations
@@ -81,13 +79,7 @@ class Replay:
 
     @classmethod
     def read(cls, path: Path) -> Replay:
-        """Read what :meth:`write` wrote.
-
-        Raises
-        ------
-        ArgumentError
-            The file cannot be read, or is something else, or its environment is not known here.
-        """
+        """Read what :meth:`write` wrote; raise ArgumentError for what is something else, or damaged."""
         try:
             value = json.loads(path.read_bytes())
         except (OSError, ValueError) as error:

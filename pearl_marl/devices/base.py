@@ -12,7 +12,9 @@ from __future__ import annotations
 import secrets
 import time
 from abc import ABC, abstractmethod
+from collections.abc import Iterator
 from concurrent.futures import Future
+from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any, Self
 
@@ -138,20 +140,13 @@ class Device(ABC):
         elif not self._ready:
             seed = secrets.randbits(64)
         words = None if seed is None else rng.seed_words(seed)
-        self._before("reset")
-        position = self.position
-        if words is not None:
-            self.seed, self.tick = words, 0
-        elif chosen is None:
-            self.tick += 1  # or every reset would begin the same episodes
-        self._ready = True
-        try:
-            obs = self._reset(chosen, seed)
-            self._after("reset", seed, chosen)
-        except BaseException:
-            self.position = position
-            raise
-        return obs
+        with self._noted("reset", seed, chosen):
+            if words is not None:
+                self.seed, self.tick = words, 0
+            elif chosen is None:
+                self.tick += 1  # or every reset would begin the same episodes
+            self._ready = True
+            return self._reset(chosen, seed)
 
     def step(self, actions: npt.ArrayLike) -> BatchStep:
         """Step every slot once.
@@ -187,7 +182,8 @@ class Device(ABC):
         """Start a step and return at once; :meth:`recv` has its results. Raises as :meth:`step` does."""
         self.check_idle("send", ready=True)
         words = self.encoded(actions)
-        self._before("step_words")
+        if self.recovery is not None:
+            self.recovery.before(self, "step_words")
         self._begin(words)
 
     def recv(self) -> BatchStep:
@@ -212,10 +208,9 @@ class Device(ABC):
         """Replace the reward table, from the next step on: a finite number for each reward category."""
         self.check_idle("set_rewards")
         padded = reward_tables.reward_table(self.config.spec, table)
-        self._before("set_rewards")
-        self._apply_rewards(table)
-        self.reward_table = padded
-        self._after("set_rewards", np.array(table))
+        with self._noted("set_rewards", np.array(table)):
+            self._apply_rewards(table)
+            self.reward_table = padded
 
     @property
     def rewards(self) -> Array:
@@ -262,36 +257,22 @@ class Device(ABC):
     def restore(self, saved: SavedState) -> Array:
         """Continue from a snapshot of a batch like this one; return every slot's observation.
 
-        Raises
-        ------
-        SavedStateError
-            Names what differs between the two batches. Nothing has changed.
+        A snapshot of another one raises SavedStateError, which names what differs. Nothing has changed then.
         """
         self.check_idle("restore")
         saved.check(self.config.identity())
-        self._before("restore")
-        position = self.position
-        self.seed, self.tick = saved.seed, saved.tick
-        self.reward_table = reward_tables.padded(self.config.spec, saved.rewards)
-        self._ready = True
-        try:
-            obs = self._write(saved.memory, saved.stored)
-            self._after("restore", saved)
-        except BaseException:
-            self.position = position
-            raise
-        return obs
+        with self._noted("restore", saved):
+            self.seed, self.tick = saved.seed, saved.tick
+            self.reward_table = reward_tables.padded(self.config.spec, saved.rewards)
+            self._ready = True
+            return self._write(saved.memory, saved.stored)
 
     def recover(self) -> None:
         """Go on from the last call that succeeded, after one that raised DeviceError.
 
         The connection is made anew, and the state and every call since are as they were; the call that
-        failed may be made again. A device that cannot fail under way has nothing to do.
-
-        Raises
-        ------
-        DeviceError
-            The device is still not available (call again when it is), or nothing is kept to go on from.
+        failed may be made again. A device that cannot fail under way has nothing to do. Where nothing is
+        kept, or the device is still not available, it raises DeviceError: then call it again later.
         """
         self.check_idle("recover")
         if self.recovery is None:
@@ -303,10 +284,9 @@ class Device(ABC):
         """Replace the time limit, from the next step on; where there was none, steps count from now."""
         self.check_idle("set_max_cycles")
         config = replace(self.config, max_cycles=max_cycles)
-        self._before("set_max_cycles")
-        self._apply_limit(config)
-        self.config = config
-        self._after("set_max_cycles", max_cycles)
+        with self._noted("set_max_cycles", max_cycles):
+            self._apply_limit(config)
+            self.config = config
 
     def timed(self) -> dict[str, float]:
         """Time every step from now on; return where each step writes the seconds of its stages.
@@ -367,9 +347,18 @@ class Device(ABC):
         if not self.known:
             raise DeviceError(f"a step of the {self.name} device failed before; {self.way_on}")
 
-    def _before(self, call: str) -> None:
+    @contextmanager
+    def _noted(self, call: str, *arguments: Any) -> Iterator[None]:
+        """Make a call that is no step, and note it for :meth:`recover`; if it fails, go back to before."""
+        position = self.position
         if self.recovery is not None:
             self.recovery.before(self, call)
+        try:
+            yield
+            self._after(call, *arguments)
+        except BaseException:
+            self.position = position
+            raise
 
     def _after(self, call: str, *arguments: Any) -> None:
         if self.recovery is None:

@@ -13,14 +13,8 @@ from pearl_marl.devices.serial import Serial
 from pearl_marl.devices.xdma import Xdma
 from pearl_marl.errors import ArgumentError
 
-_BY_NAME: dict[str, type[Device]] = {
-    "cuda": Cuda,
-    "native": Native,
-    "reference": Reference,
-    "rtl": Rtl,
-    "serial": Serial,
-    "xdma": Xdma,
-}
+_KINDS: tuple[type[Device], ...] = (Cuda, Native, Reference, Rtl, Serial, Xdma)
+_BY_NAME = {kind.name: kind for kind in _KINDS}
 
 
 def make_device(device: str | Device, *, tensors: bool = False) -> Device:

@@ -157,7 +157,7 @@ class CommBram(Device):
             if self._repeats:
                 every = np.ones(self.config.n_envs, np.bool_)
                 self._start(self._stored, every, self._results.take().obs, use_stored=False)
-                self._write_states("initial_states", self._stored.state)
+                self._write_region("initial_states", self.config.spec.state, self._stored.state)
             return self._slots()[1]
         except BaseException:
             self.known = False
@@ -264,8 +264,8 @@ class CommBram(Device):
         try:
             if stored.size:
                 self._stored.bytes[:] = stored
-                self._write_states("initial_states", self._stored.state)
-            self._write_states("current_states", [*slots.state, slots.ended], _TER)
+                self._write_region("initial_states", spec.state, self._stored.state)
+            self._write_region("current_states", (*spec.state, _TER), [*slots.state, slots.ended])
             self._write_region("elapsed", (_ELAPSED,), [slots.elapsed])
             self._resets_all = False
             self._mask[:] = False
@@ -274,10 +274,6 @@ class CommBram(Device):
         except BaseException:
             self.known = False
             raise
-
-    def _write_states(self, name: str, columns: list[Array], *above: Field) -> None:
-        """Write the columns of the state to a region, and those of the fields that stand above it there."""
-        self._write_region(name, (*self.config.spec.state, *above), columns)
 
     def _write_region(self, name: str, fields: tuple[Field, ...], columns: list[Array]) -> None:
         region = self._layout[name]
@@ -356,13 +352,7 @@ def identity(build: Build) -> tuple[int, ...]:
 
 
 def check_identity(name: str, transport: Transport, build: Build) -> None:
-    """Refuse hardware that is not what a batch needs.
-
-    Raises
-    ------
-    DeviceError
-        Names the first word that differs, and both values.
-    """
+    """Refuse hardware that is not what a batch needs; name the first word that differs, and both values."""
     spec, layout = build
     expected = identity(build)
     found = np.empty(4 * len(_IDENTITY), np.uint8)

@@ -72,10 +72,7 @@ class Cuda(Device):
     def synchronize(self) -> None:
         """Wait until the GPU has done every step.
 
-        Raises
-        ------
-        ActionError
-            An action that was on the GPU was out of range: names the first step and its first agent.
+        Where an action that was on the GPU was out of range, ActionError names the first step and agent.
         """
         self.check_idle("synchronize")
         if self._torch is None:  # every step has waited
@@ -274,10 +271,7 @@ class Cuda(Device):
 def available() -> Any:
     """Return the module ``numba.cuda`` where it can launch kernels, or numba's simulator can.
 
-    Raises
-    ------
-    DeviceError
-        Says what is missing, and what to do.
+    Otherwise DeviceError says what is missing, and what to do.
     """
     if find_spec("numba_cuda") is None:
         raise DeviceError(

@@ -98,21 +98,19 @@ class Lockstep(Device):
             raise
 
     def _reset(self, mask: Array | None, seed: int | None) -> Array:
-        before = None
         if self._since is not None:  # the first reset of all may have begun different episodes
             self._compare_states()
-            before = self.reference.snapshot()
         copy = None if mask is None else mask.copy()
-        return self._restart("reset", lambda device: device.reset(seed, mask), before, seed=seed, mask=copy)
+        return self._restart("reset", lambda device: device.reset(seed, mask), seed=seed, mask=copy)
 
     def _write(self, memory: Array, stored: Array) -> Array:
         saved = self.saved(memory, stored)
         return self._restart("restore", lambda device: device.restore(saved), saved)
 
     def _restart(
-        self, call: str, begin: Callable[[Device], Array], before: SavedState | None, **arguments: Any
+        self, call: str, begin: Callable[[Device], Array], saved: SavedState | None = None, **arguments: Any
     ) -> Array:
-        """Reset or restore both devices and compare all there is."""
+        """Reset both devices, or restore what was saved, and compare all there is."""
         previous = None if self._since is None else self.reference.snapshot()
         ours, theirs = self._both(begin)
         found = Comparison()
@@ -122,7 +120,7 @@ class Lockstep(Device):
         if found:
             if previous is not None:
                 self._continue_from(previous)
-            raise self._error(call, found, before, tick=self.tick, **arguments)
+            raise self._error(call, found, saved or previous, tick=self.tick, **arguments)
         self._agreed()
         return ours
 

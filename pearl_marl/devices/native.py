@@ -59,21 +59,17 @@ class Native(Device):
         self._mode = (config.autoreset_mode is AutoresetMode.NEXT_STEP, self._stored is not self._memory)
         self._pool = Threads(max(self._threads, _cores()), "pearl-native")
 
-    def _ranges(self) -> list[tuple[int, int]]:
-        """Split the slots at block boundaries into as many ranges as there are threads."""
-        n = self.config.n_envs
-        blocks = -(-n // BLOCK)
-        parts = min(self._threads, blocks)
-        edges = [blocks * i // parts * BLOCK for i in range(parts)] + [n]
-        return list(itertools.pairwise(edges))
-
     def _run(self, kernel: Any, arguments: tuple[Any, ...]) -> None:
         """Call ``kernel(*arguments, n, lo, hi)`` for every range, one of them on this thread."""
         n = self.config.n_envs
         if self._threads == 1:
             kernel(*arguments, n, 0, n)
             return
-        first, *others = self._ranges()
+        blocks = -(-n // BLOCK)
+        parts = min(self._threads, blocks)
+        # Ranges end where blocks do.
+        edges = [blocks * i // parts * BLOCK for i in range(parts)] + [n]
+        first, *others = itertools.pairwise(edges)
         tasks = [self._pool.submit(partial(kernel, *arguments, n, lo, hi)) for lo, hi in others]
         kernel(*arguments, n, *first)
         for task in tasks:

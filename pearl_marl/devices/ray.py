@@ -10,9 +10,8 @@
                                         <--results--
 
 It is :class:`~pearl_marl.devices.sharded.Sharded` over parts that are elsewhere. A part keeps a state of its
-slots and the calls since. When its actor is lost, with its process or its machine, the part starts another
-one, gives it that state, makes these calls again, and then the one that failed: nobody notices but by the
-clock. What comes back is what would have come without it, bit for bit.
+slots and the calls since. When its actor is lost, the part starts another one, gives it that state, and makes
+these calls again, then the one that failed. What comes back is what would have come without it, bit for bit.
 """
 
 from __future__ import annotations
@@ -22,7 +21,7 @@ import platform
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -41,8 +40,6 @@ from pearl_marl.devices.recovery import CHECKPOINT_EVERY, CheckpointLog
 from pearl_marl.devices.sharded import Sharded
 from pearl_marl.errors import ArgumentError, DeviceError
 from pearl_marl.spec import EnvSpec
-
-T = TypeVar("T")
 
 TRIES = 3
 """How many actors in a row one call may lose until it raises."""
@@ -72,10 +69,9 @@ class _ShardLogs(CheckpointLog):
 
 
 class Ray(Sharded):
-    """Slots shared among actors of a Ray cluster.
+    """Slots shared among actors of a Ray cluster: see :func:`pearl_marl.devices.cluster.connect`.
 
-    The cluster is the one that this process is connected to, or that ``RAY_ADDRESS`` names, or a new one on
-    this machine. An actor that is lost is replaced, and its slots go on as if nothing had happened. Where
+    An actor that is lost is replaced, and its slots go on as if nothing had happened. Where
     that is not possible the call raises DeviceError, and :meth:`recover` goes on once it is.
 
     Parameters
@@ -307,13 +303,7 @@ def parcel(spec: EnvSpec, *others: Any) -> Parcel:
 
 
 def contents(parcel: Parcel) -> tuple[Any, ...]:
-    """Return what was packed, in the actor.
-
-    Raises
-    ------
-    DeviceError
-        This machine does not have the environment, or another one of that name.
-    """
+    """Return what was packed, in the actor; refuse an environment that is not that of the other side."""
     name = parcel.environment
     try:
         content: tuple[Any, ...] = pickle.loads(parcel.content)

@@ -53,15 +53,7 @@ def answer_bytes(words: int) -> int:
 
 
 class SerialTransport(Transport):
-    """Moves bytes over a serial port, a request at a time.
-
-    Parameters
-    ----------
-    port
-        The port's device file.
-    timeout
-        Seconds without a byte after which an answer is given up.
-    """
+    """Moves bytes over a serial port, a request at a time; for its arguments see :class:`Serial`."""
 
     _file = -1
 

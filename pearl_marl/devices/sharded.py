@@ -121,9 +121,7 @@ class Sharded(Device):
     def _reset(self, mask: Array | None, seed: int | None) -> Array:
         if seed is None:
             self.check_known()
-        return self._joined_obs(
-            self._change(lambda part, slots: part.reset(seed, None if mask is None else mask[slots]))
-        )
+        return self._restart(lambda part, slots: part.reset(seed, None if mask is None else mask[slots]))
 
     def _step(self, actions: Array) -> BatchStep:
         self.check_known()
@@ -147,7 +145,7 @@ class Sharded(Device):
             part.config = replace(part.config, max_cycles=self.config.max_cycles)
             return part.restore(saved.cut(spec, slots))
 
-        return self._joined_obs(self._change(write))
+        return self._restart(write)
 
     def _apply_rewards(self, table: npt.ArrayLike) -> None:
         self.check_known()
@@ -170,7 +168,9 @@ class Sharded(Device):
         self.known = True
         return results
 
-    def _joined_obs(self, shares: list[Array]) -> Array:
+    def _restart(self, call: Callable[[Device, slice], Array]) -> Array:
+        """Reset or restore all parts; return all observations."""
+        shares = self._change(call)
         obs = self._results.take().obs
         for slots, share in zip(self._slots, shares, strict=True):
             obs[slots] = share

@@ -18,20 +18,11 @@ STAGES = {"pack": "T1", "write": "T2", "compute": "T3-T5", "read": "T6", "unpack
 class Exchange:
     """A step on its way: what is written, where the answer goes, and whether that is the step's own.
 
-    Parameters
-    ----------
-    read_at, answer
-        The byte address of results and status, and where they go.
-    status_at
-        The byte address of the status in it.
-
-    Attributes
-    ----------
-    write_at, data, sequence
-        What the step in question writes, from which address on, and its sequence number.
+    Results and status are read from byte address ``read_at`` on, the status at ``status_at``.
     """
 
     write_at: int
+    """The byte address from which on ``data`` is written."""
     data: Stream
     sequence: int
 

@@ -52,10 +52,11 @@ class Xdma(CommBram):
         checkpoint_every: int | None = CHECKPOINT_EVERY,
     ) -> None:
         self.checkpoint_every = count_or_none("checkpoint_every", checkpoint_every)
-        if isinstance(board, (int, np.integer)):
-            if isinstance(board, bool) or board < 0:
-                raise ArgumentError(f"board is {board!r}; it must be a number from 0 on, or a folder")
-        elif not isinstance(board, (str, os.PathLike)):
+        if isinstance(board, (str, os.PathLike)):
+            self.board: int | str = os.fspath(board)
+        elif isinstance(board, (int, np.integer)) and not isinstance(board, bool) and board >= 0:
+            self.board = int(board)
+        else:
             raise ArgumentError(f"board is {board!r}; it must be a number from 0 on, or a folder")
         if completion not in (None, *COMPLETIONS):
             raise ArgumentError(
@@ -63,26 +64,21 @@ class Xdma(CommBram):
             )
         if not isinstance(timeout, (int, float)) or isinstance(timeout, bool) or not 0 < timeout < 1e6:
             raise ArgumentError(f"timeout is {timeout!r}; it must be a positive number of seconds")
-        self.board = int(board) if isinstance(board, (int, np.integer)) else os.fspath(board)
         self._completion, self.patience = completion, float(timeout)
 
     def _connect(self, config: BatchConfig) -> tuple[Transport, MemoryMap]:
         transport = self.transport_type(self.board, self._completion, self.patience)
+        found = np.empty(4 * Control.SEED_0, np.uint8)
         try:
-            layout = _layout_of(transport, config)
+            transport.read(0, found)
         except BaseException:
             transport.close()
             raise
         transport.recoverable = True
+        words = found.view("<u4").tolist()
+        try:
+            # The sizes that the board states.
+            layout = memory_map(config.spec, config.n_envs, words[Control.PE_NUM], words[Control.DATA_WL])
+        except ArgumentError:  # no board of ours, or not for so many slots: who checks its identity will tell
+            layout = default_map(config.spec, config.n_envs)
         return transport, layout
-
-
-def _layout_of(transport: Transport, config: BatchConfig) -> MemoryMap:
-    """Return the map of a board, with the sizes that it states."""
-    found = np.empty(4 * Control.SEED_0, np.uint8)
-    transport.read(0, found)
-    words = found.view("<u4").tolist()
-    try:
-        return memory_map(config.spec, config.n_envs, words[Control.PE_NUM], words[Control.DATA_WL])
-    except ArgumentError:  # no board of ours, or not for so many slots: who checks its identity will tell
-        return default_map(config.spec, config.n_envs)

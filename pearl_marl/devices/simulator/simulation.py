@@ -27,16 +27,8 @@ _ANSWERS = {
 class Simulation(Transport):
     """A simulated board as a transport.
 
-    Parameters
-    ----------
-    built
-        The model's library.
-    layout
-        Its memory map.
-    backdoor
-        Whether the regions of a step bypass the AXI port.
-    trace
-        Where to write waveforms, if the model was built for them.
+    ``built`` is the model's library. With ``backdoor`` the regions of a step bypass the AXI port. ``trace``
+    is where to write waveforms, if the model was built for them.
     """
 
     def __init__(self, built: Path, layout: MemoryMap, backdoor: bool, trace: str | None) -> None:
