@@ -30,29 +30,19 @@ _ARRAYS = ("memory", "stored", "live")
 
 @dataclass(frozen=True, kw_only=True)
 class SavedState:
-    """Everything that the continuation of a batch depends on.
-
-    Parameters
-    ----------
-    identity
-        What an environment must agree with to continue from here, by name.
-    seed, tick
-        The position in the random numbers: see :mod:`pearl_marl.rng`.
-    rewards
-        The reward table.
-    memory, stored
-        The slots, and their stored initial states if there are any: see :mod:`pearl_marl.batch.slot_memory`.
-    live
-        For strict PettingZoo lifetimes, one ``uint8`` an agent: whether it is still there.
-    """
+    """Everything that the continuation of a batch depends on."""
 
     identity: dict[str, Any]
+    """What an environment must agree with to continue from here, by name."""
     seed: tuple[int, int]
     tick: int
     rewards: tuple[float, ...]
     memory: Bytes
+    """The slots: see :mod:`pearl_marl.batch.slot_memory`."""
     stored: Bytes
+    """Their stored initial states, if there are any."""
     live: Bytes
+    """For strict PettingZoo lifetimes, one ``uint8`` an agent: whether it is still there."""
 
     def check(self, identity: dict[str, Any]) -> None:
         """Raise SavedStateError where this is no state of an environment of the given identity."""

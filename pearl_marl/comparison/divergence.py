@@ -37,39 +37,25 @@ class Difference(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class Divergence:
-    """Where two devices part: the first slot (by number) of the first step in which any word differs.
-
-    Parameters
-    ----------
-    environment, device, reference
-        Who was compared.
-    call
-        ``"step"``, or the call that is no step: ``"reset"``, ``"restore"`` or ``"snapshot"``.
-    step
-        The tick: steps since seeding, from 0. A full reset without a seed counts as one.
-    slot
-        The global number of the slot.
-    slots
-        How many slots differ in this step.
-    differences
-        Every word of the slot that differs, results before state.
-    state_before
-        The slot's state words by name, with ``elapsed`` and ``ended``, as they were before the call;
-        ``None`` before the first reset.
-    action
-        What the slot was told to do; ``None`` where the call is no step.
-    """
+    """Where two devices part: the first slot (by number) of the first step in which any word differs."""
 
     environment: str
     device: str
     reference: str
     call: str
+    """``"step"``, or the call that is no step: ``"reset"``, ``"restore"`` or ``"snapshot"``."""
     step: int
+    """The tick: steps since seeding, from 0. A full reset without a seed counts as one."""
     slot: int
+    """Its global number."""
     slots: int
+    """How many slots differ in this step."""
     differences: tuple[Difference, ...]
+    """Every word of the slot that differs, results before state."""
     state_before: dict[str, int] | None
+    """The slot's state words by name, with ``elapsed`` and ``ended``; ``None`` before the first reset."""
     action: float | None
+    """What the slot was told to do; ``None`` where the call is no step."""
 
     @property
     def field(self) -> str:

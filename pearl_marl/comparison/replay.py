@@ -29,26 +29,15 @@ _VERSION = 1
 
 @dataclass(frozen=True, kw_only=True)
 class Replay:
-    """One call of a device, and the state before it.
-
-    Parameters
-    ----------
-    config
-        The batch.
-    divergence
-        What differed when it was recorded; ``divergence.call`` names the call.
-    before
-        The state before the call (of a ``restore``, the one restored); ``None`` before the first reset.
-    actions
-        The words of a step.
-    seed, mask
-        Of a reset.
-    """
+    """One call of a device, and the state before it: a step with ``actions``, a reset, or a restore."""
 
     config: BatchConfig
     divergence: Divergence
+    """What differed when it was recorded; ``divergence.call`` names the call."""
     before: SavedState | None
+    """The state before the call (of a ``restore``, the one restored); ``None`` before the first reset."""
     actions: npt.NDArray[Any] | None = None
+    """The words of a step."""
     seed: int | None = None
     mask: npt.NDArray[np.bool_] | None = None
 

@@ -75,9 +75,11 @@ class Device(ABC):
     under_way: tuple[Any, Future[BatchStep]] | None = None
     """Between :meth:`send` and :meth:`recv`: the step's words, and what will have its results."""
 
+    ready = False
+    """Whether the slots have been reset, and not closed, so that they can step."""
+
     config: BatchConfig
     _closed = False
-    _ready = False
 
     def open(self, config: BatchConfig, rewards: npt.ArrayLike | None = None) -> Self:
         """Take up a batch of slots; ``rewards`` replaces its reward table, as :meth:`set_rewards` does.
@@ -133,11 +135,11 @@ class Device(ABC):
         chosen = None if mask is None else self.config.checked_mask(mask)
         if chosen is not None and seed is not None:
             raise ArgumentError("a seed restarts every slot, so it cannot come with a reset mask")
-        if chosen is not None and not self._ready:
+        if chosen is not None and not self.ready:
             raise OrderError("the first reset starts every slot: call reset() without a mask first")
         if seed is not None:
             seed = rng.checked_seed(seed)
-        elif not self._ready:
+        elif not self.ready:
             seed = secrets.randbits(64)
         words = None if seed is None else rng.seed_words(seed)
         with self._noted("reset", seed, chosen):
@@ -145,7 +147,7 @@ class Device(ABC):
                 self.seed, self.tick = words, 0
             elif chosen is None:
                 self.tick += 1  # or every reset would begin the same episodes
-            self._ready = True
+            self.ready = True
             return self._reset(chosen, seed)
 
     def step(self, actions: npt.ArrayLike) -> BatchStep:
@@ -163,7 +165,7 @@ class Device(ABC):
         OrderError
             Before the first reset, after ``close``, or between ``send`` and ``recv``.
         """
-        if not self._ready or self.under_way is not None:
+        if not self.ready or self.under_way is not None:
             self.check_idle("step", ready=True)
         return self.step_words(self.encoded(actions))
 
@@ -223,11 +225,6 @@ class Device(ABC):
         """Clock cycles that the last step took in the hardware; ``None`` where there is none."""
         return None
 
-    @property
-    def ready(self) -> bool:
-        """Whether the slots have been reset, and not closed, so that they can step."""
-        return self._ready and not self._closed
-
     def state(self) -> Array:
         """Return every slot's state, shape ``(n, fields)``: what the next step starts from.
 
@@ -264,7 +261,7 @@ class Device(ABC):
         with self._noted("restore", saved):
             self.seed, self.tick = saved.seed, saved.tick
             self.reward_table = reward_tables.padded(self.config.spec, saved.rewards)
-            self._ready = True
+            self.ready = True
             return self._write(saved.memory, saved.stored)
 
     def recover(self) -> None:
@@ -311,7 +308,7 @@ class Device(ABC):
         """Release what the device holds. Safe to call twice."""
         if self._closed:
             return
-        self._closed, self._ready = True, False
+        self._closed, self.ready = True, False
         if hasattr(self, "config"):
             self._thread.close()
             self._close()
@@ -319,11 +316,11 @@ class Device(ABC):
     @property
     def position(self) -> Position:
         """Where the device is: to be assigned again where a call has failed."""
-        return Position(self.config, self.seed, self.tick, self.reward_table, self._ready)
+        return Position(self.config, self.seed, self.tick, self.reward_table, self.ready)
 
     @position.setter
     def position(self, position: Position) -> None:
-        self.config, self.seed, self.tick, self.reward_table, self._ready = position
+        self.config, self.seed, self.tick, self.reward_table, self.ready = position
 
     @property
     def way_on(self) -> str:
@@ -337,7 +334,7 @@ class Device(ABC):
             raise OrderError(f"{call}() after close(): make a new environment")
         if not hasattr(self, "config"):
             raise OrderError(f"{call}() before open(): this {self.name} device has no batch yet")
-        if ready and not self._ready:
+        if ready and not self.ready:
             raise OrderError(f"{call}() before reset(): call reset() first")
         if self.under_way is not None:
             raise OrderError(f"{call}() between send() and recv(): call recv() first")
@@ -373,7 +370,7 @@ class Device(ABC):
         # A copy is a device of its own that goes on from here: threads, buffers and compiled code stay.
         if not hasattr(self, "config"):
             return {"settings": self.__dict__}
-        saved = self.snapshot() if self._ready else None
+        saved = self.snapshot() if self.ready else None
         settings = {name: _unopened(value) for name, value in self.made_with.items()}
         return {"settings": settings, "config": self.config, "rewards": self.reward_table, "saved": saved}
 
@@ -423,7 +420,7 @@ class Device(ABC):
 
     def _apply_limit(self, config: BatchConfig) -> None:
         """Get ready for another time limit, that of ``config``."""
-        if self._ready and not (self.config.limit and config.limit):
+        if self.ready and not (self.config.limit and config.limit):
             memory, stored = self._read()
             memory = memory.copy()
             SlotMemory(config.spec, config.n_envs, memory).elapsed[:] = 0
