@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -52,9 +53,9 @@ class Layout:
             for start, shape, dtype in zip(self.starts, self.shapes, self.dtypes, strict=True)
         ]
 
-    def arrays(self, memory: npt.NDArray[np.uint8]) -> BatchStep:
-        """Return the five arrays in a block of bytes."""
-        parts = zip(self.pieces(memory), self.dtypes, self.shapes, strict=True)
+    def arrays(self, memory: Any, dtypes: Sequence[Any] | None = None) -> BatchStep:
+        """Return the five arrays in a block of bytes: tensors, where ``dtypes`` are torch's."""
+        parts = zip(self.pieces(memory), dtypes or self.dtypes, self.shapes, strict=True)
         arrays = [piece.view(dtype).reshape(shape) for piece, dtype, shape in parts]
         if self.starts[4] == self.starts[0]:
             arrays[4] = arrays[0]

@@ -46,7 +46,13 @@ class SavedState:
 
     def check(self, identity: dict[str, Any]) -> None:
         """Raise SavedStateError where this is no state of an environment of the given identity."""
-        _compare(self.identity, identity)
+        # Options may hold what JSON has no type for, such as tuples: compare what becomes of them.
+        saved, mine = json.loads(json.dumps([self.identity, identity]))
+        for name, value in mine.items():
+            if saved.get(name) != value:
+                raise SavedStateError(
+                    f"the saved state has {name} = {saved.get(name)!r}; this environment has {value!r}"
+                )
 
     def cut(self, spec: EnvSpec, slots: slice) -> SavedState:
         """Return the state of some of the slots, for a device that has no others."""
@@ -130,22 +136,13 @@ class SavedState:
             raise SavedStateError("the saved state is damaged or cut short: its checksum is wrong")
         start = 8 + struct.unpack_from("<Q", body)[0]
         header = json.loads(body[8:start])
-        _compare(header["identity"], identity)
         arrays = np.split(np.frombuffer(body, np.uint8, offset=start), np.cumsum(header["lengths"])[:-1])
-        return cls(
-            identity=identity,
+        saved = cls(
+            identity=header["identity"],
             seed=tuple(header["seed"]),
             tick=header["tick"],
             rewards=tuple(header["rewards"]),
             **dict(zip(_ARRAYS, arrays, strict=True)),
         )
-
-
-def _compare(saved: dict[str, Any], mine: dict[str, Any]) -> None:
-    # Options may hold what JSON has no type for, such as tuples: compare what becomes of them.
-    saved, mine = json.loads(json.dumps([saved, mine]))
-    for name, value in mine.items():
-        if saved.get(name) != value:
-            raise SavedStateError(
-                f"the saved state has {name} = {saved.get(name)!r}; this environment has {value!r}"
-            )
+        saved.check(identity)
+        return replace(saved, identity=identity)

@@ -62,16 +62,6 @@ class Divergence:
         """The first word that differs."""
         return self.differences[0].field
 
-    @property
-    def device_value(self) -> Any:
-        """What the device has there."""
-        return self.differences[0].device_value
-
-    @property
-    def reference_value(self) -> Any:
-        """What the reference has there."""
-        return self.differences[0].reference_value
-
     def __str__(self) -> str:
         at = f"step {self.step}" if self.call == "step" else f"{self.call}() before step {self.step}"
         first, *others = (f"{d.field} is {d.device_value}, not {d.reference_value}" for d in self.differences)

@@ -114,6 +114,7 @@ class Cuda(Device):
                 self._seen = self._block[:split]  # all but the final observations, if those are apart
             else:
                 self._layout = Layout(config)
+                self._dtypes = [getattr(self._torch, str(dtype)) for dtype in self._layout.dtypes]
                 self._block = None if config.copy else self._new_block()
                 self._tensors = None if config.copy else self._in_tensors(self._block)
         self._streams: dict[int, Any] = {}
@@ -232,14 +233,7 @@ class Cuda(Device):
         return block.numpy() if simulated() else self._gpu.as_cuda_array(block, sync=False)
 
     def _in_tensors(self, block: Any) -> BatchStep:
-        layout = self._layout
-        parts = zip(layout.pieces(block), layout.dtypes, layout.shapes, strict=True)
-        tensors = [
-            piece.view(getattr(self._torch, str(dtype))).reshape(shape) for piece, dtype, shape in parts
-        ]
-        if self._next_step:
-            tensors[4] = tensors[0]
-        return BatchStep(*tensors)
+        return self._layout.arrays(block, self._dtypes)
 
     def _on_gpu(self, actions: Any) -> _OnGpu | None:
         """Return actions that are on the GPU as a kernel takes them; ``None`` for those on the host."""
