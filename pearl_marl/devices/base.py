@@ -102,8 +102,9 @@ class Device(ABC):
         self.tick = 0
         self._actions = np.empty(config.n_envs, config.spec.action.dtype)
         self._thread = Threads(1, f"pearl-{self.name}")
-        if self.recovery_type is not None:
-            self.recovery = self.recovery_type(self.checkpoint_every)
+        # Every step asks for these two, and finds them faster here than on the class.
+        self.under_way = None
+        self.recovery = None if self.recovery_type is None else self.recovery_type(self.checkpoint_every)
         if rewards is not None:
             try:
                 self._apply_rewards(rewards)
