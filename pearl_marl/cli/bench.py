@@ -13,8 +13,7 @@ from rich.table import Table
 
 from pearl_marl.benchmark.contenders import contenders
 from pearl_marl.benchmark.machine import machine
-from pearl_marl.benchmark.measure import Contender, measure
-from pearl_marl.benchmark.units import duration, rate
+from pearl_marl.benchmark.measure import Contender, duration, measure, rate
 from pearl_marl.cli.common import (
     Agents,
     AsJson,

@@ -10,7 +10,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from pearl_marl.benchmark.machine import machine
-from pearl_marl.benchmark.units import duration
+from pearl_marl.benchmark.measure import duration
 from pearl_marl.cli.common import (
     Agents,
     AsJson,

@@ -8,7 +8,7 @@ import typer
 from rich.table import Table
 
 from pearl_marl.benchmark.machine import machine
-from pearl_marl.benchmark.units import duration, rate
+from pearl_marl.benchmark.measure import duration, rate
 from pearl_marl.cli.common import AsJson, EnvName, Options, Out, console, print_json, spec_of, write_json
 from pearl_marl.errors import ArgumentError
 from pearl_marl.hardware.fitting import PARTS

@@ -15,7 +15,7 @@ from rich.table import Table
 
 from pearl_marl.batch.actions import random_actions
 from pearl_marl.benchmark.machine import machine
-from pearl_marl.benchmark.units import duration, rate
+from pearl_marl.benchmark.measure import duration, rate
 from pearl_marl.cli.common import (
     Agents,
     AsJson,
