@@ -240,7 +240,7 @@ def _checked(env: Any) -> Batch:
                 f"autoreset_mode is {mode.name}, and SB3's slots start over in the step in which they "
                 "end: make the environment with autoreset_mode='SameStep'"
             )
-    if isinstance(env, (ParallelInterface, VectorInterface)):
+    if isinstance(env, Batch):
         return env
     raise ArgumentError(
         f"{type(env).__name__} is no environment of this package; sb3_vec_env takes those of "

@@ -99,7 +99,8 @@ class PearlParallelEnv(ParallelInterface):
         if seed is not None:
             self.np_random = np.random.default_rng(seed)
         self._live = self._all
-        self._render_for_human()
+        if self.render_mode == "human":
+            self.render()
         return obs
 
     @property
@@ -139,7 +140,7 @@ class PearlParallelEnv(ParallelInterface):
             if leaving.any():
                 self._live = self._live & ~leaving
         if self.render_mode == "human":
-            self._render_for_human()
+            self.render()
         return result
 
     def state(self) -> Array:
@@ -236,10 +237,6 @@ class PearlParallelEnv(ParallelInterface):
         if not self._live[slot]:
             raise OrderError(f"render({agent!r}): its episode has ended, and it has left until reset()")
         return slot
-
-    def _render_for_human(self) -> None:
-        if self.render_mode == "human":
-            self.render()
 
 
 def parallel_env(
