@@ -12,6 +12,7 @@ from pearl_marl.devices.by_name import make_host_device
 from pearl_marl.errors import ArgumentError
 from pearl_marl.interfaces.batch import Batch
 from pearl_marl.interfaces.parallel_interface import ParallelInterface
+from pearl_marl.interfaces.vector_interface import VectorInterface
 
 from .transform import Transform
 from .wrapped import WrappedParallelEnv, WrappedVectorEnv
@@ -19,7 +20,7 @@ from .wrapped import WrappedParallelEnv, WrappedVectorEnv
 __all__ = ["Batch", "Transform", "box", "with_zeros", "wrap"]
 
 
-def wrap(env: Any, make: Callable[..., Transform], *arguments: Any) -> Any:
+def wrap(env: Batch, make: Callable[..., Transform], *arguments: Any) -> Any:
     """Put a transform around an environment.
 
     Parameters
@@ -33,11 +34,12 @@ def wrap(env: Any, make: Callable[..., Transform], *arguments: Any) -> Any:
     -------
     An environment of the same interface.
     """
-    if not isinstance(env, Batch):
+    if not isinstance(env, (ParallelInterface, VectorInterface)):
         raise ArgumentError(
             f"{type(env).__name__} is no environment of this package; for others, SuperSuit has this wrapper"
         )
-    make_host_device(env.unwrapped.device)  # a transform is NumPy's work
+    unwrapped: Any = env.unwrapped
+    make_host_device(unwrapped.device)  # a transform is NumPy's work
     transform = make(env, env.slot_observation_space, env.slot_action_space, *arguments)
     wrapped = WrappedParallelEnv if isinstance(env, ParallelInterface) else WrappedVectorEnv
     return wrapped(env, transform)

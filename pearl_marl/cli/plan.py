@@ -9,7 +9,8 @@ from rich.table import Table
 
 from pearl_marl.benchmark.machine import machine
 from pearl_marl.benchmark.measure import duration, rate
-from pearl_marl.cli.common import AsJson, EnvName, Options, Out, console, print_json, spec_of, write_json
+from pearl_marl.cli import common
+from pearl_marl.cli.common import console
 from pearl_marl.errors import ArgumentError
 from pearl_marl.hardware.fitting import PARTS
 from pearl_marl.latency import LINKS, Link, loop_cycles
@@ -36,37 +37,34 @@ OneDataWl = Annotated[int | None, typer.Option("--data-wl", help="Look at words 
 
 
 def command(
-    env_id: EnvName,
+    env_id: common.EnvName,
     n_envs: Slots = 43008,
     link: LinkName = "gen2x8",
     part: PartName = None,
     clock: Clock = 125.0,
     pe_num: OnePeNum = None,
     data_wl: OneDataWl = None,
-    option: Options = None,
-    out: Out = None,
-    as_json: AsJson = False,
+    option: common.Options = None,
+    out: common.Out = None,
+    as_json: common.AsJson = False,
 ) -> None:
     """Choose processing elements and word width for a link; predict throughput and bottleneck.
 
     A prediction: clock cycles are counted, the host's part is measured here, the link's is as stated.
     """
-    spec = spec_of(env_id, option)
+    spec = common.spec_of(env_id, option)
     if part is not None and part not in PARTS:
         raise ArgumentError(f"there is no part {part!r}; possible are {', '.join(PARTS)}")
     taken = _link(link)
     chip = None if part is None else PARTS[part]
     found = plan(spec, n_envs, taken, clock * 1e6, chip, pe_num, data_wl)
     result = _result(spec, taken, found, clock, part, _synthesis(env_id, found.chosen.layout, option))
-    if out is not None:
-        write_json(out, f"plan_{spec.name}_{n_envs}.json", result)
-    if as_json:
-        print_json(result)
+    if common.delivered(result, as_json, out, f"plan_{spec.name}_{n_envs}.json"):
         return
     console.print(_candidates(result, found))
     console.print(_stages(result, found))
     for sentence in _sentences(result, found):
-        console.print(sentence, highlight=False, soft_wrap=True)
+        console.print(sentence, soft_wrap=True)
 
 
 def _synthesis(env_id: str, layout: MemoryMap, option: list[str] | None) -> str:
@@ -121,12 +119,12 @@ def _link(text: str) -> Link:
 
 
 def _candidates(result: dict[str, Any], found: Plan) -> Table:
-    table = Table(title=f"{result['environment']}, {result['n_envs']:,} slots, link {result['link']['name']}")
-    for heading in ("PEs", "word", "cycles", "a step", "steps/s", "BRAM36", "longest stage"):
-        table.add_column(heading, justify="left" if heading == "longest stage" else "right", no_wrap=True)
+    title = f"{result['environment']}, {result['n_envs']:,} slots, link {result['link']['name']}"
+    grid = common.table(title, [], ["PEs", "word", "cycles", "a step", "steps/s", "BRAM36"])
+    grid.add_column("longest stage", no_wrap=True)
     for candidate in found.candidates:
         prediction, chosen = candidate.prediction, candidate is found.chosen
-        table.add_row(
+        grid.add_row(
             f"{prediction.pe_num:,}",
             f"{prediction.data_wl}",
             f"{round(prediction.device * result['clock_mhz'] * 1e6):,}",
@@ -136,7 +134,7 @@ def _candidates(result: dict[str, Any], found: Plan) -> Table:
             prediction.bottleneck,
             style="bold green" if chosen else None,
         )
-    return table
+    return grid
 
 
 def _stages(result: dict[str, Any], found: Plan) -> Table:
@@ -153,12 +151,12 @@ def _stages(result: dict[str, Any], found: Plan) -> Table:
         ("T7", "unpack", step.unpack, "measured on this machine"),
         ("", "a step", step.total, f"{rate(step.rate)} steps/s, one step after the other"),
     ]
-    table = Table(title=f"{step.pe_num:,} PEs, {step.data_wl}-bit words")
+    grid = Table(title=f"{step.pe_num:,} PEs, {step.data_wl}-bit words")
     for heading in ("", "stage", "time", ""):
-        table.add_column(heading, justify="right" if heading == "time" else "left", no_wrap=bool(heading))
+        grid.add_column(heading, justify="right" if heading == "time" else "left", no_wrap=bool(heading))
     for time, stage, seconds, why in rows:
-        table.add_row(time, stage, duration(seconds), why)
-    return table
+        grid.add_row(time, stage, duration(seconds), why)
+    return grid
 
 
 def _sentences(result: dict[str, Any], found: Plan) -> list[str]:

@@ -9,17 +9,8 @@ from typing import Annotated
 import typer
 from rich.table import Table
 
-from pearl_marl.cli.common import (
-    AsJson,
-    Options,
-    Out,
-    console,
-    error_console,
-    print_json,
-    progress,
-    spec_of,
-    write_json,
-)
+from pearl_marl.cli import common
+from pearl_marl.cli.common import console, error_console
 from pearl_marl.errors import ArgumentError
 from pearl_marl.hardware.build import Build
 from pearl_marl.hardware.fitting import PARTS, Fit, confirm, largest_fit
@@ -62,12 +53,12 @@ def command(
     pe_num: PeNum = None,
     data_wl: DataWl = None,
     part: PartFamily = Family.XC7,
-    option: Options = None,
+    option: common.Options = None,
     fmax: Fmax = False,
     fit: FitPart = None,
     confirmed: Confirm = False,
-    out: Out = None,
-    as_json: AsJson = False,
+    out: common.Out = None,
+    as_json: common.AsJson = False,
 ) -> None:
     """Synthesise a design with Yosys: LUT, FF, block RAM, DSP.
 
@@ -82,7 +73,7 @@ def command(
         return
     if env_id is None:
         raise ArgumentError("name an environment of `pearl envs`, or give --all")
-    spec = spec_of(env_id, option)
+    spec = common.spec_of(env_id, option)
     builds = _growing(spec, _numbers(n_envs), pe_num, data_wl)
     _check_fit(fit, part, confirmed)
     points, rates = _synthesised(builds, part, fmax)
@@ -98,12 +89,9 @@ def command(
         "fmax_device": FMAX_DEVICE if rates else None,
         "fit": None if found is None else found.as_json(),
     }
-    if out is not None:
-        first = points[0]
-        write_json(out, f"synth_{spec.name}_{part}_{first.pe_num}_{first.data_wl}.json", result)
-    if as_json:
-        print_json(result)
-    else:
+    first = points[0]
+    name = f"synth_{spec.name}_{part}_{first.pe_num}_{first.data_wl}.json"
+    if not common.delivered(result, as_json, out, name):
         _show(spec.id, part, points, rates, found)
     _exit_if_misplaced([(spec, usage) for usage in points])
 
@@ -131,7 +119,7 @@ def _synthesised(builds: list[Build], part: Family, fmax: bool) -> tuple[list[Us
     if fmax:
         work += [(build, Family.ECP5, True) for build in builds]
     spec, layout = builds[0]
-    for build, family, placed in progress(work, len(work), f"{spec.name}, {layout.pe_num} PEs"):
+    for build, family, placed in common.progress(work, len(work), f"{spec.name}, {layout.pe_num} PEs"):
         (rates if placed else points).append(synthesise(build, family, fmax=placed))
     return points, rates
 
@@ -140,7 +128,7 @@ def _fitted(spec: EnvSpec, points: list[Usage], board: str, confirmed: bool) -> 
     """Return the largest build for a board's part: predicted, and synthesised if it is to be confirmed."""
     fit = largest_fit(spec, points, PARTS[board])
     if confirmed:
-        for predicted in progress([fit], 1, f"{spec.name}, {fit.n_envs:,} slots on {board}"):
+        for predicted in common.progress([fit], 1, f"{spec.name}, {fit.n_envs:,} slots on {board}"):
             fit = confirm(spec, predicted, points[0].pe_num, points[0].data_wl)
     return fit
 
@@ -162,26 +150,20 @@ def _every(
     n_envs: int, pe_num: int | None, data_wl: int | None, part: Family, out: Path | None, as_json: bool
 ) -> None:
     builds = [Build.of(get_spec(name), n_envs, pe_num, data_wl) for name in names()]
-    work = progress(builds, len(builds), f"{n_envs:,} slots")
+    work = common.progress(builds, len(builds), f"{n_envs:,} slots")
     usages = [(build.spec, synthesise(build, part)) for build in work]
     result = [{"environment": spec.id, "family": str(part), **usage.as_json()} for spec, usage in usages]
-    if out is not None:
-        write_json(out, f"synth_all_{part}_{n_envs}.json", result)
-    if as_json:
-        print_json(result)
-    else:
+    if not common.delivered(result, as_json, out, f"synth_all_{part}_{n_envs}.json"):
         console.print(_table_of_all(f"{n_envs:,} slots, {part}", usages))
     _exit_if_misplaced(usages)
 
 
 def _table_of_all(title: str, usages: list[tuple[EnvSpec, Usage]]) -> Table:
-    table = Table(title=title)
-    for heading in ("environment", "PEs", "word", "LUT", "FF", "BRAM36", "DSP"):
-        table.add_column(heading, justify="left" if heading == "environment" else "right", no_wrap=True)
+    grid = common.table(title, ["environment"], ["PEs", "word", "LUT", "FF", "BRAM36", "DSP"])
     for spec, usage in usages:
         figures = (usage.pe_num, usage.data_wl, usage.lut, usage.ff)
-        table.add_row(spec.name, *(f"{figure:,}" for figure in figures), f"{usage.bram36:g}", f"{usage.dsp}")
-    return table
+        grid.add_row(spec.name, *(f"{figure:,}" for figure in figures), f"{usage.bram36:g}", f"{usage.dsp}")
+    return grid
 
 
 def _numbers(texts: list[str]) -> list[int]:
@@ -206,36 +188,31 @@ def _show(title: str, part: Family, points: list[Usage], rates: list[Usage], fit
         "Synthesis, before placement; LUTs of memory and shift registers included. "
         + ", ".join(f"{name} {number}" for name, number in tools.items()),
         style="dim",
-        highlight=False,
     )
     if rates:
         console.print(
             f"Fmax is nextpnr's estimate after routing for the {FMAX_DEVICE}, without pads. That of a "
             "7-series part is another and needs the vendor's tools.",
             style="dim",
-            highlight=False,
         )
     if fit is not None:
-        console.print(_sentence(fit), highlight=False)
+        console.print(_sentence(fit))
 
 
 def _table(title: str, points: list[Usage], rates: list[Usage]) -> Table:
     """Return a row a size, and below them how much more the largest takes than the smallest."""
-    table = Table(title=title)
-    for heading in ("slots", "LUT", "FF", "BRAM36", "DSP", "memories", "in BRAM"):
-        table.add_column(heading, justify="right", no_wrap=True)
-    if rates:
-        table.add_column("Fmax (ECP5)", justify="right", no_wrap=True)
+    headings = ["slots", "LUT", "FF", "BRAM36", "DSP", "memories", "in BRAM"]
+    grid = common.table(title, [], [*headings, *(["Fmax (ECP5)"] if rates else [])])
     for i, usage in enumerate(points):
         blocks = sum(memory.kind == "block RAM" for memory in usage.memories)
         figures = [f"{figure:,}" for figure in (usage.n_envs, usage.lut, usage.ff)]
         figures += [f"{usage.bram36:g}", f"{usage.dsp}", f"{len(usage.memories)}", f"{blocks}"]
-        table.add_row(*figures, *([f"{rates[i].fmax_mhz:.1f} MHz"] if rates else []))
+        grid.add_row(*figures, *([f"{rates[i].fmax_mhz:.1f} MHz"] if rates else []))
     growth = _growth(points)
     if growth is not None:
-        table.add_section()
-        table.add_row("growth", f"x{growth['lut']:.2f}", f"x{growth['ff']:.2f}")
-    return table
+        grid.add_section()
+        grid.add_row("growth", f"x{growth['lut']:.2f}", f"x{growth['ff']:.2f}")
+    return grid
 
 
 def _sentence(fit: Fit) -> str:
