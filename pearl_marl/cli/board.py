@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
 
@@ -46,7 +47,7 @@ def command(
             pass
         placed = boards.placed(out)
     if as_json:
-        made = None if placed is None else placed.as_json()
+        made = None if placed is None else asdict(placed)
         common.print_json({**boards.facts(board, build), "placed": made, "files": files})
         return
     title = f"{spec.id} for the {board.title} ({board.part}): {boards.size(build.layout)}"

@@ -28,18 +28,9 @@ def stream_bytes(count: int, stride: int) -> int:
 def pack(values: npt.NDArray[Any], bits: int, stream: Stream, stride: int, offset: int = 0) -> None:
     """Write the low ``bits`` bits of each value into its place in the stream; other bits stay.
 
-    Parameters
-    ----------
-    values
-        Integers of shape ``(n,)``; higher bits (as of negative numbers) are cut off.
-    bits
-        1 to 64, the width of a value.
-    stream
-        ``uint8``, at least :func:`stream_bytes` long.
-    stride
-        Distance of two neighbours in bits, at least ``offset + bits``.
-    offset
-        First bit of the value within its stride.
+    ``values`` are integers of shape ``(n,)``, whose higher bits (as of negative numbers) are cut off. They
+    are ``bits`` wide, 1 to 64, from bit ``offset`` of each ``stride`` on. ``stream`` is at least
+    :func:`stream_bytes` long.
     """
     _check(len(values), bits, stream, stride, offset)
     done = _fast_part(len(values), bits, stride)

@@ -25,13 +25,7 @@ _PACKAGES_OF_CORES = ("pearl_pkg", "pearl_fixed_pkg")
 
 
 def core_path(spec: EnvSpec) -> Path:
-    """Return the core's file: ``<name>_pe.sv`` in the folder ``<name>`` that holds the golden step.
-
-    Raises
-    ------
-    DeviceError
-        There is no such file.
-    """
+    """Return the core's file: ``<name>_pe.sv`` in the folder ``<name>`` that holds the golden step."""
     folder = Path(inspect.getfile(spec.golden.step)).parent
     path = folder / f"{folder.name}_pe.sv"
     if not path.is_file():
@@ -150,8 +144,7 @@ def env_hash(spec: EnvSpec) -> int:
 
 def address_bits(layout: MemoryMap) -> int:
     """Return how many bits of byte address reach the whole map and a hole after it."""
-    last = layout.regions[-1]
-    return layout.end(last.name).bit_length()
+    return layout.end(layout.regions[-1].name).bit_length()
 
 
 def parameters(build: Build) -> dict[str, int]:

@@ -9,18 +9,10 @@ from pearl_marl.errors import ArgumentError
 
 @dataclass(frozen=True, slots=True)
 class Link:
-    """What lies between host and hardware.
+    """What lies between host and hardware, as ``pearl plan --link`` takes it by name.
 
-    Parameters
-    ----------
-    name
-        As ``pearl plan --link`` takes it.
-    call
-        Seconds that a transfer takes besides those for its bytes.
-    write_rate, read_rate
-        Bytes per second to the hardware and from it.
-    source
-        Where the figures are from.
+    ``call`` is what a transfer takes besides its bytes, in seconds; the rates to the hardware and from it are
+    in bytes per second. ``source`` says where the figures are from.
     """
 
     name: str

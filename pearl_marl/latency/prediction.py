@@ -59,31 +59,17 @@ class Prediction:
 
     def as_json(self) -> dict[str, Any]:
         """Return it as JSON has it."""
-        result = asdict(self)
-        return {**result, "total": self.total, "rate": self.rate, "bottleneck": self.bottleneck}
+        return {**asdict(self), "total": self.total, "rate": self.rate, "bottleneck": self.bottleneck}
 
 
 def predict(
     spec: EnvSpec, layout: MemoryMap, link: Link, host: HostTimes, clock: float, pipelined: bool = True
 ) -> Prediction:
-    """Predict a step.
+    """Predict a step of a build, with the host's times for so many slots and a clock in hertz.
 
     Not pipelined is what the paper calls PEARL without pipeline, with one processing element in ``layout``:
     no group overlaps with another, and the states are not kept in the hardware, but go to it with the
     actions and come back with the results, packed, at no cost to the host.
-
-    Parameters
-    ----------
-    spec, layout
-        The environment and its build.
-    link
-        The link.
-    host
-        What the host takes for so many slots.
-    clock
-        Of the hardware, in hertz.
-    pipelined
-        Whether groups of slots overlap, and states stay in the hardware.
     """
     if not clock > 0:
         raise ArgumentError(f"the clock is {clock} Hz; it must be positive")
@@ -115,10 +101,7 @@ def predict(
 class Overlap:
     """Two half-batches that take turns: while the link moves one, the host works on the other.
 
-    Parameters
-    ----------
-    half
-        A step of one of them: of a device with half of the slots.
+    ``half`` is a step of a device with half of the slots.
     """
 
     half: Prediction
