@@ -47,8 +47,6 @@ def action_lambda_v1(
 
     Parameters
     ----------
-    env
-        The environment.
     change_action_fn
         Takes actions of shape ``(n, ...)`` and one slot's space inside; returns as many rows for there.
     change_space_fn

@@ -54,8 +54,6 @@ def observation_lambda_v0(
 
     Parameters
     ----------
-    env
-        The environment.
     change_observation_fn
         Takes observations of shape ``(n, ...)`` and one slot's space; returns as many rows.
     change_obs_space_fn
@@ -199,8 +197,6 @@ def agent_indicator_v0(env: Batch, type_only: bool = False) -> Any:
 
     Parameters
     ----------
-    env
-        The environment.
     type_only
         Show the type in the agent's name instead. All agents here are of one type, so nothing changes.
     """

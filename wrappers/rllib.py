@@ -76,16 +76,7 @@ def rllib_multi_agent_env(
     when their episode ends. RLlib keeps a Python object for every step of every agent and manages a few
     thousand of them a second: this is for a few agents. For many take :func:`rllib_vector_env`.
 
-    Parameters
-    ----------
-    env_id
-        A name of :func:`pearl_marl.envs`, in any case.
-    n_agents
-        How many agents.
-    wrap
-        Puts wrappers of this package around the environment; given the environment, returns another.
-    **arguments
-        As in :func:`pearl_marl.parallel_env`. RLlib's ``env_config`` adds to them.
+    Takes ``wrap`` as that does, and the arguments of :func:`pearl_marl.parallel_env`.
 
     Raises
     ------

@@ -100,13 +100,6 @@ def macros(build: Build) -> dict[str, str]:
     return {**elaboration.macros(build.spec), "PEARL_TOP_PARAMETERS": assigned}
 
 
-def header(build: Build) -> str:
-    """Return the file that defines :func:`macros`."""
-    defined = macros(build)
-    lines = [f"`define {name} {value}" for name, value in defined.items()]
-    return "\n".join([f"// {build.spec.id}, {size(build.layout)}; written by `pearl board`.", *lines, ""])
-
-
 def facts(board: Board, build: Build) -> dict[str, Any]:
     """Return what a bitstream is, as JSON has it: the file of it lies beside the sources."""
     spec, layout = build
@@ -130,8 +123,9 @@ def write(board: Board, build: Build, folder: Path) -> list[str]:
     for path in paths:
         shutil.copyfile(path, folder / "rtl" / path.name)
     listed = [HEADER, *(f"rtl/{path.name}" for path in paths)]
+    title = f"// {build.spec.id}, {size(build.layout)}; written by `pearl board`."
     texts = {
-        HEADER: header(build),
+        HEADER: "\n".join([title, *(f"`define {name} {value}" for name, value in macros(build).items()), ""]),
         SOURCES: "\n".join(listed) + "\n",
         FACTS: json.dumps(facts(board, build), indent=2) + "\n",
         **{path.name: path.read_text() for path in sorted(_folder(board).iterdir()) if path.suffix != ".sv"},

@@ -212,7 +212,14 @@ class PearlParallelEnv(ParallelInterface):
                 f"render() without a render_mode: make the environment with one of {self.spec.render_modes}"
             )
         if agent is not None:
-            self._rendered_slot = self._slot_to_render(agent)
+            slot = self.slots.get(agent)
+            if slot is None:
+                raise ArgumentError(
+                    f"there is no agent {agent!r}; agents are agent_0 to agent_{self.batch_size - 1}"
+                )
+            if not self._live[slot]:
+                raise OrderError(f"render({agent!r}): its episode has ended, and it has left until reset()")
+            self._rendered_slot = slot
         state = self.device.state()[self._rendered_slot]
         if self._renderer is None:
             self._renderer = OracleRenderer(self.spec, self.render_mode)
@@ -227,16 +234,6 @@ class PearlParallelEnv(ParallelInterface):
 
     def _identity(self) -> dict[str, Any]:
         return {**self.device.config.identity(), "autoreset": self.autoreset}
-
-    def _slot_to_render(self, agent: str) -> int:
-        slot = self.slots.get(agent)
-        if slot is None:
-            raise ArgumentError(
-                f"there is no agent {agent!r}; agents are agent_0 to agent_{self.batch_size - 1}"
-            )
-        if not self._live[slot]:
-            raise OrderError(f"render({agent!r}): its episode has ended, and it has left until reset()")
-        return slot
 
 
 def parallel_env(

@@ -90,13 +90,7 @@ class ParallelInterface(pettingzoo.ParallelEnv, Batch):  # type: ignore[misc]
         """Do what :meth:`step_batch` does, with possible actions for agents that have left."""
 
     def filled(self, actions: npt.ArrayLike) -> npt.ArrayLike:
-        """Return actions with a possible one where an agent has left: nobody looks at what was there.
-
-        Raises
-        ------
-        OrderError
-            Every agent has left.
-        """
+        """Return actions with a possible one where an agent has left: nobody looks at what was there."""
         live = self.live
         if live.all():
             self._everybody = live
@@ -115,18 +109,10 @@ class ParallelInterface(pettingzoo.ParallelEnv, Batch):  # type: ignore[misc]
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, Any], dict[str, Any]]:
-        """Begin an episode for every agent.
+        """Begin an episode for every agent; return observations and infos by agent, the latter empty.
 
-        Parameters
-        ----------
-        seed
-            A non-negative integer. ``None`` goes on with the random numbers in use.
-        options
-            Accepted as PettingZoo asks, and not used.
-
-        Returns
-        -------
-        Observations and infos, dicts by agent; the infos are empty.
+        ``seed`` is a non-negative integer; ``None`` goes on with the random numbers in use. ``options`` are
+        accepted as PettingZoo asks, and not used.
         """
         obs = on_host(self.reset_batch(seed))
         nobody = np.zeros(len(obs), np.bool_)

@@ -66,18 +66,10 @@ class VectorInterface(VectorEnv[Any, Any, Any], Batch):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observations, dict[str, Any]]:
-        """Begin new episodes.
+        """Begin new episodes; return the observations of all sub-environments, and empty infos.
 
-        Parameters
-        ----------
-        seed
-            A non-negative integer for the whole batch. ``None`` goes on with the random numbers in use.
-        options
-            ``{"reset_mask": bool array of shape (num_envs,)}`` resets those sub-environments only.
-
-        Returns
-        -------
-        The observations of all sub-environments, and infos (empty).
+        ``seed`` is a non-negative integer for the whole batch; ``None`` goes on with the random numbers in
+        use. ``options={"reset_mask": mask}``, ``bool`` of shape ``(num_envs,)``, resets some only.
         """
         options = options or {}
         unknown = [name for name in options if name != "reset_mask"]
