@@ -14,7 +14,6 @@ from pearl_marl.cli.common import console
 from pearl_marl.errors import ArgumentError
 from pearl_marl.hardware.fitting import PARTS
 from pearl_marl.latency import LINKS, Link, loop_cycles
-from pearl_marl.memory_map import MemoryMap
 from pearl_marl.plan import Plan, plan
 from pearl_marl.spec import EnvSpec
 
@@ -58,21 +57,16 @@ def command(
     taken = _link(link)
     chip = None if part is None else PARTS[part]
     found = plan(spec, n_envs, taken, clock * 1e6, chip, pe_num, data_wl)
-    result = _result(spec, taken, found, clock, part, _synthesis(env_id, found.chosen.layout, option))
+    layout = found.chosen.layout
+    sizes = f"--n-envs {layout.n_envs} --pe-num {layout.pe_num} --data-wl {layout.data_wl}"
+    synthesis = " ".join([f"pearl synth {env_id} {sizes}", *(f"--option {pair}" for pair in option or ())])
+    result = _result(spec, taken, found, clock, part, synthesis)
     if common.delivered(result, as_json, out, f"plan_{spec.name}_{n_envs}.json"):
         return
     console.print(_candidates(result, found))
     console.print(_stages(result, found))
     for sentence in _sentences(result, found):
         console.print(sentence, soft_wrap=True)
-
-
-def _synthesis(env_id: str, layout: MemoryMap, option: list[str] | None) -> str:
-    """Return the command that says what the chosen build takes."""
-    command = (
-        f"pearl synth {env_id} --n-envs {layout.n_envs} --pe-num {layout.pe_num} --data-wl {layout.data_wl}"
-    )
-    return command + "".join(f" --option {pair}" for pair in option or ())
 
 
 def _result(

@@ -74,10 +74,21 @@ def command(
     if env_id is None:
         raise ArgumentError("name an environment of `pearl envs`, or give --all")
     spec = common.spec_of(env_id, option)
-    builds = _growing(spec, _numbers(n_envs), pe_num, data_wl)
+    sizes = _numbers(n_envs)
+    # One design grows: what is chosen for the fewest slots holds for all.
+    chosen = default_map(spec, sizes[0], pe_num, data_wl)
+    builds = [Build.of(spec, n, chosen.pe_num, chosen.data_wl) for n in sizes]
     _check_fit(fit, part, confirmed)
-    points, rates = _synthesised(builds, part, fmax)
-    found = None if fit is None else _fitted(spec, points, fit, confirmed)
+    work = [(build, part, False) for build in builds]
+    if fmax:
+        work += [(build, Family.ECP5, True) for build in builds]
+    bar = common.progress(work, len(work), f"{spec.name}, {chosen.pe_num} PEs")
+    usages = [synthesise(build, family, fmax=placed) for build, family, placed in bar]
+    points, rates = usages[: len(builds)], usages[len(builds) :]
+    found = None if fit is None else largest_fit(spec, points, PARTS[fit])
+    if found is not None and confirmed:
+        for predicted in common.progress([found], 1, f"{spec.name}, {found.n_envs:,} slots on {fit}"):
+            found = confirm(spec, predicted, chosen.pe_num, chosen.data_wl)
 
     result = {
         "environment": spec.id,
@@ -89,17 +100,10 @@ def command(
         "fmax_device": FMAX_DEVICE if rates else None,
         "fit": None if found is None else found.as_json(),
     }
-    first = points[0]
-    name = f"synth_{spec.name}_{part}_{first.pe_num}_{first.data_wl}.json"
+    name = f"synth_{spec.name}_{part}_{chosen.pe_num}_{chosen.data_wl}.json"
     if not common.delivered(result, as_json, out, name):
         _show(spec.id, part, points, rates, found)
     _exit_if_misplaced([(spec, usage) for usage in points])
-
-
-def _growing(spec: EnvSpec, sizes: list[int], pe_num: int | None, data_wl: int | None) -> list[Build]:
-    """Return one design that grows: what is chosen for the fewest slots holds for all."""
-    first = default_map(spec, sizes[0], pe_num, data_wl)
-    return [Build.of(spec, n, first.pe_num, first.data_wl) for n in sizes]
 
 
 def _check_fit(fit: str | None, part: Family, confirmed: bool) -> None:
@@ -109,28 +113,6 @@ def _check_fit(fit: str | None, part: Family, confirmed: bool) -> None:
         raise ArgumentError("--fit is for 7-series parts: leave --part at xc7")
     if confirmed and fit is None:
         raise ArgumentError("--confirm synthesises what --fit predicts: name a part with --fit")
-
-
-def _synthesised(builds: list[Build], part: Family, fmax: bool) -> tuple[list[Usage], list[Usage]]:
-    """Synthesise every build; return what each takes, and with ``fmax`` the same of it placed on an ECP5."""
-    points: list[Usage] = []
-    rates: list[Usage] = []
-    work = [(build, part, False) for build in builds]
-    if fmax:
-        work += [(build, Family.ECP5, True) for build in builds]
-    spec, layout = builds[0]
-    for build, family, placed in common.progress(work, len(work), f"{spec.name}, {layout.pe_num} PEs"):
-        (rates if placed else points).append(synthesise(build, family, fmax=placed))
-    return points, rates
-
-
-def _fitted(spec: EnvSpec, points: list[Usage], board: str, confirmed: bool) -> Fit:
-    """Return the largest build for a board's part: predicted, and synthesised if it is to be confirmed."""
-    fit = largest_fit(spec, points, PARTS[board])
-    if confirmed:
-        for predicted in common.progress([fit], 1, f"{spec.name}, {fit.n_envs:,} slots on {board}"):
-            fit = confirm(spec, predicted, points[0].pe_num, points[0].data_wl)
-    return fit
 
 
 def _exit_if_misplaced(usages: list[tuple[EnvSpec, Usage]]) -> None:

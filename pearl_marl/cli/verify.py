@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any
@@ -99,18 +98,16 @@ def command(
     parted: LockstepError | None = None
     path = None
     try:
-        for _ in common.progress(
-            _steps(plan, device, reference, seed),
-            sum(run.steps for run in plan),
-            f"{spec.name} on {device}, {n_agents:,} agents",
-        ):
+        steps_of_all = (step for run in plan for step in verify(run, Lockstep(device, reference), seed))
+        label = f"{spec.name} on {device}, {n_agents:,} agents"
+        for _ in common.progress(steps_of_all, sum(run.steps for run in plan), label):
             pass
     except LockstepError as caught:
         parted = caught
         if out is not None:
             path = out / f"divergence_{spec.name}_{common.in_file_name(device)}.json"
             _smallest(parted.replay, device, reference).write(path)
-    result = {
+    result: dict[str, Any] = {
         "environment": spec.id,
         "options": dict(spec.options),
         "device": device,
@@ -128,7 +125,7 @@ def command(
     if as_json:
         common.print_json(result)
     else:
-        console.print(_table(f"{spec.id} on {device}, held against {reference}", plan))
+        console.print(_table(f"{spec.id} on {device}, held against {reference}", result["modes"]))
         _say(parted, _verdict(result))
         if path is not None:
             console.print(f"Wrote {path}: pearl verify {path} replays it.", markup=False, soft_wrap=True)
@@ -139,11 +136,6 @@ def command(
             "Warning: no episode ended, so no start of another was compared. Take more --steps or agents.",
             style="yellow",
         )
-
-
-def _steps(plan: list[Run], device: str, reference: str, seed: int) -> Iterator[Run]:
-    for run in plan:
-        yield from verify(run, Lockstep(device, reference), seed)
 
 
 def _smallest(recorded: Replay, device: str, reference: str) -> Replay:
@@ -196,7 +188,7 @@ def _verdict(result: dict[str, Any]) -> str:
 
 def _row(run: Run) -> dict[str, Any]:
     return {
-        "autoreset_mode": _written(run.config.autoreset_mode),
+        "autoreset_mode": Autoreset[run.config.autoreset_mode.name].value,
         "initial_states": run.config.initial_states,
         "max_cycles": run.config.limit,
         "steps": run.taken,
@@ -207,16 +199,12 @@ def _row(run: Run) -> dict[str, Any]:
     }
 
 
-def _written(mode: AutoresetMode) -> str:
-    return Autoreset[mode.name].value
-
-
-def _table(title: str, plan: list[Run]) -> Table:
+def _table(title: str, modes: list[dict[str, Any]]) -> Table:
     grid = common.table(title, ["autoreset", "starts"], ["limit", "steps", "words", "episodes"])
     grid.add_column("", no_wrap=True)
     verdicts = {True: "[green]bit-exact[/]", False: "[bold red]differs[/]", None: "[dim]not run[/]"}
-    for run in plan:
-        mode, starts, limit = _written(run.config.autoreset_mode), run.config.initial_states, run.config.limit
-        figures = (f"{figure:,}" for figure in (run.taken, run.words, run.episodes))
-        grid.add_row(mode, starts, f"{limit or 'none'}", *figures, verdicts[run.exact])
+    for mode in modes:
+        figures = (f"{mode[name]:,}" for name in ("steps", "words", "episodes"))
+        limit = f"{mode['max_cycles'] or 'none'}"
+        grid.add_row(mode["autoreset_mode"], mode["initial_states"], limit, *figures, verdicts[mode["exact"]])
     return grid
