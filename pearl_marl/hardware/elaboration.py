@@ -84,13 +84,7 @@ class Timing(NamedTuple):
 
 
 def core_timing(spec: EnvSpec) -> Timing:
-    """Return when a core answers, as its package states it.
-
-    Raises
-    ------
-    DeviceError
-        There is no core, or its package does not state both in numbers and constants of packages.
-    """
+    """Return when a core answers, as its package states it in numbers and constants of packages."""
     core = core_path(spec)
     folder = backbone_paths()[0].parent
     constants: dict[str, str] = {}

@@ -132,12 +132,9 @@ def _most(fits: Callable[[int], bool]) -> int:
 
 
 def confirm(spec: EnvSpec, fit: Fit, pe_num: int, data_wl: int) -> Fit:
-    """Synthesise a predicted build; if it does not fit after all, go down until one does.
+    """Synthesise a predicted build; if its block RAM does not fit after all, go down until one does.
 
-    Raises
-    ------
-    DeviceError
-        It is not the block RAM that does not fit.
+    Where something else does not fit, it raises a DeviceError.
     """
     while True:
         usage = synthesise(Build.of(spec, fit.n_envs, pe_num, data_wl))

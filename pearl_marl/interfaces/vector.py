@@ -31,10 +31,7 @@ class PearlVectorEnv(VectorInterface):
     ``DISABLED``
         It has to be reset before the next step: ``reset(options={"reset_mask": ended})``.
 
-    Attributes
-    ----------
-    device
-        The :class:`pearl_marl.devices.Device` that steps the slots.
+    ``device`` is the :class:`pearl_marl.devices.Device` that steps the slots.
     """
 
     def __init__(
