@@ -35,14 +35,15 @@ def contenders(spec: EnvSpec, n: int) -> list[Contender]:
     kernel = "golden step and float32 rewards; no observations, no resets"
     checked = "all result arrays, checked actions"
     kept = f"{checked}, yours to keep"
+    unread, read = (partial(_pettingzoo, read=read) for read in (False, True))
     here: list[tuple[str, str, Callable[[EnvSpec, Array], Step]]] = [
         ("kernel only", kernel, _kernel),
         ("step_batch, copy=False", f"{checked}; one thread", partial(_batch, copy=False)),
         ("step_batch", f"{kept}; one thread", _batch),
         ("step_batch, int64 actions", f"{kept}; one thread", partial(_batch, dtype=np.int64)),
         ("step_batch, threads=None", f"{kept}; as many threads as pay", partial(_batch, device=Native)),
-        ("PettingZoo step, array actions", "five dicts, nobody looks inside; one thread", _pettingzoo_arrays),
-        ("PettingZoo step, dict actions", "five dicts, every key read; one thread", _pettingzoo_dicts),
+        ("PettingZoo step, array actions", "five dicts, nobody looks inside; one thread", unread),
+        ("PettingZoo step, dict actions", "five dicts, every key read; one thread", read),
         ("Gymnasium VectorEnv step", "arrays and infos, int64 actions; one thread", _vector),
         ("step_batch, device='rtl'", "the FPGA design under Verilator, by backdoor; one thread", simulated),
         ("(memory) filling the result arrays", "writing zeros over what a step returns: the floor", _filling),
@@ -93,15 +94,11 @@ def simulated(spec: EnvSpec, actions: Array, device: Callable[[], Rtl] = Rtl) ->
         raise UnavailableError(str(error).splitlines()[0]) from None
 
 
-def _pettingzoo_arrays(spec: EnvSpec, actions: Array) -> Step:
+def _pettingzoo(spec: EnvSpec, actions: Array, read: bool) -> Step:
     env = parallel_env(spec.name, len(actions), device=one_thread(), **spec.options)
     env.reset(seed=0)
-    return lambda: env.step(actions)
-
-
-def _pettingzoo_dicts(spec: EnvSpec, actions: Array) -> Step:
-    env = parallel_env(spec.name, len(actions), device=one_thread(), **spec.options)
-    env.reset(seed=0)
+    if not read:
+        return lambda: env.step(actions)
     by_agent = dict(zip(env.possible_agents, actions.tolist(), strict=True))
     return lambda: [len(dict(results)) for results in env.step(by_agent)]
 

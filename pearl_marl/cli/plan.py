@@ -15,7 +15,6 @@ from pearl_marl.errors import ArgumentError
 from pearl_marl.hardware.fitting import PARTS
 from pearl_marl.latency import LINKS, Link, loop_cycles
 from pearl_marl.plan import Plan, plan
-from pearl_marl.spec import EnvSpec
 
 Slots = Annotated[int, typer.Option("--n-envs", min=1, help="Slots.")]
 LinkName = Annotated[
@@ -57,34 +56,20 @@ def command(
     taken = _link(link)
     chip = None if part is None else PARTS[part]
     found = plan(spec, n_envs, taken, clock * 1e6, chip, pe_num, data_wl)
-    layout = found.chosen.layout
-    sizes = f"--n-envs {layout.n_envs} --pe-num {layout.pe_num} --data-wl {layout.data_wl}"
-    synthesis = " ".join([f"pearl synth {env_id} {sizes}", *(f"--option {pair}" for pair in option or ())])
-    result = _result(spec, taken, found, clock, part, synthesis)
-    if common.delivered(result, as_json, out, f"plan_{spec.name}_{n_envs}.json"):
-        return
-    console.print(_candidates(result, found))
-    console.print(_stages(result, found))
-    for sentence in _sentences(result, found):
-        console.print(sentence, soft_wrap=True)
-
-
-def _result(
-    spec: EnvSpec, link: Link, found: Plan, clock: float, part: str | None, synthesis: str
-) -> dict[str, Any]:
-    """Return everything that is known of the plan, as JSON has it."""
     layout, usage = found.chosen.layout, found.usage
-    return {
+    sizes = f"--n-envs {layout.n_envs} --pe-num {layout.pe_num} --data-wl {layout.data_wl}"
+    options = (f"--option {pair}" for pair in option or ())
+    result = {
         "environment": spec.id,
         "options": dict(spec.options),
         "n_envs": layout.n_envs,
         "clock_mhz": clock,
         "link": {
-            "name": link.name,
-            "call_us": link.call * 1e6,
-            "write_gb_per_s": link.write_rate / 1e9,
-            "read_gb_per_s": link.read_rate / 1e9,
-            "source": link.source,
+            "name": taken.name,
+            "call_us": taken.call * 1e6,
+            "write_gb_per_s": taken.write_rate / 1e9,
+            "read_gb_per_s": taken.read_rate / 1e9,
+            "source": taken.source,
         },
         "bytes_written": layout.step_write[1],
         "bytes_read": layout.step_read[1],
@@ -94,9 +79,15 @@ def _result(
         "candidates": [candidate.as_json() for candidate in found.candidates],
         "part": part,
         "usage": None if usage is None else usage.as_json(),
-        "synthesise": synthesis,
+        "synthesise": " ".join([f"pearl synth {env_id} {sizes}", *options]),
         "machine": machine(),
     }
+    if common.delivered(result, as_json, out, f"plan_{spec.name}_{n_envs}.json"):
+        return
+    console.print(_candidates(result, found))
+    console.print(_stages(result, found))
+    for sentence in _sentences(result, found):
+        console.print(sentence, soft_wrap=True)
 
 
 def _link(text: str) -> Link:
