@@ -76,7 +76,8 @@ def rllib_multi_agent_env(
     when their episode ends. RLlib keeps a Python object for every step of every agent and manages a few
     thousand of them a second: this is for a few agents. For many take :func:`rllib_vector_env`.
 
-    Takes ``wrap`` as that does, and the arguments of :func:`pearl_marl.parallel_env`.
+    Takes ``wrap`` as that does, and the arguments of :func:`pearl_marl.parallel_env`, to which RLlib's
+    ``env_config`` adds.
 
     Raises
     ------
