@@ -31,8 +31,7 @@ from pearl_marl.devices.transport import STAGES, Exchange, Transport, word
 from pearl_marl.errors import DeviceError
 from pearl_marl.hardware import elaboration
 from pearl_marl.hardware.build import Build
-from pearl_marl.hardware.codec import Stream, pack, stream_bytes, unpack
-from pearl_marl.hardware.regions import pack_region, unpack_region
+from pearl_marl.hardware.codec import Stream, pack, pack_region, stream_bytes, unpack, unpack_region
 from pearl_marl.memory_map import (
     ELAPSED_BITS,
     MAGIC,
