@@ -58,8 +58,6 @@ def settings_for(algorithm: str, env_id: str, given: dict[str, Any], shards: int
         return settings
     if "blocks" not in names:
         raise ArgumentError(f"{algorithm} does not learn with --shards: leave it out, or use ppo")
-    if shards < 1:
-        raise ArgumentError(f"--shards is {shards}; it must be at least 1, or left out for this process")
     if "blocks" in given:
         return settings
     return dataclasses.replace(settings, blocks=min(BLOCKS, settings.n_agents))

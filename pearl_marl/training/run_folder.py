@@ -62,25 +62,23 @@ class RunFolder:
     def __init__(self, path: Path, settings: dict[str, Any]) -> None:
         self.path = path
         self.rows: list[dict[str, Any]] = []
+        self._board: SummaryWriter | None = None
+        self._resumed = path / CHECKPOINT
         config = path / "config.json"
         settings = json.loads(json.dumps(settings))
         try:
             path.mkdir(parents=True, exist_ok=True)
-            if config.exists():
-                self._refuse_others(_settings(config), settings)
-            else:
-                about = {"settings": settings, "machine": machine()}
-                replace_file(config, json.dumps(about, indent=2).encode())
+            theirs = _settings(config) if config.exists() else None
         except OSError as error:
             raise ArgumentError(f"--out {path} is no folder that can be written: {error.strerror}") from None
-        self._board: SummaryWriter | None = None
-        self._resumed = path / CHECKPOINT
-
-    def _refuse_others(self, theirs: dict[str, Any], ours: dict[str, Any]) -> None:
-        for name in {**theirs, **ours}:
-            if theirs.get(name) != ours.get(name):
+        if theirs is None:
+            about = {"settings": settings, "machine": machine()}
+            replace_file(config, json.dumps(about, indent=2).encode())
+            return
+        for name in {**theirs, **settings}:
+            if theirs.get(name) != settings.get(name):
                 raise ArgumentError(
-                    f"{self.path} holds a run with {name} {theirs.get(name)!r}, not {ours.get(name)!r}: "
+                    f"{path} holds a run with {name} {theirs.get(name)!r}, not {settings.get(name)!r}: "
                     "give the same settings to go on with it, or another --out"
                 )
 
@@ -101,7 +99,9 @@ class RunFolder:
         if checkpoint.get("format") != FORMAT:
             raise ArgumentError(f"{self._resumed} is of another version of this package: give another --out")
         rows = checkpoint.pop("rows", None)
-        if not isinstance(rows, list) or not all(_is_row(row) for row in rows):
+        if not isinstance(rows, list) or not all(
+            isinstance(row, dict) and isinstance(row.get("agent_steps"), int) for row in rows
+        ):
             raise self.damaged("and has no metrics")
         self.rows = rows
         return checkpoint
@@ -163,8 +163,8 @@ class RunFolder:
         if self._board is not None:
             self._board.flush()
 
-    def draw_curve(self, title: str, goal: float | None) -> Path:
-        """Draw the returns of training and of evaluations over agent-steps; return the picture's path."""
+    def draw_curve(self, title: str, goal: float | None) -> None:
+        """Draw the returns of training and of evaluations over agent-steps."""
         plt = import_pyplot()
         figure, axes = plt.subplots(figsize=(7, 4), layout="constrained")
         for name, label in (("train_return", "episodes in training"), ("eval_return", "best actions")):
@@ -176,14 +176,8 @@ class RunFolder:
         axes.set(xlabel="agent-steps (millions)", ylabel="mean return", title=title)
         axes.grid(alpha=0.3)
         axes.legend()
-        path = self.path / "learning_curve.png"
-        figure.savefig(path, dpi=120)
+        figure.savefig(self.path / "learning_curve.png", dpi=120)
         plt.close(figure)
-        return path
-
-
-def _is_row(row: Any) -> bool:
-    return isinstance(row, dict) and isinstance(row.get("agent_steps"), int)
 
 
 def _settings(config: Path) -> dict[str, Any]:
