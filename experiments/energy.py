@@ -68,7 +68,8 @@ class Nvml:
 
             nvml.init_v2()
             # Not by its number: CUDA and NVML count in different orders.
-            self._board = nvml.device_get_handle_by_uuid(_gpu().uuid)
+            gpu = importlib.import_module("numba.cuda").get_current_device()
+            self._board = nvml.device_get_handle_by_uuid(gpu.uuid)
             self._read = nvml.device_get_total_energy_consumption
             self.start()
         except ImportError as error:
@@ -85,11 +86,6 @@ class Nvml:
     def joules(self) -> float:
         """Return what was spent since."""
         return float(self._read(self._board) - self._before) * 1e-3
-
-
-def _gpu() -> Any:
-    """Return the GPU in use."""
-    return importlib.import_module("numba.cuda").get_current_device()
 
 
 class Energy(NamedTuple):

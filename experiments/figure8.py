@@ -11,7 +11,21 @@ from pearl_marl.rendering import import_pyplot
 from pearl_marl.spec import EnvSpec
 
 from . import activity, energy, figure6, paper
-from .section import BLUE, GREEN, HATCHES, ORANGE, WIDTH, Progress, Row, select
+from .section import (
+    BLUE,
+    GREEN,
+    HATCHES,
+    ORANGE,
+    WIDTH,
+    Progress,
+    Row,
+    having,
+    labelled,
+    legend,
+    row_of,
+    select,
+    tidy,
+)
 
 TITLE = "Figure 8: energy"
 TEXT = (
@@ -31,7 +45,6 @@ COLUMNS = {
     "toggles_per_step": "toggles a slot's step",
     "counts": "what is counted, or from where",
 }
-SEEDS = (0,)
 
 METERS: dict[type[energy.Meter], tuple[str, ...]] = {
     energy.Rapl: (figure6.BATCH, figure6.ENVPOOL, figure6.SYNC),
@@ -47,36 +60,24 @@ def collect(quick: bool, progress: Progress) -> list[Row]:
     rows = measured(environments[:1] if quick else environments, quick, progress)
     if not quick:  # a model each to compile
         rows += _activity(progress)
-    for name in environments:
-        rows.append(
-            {
-                "kind": "quoted",
-                "environment": name,
-                "contender": "the paper: PEARL, their board",
-                "over_envpool": paper.ENERGY_OVER_ENVPOOL[name],
-                "over_vector_env": paper.ENERGY_OVER_VECTOR_ENV[name],
-                "counts": paper.ENERGY_SOURCE,
-            }
-        )
-    rows.append(
-        {
-            "kind": "quoted",
-            "environment": "CliffWalking",
-            "contender": f"the paper: {paper.GROWTH_SIZES[1]:,} over {paper.GROWTH_SIZES[0]:,} environments",
-            "power_growth": paper.GROWTH["power"],
-            "counts": paper.GROWTH_SOURCE,
-        }
-    )
     rows += [
-        {
-            "kind": "quoted",
-            "environment": "CliffWalking",
-            "contender": f"the paper: {name}",
-            "steps_per_joule": framework.steps_per_joule,
-            "counts": paper.FRAMEWORKS_SOURCE,
-        }
-        for name, framework in paper.FRAMEWORKS.items()
+        row_of(
+            "quoted",
+            paper.ENERGY_SOURCE,
+            environment=name,
+            contender="the paper: PEARL, their board",
+            over_envpool=paper.ENERGY_OVER_ENVPOOL[name],
+            over_vector_env=paper.ENERGY_OVER_VECTOR_ENV[name],
+        )
+        for name in environments
     ]
+    small, large = paper.GROWTH_SIZES
+    grown, quoted = f"the paper: {large:,} over {small:,} environments", {"environment": "CliffWalking"}
+    growth = paper.GROWTH["power"]
+    rows.append(row_of("quoted", paper.GROWTH_SOURCE, **quoted, contender=grown, power_growth=growth))
+    for name, framework in paper.FRAMEWORKS.items():
+        found = {"contender": f"the paper: {name}", "steps_per_joule": framework.steps_per_joule}
+        rows.append(row_of("quoted", paper.FRAMEWORKS_SOURCE, **quoted, **found))
     return rows
 
 
@@ -87,9 +88,8 @@ def measured(environments: list[str], quick: bool, progress: Progress) -> list[R
         try:
             meter = meter_class()
         except energy.UnmeasuredError as error:
-            common: Row = {"kind": "missing", "environment": "all", "contender": ", ".join(names)}
-            counts = f"not measured here: {error}"
-            rows.append({**common, "platform": meter_class.platform, "counts": counts})
+            common = {"environment": "all", "contender": ", ".join(names), "platform": meter_class.platform}
+            rows.append(row_of("missing", f"not measured here: {error}", **common))
             continue
         for name in progress(environments, len(environments), "energy"):
             rows += _measured(get_spec(name), meter, names, quick)
@@ -112,25 +112,17 @@ def _measured(spec: EnvSpec, meter: energy.Meter, names: tuple[str, ...], quick:
         try:
             step = contender.make()
         except UnavailableError as error:
-            rows.append({**common, "kind": "missing", "counts": str(error)})
+            rows.append(row_of("missing", str(error), **common))
             continue
         step()
         contender.wait()
         spent = energy.spend(meter, step, contender.wait, seconds)
         if not spent.joules:  # some virtual machines have counters that stand still
-            rows.append(
-                {**common, "kind": "missing", "counts": f"not measured here: {meter.counts} counts nothing"}
-            )
+            rows.append(row_of("missing", f"not measured here: {meter.counts} counts nothing", **common))
             continue
-        rows.append(
-            {
-                **common,
-                "kind": "measured",
-                "steps_per_joule": spent.steps * contender.n / spent.joules,
-                "watts": spent.joules / spent.seconds,
-                "counts": f"{meter.counts} for {seconds:g} s; {contender.counts}",
-            }
-        )
+        counts = f"{meter.counts} for {seconds:g} s; {contender.counts}"
+        rate, watts = spent.steps * contender.n / spent.joules, spent.joules / spent.seconds
+        rows.append(row_of("measured", counts, **common, steps_per_joule=rate, watts=watts))
     found = select(rows, kind="measured")
     rates = {row["contender"]: row["steps_per_joule"] for row in found}
     for row in found:
@@ -143,14 +135,14 @@ def _measured(spec: EnvSpec, meter: energy.Meter, names: tuple[str, ...], quick:
 def _activity(progress: Progress) -> list[Row]:
     sizes = activity.CONFIGURATIONS
     return [
-        {
-            "kind": "simulated",
-            "environment": found.environment,
-            "contender": f"FPGA design, {found.pe_num} PEs, {found.data_wl}-bit words",
-            "n_envs": found.n_envs,
-            "toggles_per_step": found.toggles_per_slot,
-            "counts": f"changes of {found.registers:,} register bits, a slot's share over AXI; no energy",
-        }
+        row_of(
+            "simulated",
+            f"changes of {found.registers:,} register bits, a slot's share over AXI; no energy",
+            environment=found.environment,
+            contender=f"FPGA design, {found.pe_num} PEs, {found.data_wl}-bit words",
+            n_envs=found.n_envs,
+            toggles_per_step=found.toggles_per_slot,
+        )
         for found in (activity.measure(*size) for size in progress(sizes, len(sizes), "toggles"))
     ]
 
@@ -169,7 +161,7 @@ def draw(rows: list[Row]) -> Any:
             (-shift, "quoted", ORANGE, "the paper's board (quoted)", select(rows, kind="quoted")),
             (shift, "measured", BLUE, "step_batch (measured)", measured),
         ):
-            points = [row for row in chosen if row.get(key) is not None]
+            points = having(chosen, key)
             if not points:
                 continue
             x = [environments.index(row["environment"]) + place for row in points]
@@ -200,11 +192,6 @@ def draw(rows: list[Row]) -> Any:
     right.set_xlim(10, 100_000)
     for axes in (*both, right):
         axes.title.set_fontsize(10)
-        axes.spines[["top", "right"]].set_visible(False)
-    handles, labels = zip(*(pair for axes in (both[0], right) for pair in _legend(axes)), strict=True)
-    figure.legend(handles, labels, loc="outside lower center", ncols=3, frameon=False, fontsize=8)
+    tidy(*both, right, grid=False)
+    legend(figure, {**labelled(both[0]), **labelled(right)}, 3, "lower")
     return figure
-
-
-def _legend(axes: Any) -> list[tuple[Any, str]]:
-    return list(zip(*axes.get_legend_handles_labels(), strict=True))

@@ -8,18 +8,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-
-class Compression(NamedTuple):
-    """Shares of a transfer that the paper's compression saves, of CliffWalking."""
-
-    state: float
-    action: float
-    reward: float
-    observation: float
-    ends: float
-
-
-SAVED = Compression(state=0.875, action=0.875, reward=0.969, observation=0.917, ends=0.875)
+SAVED = {"state": 0.875, "action": 0.875, "reward": 0.969, "observation": 0.917, "ends": 0.875}
+"""Shares of a transfer that the paper's compression saves, of CliffWalking."""
 SAVED_SOURCE = "the paper, section III-B"
 
 ACTION_SHARE = {

@@ -13,7 +13,7 @@ from pearl_marl.registry import get_spec
 from pearl_marl.rendering import import_pyplot
 from pearl_marl.training.q_learning import QLearning, Settings
 
-from .section import BLUE, ORANGE, WIDTH, Progress, Row, log_axis, select
+from .section import BLUE, ORANGE, WIDTH, Progress, Row, having, log_axis, row_of, select, tidy
 
 TITLE = "Many learners at once"
 TEXT = (
@@ -35,7 +35,6 @@ COLUMNS = {
     "reached": "share of learners at -13",
     "counts": "what is counted",
 }
-SEEDS = (0,)
 
 SHORTEST = -13.0
 POPULATION = 32
@@ -57,16 +56,17 @@ def _rates(n: int, quick: bool, progress: Progress) -> list[Row]:
     for evaluation in _trained(trainer, every, progress, "learning rates"):
         known = evaluation.returns == SHORTEST
         found = np.where(known, np.where(found < 0, trainer.done, found), -1)
+    counts = f"until its best actions are the shortest way, seen every {every}; none: not in {most}"
     return [
-        {
-            "kind": "measured",
-            "part": "rates",
-            "n_agents": n,
-            "learners": POPULATION,
-            "rate": float(rate),
-            "iterations": None if steps < 0 else int(steps),
-            "counts": f"until its best actions are the shortest way, seen every {every}; none: not in {most}",
-        }
+        row_of(
+            "measured",
+            counts,
+            part="rates",
+            n_agents=n,
+            learners=POPULATION,
+            rate=float(rate),
+            iterations=None if steps < 0 else int(steps),
+        )
         for rate, steps in zip(rates, found, strict=True)
     ]
 
@@ -85,17 +85,17 @@ def _rewards(n: int, quick: bool, progress: Progress) -> list[Row]:
     # By the environment's own rewards, from which falls can be told.
     falls = (evaluation.returns - step * evaluation.lengths) / (fall - step)
     return [
-        {
-            "kind": "measured",
-            "part": "rewards",
-            "n_agents": n,
-            "learners": POPULATION,
-            "fall_worth": float(value),
-            "iterations": settings.iterations,
-            "falls": float(falls_of_one),
-            "length": int(length),
-            "counts": "the one episode of its best actions: nothing in it is random",
-        }
+        row_of(
+            "measured",
+            "the one episode of its best actions: nothing in it is random",
+            part="rewards",
+            n_agents=n,
+            learners=POPULATION,
+            fall_worth=float(value),
+            iterations=settings.iterations,
+            falls=float(falls_of_one),
+            length=int(length),
+        )
         for value, falls_of_one, length in zip(worth, falls, evaluation.lengths, strict=True)
     ]
 
@@ -105,21 +105,19 @@ def _alone(n: int, quick: bool, progress: Progress) -> list[Row]:
     every, most = 250, 2500
     settings = Settings(n_agents=n, learners=n, iterations=most, rate=1.0, epsilon=0.1)
     trainer = QLearning(get_spec("CliffWalking"), "native", settings)
-    rows: list[Row] = []
-    for evaluation in _trained(trainer, every, progress, "independent learners"):
-        rows.append(
-            {
-                "kind": "measured",
-                "part": "alone",
-                "n_agents": n,
-                "learners": n,
-                "rate": settings.rate,
-                "iterations": trainer.done,
-                "reached": float(np.mean(evaluation.returns == SHORTEST)),
-                "counts": "an episode of every learner",
-            }
+    return [
+        row_of(
+            "measured",
+            "an episode of every learner",
+            part="alone",
+            n_agents=n,
+            learners=n,
+            rate=settings.rate,
+            iterations=trainer.done,
+            reached=float(np.mean(evaluation.returns == SHORTEST)),
         )
-    return rows
+        for evaluation in _trained(trainer, every, progress, "independent learners")
+    ]
 
 
 def _iterations(trainer: QLearning) -> Iterator[int]:
@@ -145,10 +143,10 @@ def _evaluated(trainer: QLearning) -> Evaluation:
 
 def draw(rows: list[Row]) -> Any:
     """Draw the three, side by side."""
-    plt = import_pyplot()
-    figure, (left, middle, right) = plt.subplots(1, 3, figsize=(WIDTH, 3.3), layout="constrained")
+    figure, panels = import_pyplot().subplots(1, 3, figsize=(WIDTH, 3.3), layout="constrained")
+    left, middle, right = panels
 
-    found = [row for row in select(rows, part="rates") if row["iterations"] is not None]
+    found = having(select(rows, part="rates"), "iterations")
     left.plot(*_columns(found, "rate", "iterations"), "o-", color=BLUE, markersize=3)
     log_axis(left, "y", [row["iterations"] for row in found])
     left.set(
@@ -174,10 +172,9 @@ def draw(rows: list[Row]) -> Any:
         ylim=(-0.03, 1.03),
         title=f"{alone[0]['learners']:,} learners, each alone",
     )
-    for axes in (left, middle, right):
-        axes.grid(alpha=0.3)
+    tidy(*panels)
+    for axes in panels:
         axes.title.set_fontsize(10)
-        axes.spines[["top", "right"]].set_visible(False)
     return figure
 
 

@@ -7,8 +7,10 @@ picture and table alike, is made of the rows that :meth:`Section.collect` return
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any, Protocol, TypeVar
+
+from pearl_marl.rendering import import_pyplot
 
 T = TypeVar("T")
 
@@ -41,8 +43,6 @@ class Section(Protocol):
     """What it shows, in a sentence or two, for the page."""
     COLUMNS: Mapping[str, str]
     """Headings of the page's table by keys of a row; ``kind`` always comes first, and is not named here."""
-    SEEDS: tuple[int, ...]
-    """Of everything random in it."""
 
     def collect(self, quick: bool, progress: Progress) -> list[Row]:
         """Measure everything, or with ``quick`` a small part in some seconds.
@@ -55,8 +55,23 @@ class Section(Protocol):
         ...
 
     def draw(self, rows: list[Row]) -> Any:
-        """Return a figure of matplotlib, or ``None`` where there is nothing to draw, as in a mere table."""
+        """Return a figure of matplotlib; a mere table has no such function."""
         ...
+
+
+def row_of(kind: str, counts: str, **values: Any) -> Row:
+    """Return a row: its kind, its values, and what is counted or from where."""
+    return {"kind": kind, **values, "counts": counts}
+
+
+def select(rows: Iterable[Row], **wanted: Any) -> list[Row]:
+    """Return the rows that have all these values."""
+    return [row for row in rows if all(row.get(key) == value for key, value in wanted.items())]
+
+
+def having(rows: Iterable[Row], key: str) -> list[Row]:
+    """Return the rows that have a value of that key."""
+    return [row for row in rows if row.get(key) is not None]
 
 
 # ---- What the pictures have in common ----
@@ -93,6 +108,39 @@ def log_axis(axes: Any, which: str, values: Iterable[float], ticks: bool = False
         axes.set(**{f"{which}lim": (10.0**low, 10.0 ** max(high, low + 1))})
 
 
-def select(rows: Iterable[Row], **wanted: Any) -> list[Row]:
-    """Return the rows that have all these values."""
-    return [row for row in rows if all(row.get(key) == value for key, value in wanted.items())]
+def panels(names: Sequence[str], head: float, height: float, **options: Any) -> tuple[Any, dict[str, Any]]:
+    """Return a figure with a panel for each name, four in a line; the heights are inches."""
+    columns = min(4, len(names))
+    lines = -(-len(names) // columns)
+    figure, grid = import_pyplot().subplots(
+        *(lines, columns),
+        figsize=(WIDTH, head + height * lines),
+        squeeze=False,
+        layout="constrained",
+        **options,
+    )
+    for axes in list(grid.flat)[len(names) :]:
+        axes.axis("off")
+    return figure, dict(zip(names, grid.flat, strict=False))
+
+
+def tidy(*panels: Any, grid: bool = True) -> None:
+    """Take lines away from around panels, and put pale ones into them."""
+    for axes in panels:
+        axes.spines[["top", "right"]].set_visible(False)
+        if grid:
+            axes.grid(alpha=0.3)
+
+
+def legend(
+    figure: Any, handles: Mapping[str, Any], columns: int, place: str = "upper", **options: Any
+) -> None:
+    """Put a legend above a figure, or below it; the handles by their labels."""
+    options = {"loc": f"outside {place} center", "ncols": columns, "fontsize": 8, "frameon": False, **options}
+    figure.legend(handles.values(), handles.keys(), **options)
+
+
+def labelled(axes: Any) -> dict[str, Any]:
+    """Return what has been drawn in a panel, by its labels."""
+    handles, labels = axes.get_legend_handles_labels()
+    return dict(zip(labels, handles, strict=True))
