@@ -10,25 +10,10 @@ from pearl_marl.hardware.build import Build
 from pearl_marl.latency import axi_cycles, draws_wait, loop_cycles, measure_host, step_cycles
 from pearl_marl.memory_map import default_map, memory_map
 from pearl_marl.registry import get_spec, names
-from pearl_marl.rendering import import_pyplot
 from pearl_marl.spec import EnvSpec
 
 from . import latency_model
-from .section import (
-    BLUE,
-    GREEN,
-    HATCHES,
-    LINES,
-    ORANGE,
-    RED,
-    WIDTH,
-    Progress,
-    Row,
-    log_axis,
-    row_of,
-    select,
-    tidy,
-)
+from .section import HATCHES, LINES, Colour, Progress, Row, log_axis, row_of, select, subplots, tidy
 
 TITLE = "Eq. 1 to 3: the latency model"
 TEXT = (
@@ -139,7 +124,7 @@ def _simulated(name: str, n: int, pe_num: int, data_wl: int, pipelined: bool) ->
 
 def draw(rows: list[Row]) -> Any:
     """Draw T1 and T7 over bytes with their lines, the model over simulated cycles, and the three loops."""
-    figure, panels = import_pyplot().subplots(1, 3, figsize=(WIDTH, 4.1), layout="constrained")
+    figure, panels = subplots(1, 3, 4.1)
     _draw_host(panels[0], rows)
     _draw_model(panels[1], rows)
     _draw_loops(panels[2], rows)
@@ -151,7 +136,7 @@ def draw(rows: list[Row]) -> Any:
 
 def _draw_host(axes: Any, rows: list[Row]) -> None:
     measured = select(rows, kind="measured")
-    for what, colour in (("T1, pack", BLUE), ("T7, unpack", ORANGE)):
+    for what, colour in (("T1, pack", Colour.BLUE), ("T7, unpack", Colour.ORANGE)):
         points = select(measured, what=what)
         moved, times = [row["bytes"] for row in points], [row["microseconds"] for row in points]
         axes.plot(
@@ -174,7 +159,7 @@ def _draw_host(axes: Any, rows: list[Row]) -> None:
 
 
 def _draw_model(axes: Any, rows: list[Row]) -> None:
-    for what, colour in (("a step", GREEN), ("over AXI", RED)):
+    for what, colour in (("a step", Colour.GREEN), ("over AXI", Colour.RED)):
         simulated, predicted = (
             [row["cycles"] for row in select(rows, what=what, kind=kind)]
             for kind in ("simulated", "predicted")
@@ -191,7 +176,9 @@ def _draw_model(axes: Any, rows: list[Row]) -> None:
 def _draw_loops(axes: Any, rows: list[Row]) -> None:
     environments = list(dict.fromkeys(row["environment"] for row in select(rows, what="Eq. 2")))
     height = 0.27
-    for i, (what, colour) in enumerate((("Eq. 2", RED), ("Eq. 3", ORANGE), ("this design", BLUE))):
+    for i, (what, colour) in enumerate(
+        (("Eq. 2", Colour.RED), ("Eq. 3", Colour.ORANGE), ("this design", Colour.BLUE))
+    ):
         found = [select(rows, what=what, environment=name)[0]["cycles"] for name in environments]
         places = [y + (i - 1) * height for y in range(len(environments))]
         style = {"color": colour, "hatch": HATCHES["predicted"], "edgecolor": "white"}

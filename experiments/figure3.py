@@ -10,11 +10,10 @@ import numpy as np
 from pearl_marl.benchmark.paper import TABLE_2, TABLE_2_SOURCE
 from pearl_marl.memory_map import TER_BITS
 from pearl_marl.registry import get_spec, names
-from pearl_marl.rendering import import_pyplot
 from pearl_marl.spec import EnvSpec, word_bits
 
 from . import paper
-from .section import BLUE, HATCHES, ORANGE, SKY, WIDTH, Progress, Row, having, row_of, select, tidy
+from .section import HATCHES, Colour, Progress, Row, bars, having, row_of, select, subplots, tidy
 
 TITLE = "Figure 3: data compression"
 TEXT = (
@@ -110,28 +109,21 @@ def _bits(space: gymnasium.Space[Any]) -> int:
 
 def draw(rows: list[Row]) -> Any:
     """Draw bars before and after, a panel a quantity."""
-    figure, grid = import_pyplot().subplots(2, 3, figsize=(WIDTH, 8.0), sharey=True, layout="constrained")
+    figure, grid = subplots(2, 3, 8.0, sharey=True)
     *panels, rest = grid.flat
     environments = list(dict.fromkeys(row["environment"] for row in rows))
     height = 0.27
-    bars = (
-        ("measured", "bits_before", ORANGE, -1, "arrays of Gymnasium (counted)"),
-        ("measured", "bits_after", BLUE, 0, "words of our hardware (counted)"),
-        ("quoted", "bits_after", SKY, 1, "words of the paper's (quoted)"),
+    forms = (
+        ("measured", "bits_before", Colour.ORANGE, -1, "arrays of Gymnasium (counted)"),
+        ("measured", "bits_after", Colour.BLUE, 0, "words of our hardware (counted)"),
+        ("quoted", "bits_after", Colour.SKY, 1, "words of the paper's (quoted)"),
     )
     for axes, quantity in zip(panels, QUANTITIES, strict=True):
-        for kind, key, colour, place, label in bars:
+        for kind, key, colour, place, label in forms:
             points = having(select(rows, quantity=quantity, kind=kind), key)
-            drawn = axes.barh(
-                [environments.index(row["environment"]) + place * height for row in points],
-                [row[key] for row in points],
-                height,
-                color=colour,
-                edgecolor="white",
-                hatch=HATCHES[kind],
-                label=label,
-            )
-            axes.bar_label(drawn, [f"{row[key]:,}" for row in points], fontsize=7, padding=2)
+            places = [environments.index(row["environment"]) + place * height for row in points]
+            style = {"color": colour, "hatch": HATCHES[kind], "label": label}
+            bars(axes, places, [row[key] for row in points], height, **style)
         axes.set(title=quantity, xscale="log", xlim=(0.7, 4e4), xlabel="bits a slot (log scale)")
     tidy(*panels, grid=False)
     panels[0].set_yticks(range(len(environments)), environments)

@@ -23,26 +23,7 @@ from pearl_marl.registry import get_spec, names
 from pearl_marl.spec import EnvSpec
 
 from . import paper, pipeline
-from .section import (
-    BLACK,
-    BLUE,
-    GREEN,
-    LINES,
-    ORANGE,
-    PINK,
-    PURPLE,
-    RED,
-    SKY,
-    Progress,
-    Row,
-    having,
-    legend,
-    log_axis,
-    panels,
-    row_of,
-    select,
-    tidy,
-)
+from .section import LINES, Colour, Progress, Row, having, legend, log_axis, panels, row_of, select, tidy
 
 TITLE = "Figure 6: throughput"
 TEXT = (
@@ -258,16 +239,16 @@ def _quoted() -> list[Row]:
 
 
 STYLES = {
-    KERNEL: (BLACK, "kernel only (no observations)"),
-    BATCH: (BLUE, "step_batch, one thread"),
-    SIMULATED: (SKY, "FPGA design, simulated"),
-    BOARD: (GREEN, "FPGA design, predicted on a VC707"),
-    SIMULATED_SERIAL: (PURPLE, "simulated, without pipeline"),
-    BOARD_SERIAL: (PURPLE, "predicted, without pipeline"),
-    ENVPOOL: (RED, "EnvPool, all cores"),
-    SYNC: (ORANGE, "Gymnasium SyncVectorEnv"),
-    "Gymnasium's own vectorisation": (PINK, "Gymnasium's NumPy form, or MinAtar"),
-    "MinAtar": (PINK, "Gymnasium's NumPy form, or MinAtar"),
+    KERNEL: (Colour.BLACK, "kernel only (no observations)"),
+    BATCH: (Colour.BLUE, "step_batch, one thread"),
+    SIMULATED: (Colour.SKY, "FPGA design, simulated"),
+    BOARD: (Colour.GREEN, "FPGA design, predicted on a VC707"),
+    SIMULATED_SERIAL: (Colour.PURPLE, "simulated, without pipeline"),
+    BOARD_SERIAL: (Colour.PURPLE, "predicted, without pipeline"),
+    ENVPOOL: (Colour.RED, "EnvPool, all cores"),
+    SYNC: (Colour.ORANGE, "Gymnasium SyncVectorEnv"),
+    "Gymnasium's own vectorisation": (Colour.PINK, "Gymnasium's NumPy form, or MinAtar"),
+    "MinAtar": (Colour.PINK, "Gymnasium's NumPy form, or MinAtar"),
 }
 """Colour and legend of a contender; a peer's line is thin."""
 

@@ -14,21 +14,7 @@ from pearl_marl.registry import get_spec
 from pearl_marl.training.run import ALGORITHMS, settings_for
 
 from . import paper, sb3_training
-from .section import (
-    BLUE,
-    GREEN,
-    ORANGE,
-    PINK,
-    RED,
-    Progress,
-    Row,
-    legend,
-    log_axis,
-    panels,
-    row_of,
-    select,
-    tidy,
-)
+from .section import Colour, Progress, Row, legend, log_axis, panels, row_of, select, tidy
 
 TITLE = "Figure 7: training time"
 TEXT = (
@@ -86,12 +72,12 @@ OURS, ENVPOOL, GYMNASIUM = "SB3 on PEARL-MARL", "SB3 on EnvPool", "SB3 on Gymnas
 BATCHED, LARGE, ZOO = "our batched trainer", "our batched trainer, 4,096 agents", "SB3 on EnvPool, 8 agents"
 SOURCES = {GYMNASIUM: "gymnasium", ENVPOOL: "envpool", OURS: "pearl"}
 STYLES = {
-    GYMNASIUM: (ORANGE, "-"),
-    ENVPOOL: (RED, "-"),
-    ZOO: (PINK, "--"),
-    OURS: (BLUE, "-"),
-    BATCHED: (GREEN, "-"),
-    LARGE: (GREEN, ":"),
+    GYMNASIUM: (Colour.ORANGE, "-"),
+    ENVPOOL: (Colour.RED, "-"),
+    ZOO: (Colour.PINK, "--"),
+    OURS: (Colour.BLUE, "-"),
+    BATCHED: (Colour.GREEN, "-"),
+    LARGE: (Colour.GREEN, ":"),
 }
 
 OWN_SETTINGS: dict[str, dict[str, dict[str, Any]]] = {

@@ -7,23 +7,21 @@ from typing import Any
 from pearl_marl.benchmark.contenders import contenders
 from pearl_marl.benchmark.measure import UnavailableError
 from pearl_marl.registry import get_spec
-from pearl_marl.rendering import import_pyplot
 from pearl_marl.spec import EnvSpec
 
 from . import activity, energy, figure6, paper
 from .section import (
-    BLUE,
-    GREEN,
     HATCHES,
-    ORANGE,
-    WIDTH,
+    Colour,
     Progress,
     Row,
+    bars,
     having,
     labelled,
     legend,
     row_of,
     select,
+    subplots,
     tidy,
 )
 
@@ -149,8 +147,7 @@ def _activity(progress: Progress) -> list[Row]:
 
 def draw(rows: list[Row]) -> Any:
     """Draw how many more steps a joule makes than a peer's, quoted and where measured; and toggles."""
-    plt = import_pyplot()
-    figure, (*both, right) = plt.subplots(1, 3, figsize=(WIDTH, 3.6), layout="constrained")
+    figure, (*both, right) = subplots(1, 3, 3.6)
     environments = list(paper.ENERGY_OVER_ENVPOOL)
     measured = select(rows, kind="measured", contender=figure6.BATCH)
     width, shift = (0.38, 0.19) if measured else (0.6, 0.0)
@@ -158,16 +155,16 @@ def draw(rows: list[Row]) -> Any:
         both, ("over_envpool", "over_vector_env"), ("EnvPool", "VectorEnv"), strict=True
     ):
         for place, kind, shade, label, chosen in (
-            (-shift, "quoted", ORANGE, "the paper's board (quoted)", select(rows, kind="quoted")),
-            (shift, "measured", BLUE, "step_batch (measured)", measured),
+            (-shift, "quoted", Colour.ORANGE, "the paper's board (quoted)", select(rows, kind="quoted")),
+            (shift, "measured", Colour.BLUE, "step_batch (measured)", measured),
         ):
             points = having(chosen, key)
             if not points:
                 continue
             x = [environments.index(row["environment"]) + place for row in points]
             y = [row[key] for row in points]
-            bars = axes.bar(x, y, width, color=shade, edgecolor="white", hatch=HATCHES[kind], label=label)
-            axes.bar_label(bars, [f"{value:,.0f}" for value in y], fontsize=7)
+            drawn = axes.bar(x, y, width, color=shade, edgecolor="white", hatch=HATCHES[kind], label=label)
+            axes.bar_label(drawn, fmt="{:,.0f}", fontsize=7)
         axes.set_xticks(range(len(environments)), environments, rotation=40, ha="right", fontsize=8)
         axes.set(title=f"steps a joule, over {peer}", yscale="log", ylim=(1, 20_000))
     both[0].set_ylabel("times as many (log scale)")
@@ -175,15 +172,8 @@ def draw(rows: list[Row]) -> Any:
         both[0].set_title("steps a joule, over EnvPool\n(ours: not measured here)")
     toggles = select(rows, kind="simulated")
     places = range(len(toggles))
-    bars = right.barh(
-        places,
-        [row["toggles_per_step"] for row in toggles],
-        color=GREEN,
-        edgecolor="white",
-        hatch=HATCHES["simulated"],
-        label="this design's registers (simulated)",
-    )
-    right.bar_label(bars, [f"{row['toggles_per_step']:,.0f}" for row in toggles], fontsize=7, padding=2)
+    values, label = [row["toggles_per_step"] for row in toggles], "this design's registers (simulated)"
+    bars(right, places, values, 0.8, color=Colour.GREEN, hatch=HATCHES["simulated"], label=label)
     right.set_yticks(
         places, [f"{row['environment']}\n{row['n_envs']:,} slots" for row in toggles], fontsize=7
     )

@@ -8,28 +8,22 @@ from pearl_marl.hardware import toolchain
 from pearl_marl.hardware.build import Build
 from pearl_marl.hardware.synthesis import synthesise
 from pearl_marl.registry import get_spec
-from pearl_marl.rendering import import_pyplot
 
 from . import paper
 from .section import (
-    BLACK,
-    BLUE,
-    GREEN,
     HATCHES,
     LINES,
-    ORANGE,
-    PINK,
-    RED,
-    SKY,
-    WIDTH,
+    Colour,
     Progress,
     Row,
+    bars,
     having,
     labelled,
     legend,
     log_axis,
     row_of,
     select,
+    subplots,
     tidy,
 )
 
@@ -110,10 +104,10 @@ def _grown(kind: str, name: str, small: int, large: int, growth: dict[str, float
 
 def draw(rows: list[Row]) -> Any:
     """Draw three panels over slots, and the growth factors beside the paper's."""
-    plt = import_pyplot()
-    figure, grid = plt.subplots(2, 2, figsize=(WIDTH, 6.8), layout="constrained")
+    figure, grid = subplots(2, 2, 6.8)
     environments = list(dict.fromkeys(row["environment"] for row in rows if row["kind"] == "predicted"))
-    colours = (BLUE, ORANGE, GREEN, RED, PINK, SKY, BLACK, "#777777")
+    colours = [Colour.BLUE, Colour.ORANGE, Colour.GREEN, Colour.RED]
+    colours += [Colour.PINK, Colour.SKY, Colour.BLACK, "#777777"]
     panels = list(grid.flat)
     keys = {"lut": "LUT", "ff": "flip-flops", "bram36": "BRAM36"}
     for axes, (key, label) in zip(panels, keys.items(), strict=False):
@@ -134,20 +128,12 @@ def draw(rows: list[Row]) -> Any:
     growth = having(rows, "lut_growth")
     axes, height = panels[3], 0.38
     for shift, key, shade, label in (
-        (-height / 2, "lut_growth", BLUE, "LUT"),
-        (height / 2, "ff_growth", ORANGE, "flip-flops"),
+        (-height / 2, "lut_growth", Colour.BLUE, "LUT"),
+        (height / 2, "ff_growth", Colour.ORANGE, "flip-flops"),
     ):
-        values = [row[key] for row in growth]
-        bars = axes.barh(
-            [y + shift for y in range(len(growth))],
-            values,
-            height,
-            color=shade,
-            label=label,
-            hatch=[HATCHES[row["kind"]] for row in growth],
-            edgecolor="white",
-        )
-        axes.bar_label(bars, [f"x{value:.2f}" for value in values], fontsize=7, padding=2)
+        places, values = [y + shift for y in range(len(growth))], [row[key] for row in growth]
+        hatches = [HATCHES[row["kind"]] for row in growth]
+        bars(axes, places, values, height, "x{:.2f}", color=shade, label=label, hatch=hatches)
     named = [("the paper, " if row["kind"] == "quoted" else "") + row["environment"] for row in growth]
     axes.set_yticks(range(len(growth)), named, fontsize=8)
     axes.invert_yaxis()

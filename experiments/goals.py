@@ -14,7 +14,7 @@ from pearl_marl.registry import get_spec
 from pearl_marl.training.run import settings_for, train
 
 from . import paper
-from .section import BLUE, ORANGE, Progress, Row, labelled, legend, panels, row_of, select, tidy
+from .section import Colour, Progress, Row, labelled, legend, panels, row_of, select, tidy
 
 TITLE = "What the trainers reach"
 TEXT = (
@@ -139,11 +139,11 @@ def draw(rows: list[Row]) -> Any:
             [row["mean_return"] for row in runs],
             [row["ci95"] for row in runs],
             fmt="o",
-            color=BLUE,
+            color=Colour.BLUE,
             capsize=3,
             label="reached",
         )
-        axes.axhline(runs[0]["wanted"], color=ORANGE, linestyle="--", label="wanted")
+        axes.axhline(runs[0]["wanted"], color=Colour.ORANGE, linestyle="--", label="wanted")
         axes.set(title=f"{name}\n{runs[0]['algorithm']}", xlim=(-0.5, len(runs) - 0.5))
         axes.set_xticks(range(len(runs)), [f"seed {row['seed']}\n{row['seconds']:.1f} s" for row in runs])
         axes.tick_params(labelsize=8)

@@ -10,10 +10,9 @@ import numpy.typing as npt
 
 from pearl_marl.evaluation.run import Evaluation
 from pearl_marl.registry import get_spec
-from pearl_marl.rendering import import_pyplot
 from pearl_marl.training.q_learning import QLearning, Settings
 
-from .section import BLUE, ORANGE, WIDTH, Progress, Row, having, log_axis, row_of, select, tidy
+from .section import Colour, Progress, Row, having, log_axis, row_of, select, subplots, tidy
 
 TITLE = "Many learners at once"
 TEXT = (
@@ -143,11 +142,11 @@ def _evaluated(trainer: QLearning) -> Evaluation:
 
 def draw(rows: list[Row]) -> Any:
     """Draw the three, side by side."""
-    figure, panels = import_pyplot().subplots(1, 3, figsize=(WIDTH, 3.3), layout="constrained")
+    figure, panels = subplots(1, 3, 3.3)
     left, middle, right = panels
 
     found = having(select(rows, part="rates"), "iterations")
-    left.plot(*_columns(found, "rate", "iterations"), "o-", color=BLUE, markersize=3)
+    left.plot(*_columns(found, "rate", "iterations"), "o-", color=Colour.BLUE, markersize=3)
     log_axis(left, "y", [row["iterations"] for row in found])
     left.set(
         xscale="log",
@@ -157,7 +156,7 @@ def draw(rows: list[Row]) -> Any:
     )
 
     wanted = select(rows, part="rewards")
-    middle.plot(*_columns(wanted, "fall_worth", "falls"), "s-", color=ORANGE, markersize=3)
+    middle.plot(*_columns(wanted, "fall_worth", "falls"), "s-", color=Colour.ORANGE, markersize=3)
     middle.set(
         xlabel="what a fall is worth, a step is -1",
         ylabel="falls in an episode",
@@ -165,7 +164,7 @@ def draw(rows: list[Row]) -> Any:
     )
 
     alone = select(rows, part="alone")
-    right.plot(*_columns(alone, "iterations", "reached"), "o-", color=BLUE, markersize=3)
+    right.plot(*_columns(alone, "iterations", "reached"), "o-", color=Colour.BLUE, markersize=3)
     right.set(
         xlabel="steps of each",
         ylabel="share that knows the shortest way",

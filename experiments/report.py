@@ -171,7 +171,7 @@ def _section(
         "quick": quick,
         "date": datetime.datetime.now().astimezone().isoformat(timespec="seconds"),
         "seconds": round(seconds, 1),
-        "seeds": sorted({row["seed"] for row in rows if row.get("seed") is not None}) or [0],
+        "seeds": sorted({row["seed"] for row in having(rows, "seed")}) or [0],
         "machine": _machine(),
         "rows": rows,
     }

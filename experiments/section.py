@@ -79,9 +79,13 @@ def having(rows: Iterable[Row], key: str) -> list[Row]:
 WIDTH = 9.0
 """Inches: at 100 dots an inch as wide as the page."""
 
-# Okabe and Ito's colours, which people tell apart who do not see all of them, and a dark purple.
-BLACK, ORANGE, SKY, GREEN = "#000000", "#E69F00", "#56B4E9", "#009E73"
-BLUE, RED, PINK, PURPLE = "#0072B2", "#D55E00", "#CC79A7", "#5B2A86"
+
+class Colour:
+    """Okabe and Ito's colours, which people tell apart who do not see all of them, and a dark purple."""
+
+    BLACK, ORANGE, SKY, GREEN = "#000000", "#E69F00", "#56B4E9", "#009E73"
+    BLUE, RED, PINK, PURPLE = "#0072B2", "#D55E00", "#CC79A7", "#5B2A86"
+
 
 LINES: dict[str, dict[str, Any]] = {
     "measured": {"linestyle": "-", "marker": "o"},
@@ -108,20 +112,25 @@ def log_axis(axes: Any, which: str, values: Iterable[float], ticks: bool = False
         axes.set(**{f"{which}lim": (10.0**low, 10.0 ** max(high, low + 1))})
 
 
+def subplots(lines: int, columns: int, height: float, **options: Any) -> Any:
+    """Return a figure as wide as the page and so many inches high, and its panels."""
+    return import_pyplot().subplots(lines, columns, figsize=(WIDTH, height), layout="constrained", **options)
+
+
 def panels(names: Sequence[str], head: float, height: float, **options: Any) -> tuple[Any, dict[str, Any]]:
     """Return a figure with a panel for each name, four in a line; the heights are inches."""
     columns = min(4, len(names))
     lines = -(-len(names) // columns)
-    figure, grid = import_pyplot().subplots(
-        *(lines, columns),
-        figsize=(WIDTH, head + height * lines),
-        squeeze=False,
-        layout="constrained",
-        **options,
-    )
+    figure, grid = subplots(lines, columns, head + height * lines, squeeze=False, **options)
     for axes in list(grid.flat)[len(names) :]:
         axes.axis("off")
     return figure, dict(zip(names, grid.flat, strict=False))
+
+
+def bars(axes: Any, places: Any, values: Any, height: float, form: str = "{:,.0f}", **options: Any) -> None:
+    """Draw bars to the right, and their values beside them."""
+    drawn = axes.barh(places, values, height, edgecolor="white", **options)
+    axes.bar_label(drawn, fmt=form, fontsize=7, padding=2)
 
 
 def tidy(*panels: Any, grid: bool = True) -> None:

@@ -203,22 +203,12 @@ class NetworkPolicy(_Trained):
 class Table(_Trained):
     """What chooses actions by tables: a value for each observation and action, one table a learner.
 
-    Of ``n`` observations, the first ``n / learners`` are the first learner's, and so on.
-
-    Parameters
-    ----------
-    spec
-        The environment that it is for. Its observations are numbers, or tuples of them.
-    learners
-        How many tables.
-
-    Attributes
-    ----------
-    values
-        Shape ``(learners, observations, actions)``, ``float32``.
+    Observations are numbers, or tuples of them. Of ``n``, the first ``n / learners`` are the first learner's,
+    and so on.
     """
 
     values: Tensor
+    """Shape ``(learners, observations, actions)``, ``float32``."""
 
     def __init__(self, spec: EnvSpec, learners: int = 1) -> None:
         super().__init__(spec, kind="table")

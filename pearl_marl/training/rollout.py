@@ -24,21 +24,9 @@ ROWS = 16_384
 
 
 class Agents:
-    """The agents of a range of slots, stepped by tensors: where the device has its results, these stay.
+    """The agents of ``n`` slots, the first of the global number ``first``; ``obs`` is what they see now.
 
-    Parameters
-    ----------
-    spec, device
-        The environment, and where it is stepped. ``"cuda"`` keeps results on the GPU.
-    n, first
-        How many agents, and the global number of the first.
-    seed
-        Of their first episodes.
-
-    Attributes
-    ----------
-    obs
-        What the agents see now.
+    They are stepped by tensors. Where the device has its results, these stay: of ``"cuda"`` on the GPU.
     """
 
     def __init__(self, spec: EnvSpec, device: str | Device, n: int, seed: int, first: int = 0) -> None:
@@ -112,7 +100,7 @@ class Returns:
 
 
 class Trainer:
-    """A run of any algorithm: ``iterate`` goes on by one iteration.
+    """A run of any algorithm: ``iterate`` goes on by one iteration, and ``policy`` is what has been learned.
 
     Parameters
     ----------
@@ -122,25 +110,16 @@ class Trainer:
         Who gathers: :class:`Agents`, or what else has ``state``, ``load`` and ``identity``.
     where
         The device of torch that has their observations, and on which is learned.
-
-    Attributes
-    ----------
-    done
-        Iterations so far.
-    depth
-        Steps of every agent in an iteration.
-    evaluated
-        Agents whose first episodes are an evaluation, unless said otherwise.
-    learned
-        The modules and the optimiser that change, by their names in a checkpoint.
     """
 
     def __init__(self, settings: Any, agents: Any, where: torch.device) -> None:
         self.settings, self.agents, self.where = settings, agents, where
         self.random = torch.Generator(where).manual_seed(settings.seed)
         self.episodes = Returns(settings.n_agents, where)
-        self.learned: dict[str, Any] = {}
-        self.done, self.depth, self.evaluated = 0, 1, 1000
+        self.learned: dict[str, Any] = {}  # modules and optimisers, by their names in a checkpoint
+        self.done = 0  # iterations so far
+        self.depth = 1  # steps of every agent in an iteration
+        self.evaluated = 1000  # agents whose first episodes are an evaluation, unless said otherwise
 
     @property
     def agent_steps(self) -> int:
@@ -251,18 +230,9 @@ class Experience(NamedTuple):
 
 
 class RolloutWorker:
-    """Gathers with the agents of some blocks; see ``Settings.blocks`` of :mod:`pearl_marl.training.ppo`.
+    """Gathers with the agents of some blocks, by default all: see :class:`pearl_marl.training.ppo.Settings`.
 
-    Parameters
-    ----------
-    spec, device
-        The environment, and where it is stepped.
-    settings
-        Of :mod:`pearl_marl.training.ppo`.
-    model
-        What acts: its weights may change between rollouts.
-    blocks
-        Whose agents, of all blocks; by default all.
+    The weights of the model, which acts, may change between rollouts.
     """
 
     def __init__(

@@ -39,19 +39,14 @@ FORMAT = 3
 
 
 class RunFolder:
-    """The folder of one run, new or to be gone on with.
+    """The folder of one run, new or to be gone on with; ``rows`` are the metrics so far, a dict a report.
 
     Parameters
     ----------
     path
-        The folder. If it holds a run already, that has to be of the same settings.
+        The folder.
     settings
         What the run depends on, by name; JSON.
-
-    Attributes
-    ----------
-    rows
-        The metrics so far, a dict a report.
 
     Raises
     ------

@@ -1,12 +1,5 @@
 """Rollouts of one training run, gathered by many processes: weights travel instead of steps.
 
-::
-
-    learner --- weights, number of the rollout ---> worker 0, with the agents of blocks 0 to a
-       ^    --- weights, number of the rollout ---> worker 1, with the agents of blocks a to b
-       |                                               |
-       +------------- experience, state ---------------+
-
 What a worker gathers depends on what it is sent and on its agents' state, which comes back each time. A
 worker that was lost is replaced by one that is given that state, and gathers the same.
 """
