@@ -6,7 +6,7 @@ import importlib
 from collections.abc import Callable
 from pathlib import Path
 from time import perf_counter
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 POWERCAP = Path("/sys/class/powercap")
 """Where Linux has the processor's counters; ``intel-rapl:0`` is a package, also of AMD's."""
@@ -14,19 +14,6 @@ POWERCAP = Path("/sys/class/powercap")
 
 class UnmeasuredError(Exception):
     """No energy can be measured here; the message says why."""
-
-
-class Meter(Protocol):
-    """Counts energy."""
-
-    counts: str
-    platform: str
-
-    def start(self) -> None:
-        """Count from now."""
-
-    def joules(self) -> float:
-        """Return what was spent since."""
 
 
 class Rapl:
@@ -86,6 +73,9 @@ class Nvml:
     def joules(self) -> float:
         """Return what was spent since."""
         return float(self._read(self._board) - self._before) * 1e-3
+
+
+Meter = Rapl | Nvml
 
 
 class Energy(NamedTuple):

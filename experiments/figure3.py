@@ -65,19 +65,12 @@ def _share(kind: str, name: str, share: float, counts: str) -> Row:
 
 def _counted(spec: EnvSpec) -> list[Row]:
     as_one = isinstance(spec.observation_space, gymnasium.spaces.Discrete)
-    before = {
-        "action": _bits(spec.action_space),
-        "observation": _bits(spec.observation_space),
-        "reward": 64,
-        "ends": 2 * 8,
-        "state": 64 if as_one else 64 * len(spec.state),
-    }
-    after = {
-        "action": spec.action.bits,
-        "observation": word_bits(spec.observation),
-        "reward": spec.reward.bits,
-        "ends": TER_BITS,
-        "state": word_bits(spec.state),
+    bits = {
+        "action": (_bits(spec.action_space), spec.action.bits),
+        "observation": (_bits(spec.observation_space), word_bits(spec.observation)),
+        "reward": (64, spec.reward.bits),
+        "ends": (2 * 8, TER_BITS),
+        "state": (64 if as_one else 64 * len(spec.state), word_bits(spec.state)),
     }
     arrays = {
         "reward": "a float64",
@@ -90,11 +83,11 @@ def _counted(spec: EnvSpec) -> list[Row]:
             arrays.get(quantity, "an element of Gymnasium's batched space"),
             environment=spec.name,
             quantity=quantity,
-            bits_before=before[quantity],
-            bits_after=after[quantity],
-            saved=1 - after[quantity] / before[quantity],
+            bits_before=before,
+            bits_after=after,
+            saved=1 - after / before,
         )
-        for quantity in QUANTITIES
+        for quantity, (before, after) in bits.items()
     ]
 
 

@@ -54,7 +54,7 @@ N_ENVS = 43008
 
 def collect(quick: bool, progress: Progress) -> list[Row]:
     """Measure what contenders take, where that is possible; count toggles; add the paper's figures."""
-    environments = list(paper.ENERGY_OVER_ENVPOOL)
+    environments = list(paper.ENERGY_OVER)
     rows = measured(environments[:1] if quick else environments, quick, progress)
     if not quick:  # a model each to compile
         rows += _activity(progress)
@@ -64,10 +64,10 @@ def collect(quick: bool, progress: Progress) -> list[Row]:
             paper.ENERGY_SOURCE,
             environment=name,
             contender="the paper: PEARL, their board",
-            over_envpool=paper.ENERGY_OVER_ENVPOOL[name],
-            over_vector_env=paper.ENERGY_OVER_VECTOR_ENV[name],
+            over_envpool=over_envpool,
+            over_vector_env=over_vector_env,
         )
-        for name in environments
+        for name, (over_vector_env, over_envpool) in paper.ENERGY_OVER.items()
     ]
     small, large = paper.GROWTH_SIZES
     grown, quoted = f"the paper: {large:,} over {small:,} environments", {"environment": "CliffWalking"}
@@ -148,7 +148,7 @@ def _activity(progress: Progress) -> list[Row]:
 def draw(rows: list[Row]) -> Any:
     """Draw how many more steps a joule makes than a peer's, quoted and where measured; and toggles."""
     figure, (*both, right) = subplots(1, 3, 3.6)
-    environments = list(paper.ENERGY_OVER_ENVPOOL)
+    environments = list(paper.ENERGY_OVER)
     measured = select(rows, kind="measured", contender=figure6.BATCH)
     width, shift = (0.38, 0.19) if measured else (0.6, 0.0)
     for axes, key, peer in zip(

@@ -52,7 +52,7 @@ class Made(NamedTuple):
 def report(
     folder: Path, quick: bool, only: Sequence[str], progress: Progress, say: Callable[[str], None]
 ) -> list[Made]:
-    """Make the sections that are not in the folder yet, and the page of all that are.
+    """Make the sections that are not in the folder yet, and the page of all that are; return those made.
 
     Parameters
     ----------
@@ -62,15 +62,8 @@ def report(
         A small part of everything.
     only
         Names of sections to make; none for all.
-    progress
-        Shows how far it is.
-    say
-        Takes a line about each section.
-
-    Returns
-    -------
-    list
-        Every section that was to be made.
+    progress, say
+        Shows how far a section is, and takes a line about each.
 
     Raises
     ------

@@ -55,16 +55,8 @@ class Settings(Checked):
 class PPO(Trainer):
     """A run of PPO: :meth:`iterate` is one update.
 
-    Parameters
-    ----------
-    spec
-        The environment.
-    device
-        Where it is stepped. Learned is where that has its observations: with ``"cuda"``, on the GPU.
-    settings
-        The run's.
-    shards
-        How many processes gather experience, by Ray; ``None`` for this one. What is learned is the same.
+    Learned is where the device has its observations: with ``"cuda"``, on the GPU. This process gathers
+    experience, or as many of Ray's as ``shards`` says; what is learned is the same.
     """
 
     def __init__(self, spec: EnvSpec, device: Any, settings: Settings, shards: int | None = None) -> None:

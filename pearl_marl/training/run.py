@@ -81,12 +81,10 @@ def train(
 
     Parameters
     ----------
-    env_id, options
-        The environment.
+    env_id, options, device
+        The environment, and where agents are stepped.
     algorithm, settings
         One of :data:`ALGORITHMS`, and what :func:`settings_for` made.
-    device
-        Where agents are stepped.
     folder
         Of the run. If it holds one of the same settings, that goes on where its last checkpoint was.
     goal

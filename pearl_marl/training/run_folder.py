@@ -1,13 +1,4 @@
-"""A training run's folder: settings, metrics, checkpoints, the policy; and how it goes on after a kill.
-
-::
-
-    config.json            settings, seed, versions, machine
-    metrics.csv            a row for each report; the same figures for TensorBoard beside it
-    checkpoint.pt          all that the continuation depends on
-    checkpoint.previous.pt the one before
-    policy.safetensors     the best policy so far that was evaluated
-    learning_curve.png     when the run is done
+"""A training run's folder (docs/training.md has its files), and how a run goes on after a kill.
 
 Everything is written beside and renamed, and metrics and checkpoint belong together: whenever a run is
 killed, it goes on from its last checkpoint as if nothing had happened. A folder may be somebody else's: a

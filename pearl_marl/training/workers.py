@@ -53,14 +53,9 @@ class Worker:
 
 
 class RayWorkers:
-    """Gathers as one :class:`RolloutWorker` of all agents would, with actors of Ray that share them.
+    """Gathers as one :class:`RolloutWorker` of all agents would, with as many actors of Ray as ``shards``.
 
-    Parameters
-    ----------
-    spec, device, settings, model
-        As of :class:`RolloutWorker`.
-    shards
-        How many actors, among whom blocks are divided evenly.
+    Blocks of agents are divided among them evenly.
 
     Raises
     ------
