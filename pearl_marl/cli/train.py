@@ -67,11 +67,9 @@ def command(
             f"training needs the Python package {error.name}: pip install 'pearl-marl[train]'"
         ) from None
     options = dict(common.spec_of(env_id, option).options)
-    given: dict[str, Any] = {"n_agents": n_agents, "iterations": iterations}
-    given = {name: value for name, value in given.items() if value is not None}
-    settings = training.settings_for(
-        algo, env_id, {**common.env_options(setting, "--set"), **given, "seed": seed}, shards
-    )
+    chosen = {"n_agents": n_agents, "iterations": iterations, "seed": seed}
+    given = common.env_options(setting, "--set") | {name: n for name, n in chosen.items() if n is not None}
+    settings = training.settings_for(algo, env_id, given, shards)
 
     columns = (
         TextColumn(f"{env_id}, {algo}"),
