@@ -67,18 +67,7 @@ class Activity:
 
 
 def measure(env_id: str, n_envs: int, pe_num: int, data_wl: int) -> Activity:
-    """Simulate a build and count.
-
-    Parameters
-    ----------
-    env_id, n_envs, pe_num, data_wl
-        The build. It takes random actions from a seed of its own, so the figures are the same every time.
-
-    Raises
-    ------
-    DeviceError
-        The model cannot be built.
-    """
+    """Simulate a build and count: with random actions of one seed, so the figures are the same every time."""
     spec, rng = get_spec(env_id), np.random.default_rng(0)
     with tempfile.TemporaryDirectory(prefix="pearl_activity_") as folder:
         waves = Path(folder) / "waves.vcd"

@@ -115,8 +115,8 @@ def learn(
             }
             statistics.clear()
             curve.append(point)
-            greedy_return = point["greedy_return"]
-            shown = "not at the goal yet" if greedy_return is None else f"return {greedy_return:g}"
+            found = point["greedy_return"]
+            shown = "not at the goal yet" if found is None else f"return {found:g}"
             note = f"{step * n_agents / 1e6:.1f} M steps, {shown}"
             progress.update(task, advance=EVALUATE_EVERY, note=note)
     return curve
@@ -161,14 +161,9 @@ def evaluate(table: Table) -> float | None:
     return sum(float(step.rewards[0]) for step in steps) if steps[-1].terminations[0] else None
 
 
-def greedy_path(table: Table) -> list[int]:
-    """Return the cells that the greedy policy visits."""
-    return [START, *(int(step.arrivals()[0]) for step in greedy_steps(table))]
-
-
 def draw_policy(table: Table) -> Text:
     """Return the greedy action of every cell as arrows, with the path from start to goal in colour."""
-    path = set(greedy_path(table))
+    path = {START, *(int(step.arrivals()[0]) for step in greedy_steps(table))}
     text = Text()
     for cell in range(ROWS * COLUMNS):
         if cell == GOAL:
@@ -195,13 +190,8 @@ def draw_curve(curve: list[dict[str, Any]], n_agents: int, path: Path) -> None:
         ("exploring_return", "while exploring (mean of episodes that ended)"),
         ("greedy_return", "greedy policy"),
     ):
-        axes.plot(
-            steps,
-            [np.nan if p[key] is None else -p[key] for p in curve],
-            label=label,
-            marker=".",
-            markersize=4,
-        )
+        costs = [np.nan if point[key] is None else -point[key] for point in curve]
+        axes.plot(steps, costs, label=label, marker=".", markersize=4)
     axes.axhline(-OPTIMAL_RETURN, color="grey", linestyle="--", label=f"optimal: {OPTIMAL_RETURN}")
     axes.set(xlabel="agent-steps (millions)", ylabel="return (log scale)", yscale="log")
     axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))

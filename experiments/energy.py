@@ -6,7 +6,7 @@ import importlib
 from collections.abc import Callable
 from pathlib import Path
 from time import perf_counter
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 POWERCAP = Path("/sys/class/powercap")
 """Where Linux has the processor's counters; ``intel-rapl:0`` is a package, also of AMD's."""
@@ -14,19 +14,6 @@ POWERCAP = Path("/sys/class/powercap")
 
 class UnmeasuredError(Exception):
     """No energy can be measured here; the message says why."""
-
-
-class Meter(Protocol):
-    """Counts energy."""
-
-    counts: str
-    platform: str
-
-    def start(self) -> None:
-        """Count from now."""
-
-    def joules(self) -> float:
-        """Return what was spent since."""
 
 
 class Rapl:
@@ -68,7 +55,8 @@ class Nvml:
 
             nvml.init_v2()
             # Not by its number: CUDA and NVML count in different orders.
-            self._board = nvml.device_get_handle_by_uuid(_gpu().uuid)
+            gpu = importlib.import_module("numba.cuda").get_current_device()
+            self._board = nvml.device_get_handle_by_uuid(gpu.uuid)
             self._read = nvml.device_get_total_energy_consumption
             self.start()
         except ImportError as error:
@@ -87,9 +75,7 @@ class Nvml:
         return float(self._read(self._board) - self._before) * 1e-3
 
 
-def _gpu() -> Any:
-    """Return the GPU in use."""
-    return importlib.import_module("numba.cuda").get_current_device()
+Meter = Rapl | Nvml
 
 
 class Energy(NamedTuple):

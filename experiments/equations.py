@@ -10,11 +10,10 @@ from pearl_marl.hardware.build import Build
 from pearl_marl.latency import axi_cycles, draws_wait, loop_cycles, measure_host, step_cycles
 from pearl_marl.memory_map import default_map, memory_map
 from pearl_marl.registry import get_spec, names
-from pearl_marl.rendering import import_pyplot
 from pearl_marl.spec import EnvSpec
 
 from . import latency_model
-from .section import BLUE, GREEN, HATCHES, LINES, ORANGE, RED, WIDTH, Progress, Row, log_axis, select
+from .section import HATCHES, LINES, Colour, Progress, Row, log_axis, row_of, select, subplots, tidy
 
 TITLE = "Eq. 1 to 3: the latency model"
 TEXT = (
@@ -36,13 +35,12 @@ COLUMNS = {
     "cycles": "cycles",
     "counts": "what is counted",
 }
-SEEDS = (0,)
 
 SIZES = (1024, 4096, 16384, 43008)
 HOST_ENVS = ("CliffWalking", "Blackjack", "CartPole", "Pendulum", "Seaquest")
 LOOPS = ((43008, 256, 1024), (43008, 128, 1024), (43008, 64, 256))
 """Slots, processing elements and bits of a word of docs/latency.md's table."""
-QUICK_CONFIGURATION = ("CliffWalking", 7, 4, 32)
+QUICK_BUILD = ("CliffWalking", 7, 4, 32, True)
 
 
 def collect(quick: bool, progress: Progress) -> list[Row]:
@@ -51,10 +49,7 @@ def collect(quick: bool, progress: Progress) -> list[Row]:
     rows: list[Row] = []
     for name in progress(environments, len(environments), "T1 and T7"):
         rows += _host(get_spec(name), quick)
-    builds = [(*size, True) for size in latency_model.CONFIGURATIONS]
-    builds += [(*size, False) for size in latency_model.SERIAL]
-    if quick:
-        builds = [(*QUICK_CONFIGURATION, True)]
+    builds = [QUICK_BUILD] if quick else latency_model.BUILDS
     for build in progress(builds, len(builds), "clock cycles"):
         rows += _simulated(*build)
     for name in names():
@@ -62,23 +57,15 @@ def collect(quick: bool, progress: Progress) -> list[Row]:
         layouts = [memory_map(spec, *loop) for loop in LOOPS] if name == "CliffWalking" else []
         for layout in layouts or [default_map(spec, SIZES[-1])]:
             cycles = loop_cycles(spec, layout)
-            for what, count, counts in (
-                ("Eq. 2", cycles.serial, "one unit, slot after slot"),
-                ("Eq. 3", cycles.parallel, "a unit for each slot, transfers one after the other"),
-                ("this design", cycles.ours, "reading, computing and writing at the same time"),
-            ):
-                rows.append(
-                    {
-                        "kind": "predicted",
-                        "what": what,
-                        "environment": name,
-                        "n_envs": layout.n_envs,
-                        "pe_num": layout.pe_num,
-                        "data_wl": layout.data_wl,
-                        "cycles": count,
-                        "counts": counts,
-                    }
+            size = {"n_envs": layout.n_envs, "pe_num": layout.pe_num, "data_wl": layout.data_wl}
+            rows += [
+                row_of("predicted", counts, what=what, environment=name, **size, cycles=count)
+                for what, count, counts in (
+                    ("Eq. 2", cycles.serial, "one unit, slot after slot"),
+                    ("Eq. 3", cycles.parallel, "a unit for each slot, transfers one after the other"),
+                    ("this design", cycles.ours, "reading, computing and writing at the same time"),
                 )
+            ]
     return rows
 
 
@@ -91,30 +78,15 @@ def _host(spec: EnvSpec, quick: bool) -> list[Row]:
             ("T1, pack", times.pack, layout.step_write[1]),
             ("T7, unpack", times.unpack, layout.step_read[1]),
         ):
-            rows.append(
-                {
-                    "kind": "measured",
-                    "what": what,
-                    "environment": spec.name,
-                    "n_envs": n,
-                    "bytes": moved,
-                    "microseconds": seconds * 1e6,
-                    "counts": "median processor time of one thread",
-                }
-            )
+            found = {"n_envs": n, "bytes": moved, "microseconds": seconds * 1e6}
+            counts = "median processor time of one thread"
+            rows.append(row_of("measured", counts, what=what, environment=spec.name, **found))
     for what in ("T1, pack", "T7, unpack"):
         points = select(rows, what=what)
         slope, constant = fitted([row["bytes"] for row in points], [row["microseconds"] for row in points])
-        rows.append(
-            {
-                "kind": "predicted",
-                "what": what,
-                "environment": spec.name,
-                "alpha": float(slope) * 1e3,
-                "beta": float(constant),
-                "counts": "Eq. 1, the line through the measurements (least squares of relative errors)",
-            }
-        )
+        line = {"alpha": slope * 1e3, "beta": constant}
+        counts = "Eq. 1, the line through the measurements (least squares of relative errors)"
+        rows.append(row_of("predicted", counts, what=what, environment=spec.name, **line))
     return rows
 
 
@@ -137,46 +109,40 @@ def fitted(x: list[float], y: list[float]) -> tuple[float, float]:
 def _simulated(name: str, n: int, pe_num: int, data_wl: int, pipelined: bool) -> list[Row]:
     build = Build.of(get_spec(name), n, pe_num, data_wl)
     cycles, whole = latency_model.measure(build, pipelined)
-    model = step_cycles(*build, pipelined) + draws_wait(*build)
-    common = {"environment": name, "n_envs": n, "pe_num": pe_num, "data_wl": data_wl}
+    modelled = step_cycles(*build, pipelined) + draws_wait(*build), axi_cycles(*build, pipelined)
+    size = {"environment": name, "n_envs": n, "pe_num": pe_num, "data_wl": data_wl}
     form = "" if pipelined else "; without pipeline"
-    step, port = f"doorbell to last result{form}", f"with every transfer over AXI{form}"
     return [
-        {"kind": "simulated", "what": "a step", **common, "cycles": cycles, "counts": step},
-        {"kind": "predicted", "what": "a step", **common, "cycles": model, "counts": step},
-        {"kind": "simulated", "what": "over AXI", **common, "cycles": whole, "counts": port},
-        {
-            "kind": "predicted",
-            "what": "over AXI",
-            **common,
-            "cycles": axi_cycles(*build, pipelined),
-            "counts": port,
-        },
+        row_of(kind, f"{counts}{form}", what=what, **size, cycles=count)
+        for what, counts, simulated, model in (
+            ("a step", "doorbell to last result", cycles, modelled[0]),
+            ("over AXI", "with every transfer over AXI", whole, modelled[1]),
+        )
+        for kind, count in (("simulated", simulated), ("predicted", model))
     ]
 
 
 def draw(rows: list[Row]) -> Any:
     """Draw T1 and T7 over bytes with their lines, the model over simulated cycles, and the three loops."""
-    plt = import_pyplot()
-    figure, panels = plt.subplots(1, 3, figsize=(WIDTH, 4.1), layout="constrained")
+    figure, panels = subplots(1, 3, 4.1)
     _draw_host(panels[0], rows)
     _draw_model(panels[1], rows)
     _draw_loops(panels[2], rows)
+    tidy(*panels, grid=False)
     for axes in panels:
-        axes.spines[["top", "right"]].set_visible(False)
         axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2), fontsize=7, frameon=False)
     return figure
 
 
 def _draw_host(axes: Any, rows: list[Row]) -> None:
-    measured = [row for row in rows if row["kind"] == "measured"]
-    for what, colour in (("T1, pack", BLUE), ("T7, unpack", ORANGE)):
+    measured = select(rows, kind="measured")
+    for what, colour in (("T1, pack", Colour.BLUE), ("T7, unpack", Colour.ORANGE)):
         points = select(measured, what=what)
         moved, times = [row["bytes"] for row in points], [row["microseconds"] for row in points]
         axes.plot(
             moved, times, color=colour, linestyle="", marker="o", markersize=4, label=f"{what} (measured)"
         )
-        for i, line in enumerate(row for row in select(rows, what=what, kind="predicted")):
+        for i, line in enumerate(select(rows, what=what, kind="predicted")):
             mine = [row["bytes"] for row in select(points, environment=line["environment"])]
             across = np.geomspace(min(mine), max(mine), 50)
             axes.plot(
@@ -193,7 +159,7 @@ def _draw_host(axes: Any, rows: list[Row]) -> None:
 
 
 def _draw_model(axes: Any, rows: list[Row]) -> None:
-    for what, colour in (("a step", GREEN), ("over AXI", RED)):
+    for what, colour in (("a step", Colour.GREEN), ("over AXI", Colour.RED)):
         simulated, predicted = (
             [row["cycles"] for row in select(rows, what=what, kind=kind)]
             for kind in ("simulated", "predicted")
@@ -210,7 +176,9 @@ def _draw_model(axes: Any, rows: list[Row]) -> None:
 def _draw_loops(axes: Any, rows: list[Row]) -> None:
     environments = list(dict.fromkeys(row["environment"] for row in select(rows, what="Eq. 2")))
     height = 0.27
-    for i, (what, colour) in enumerate((("Eq. 2", RED), ("Eq. 3", ORANGE), ("this design", BLUE))):
+    for i, (what, colour) in enumerate(
+        (("Eq. 2", Colour.RED), ("Eq. 3", Colour.ORANGE), ("this design", Colour.BLUE))
+    ):
         found = [select(rows, what=what, environment=name)[0]["cycles"] for name in environments]
         places = [y + (i - 1) * height for y in range(len(environments))]
         style = {"color": colour, "hatch": HATCHES["predicted"], "edgecolor": "white"}

@@ -10,11 +10,10 @@ import numpy as np
 from pearl_marl.benchmark.paper import TABLE_2, TABLE_2_SOURCE
 from pearl_marl.memory_map import TER_BITS
 from pearl_marl.registry import get_spec, names
-from pearl_marl.rendering import import_pyplot
 from pearl_marl.spec import EnvSpec, word_bits
 
 from . import paper
-from .section import BLUE, HATCHES, ORANGE, SKY, WIDTH, Progress, Row, select
+from .section import HATCHES, Colour, Progress, Row, bars, having, row_of, select, subplots, tidy
 
 TITLE = "Figure 3: data compression"
 TEXT = (
@@ -31,7 +30,6 @@ COLUMNS = {
     "share": "share",
     "counts": "what is counted",
 }
-SEEDS = (0,)
 
 QUANTITIES = ("action", "observation", "reward", "ends", "state")
 
@@ -41,14 +39,10 @@ def collect(quick: bool, progress: Progress) -> list[Row]:
     specs = [get_spec(name) for name in names()]
     rows = [row for spec in progress(specs, len(specs), "bits") for row in _counted(spec)]
     rows += [
-        {
-            "kind": "quoted",
-            "environment": "CliffWalking",
-            "quantity": quantity,
-            "saved": getattr(paper.SAVED, quantity),
-            "counts": paper.SAVED_SOURCE,
-        }
-        for quantity in QUANTITIES
+        row_of(
+            "quoted", paper.SAVED_SOURCE, environment="CliffWalking", quantity=what, saved=paper.SAVED[what]
+        )
+        for what in QUANTITIES
     ]
     for spec in specs:
         sent = spec.action.bits / (spec.action.bits + word_bits(spec.state))
@@ -56,51 +50,27 @@ def collect(quick: bool, progress: Progress) -> list[Row]:
     for name, sent in paper.ACTION_SHARE.items():
         rows.append(_share("quoted", name, sent, paper.ACTION_SHARE_SOURCE))
     for name, column in TABLE_2.items():
-        widths = {
-            "action": column.action,
-            "observation": column.observation,
-            "reward": column.reward,
-            "state": column.state,
-        }
         rows += [
-            {
-                "kind": "quoted",
-                "environment": name,
-                "quantity": quantity,
-                "bits_after": bits,
-                "counts": TABLE_2_SOURCE,
-            }
-            for quantity, bits in widths.items()
+            row_of(
+                "quoted", TABLE_2_SOURCE, environment=name, quantity=what, bits_after=getattr(column, what)
+            )
+            for what in ("action", "observation", "reward", "state")
         ]
     return rows
 
 
 def _share(kind: str, name: str, share: float, counts: str) -> Row:
-    return {
-        "kind": kind,
-        "environment": name,
-        "quantity": "action / (action + state)",
-        "share": share,
-        "counts": counts,
-    }
+    return row_of(kind, counts, environment=name, quantity="action / (action + state)", share=share)
 
 
 def _counted(spec: EnvSpec) -> list[Row]:
-    before = {
-        "action": _bits(spec.action_space),
-        "observation": _bits(spec.observation_space),
-        "reward": 64,
-        "ends": 2 * 8,
-        "state": 64
-        if isinstance(spec.observation_space, gymnasium.spaces.Discrete)
-        else 64 * len(spec.state),
-    }
-    after = {
-        "action": spec.action.bits,
-        "observation": word_bits(spec.observation),
-        "reward": spec.reward.bits,
-        "ends": TER_BITS,
-        "state": word_bits(spec.state),
+    as_one = isinstance(spec.observation_space, gymnasium.spaces.Discrete)
+    bits = {
+        "action": (_bits(spec.action_space), spec.action.bits),
+        "observation": (_bits(spec.observation_space), word_bits(spec.observation)),
+        "reward": (64, spec.reward.bits),
+        "ends": (2 * 8, TER_BITS),
+        "state": (64 if as_one else 64 * len(spec.state), word_bits(spec.state)),
     }
     arrays = {
         "reward": "a float64",
@@ -108,16 +78,16 @@ def _counted(spec: EnvSpec) -> list[Row]:
         "state": "64 bits, as Python keeps numbers, for each variable; one where it is observed as one",
     }
     return [
-        {
-            "kind": "measured",
-            "environment": spec.name,
-            "quantity": quantity,
-            "bits_before": before[quantity],
-            "bits_after": after[quantity],
-            "saved": 1 - after[quantity] / before[quantity],
-            "counts": arrays.get(quantity, "an element of Gymnasium's batched space"),
-        }
-        for quantity in QUANTITIES
+        row_of(
+            "measured",
+            arrays.get(quantity, "an element of Gymnasium's batched space"),
+            environment=spec.name,
+            quantity=quantity,
+            bits_before=before,
+            bits_after=after,
+            saved=1 - after / before,
+        )
+        for quantity, (before, after) in bits.items()
     ]
 
 
@@ -132,48 +102,25 @@ def _bits(space: gymnasium.Space[Any]) -> int:
 
 def draw(rows: list[Row]) -> Any:
     """Draw bars before and after, a panel a quantity."""
-    plt = import_pyplot()
-    figure, grid = plt.subplots(2, 3, figsize=(WIDTH, 8.0), sharey=True, layout="constrained")
-    panels = list(grid.flat)
+    figure, grid = subplots(2, 3, 8.0, sharey=True)
+    *panels, rest = grid.flat
     environments = list(dict.fromkeys(row["environment"] for row in rows))
     height = 0.27
-    bars = (
-        ("measured", "bits_before", ORANGE, -1),
-        ("measured", "bits_after", BLUE, 0),
-        ("quoted", "bits_after", SKY, 1),
+    forms = (
+        ("measured", "bits_before", Colour.ORANGE, -1, "arrays of Gymnasium (counted)"),
+        ("measured", "bits_after", Colour.BLUE, 0, "words of our hardware (counted)"),
+        ("quoted", "bits_after", Colour.SKY, 1, "words of the paper's (quoted)"),
     )
-    for axes, quantity in zip(panels, QUANTITIES, strict=False):
-        for kind, key, colour, place in bars:
-            points = [row for row in select(rows, quantity=quantity, kind=kind) if row.get(key) is not None]
-            drawn = axes.barh(
-                [environments.index(row["environment"]) + place * height for row in points],
-                [row[key] for row in points],
-                height,
-                color=colour,
-                edgecolor="white",
-                hatch=HATCHES[kind],
-            )
-            axes.bar_label(drawn, [f"{row[key]:,}" for row in points], fontsize=7, padding=2)
+    for axes, quantity in zip(panels, QUANTITIES, strict=True):
+        for kind, key, colour, place, label in forms:
+            points = having(select(rows, quantity=quantity, kind=kind), key)
+            places = [environments.index(row["environment"]) + place * height for row in points]
+            style = {"color": colour, "hatch": HATCHES[kind], "label": label}
+            bars(axes, places, [row[key] for row in points], height, **style)
         axes.set(title=quantity, xscale="log", xlim=(0.7, 4e4), xlabel="bits a slot (log scale)")
-        axes.spines[["top", "right"]].set_visible(False)
+    tidy(*panels, grid=False)
     panels[0].set_yticks(range(len(environments)), environments)
     panels[0].invert_yaxis()
-    panels[5].axis("off")
-    panels[5].legend(
-        handles=[
-            plt.Rectangle((0, 0), 1, 1, color=ORANGE, label="arrays of Gymnasium (counted)"),
-            plt.Rectangle((0, 0), 1, 1, color=BLUE, label="words of our hardware (counted)"),
-            plt.Rectangle(
-                (0, 0),
-                1,
-                1,
-                facecolor=SKY,
-                edgecolor="white",
-                hatch=HATCHES["quoted"],
-                label="words of the paper's (quoted)",
-            ),
-        ],
-        loc="center",
-        frameon=False,
-    )
+    rest.axis("off")
+    rest.legend(*panels[0].get_legend_handles_labels(), loc="center", frameon=False)
     return figure

@@ -9,36 +9,20 @@ from typing import Any
 import numpy as np
 
 from pearl_marl.batch.actions import random_actions
-from pearl_marl.benchmark.contenders import contenders
+from pearl_marl.benchmark.contenders import contenders, simulated
 from pearl_marl.benchmark.measure import Contender, measure
-from pearl_marl.benchmark.ours import simulated
 from pearl_marl.benchmark.paper import TABLE_2
 from pearl_marl.devices import Rtl
 from pearl_marl.errors import ArgumentError
 from pearl_marl.hardware.fitting import PARTS
 from pearl_marl.latency import LINKS
-from pearl_marl.plan import Plan, plan
+from pearl_marl.latency.prediction import Overlap, Prediction
+from pearl_marl.plan import plan
 from pearl_marl.registry import get_spec, names
-from pearl_marl.rendering import import_pyplot
 from pearl_marl.spec import EnvSpec
 
 from . import paper, pipeline
-from .section import (
-    BLACK,
-    BLUE,
-    GREEN,
-    LINES,
-    ORANGE,
-    PINK,
-    PURPLE,
-    RED,
-    SKY,
-    WIDTH,
-    Progress,
-    Row,
-    log_axis,
-    select,
-)
+from .section import LINES, Colour, Progress, Row, having, legend, log_axis, panels, row_of, select, tidy
 
 TITLE = "Figure 6: throughput"
 TEXT = (
@@ -59,7 +43,6 @@ COLUMNS = {
     "over_no_pipeline": "over no pipeline",
     "counts": "what is counted, or from where",
 }
-SEEDS = (0,)
 
 SIZES = (64, 1024, 8192, 43008)
 QUICK_SIZES = (7, 64)
@@ -106,20 +89,10 @@ def throughput(
     progress: Progress,
     only: Iterable[str] | None = None,
 ) -> list[Row]:
-    """Time the contenders of ``pearl bench`` at one size, but for those that ``known`` has at theirs.
+    """Time the contenders of ``pearl bench`` at one size, or ``only`` those of some names.
 
-    Parameters
-    ----------
-    spec, n
-        What is stepped.
-    known
-        Rows already there. Peers of pure Python are timed with fewer slots than asked for, at most.
-    quick
-        One short round.
-    progress
-        Shows how far it is.
-    only
-        Names of contenders; all that suit the size, if not given.
+    Those are left out of which ``known`` has a row at their size: peers of pure Python are timed with fewer
+    slots than asked for.
     """
     everything = spec.name == README_ENV and n == SIZES[-1]
     had = {(row["environment"], row["contender"], row["n_envs"]) for row in known}
@@ -151,53 +124,58 @@ def _built(spec: EnvSpec, n: int, quick: bool) -> bool:
 
 
 def _row(spec: EnvSpec, contender: Contender) -> Row:
-    row: Row = {
-        "kind": "simulated" if contender.name in SIMULATIONS else "measured",
+    common = {
         "environment": spec.name,
         "contender": contender.name,
         "ours": contender.ours,
         "n_envs": contender.n,
     }
     if contender.unavailable is not None:
-        return {**row, "kind": "missing", "counts": contender.unavailable}
-    return {
-        **row,
-        "steps_per_second": contender.n / contender.seconds_per_step,
-        "microseconds_per_step": contender.seconds_per_step * 1e6,
-        "counts": contender.counts,
-    }
+        return row_of("missing", contender.unavailable, **common)
+    return row_of(
+        "simulated" if contender.name in SIMULATIONS else "measured",
+        contender.counts,
+        **common,
+        steps_per_second=contender.n / contender.seconds_per_step,
+        microseconds_per_step=contender.seconds_per_step * 1e6,
+    )
 
 
 def predicted(spec: EnvSpec, n: int) -> list[Row]:
-    """Predict the build that ``pearl plan`` chooses for the paper's board: T1 to T7, and two half-batches."""
-    common: Row = {"environment": spec.name, "contender": BOARD, "ours": True, "n_envs": n}
+    """Predict the build that ``pearl plan`` chooses for the paper's board: T1 to T7, and two half-batches.
+
+    And the paper's form without pipeline behind the same link: states go to it and come back with every step.
+    """
     try:
-        chosen = plan(spec, n, LINK, CLOCK, PART)
+        plans = plan(spec, n, LINK, CLOCK, PART)
     except ArgumentError as error:  # so many slots do not fit the part
-        return [{**common, "kind": "missing", "counts": str(error)}]
-    prediction = chosen.chosen.prediction
-    build = f"{prediction.pe_num} PEs, {prediction.data_wl}-bit words, {CLOCK / 1e6:g} MHz, {LINK.name}"
-    rows: list[Row] = [
-        {
-            **common,
-            "kind": "predicted",
-            "steps_per_second": prediction.rate,
-            "microseconds_per_step": prediction.total * 1e6,
-            "counts": f"{build}; T1 and T7 measured here",
-        }
-    ]
-    if chosen.overlap is not None:
-        rows.append(
-            {
-                **common,
-                "contender": BOARD_OVERLAP,
-                "kind": "predicted",
-                "steps_per_second": chosen.overlap.rate,
-                "microseconds_per_step": chosen.overlap.total * 1e6,
-                "counts": f"{build}; two designs of half the slots, in turns",
-            }
-        )
-    return [*rows, predicted_without_pipeline(spec, chosen)]
+        return [row_of("missing", str(error), environment=spec.name, contender=BOARD, ours=True, n_envs=n)]
+    chosen = plans.chosen.prediction
+    behind = f"{chosen.data_wl}-bit words, {CLOCK / 1e6:g} MHz, {LINK.name}"
+    build = f"{chosen.pe_num} PEs, {behind}"
+    rows = [_predicted(spec, BOARD, n, chosen, f"{build}; T1 and T7 measured here")]
+    if plans.overlap is not None:
+        counts = f"{build}; two designs of half the slots, in turns"
+        rows.append(_predicted(spec, BOARD_OVERLAP, n, plans.overlap, counts))
+    serial = pipeline.predicted(spec, n, 1, chosen.data_wl, False, plans.host)
+    counts = f"1 PE, {behind}; no overlap, states moved with every step; T1 and T7 measured here"
+    return [*rows, _predicted(spec, BOARD_SERIAL, n, serial, counts)]
+
+
+def _predicted(
+    spec: EnvSpec, contender: str, n: int, step: Prediction | Overlap, counts: str, **more: Any
+) -> Row:
+    return row_of(
+        "predicted",
+        counts,
+        environment=spec.name,
+        contender=contender,
+        ours=True,
+        n_envs=n,
+        steps_per_second=step.rate,
+        microseconds_per_step=step.total * 1e6,
+        **more,
+    )
 
 
 def simulated_without_pipeline(spec: EnvSpec, n: int) -> Contender:
@@ -208,39 +186,19 @@ def simulated_without_pipeline(spec: EnvSpec, n: int) -> Contender:
     return Contender(SIMULATED_SERIAL, counts, n, make, ours=True)
 
 
-def predicted_without_pipeline(spec: EnvSpec, chosen: Plan) -> Row:
-    """Predict the same form behind the same link: states go to it and come back with every step."""
-    layout = chosen.chosen.layout
-    prediction = pipeline.predicted(spec, layout.n_envs, 1, layout.data_wl, False, chosen.host)
-    build = f"1 PE, {layout.data_wl}-bit words, {CLOCK / 1e6:g} MHz, {LINK.name}"
-    return {
-        "kind": "predicted",
-        "environment": spec.name,
-        "contender": BOARD_SERIAL,
-        "ours": True,
-        "n_envs": layout.n_envs,
-        "steps_per_second": prediction.rate,
-        "microseconds_per_step": prediction.total * 1e6,
-        "counts": f"{build}; no overlap, states moved with every step; T1 and T7 measured here",
-    }
-
-
 def compared(name: str) -> list[Row]:
     """Predict both forms in the processing elements and word of the paper, which compares them, too."""
     found = pipeline.compare(name)
     return [
-        {
-            "kind": "predicted",
-            "environment": name,
-            "contender": f"predicted in the paper's sizes, {form}",
-            "ours": True,
-            "n_envs": prediction.n_envs,
-            "steps_per_second": prediction.rate,
-            "microseconds_per_step": prediction.total * 1e6,
-            "over_no_pipeline": over,
-            "counts": f"{prediction.pe_num} PEs, {prediction.data_wl}-bit words, as many slots as fit",
-        }
-        for form, prediction, over in (
+        _predicted(
+            get_spec(name),
+            f"predicted in the paper's sizes, {form}",
+            step.n_envs,
+            step,
+            f"{step.pe_num} PEs, {step.data_wl}-bit words, as many slots as fit",
+            over_no_pipeline=over,
+        )
+        for form, step, over in (
             ("with pipeline", found.pipelined, found.factor),
             ("without", found.serial, None),
         )
@@ -251,108 +209,67 @@ def _over(row: Row, rows: list[Row], rival: str) -> float | None:
     """Return how many times a rival's rate a row of ours has; the rival with as many slots, or its most."""
     if not row.get("ours") or row.get("steps_per_second") is None:
         return None
-    rivals = [
-        other
-        for other in select(rows, environment=row["environment"], contender=rival)
-        if other.get("steps_per_second") is not None and other["n_envs"] <= row["n_envs"]
-    ]
-    if not rivals:
-        return None
-    best = max(rivals, key=lambda other: int(other["n_envs"]))
-    return float(row["steps_per_second"] / best["steps_per_second"])
+    others = having(select(rows, environment=row["environment"], contender=rival), "steps_per_second")
+    rivals = [other for other in others if other["n_envs"] <= row["n_envs"]]
+    best = max(rivals, key=lambda other: int(other["n_envs"]), default=None)
+    return None if best is None else float(row["steps_per_second"] / best["steps_per_second"])
 
 
 def _quoted() -> list[Row]:
-    rows: list[Row] = [
-        {
-            "kind": "quoted",
-            "environment": "CliffWalking",
-            "contender": f"the paper: {name}",
-            "steps_per_second": framework.steps_per_second,
-            "counts": paper.FRAMEWORKS_SOURCE,
-        }
+    rows = [
+        row_of(
+            "quoted",
+            paper.FRAMEWORKS_SOURCE,
+            environment="CliffWalking",
+            contender=f"the paper: {name}",
+            steps_per_second=framework.steps_per_second,
+        )
         for name, framework in paper.FRAMEWORKS.items()
     ]
-    rows += [
-        {
-            "kind": "quoted",
-            "environment": name,
-            "contender": "the paper: PEARL, their board",
-            "over_vector_env": times,
-            "counts": paper.THROUGHPUT_SOURCE,
-        }
-        for name, times in paper.OVER_VECTOR_ENV.items()
+    factors = [("over_vector_env", name, times) for name, times in paper.OVER_VECTOR_ENV.items()]
+    ranges = {"over_envpool": paper.OVER_ENVPOOL, "over_no_pipeline": paper.OVER_NO_PIPELINE}
+    for key, (least, most) in ranges.items():
+        factors += [(key, "the least of five", least), (key, "the most of five", most)]
+    board = "the paper: PEARL, their board"
+    return rows + [
+        row_of("quoted", paper.THROUGHPUT_SOURCE, environment=name, contender=board, **{key: times})
+        for key, name, times in factors
     ]
-    for what, times in zip(("least", "most"), paper.OVER_ENVPOOL, strict=True):
-        rows.append(
-            {
-                "kind": "quoted",
-                "environment": f"the {what} of five",
-                "contender": "the paper: PEARL, their board",
-                "over_envpool": times,
-                "counts": paper.THROUGHPUT_SOURCE,
-            }
-        )
-    for what, times in zip(("least", "most"), paper.OVER_NO_PIPELINE, strict=True):
-        rows.append(
-            {
-                "kind": "quoted",
-                "environment": f"the {what} of five",
-                "contender": "the paper: PEARL, their board",
-                "over_no_pipeline": times,
-                "counts": paper.THROUGHPUT_SOURCE,
-            }
-        )
-    return rows
 
 
 STYLES = {
-    KERNEL: (BLACK, "kernel only (no observations)"),
-    BATCH: (BLUE, "step_batch, one thread"),
-    SIMULATED: (SKY, "FPGA design, simulated"),
-    BOARD: (GREEN, "FPGA design, predicted on a VC707"),
-    SIMULATED_SERIAL: (PURPLE, "simulated, without pipeline"),
-    BOARD_SERIAL: (PURPLE, "predicted, without pipeline"),
-    ENVPOOL: (RED, "EnvPool, all cores"),
-    SYNC: (ORANGE, "Gymnasium SyncVectorEnv"),
-    "Gymnasium's own vectorisation": (PINK, "Gymnasium's NumPy form, or MinAtar"),
-    "MinAtar": (PINK, "Gymnasium's NumPy form, or MinAtar"),
+    KERNEL: (Colour.BLACK, "kernel only (no observations)"),
+    BATCH: (Colour.BLUE, "step_batch, one thread"),
+    SIMULATED: (Colour.SKY, "FPGA design, simulated"),
+    BOARD: (Colour.GREEN, "FPGA design, predicted on a VC707"),
+    SIMULATED_SERIAL: (Colour.PURPLE, "simulated, without pipeline"),
+    BOARD_SERIAL: (Colour.PURPLE, "predicted, without pipeline"),
+    ENVPOOL: (Colour.RED, "EnvPool, all cores"),
+    SYNC: (Colour.ORANGE, "Gymnasium SyncVectorEnv"),
+    "Gymnasium's own vectorisation": (Colour.PINK, "Gymnasium's NumPy form, or MinAtar"),
+    "MinAtar": (Colour.PINK, "Gymnasium's NumPy form, or MinAtar"),
 }
 """Colour and legend of a contender; a peer's line is thin."""
 
 
 def draw(rows: list[Row]) -> Any:
     """Draw a panel an environment: steps per second over environments, both logarithmic."""
-    plt = import_pyplot()
-    environments = sorted({row["environment"] for row in rows if row.get("n_envs") is not None})
-    columns = min(4, len(environments))
-    lines = -(-len(environments) // columns)
-    figure, grid = plt.subplots(
-        lines,
-        columns,
-        figsize=(WIDTH, 1.3 + 2.6 * lines),
-        sharex=True,
-        sharey=True,
-        squeeze=False,
-        layout="constrained",
-    )
+    environments = sorted({row["environment"] for row in having(rows, "n_envs")})
+    figure, grid = panels(environments, 1.3, 2.6, sharex=True, sharey=True)
+    timed = having(rows, "steps_per_second")
     handles: dict[str, Any] = {}
-    for axes, name in zip(grid.flat, environments, strict=False):
-        handles |= _draw_lines(axes, select(rows, environment=name))
-        handles |= _draw_quoted(axes, select(rows, environment=name, kind="quoted"))
+    for name, axes in grid.items():
+        handles |= _draw_lines(axes, select(timed, environment=name))
+        handles |= _draw_quoted(axes, select(timed, environment=name, kind="quoted"))
         axes.set_title(name, fontsize=10)
         axes.tick_params(axis="x", labelsize=7)
-        axes.grid(alpha=0.3)
-        axes.spines[["top", "right"]].set_visible(False)
-    log_axis(grid[0, 0], "x", [row["n_envs"] for row in rows if row["contender"] == BATCH], ticks=True)
-    log_axis(grid[0, 0], "y", [row["steps_per_second"] for row in rows if row.get("steps_per_second")])
-    for axes in list(grid.flat)[len(environments) :]:
-        axes.axis("off")
+    tidy(*grid.values())
+    first = grid[environments[0]]
+    log_axis(first, "x", [row["n_envs"] for row in rows if row["contender"] == BATCH], ticks=True)
+    log_axis(first, "y", [row["steps_per_second"] for row in timed])
     figure.supxlabel("environments (log scale)", fontsize=10)
     figure.supylabel("agent-steps per second (log scale)", fontsize=10)
-    figure.legend(
-        handles.values(), handles.keys(), loc="outside upper center", ncols=3, fontsize=8, frameon=False
-    )
+    legend(figure, handles, 3)
     return figure
 
 
@@ -360,11 +277,8 @@ def _draw_lines(axes: Any, rows: list[Row]) -> dict[str, Any]:
     """Draw a line a contender of one environment; return them by their names in the legend."""
     handles: dict[str, Any] = {}
     for contender, (colour, label) in STYLES.items():
-        points = sorted(
-            (row["n_envs"], row["steps_per_second"], row["kind"])
-            for row in select(rows, contender=contender)
-            if row.get("steps_per_second") is not None
-        )
+        mine = select(rows, contender=contender)
+        points = sorted((row["n_envs"], row["steps_per_second"], row["kind"]) for row in mine)
         if points:
             n, steps, kinds = zip(*points, strict=True)
             width = 1.0 if contender in PEERS else 2.0
@@ -378,16 +292,14 @@ def _draw_quoted(axes: Any, rows: list[Row]) -> dict[str, Any]:
     """Draw the paper's rates as lines across; return the last by its name in the legend."""
     handles: dict[str, Any] = {}
     for row in rows:
-        if row.get("steps_per_second") is not None:
-            handles["the paper's rates (quoted)"] = axes.axhline(
-                row["steps_per_second"], color="grey", linestyle=":", linewidth=1
-            )
-            axes.annotate(
-                row["contender"].removeprefix("the paper: "),
-                (0.02, row["steps_per_second"]),
-                xycoords=("axes fraction", "data"),
-                fontsize=6,
-                color="dimgrey",
-                va="bottom",
-            )
+        steps = row["steps_per_second"]
+        handles["the paper's rates (quoted)"] = axes.axhline(steps, color="grey", linestyle=":", linewidth=1)
+        axes.annotate(
+            row["contender"].removeprefix("the paper: "),
+            (0.02, steps),
+            xycoords=("axes fraction", "data"),
+            fontsize=6,
+            color="dimgrey",
+            va="bottom",
+        )
     return handles

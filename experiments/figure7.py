@@ -11,11 +11,10 @@ import numpy as np
 import torch
 
 from pearl_marl.registry import get_spec
-from pearl_marl.rendering import import_pyplot
 from pearl_marl.training.run import ALGORITHMS, settings_for
 
 from . import paper, sb3_training
-from .section import BLUE, GREEN, ORANGE, PINK, RED, WIDTH, Progress, Row, log_axis, select
+from .section import Colour, Progress, Row, legend, log_axis, panels, row_of, select, tidy
 
 TITLE = "Figure 7: training time"
 TEXT = (
@@ -73,12 +72,12 @@ OURS, ENVPOOL, GYMNASIUM = "SB3 on PEARL-MARL", "SB3 on EnvPool", "SB3 on Gymnas
 BATCHED, LARGE, ZOO = "our batched trainer", "our batched trainer, 4,096 agents", "SB3 on EnvPool, 8 agents"
 SOURCES = {GYMNASIUM: "gymnasium", ENVPOOL: "envpool", OURS: "pearl"}
 STYLES = {
-    GYMNASIUM: (ORANGE, "-"),
-    ENVPOOL: (RED, "-"),
-    ZOO: (PINK, "--"),
-    OURS: (BLUE, "-"),
-    BATCHED: (GREEN, "-"),
-    LARGE: (GREEN, ":"),
+    GYMNASIUM: (Colour.ORANGE, "-"),
+    ENVPOOL: (Colour.RED, "-"),
+    ZOO: (Colour.PINK, "--"),
+    OURS: (Colour.BLUE, "-"),
+    BATCHED: (Colour.GREEN, "-"),
+    LARGE: (Colour.GREEN, ":"),
 }
 
 OWN_SETTINGS: dict[str, dict[str, dict[str, Any]]] = {
@@ -129,7 +128,7 @@ def collect(quick: bool, progress: Progress) -> list[Row]:
     rows: list[Row] = []
     if not envpool:
         reason = "EnvPool is not installed: pip install 'pearl-marl[bench]'"
-        rows.append({"kind": "missing", "task": "all", "contender": ENVPOOL, "counts": reason})
+        rows.append(row_of("missing", reason, task="all", contender=ENVPOOL))
     for task in tasks:
         of_task = [run for (of, _, _), run in runs if of is task]
         rows += _summaries(task, of_task)
@@ -211,18 +210,11 @@ def _rows(task: Task, run: Run) -> list[Row]:
         "seed": run.seed,
         "n_agents": run.n_agents,
     }
-    whole = {
-        **common,
-        "what": "run",
-        "reached": _reached(task, run),
-        "seconds": run.seconds,
-        "agent_steps": run.points[-1][1],
-    }
     names = ("seconds", "agent_steps", "eval_return")
-    return [
-        whole,
-        *({**common, "what": "evaluation", **dict(zip(names, point, strict=True))} for point in run.points),
-    ]
+    points = [dict(zip(names, point, strict=True)) for point in run.points]
+    last = {"seconds": run.seconds, "agent_steps": run.points[-1][1]}
+    whole = {**common, "what": "run", "reached": _reached(task, run), **last}
+    return [whole, *({**common, "what": "evaluation", **point} for point in points)]
 
 
 def _summaries(task: Task, runs: list[Run]) -> list[Row]:
@@ -234,17 +226,17 @@ def _summaries(task: Task, runs: list[Run]) -> list[Row]:
     for contender in dict.fromkeys(run.contender for run in runs):
         own = [run for run in runs if run.contender == contender]
         count = sum(_reached(task, run) for run in own)
-        row: Row = {
-            "kind": "measured",
-            "task": task.name,
-            "contender": contender,
-            "what": f"median of {len(own)}",
-            "n_agents": own[0].n_agents,
-            "reached": count == len(own),
-            "seconds": statistics.median(run.seconds for run in own),
-            "agent_steps": int(statistics.median(run.points[-1][1] for run in own)),
-            "counts": f"to a mean return of {task.goal:g}, which {count} of {len(own)} seeds reached",
-        }
+        row = row_of(
+            "measured",
+            f"to a mean return of {task.goal:g}, which {count} of {len(own)} seeds reached",
+            task=task.name,
+            contender=contender,
+            what=f"median of {len(own)}",
+            n_agents=own[0].n_agents,
+            reached=count == len(own),
+            seconds=statistics.median(run.seconds for run in own),
+            agent_steps=int(statistics.median(run.points[-1][1] for run in own)),
+        )
         if count == len(own):
             medians[contender] = row["seconds"]
         if contender in SOURCES:
@@ -265,17 +257,15 @@ def _summaries(task: Task, runs: list[Run]) -> list[Row]:
         if row["contender"] in (BATCHED, LARGE) and row["contender"] in medians and rivals:
             row["shorter_than_envpool"] = min(rivals) / row["seconds"]
     saved_there = paper.TRAINING_TIME_SAVED[task.name]
-    rows.append(
-        {
-            "kind": "quoted",
-            "task": task.name,
-            "contender": "the paper: SB3 on PEARL",
-            "saved_over_envpool": saved_there["EnvPool"],
-            "saved_over_gymnasium": saved_there["VectorEnv"],
-            "counts": f"of the whole training time; {paper.TRAINING_TIME_SOURCE}",
-        }
+    quoted = row_of(
+        "quoted",
+        f"of the whole training time; {paper.TRAINING_TIME_SOURCE}",
+        task=task.name,
+        contender="the paper: SB3 on PEARL",
+        saved_over_envpool=saved_there["EnvPool"],
+        saved_over_gymnasium=saved_there["VectorEnv"],
     )
-    return rows
+    return [*rows, quoted]
 
 
 def _seconds_of(points: Points, steps: int) -> float:
@@ -286,12 +276,11 @@ def _seconds_of(points: Points, steps: int) -> float:
 
 def draw(rows: list[Row]) -> Any:
     """Draw a panel a task: mean return over seconds of training, a line a run."""
-    plt = import_pyplot()
     tasks = list(dict.fromkeys(row["task"] for row in rows))
-    figure, grid = plt.subplots(1, len(tasks), figsize=(WIDTH, 3.6), squeeze=False, layout="constrained")
+    figure, grid = panels(tasks, 0.0, 3.6)
     handles: dict[str, Any] = {}
     goals = {task.name: task.goal for task in TASKS}
-    for axes, task in zip(grid.flat, tasks, strict=True):
+    for task, axes in grid.items():
         seconds = []
         for contender, (colour, style) in STYLES.items():
             for row in select(rows, task=task, contender=contender, what="run"):
@@ -307,10 +296,7 @@ def draw(rows: list[Row]) -> Any:
         axes.set(title=f"{task}, to {goals[task]:g}", xlabel="seconds of training (log scale)")
         if goals[task] < 0:  # with less than nothing on the axis, there is no room lost above
             axes.set(yscale="symlog", ylim=(None, goals[task] / 2))
-        axes.grid(alpha=0.3)
-        axes.spines[["top", "right"]].set_visible(False)
-    grid[0, 0].set(ylabel="mean return of 200 episodes")
-    figure.legend(
-        handles.values(), handles.keys(), loc="outside upper center", ncols=3, fontsize=8, frameon=False
-    )
+    tidy(*grid.values())
+    grid[tasks[0]].set(ylabel="mean return of 200 episodes")
+    legend(figure, handles, 3)
     return figure

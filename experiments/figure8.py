@@ -7,11 +7,23 @@ from typing import Any
 from pearl_marl.benchmark.contenders import contenders
 from pearl_marl.benchmark.measure import UnavailableError
 from pearl_marl.registry import get_spec
-from pearl_marl.rendering import import_pyplot
 from pearl_marl.spec import EnvSpec
 
 from . import activity, energy, figure6, paper
-from .section import BLUE, GREEN, HATCHES, ORANGE, WIDTH, Progress, Row, select
+from .section import (
+    HATCHES,
+    Colour,
+    Progress,
+    Row,
+    bars,
+    having,
+    labelled,
+    legend,
+    row_of,
+    select,
+    subplots,
+    tidy,
+)
 
 TITLE = "Figure 8: energy"
 TEXT = (
@@ -31,7 +43,6 @@ COLUMNS = {
     "toggles_per_step": "toggles a slot's step",
     "counts": "what is counted, or from where",
 }
-SEEDS = (0,)
 
 METERS: dict[type[energy.Meter], tuple[str, ...]] = {
     energy.Rapl: (figure6.BATCH, figure6.ENVPOOL, figure6.SYNC),
@@ -43,40 +54,28 @@ N_ENVS = 43008
 
 def collect(quick: bool, progress: Progress) -> list[Row]:
     """Measure what contenders take, where that is possible; count toggles; add the paper's figures."""
-    environments = list(paper.ENERGY_OVER_ENVPOOL)
+    environments = list(paper.ENERGY_OVER)
     rows = measured(environments[:1] if quick else environments, quick, progress)
     if not quick:  # a model each to compile
         rows += _activity(progress)
-    for name in environments:
-        rows.append(
-            {
-                "kind": "quoted",
-                "environment": name,
-                "contender": "the paper: PEARL, their board",
-                "over_envpool": paper.ENERGY_OVER_ENVPOOL[name],
-                "over_vector_env": paper.ENERGY_OVER_VECTOR_ENV[name],
-                "counts": paper.ENERGY_SOURCE,
-            }
-        )
-    rows.append(
-        {
-            "kind": "quoted",
-            "environment": "CliffWalking",
-            "contender": f"the paper: {paper.GROWTH_SIZES[1]:,} over {paper.GROWTH_SIZES[0]:,} environments",
-            "power_growth": paper.GROWTH["power"],
-            "counts": paper.GROWTH_SOURCE,
-        }
-    )
     rows += [
-        {
-            "kind": "quoted",
-            "environment": "CliffWalking",
-            "contender": f"the paper: {name}",
-            "steps_per_joule": framework.steps_per_joule,
-            "counts": paper.FRAMEWORKS_SOURCE,
-        }
-        for name, framework in paper.FRAMEWORKS.items()
+        row_of(
+            "quoted",
+            paper.ENERGY_SOURCE,
+            environment=name,
+            contender="the paper: PEARL, their board",
+            over_envpool=over_envpool,
+            over_vector_env=over_vector_env,
+        )
+        for name, (over_vector_env, over_envpool) in paper.ENERGY_OVER.items()
     ]
+    small, large = paper.GROWTH_SIZES
+    grown, quoted = f"the paper: {large:,} over {small:,} environments", {"environment": "CliffWalking"}
+    growth = paper.GROWTH["power"]
+    rows.append(row_of("quoted", paper.GROWTH_SOURCE, **quoted, contender=grown, power_growth=growth))
+    for name, framework in paper.FRAMEWORKS.items():
+        found = {"contender": f"the paper: {name}", "steps_per_joule": framework.steps_per_joule}
+        rows.append(row_of("quoted", paper.FRAMEWORKS_SOURCE, **quoted, **found))
     return rows
 
 
@@ -87,9 +86,8 @@ def measured(environments: list[str], quick: bool, progress: Progress) -> list[R
         try:
             meter = meter_class()
         except energy.UnmeasuredError as error:
-            common: Row = {"kind": "missing", "environment": "all", "contender": ", ".join(names)}
-            counts = f"not measured here: {error}"
-            rows.append({**common, "platform": meter_class.platform, "counts": counts})
+            common = {"environment": "all", "contender": ", ".join(names), "platform": meter_class.platform}
+            rows.append(row_of("missing", f"not measured here: {error}", **common))
             continue
         for name in progress(environments, len(environments), "energy"):
             rows += _measured(get_spec(name), meter, names, quick)
@@ -112,25 +110,17 @@ def _measured(spec: EnvSpec, meter: energy.Meter, names: tuple[str, ...], quick:
         try:
             step = contender.make()
         except UnavailableError as error:
-            rows.append({**common, "kind": "missing", "counts": str(error)})
+            rows.append(row_of("missing", str(error), **common))
             continue
         step()
         contender.wait()
         spent = energy.spend(meter, step, contender.wait, seconds)
         if not spent.joules:  # some virtual machines have counters that stand still
-            rows.append(
-                {**common, "kind": "missing", "counts": f"not measured here: {meter.counts} counts nothing"}
-            )
+            rows.append(row_of("missing", f"not measured here: {meter.counts} counts nothing", **common))
             continue
-        rows.append(
-            {
-                **common,
-                "kind": "measured",
-                "steps_per_joule": spent.steps * contender.n / spent.joules,
-                "watts": spent.joules / spent.seconds,
-                "counts": f"{meter.counts} for {seconds:g} s; {contender.counts}",
-            }
-        )
+        counts = f"{meter.counts} for {seconds:g} s; {contender.counts}"
+        rate, watts = spent.steps * contender.n / spent.joules, spent.joules / spent.seconds
+        rows.append(row_of("measured", counts, **common, steps_per_joule=rate, watts=watts))
     found = select(rows, kind="measured")
     rates = {row["contender"]: row["steps_per_joule"] for row in found}
     for row in found:
@@ -143,39 +133,38 @@ def _measured(spec: EnvSpec, meter: energy.Meter, names: tuple[str, ...], quick:
 def _activity(progress: Progress) -> list[Row]:
     sizes = activity.CONFIGURATIONS
     return [
-        {
-            "kind": "simulated",
-            "environment": found.environment,
-            "contender": f"FPGA design, {found.pe_num} PEs, {found.data_wl}-bit words",
-            "n_envs": found.n_envs,
-            "toggles_per_step": found.toggles_per_slot,
-            "counts": f"changes of {found.registers:,} register bits, a slot's share over AXI; no energy",
-        }
+        row_of(
+            "simulated",
+            f"changes of {found.registers:,} register bits, a slot's share over AXI; no energy",
+            environment=found.environment,
+            contender=f"FPGA design, {found.pe_num} PEs, {found.data_wl}-bit words",
+            n_envs=found.n_envs,
+            toggles_per_step=found.toggles_per_slot,
+        )
         for found in (activity.measure(*size) for size in progress(sizes, len(sizes), "toggles"))
     ]
 
 
 def draw(rows: list[Row]) -> Any:
     """Draw how many more steps a joule makes than a peer's, quoted and where measured; and toggles."""
-    plt = import_pyplot()
-    figure, (*both, right) = plt.subplots(1, 3, figsize=(WIDTH, 3.6), layout="constrained")
-    environments = list(paper.ENERGY_OVER_ENVPOOL)
+    figure, (*both, right) = subplots(1, 3, 3.6)
+    environments = list(paper.ENERGY_OVER)
     measured = select(rows, kind="measured", contender=figure6.BATCH)
     width, shift = (0.38, 0.19) if measured else (0.6, 0.0)
     for axes, key, peer in zip(
         both, ("over_envpool", "over_vector_env"), ("EnvPool", "VectorEnv"), strict=True
     ):
         for place, kind, shade, label, chosen in (
-            (-shift, "quoted", ORANGE, "the paper's board (quoted)", select(rows, kind="quoted")),
-            (shift, "measured", BLUE, "step_batch (measured)", measured),
+            (-shift, "quoted", Colour.ORANGE, "the paper's board (quoted)", select(rows, kind="quoted")),
+            (shift, "measured", Colour.BLUE, "step_batch (measured)", measured),
         ):
-            points = [row for row in chosen if row.get(key) is not None]
+            points = having(chosen, key)
             if not points:
                 continue
             x = [environments.index(row["environment"]) + place for row in points]
             y = [row[key] for row in points]
-            bars = axes.bar(x, y, width, color=shade, edgecolor="white", hatch=HATCHES[kind], label=label)
-            axes.bar_label(bars, [f"{value:,.0f}" for value in y], fontsize=7)
+            drawn = axes.bar(x, y, width, color=shade, edgecolor="white", hatch=HATCHES[kind], label=label)
+            axes.bar_label(drawn, fmt="{:,.0f}", fontsize=7)
         axes.set_xticks(range(len(environments)), environments, rotation=40, ha="right", fontsize=8)
         axes.set(title=f"steps a joule, over {peer}", yscale="log", ylim=(1, 20_000))
     both[0].set_ylabel("times as many (log scale)")
@@ -183,15 +172,8 @@ def draw(rows: list[Row]) -> Any:
         both[0].set_title("steps a joule, over EnvPool\n(ours: not measured here)")
     toggles = select(rows, kind="simulated")
     places = range(len(toggles))
-    bars = right.barh(
-        places,
-        [row["toggles_per_step"] for row in toggles],
-        color=GREEN,
-        edgecolor="white",
-        hatch=HATCHES["simulated"],
-        label="this design's registers (simulated)",
-    )
-    right.bar_label(bars, [f"{row['toggles_per_step']:,.0f}" for row in toggles], fontsize=7, padding=2)
+    values, label = [row["toggles_per_step"] for row in toggles], "this design's registers (simulated)"
+    bars(right, places, values, 0.8, color=Colour.GREEN, hatch=HATCHES["simulated"], label=label)
     right.set_yticks(
         places, [f"{row['environment']}\n{row['n_envs']:,} slots" for row in toggles], fontsize=7
     )
@@ -200,11 +182,6 @@ def draw(rows: list[Row]) -> Any:
     right.set_xlim(10, 100_000)
     for axes in (*both, right):
         axes.title.set_fontsize(10)
-        axes.spines[["top", "right"]].set_visible(False)
-    handles, labels = zip(*(pair for axes in (both[0], right) for pair in _legend(axes)), strict=True)
-    figure.legend(handles, labels, loc="outside lower center", ncols=3, frameon=False, fontsize=8)
+    tidy(*both, right, grid=False)
+    legend(figure, {**labelled(both[0]), **labelled(right)}, 3, "lower")
     return figure
-
-
-def _legend(axes: Any) -> list[tuple[Any, str]]:
-    return list(zip(*axes.get_legend_handles_labels(), strict=True))

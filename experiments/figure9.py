@@ -8,10 +8,24 @@ from pearl_marl.hardware import toolchain
 from pearl_marl.hardware.build import Build
 from pearl_marl.hardware.synthesis import synthesise
 from pearl_marl.registry import get_spec
-from pearl_marl.rendering import import_pyplot
 
 from . import paper
-from .section import BLACK, BLUE, GREEN, LINES, ORANGE, PINK, RED, SKY, WIDTH, Progress, Row, log_axis, select
+from .section import (
+    HATCHES,
+    LINES,
+    Colour,
+    Progress,
+    Row,
+    bars,
+    having,
+    labelled,
+    legend,
+    log_axis,
+    row_of,
+    select,
+    subplots,
+    tidy,
+)
 
 TITLE = "Figure 9: FPGA utilisation"
 TEXT = (
@@ -34,7 +48,6 @@ COLUMNS = {
     "ff_growth": "FF grow by",
     "counts": "what is counted, or from where",
 }
-SEEDS = (0,)
 
 SIZES = (1024, 8192, 43008)
 BUILDS = {
@@ -62,95 +75,65 @@ def collect(quick: bool, progress: Progress) -> list[Row]:
         usage = synthesise(Build.of(get_spec(name), n, pe_num, data_wl))
         tools = ", ".join(f"{tool} {version}" for tool, version in usage.tools.items())
         rows.append(
-            {
-                "kind": "predicted",
-                "environment": name,
-                "n_envs": n,
-                "pe_num": pe_num,
-                "data_wl": data_wl,
-                "lut": usage.lut,
-                "ff": usage.ff,
-                "bram36": usage.bram36,
-                "dsp": usage.dsp,
-                "counts": f"cells of the netlist, before placement; {tools}",
-            }
+            row_of(
+                "predicted",
+                f"cells of the netlist, before placement; {tools}",
+                environment=name,
+                n_envs=n,
+                pe_num=pe_num,
+                data_wl=data_wl,
+                lut=usage.lut,
+                ff=usage.ff,
+                bram36=usage.bram36,
+                dsp=usage.dsp,
+            )
         )
     for name in builds:
         first, last = (select(rows, environment=name, n_envs=n)[0] for n in (sizes[0], sizes[-1]))
-        rows.append(
-            {
-                "kind": "predicted",
-                "environment": name,
-                "n_envs": last["n_envs"],
-                "from_n_envs": first["n_envs"],
-                "lut_growth": last["lut"] / first["lut"],
-                "ff_growth": last["ff"] / first["ff"],
-                "counts": "the largest design over the smallest, as above",
-            }
-        )
-    rows.append(
-        {
-            "kind": "quoted",
-            "environment": "CliffWalking",
-            "n_envs": paper.GROWTH_SIZES[1],
-            "from_n_envs": paper.GROWTH_SIZES[0],
-            "lut_growth": paper.GROWTH["lut"],
-            "ff_growth": paper.GROWTH["ff"],
-            "counts": paper.GROWTH_SOURCE,
-        }
-    )
-    return rows
+        growth = {what: last[what] / first[what] for what in ("lut", "ff")}
+        counts = "the largest design over the smallest, as above"
+        rows.append(_grown("predicted", name, first["n_envs"], last["n_envs"], growth, counts))
+    quoted = _grown("quoted", "CliffWalking", *paper.GROWTH_SIZES, paper.GROWTH, paper.GROWTH_SOURCE)
+    return [*rows, quoted]
+
+
+def _grown(kind: str, name: str, small: int, large: int, growth: dict[str, float], counts: str) -> Row:
+    factors = {f"{what}_growth": growth[what] for what in ("lut", "ff")}
+    return row_of(kind, counts, environment=name, n_envs=large, from_n_envs=small, **factors)
 
 
 def draw(rows: list[Row]) -> Any:
     """Draw three panels over slots, and the growth factors beside the paper's."""
-    plt = import_pyplot()
-    figure, grid = plt.subplots(2, 2, figsize=(WIDTH, 6.8), layout="constrained")
+    figure, grid = subplots(2, 2, 6.8)
     environments = list(dict.fromkeys(row["environment"] for row in rows if row["kind"] == "predicted"))
-    colours = (BLUE, ORANGE, GREEN, RED, PINK, SKY, BLACK, "#777777")
+    colours = [Colour.BLUE, Colour.ORANGE, Colour.GREEN, Colour.RED]
+    colours += [Colour.PINK, Colour.SKY, Colour.BLACK, "#777777"]
     panels = list(grid.flat)
-    for axes, key, label in zip(
-        panels, ("lut", "ff", "bram36"), ("LUT", "flip-flops", "BRAM36"), strict=False
-    ):
-        for name, colour in zip(environments, colours, strict=False):
-            points = [row for row in select(rows, environment=name) if row.get(key) is not None]
-            style = {**LINES["predicted"], "linestyle": "-" if colours.index(colour) % 2 else "--"}
-            n = [row["n_envs"] for row in points]
-            axes.plot(
-                n,
-                [row[key] for row in points],
-                color=colour,
-                label=name,
-                markersize=5,
-                clip_on=False,
-                **style,
-            )
-        values = [row[key] for row in rows if row.get(key) is not None]
-        log_axis(axes, "x", [row["n_envs"] for row in rows if row.get(key) is not None], ticks=True)
+    keys = {"lut": "LUT", "ff": "flip-flops", "bram36": "BRAM36"}
+    for axes, (key, label) in zip(panels, keys.items(), strict=False):
+        sized = having(rows, key)
+        for i, (name, colour) in enumerate(zip(environments, colours, strict=False)):
+            points = select(sized, environment=name)
+            n, used = [row["n_envs"] for row in points], [row[key] for row in points]
+            style = {**LINES["predicted"], "linestyle": "-" if i % 2 else "--"}
+            axes.plot(n, used, color=colour, label=name, markersize=5, clip_on=False, **style)
+        values = [row[key] for row in sized]
+        log_axis(axes, "x", [row["n_envs"] for row in sized], ticks=True)
         axes.set(xlabel="environments (log scale)", ylabel=f"{label} (log scale)")
         if key == "bram36":  # a small design has none
             axes.set(yscale="symlog", ylim=(0, 2 * max(1, *values)), ylabel="BRAM36 (log scale above 1)")
         else:
             log_axis(axes, "y", values)
-        axes.grid(alpha=0.3)
-        axes.spines[["top", "right"]].set_visible(False)
-    growth = [row for row in rows if row.get("lut_growth") is not None]
+    tidy(*panels[:3])
+    growth = having(rows, "lut_growth")
     axes, height = panels[3], 0.38
     for shift, key, shade, label in (
-        (-height / 2, "lut_growth", BLUE, "LUT"),
-        (height / 2, "ff_growth", ORANGE, "flip-flops"),
+        (-height / 2, "lut_growth", Colour.BLUE, "LUT"),
+        (height / 2, "ff_growth", Colour.ORANGE, "flip-flops"),
     ):
-        values = [row[key] for row in growth]
-        bars = axes.barh(
-            [y + shift for y in range(len(growth))],
-            values,
-            height,
-            color=shade,
-            label=label,
-            hatch=["xx" if row["kind"] == "quoted" else "..." for row in growth],
-            edgecolor="white",
-        )
-        axes.bar_label(bars, [f"x{value:.2f}" for value in values], fontsize=7, padding=2)
+        places, values = [y + shift for y in range(len(growth))], [row[key] for row in growth]
+        hatches = [HATCHES[row["kind"]] for row in growth]
+        bars(axes, places, values, height, "x{:.2f}", color=shade, label=label, hatch=hatches)
     named = [("the paper, " if row["kind"] == "quoted" else "") + row["environment"] for row in growth]
     axes.set_yticks(range(len(growth)), named, fontsize=8)
     axes.invert_yaxis()
@@ -160,16 +143,7 @@ def draw(rows: list[Row]) -> Any:
         f"(the paper: {growth[-1]['from_n_envs']:,} to {growth[-1]['n_envs']:,}, quoted)"
     )
     axes.margins(x=0.15)
-    axes.spines[["top", "right"]].set_visible(False)
+    tidy(axes, grid=False)
     axes.legend(fontsize=8, frameon=False)
-    handles, labels = panels[0].get_legend_handles_labels()
-    figure.legend(
-        handles,
-        labels,
-        title="predicted, by synthesis",
-        loc="outside upper center",
-        ncols=4,
-        fontsize=8,
-        frameon=False,
-    )
+    legend(figure, labelled(panels[0]), 4, title="predicted, by synthesis")
     return figure

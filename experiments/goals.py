@@ -11,11 +11,10 @@ from typing import Any, NamedTuple
 from pearl_marl.evaluation.run import Evaluation
 from pearl_marl.policies import network
 from pearl_marl.registry import get_spec
-from pearl_marl.rendering import import_pyplot
 from pearl_marl.training.run import settings_for, train
 
 from . import paper
-from .section import BLUE, ORANGE, WIDTH, Progress, Row, select
+from .section import Colour, Progress, Row, labelled, legend, panels, row_of, select, tidy
 
 TITLE = "What the trainers reach"
 TEXT = (
@@ -112,55 +111,47 @@ def _reach(goal: Goal, seed: int, quick: bool) -> Row:
     for _ in evaluation.run():
         pass
     mean = float(evaluation.returns.mean())
-    return {
-        "kind": "measured",
-        "environment": goal.env_id,
-        "algorithm": goal.algorithm,
-        "n_agents": settings.n_agents,
-        "seed": seed,
-        "wanted": goal.wanted,
-        "mean_return": mean,
-        "ci95": 1.96 * float(evaluation.returns.std()) / math.sqrt(goal.episodes),
-        "reached": mean >= goal.wanted,
-        "episodes": goal.episodes,
-        "agent_steps": rows[-1]["agent_steps"],
-        "seconds": rows[-1]["seconds"],
-        "counts": goal.counts,
-    }
+    return row_of(
+        "measured",
+        goal.counts,
+        environment=goal.env_id,
+        algorithm=goal.algorithm,
+        n_agents=settings.n_agents,
+        seed=seed,
+        wanted=goal.wanted,
+        mean_return=mean,
+        ci95=1.96 * float(evaluation.returns.std()) / math.sqrt(goal.episodes),
+        reached=mean >= goal.wanted,
+        episodes=goal.episodes,
+        agent_steps=rows[-1]["agent_steps"],
+        seconds=rows[-1]["seconds"],
+    )
 
 
 def draw(rows: list[Row]) -> Any:
     """Draw a panel an environment: what each seed reached, beside what is wanted."""
-    plt = import_pyplot()
     names = list(dict.fromkeys(row["environment"] for row in rows))
-    columns = min(4, len(names))
-    lines = -(-len(names) // columns)
-    figure, grid = plt.subplots(
-        lines, columns, figsize=(WIDTH, 0.6 + 2.1 * lines), squeeze=False, layout="constrained"
-    )
-    for axes in list(grid.flat)[len(names) :]:
-        axes.axis("off")
-    for axes, name in zip(grid.flat, names, strict=False):
+    figure, grid = panels(names, 0.6, 2.1)
+    for name, axes in grid.items():
         runs = select(rows, environment=name)
         axes.errorbar(
             range(len(runs)),
             [row["mean_return"] for row in runs],
             [row["ci95"] for row in runs],
             fmt="o",
-            color=BLUE,
+            color=Colour.BLUE,
             capsize=3,
             label="reached",
         )
-        axes.axhline(runs[0]["wanted"], color=ORANGE, linestyle="--", label="wanted")
+        axes.axhline(runs[0]["wanted"], color=Colour.ORANGE, linestyle="--", label="wanted")
         axes.set(title=f"{name}\n{runs[0]['algorithm']}", xlim=(-0.5, len(runs) - 0.5))
         axes.set_xticks(range(len(runs)), [f"seed {row['seed']}\n{row['seconds']:.1f} s" for row in runs])
         axes.tick_params(labelsize=8)
         axes.margins(y=0.3)
         axes.grid(alpha=0.3, axis="y")
-        axes.spines[["top", "right"]].set_visible(False)
+    tidy(*grid.values(), grid=False)
     figure.supylabel("mean return, with its 95 % interval", fontsize=10)
-    handles, labels = grid[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper center", ncols=2, fontsize=8, frameon=False)
+    legend(figure, labelled(grid[names[0]]), 2)
     return figure
 
 

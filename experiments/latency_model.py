@@ -43,6 +43,9 @@ SERIAL = (
 )
 """The same of builds without pipeline."""
 
+BUILDS = [(*size, True) for size in CONFIGURATIONS] + [(*size, False) for size in SERIAL]
+"""All of them, and whether there is a pipeline."""
+
 STEPS = 10
 
 
@@ -51,8 +54,7 @@ def main() -> None:
     lines = ["| environment | slots | PEs | word | a step | model | over AXI | model | off by |"]
     lines += ["| --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: |"]
     worst = 0.0
-    rows = [(*size, True) for size in CONFIGURATIONS] + [(*size, False) for size in SERIAL]
-    for env_id, n, pe_num, data_wl, pipelined in track(rows, "measure", console=Console(stderr=True)):
+    for env_id, n, pe_num, data_wl, pipelined in track(BUILDS, "measure", console=Console(stderr=True)):
         build = Build.of(get_spec(env_id), n, pe_num, data_wl)
         cycles, whole = measure(build, pipelined)
         predicted = axi_cycles(*build, pipelined)

@@ -10,10 +10,9 @@ import numpy.typing as npt
 
 from pearl_marl.evaluation.run import Evaluation
 from pearl_marl.registry import get_spec
-from pearl_marl.rendering import import_pyplot
 from pearl_marl.training.q_learning import QLearning, Settings
 
-from .section import BLUE, ORANGE, WIDTH, Progress, Row, log_axis, select
+from .section import Colour, Progress, Row, having, log_axis, row_of, select, subplots, tidy
 
 TITLE = "Many learners at once"
 TEXT = (
@@ -35,7 +34,6 @@ COLUMNS = {
     "reached": "share of learners at -13",
     "counts": "what is counted",
 }
-SEEDS = (0,)
 
 SHORTEST = -13.0
 POPULATION = 32
@@ -57,16 +55,17 @@ def _rates(n: int, quick: bool, progress: Progress) -> list[Row]:
     for evaluation in _trained(trainer, every, progress, "learning rates"):
         known = evaluation.returns == SHORTEST
         found = np.where(known, np.where(found < 0, trainer.done, found), -1)
+    counts = f"until its best actions are the shortest way, seen every {every}; none: not in {most}"
     return [
-        {
-            "kind": "measured",
-            "part": "rates",
-            "n_agents": n,
-            "learners": POPULATION,
-            "rate": float(rate),
-            "iterations": None if steps < 0 else int(steps),
-            "counts": f"until its best actions are the shortest way, seen every {every}; none: not in {most}",
-        }
+        row_of(
+            "measured",
+            counts,
+            part="rates",
+            n_agents=n,
+            learners=POPULATION,
+            rate=float(rate),
+            iterations=None if steps < 0 else int(steps),
+        )
         for rate, steps in zip(rates, found, strict=True)
     ]
 
@@ -85,17 +84,17 @@ def _rewards(n: int, quick: bool, progress: Progress) -> list[Row]:
     # By the environment's own rewards, from which falls can be told.
     falls = (evaluation.returns - step * evaluation.lengths) / (fall - step)
     return [
-        {
-            "kind": "measured",
-            "part": "rewards",
-            "n_agents": n,
-            "learners": POPULATION,
-            "fall_worth": float(value),
-            "iterations": settings.iterations,
-            "falls": float(falls_of_one),
-            "length": int(length),
-            "counts": "the one episode of its best actions: nothing in it is random",
-        }
+        row_of(
+            "measured",
+            "the one episode of its best actions: nothing in it is random",
+            part="rewards",
+            n_agents=n,
+            learners=POPULATION,
+            fall_worth=float(value),
+            iterations=settings.iterations,
+            falls=float(falls_of_one),
+            length=int(length),
+        )
         for value, falls_of_one, length in zip(worth, falls, evaluation.lengths, strict=True)
     ]
 
@@ -105,21 +104,19 @@ def _alone(n: int, quick: bool, progress: Progress) -> list[Row]:
     every, most = 250, 2500
     settings = Settings(n_agents=n, learners=n, iterations=most, rate=1.0, epsilon=0.1)
     trainer = QLearning(get_spec("CliffWalking"), "native", settings)
-    rows: list[Row] = []
-    for evaluation in _trained(trainer, every, progress, "independent learners"):
-        rows.append(
-            {
-                "kind": "measured",
-                "part": "alone",
-                "n_agents": n,
-                "learners": n,
-                "rate": settings.rate,
-                "iterations": trainer.done,
-                "reached": float(np.mean(evaluation.returns == SHORTEST)),
-                "counts": "an episode of every learner",
-            }
+    return [
+        row_of(
+            "measured",
+            "an episode of every learner",
+            part="alone",
+            n_agents=n,
+            learners=n,
+            rate=settings.rate,
+            iterations=trainer.done,
+            reached=float(np.mean(evaluation.returns == SHORTEST)),
         )
-    return rows
+        for evaluation in _trained(trainer, every, progress, "independent learners")
+    ]
 
 
 def _iterations(trainer: QLearning) -> Iterator[int]:
@@ -145,11 +142,11 @@ def _evaluated(trainer: QLearning) -> Evaluation:
 
 def draw(rows: list[Row]) -> Any:
     """Draw the three, side by side."""
-    plt = import_pyplot()
-    figure, (left, middle, right) = plt.subplots(1, 3, figsize=(WIDTH, 3.3), layout="constrained")
+    figure, panels = subplots(1, 3, 3.3)
+    left, middle, right = panels
 
-    found = [row for row in select(rows, part="rates") if row["iterations"] is not None]
-    left.plot(*_columns(found, "rate", "iterations"), "o-", color=BLUE, markersize=3)
+    found = having(select(rows, part="rates"), "iterations")
+    left.plot(*_columns(found, "rate", "iterations"), "o-", color=Colour.BLUE, markersize=3)
     log_axis(left, "y", [row["iterations"] for row in found])
     left.set(
         xscale="log",
@@ -159,7 +156,7 @@ def draw(rows: list[Row]) -> Any:
     )
 
     wanted = select(rows, part="rewards")
-    middle.plot(*_columns(wanted, "fall_worth", "falls"), "s-", color=ORANGE, markersize=3)
+    middle.plot(*_columns(wanted, "fall_worth", "falls"), "s-", color=Colour.ORANGE, markersize=3)
     middle.set(
         xlabel="what a fall is worth, a step is -1",
         ylabel="falls in an episode",
@@ -167,17 +164,16 @@ def draw(rows: list[Row]) -> Any:
     )
 
     alone = select(rows, part="alone")
-    right.plot(*_columns(alone, "iterations", "reached"), "o-", color=BLUE, markersize=3)
+    right.plot(*_columns(alone, "iterations", "reached"), "o-", color=Colour.BLUE, markersize=3)
     right.set(
         xlabel="steps of each",
         ylabel="share that knows the shortest way",
         ylim=(-0.03, 1.03),
         title=f"{alone[0]['learners']:,} learners, each alone",
     )
-    for axes in (left, middle, right):
-        axes.grid(alpha=0.3)
+    tidy(*panels)
+    for axes in panels:
         axes.title.set_fontsize(10)
-        axes.spines[["top", "right"]].set_visible(False)
     return figure
 
 

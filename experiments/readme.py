@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from pearl_marl.benchmark.units import duration, rate
+from pearl_marl.benchmark.measure import duration, rate
 
 from .figure6 import BATCH, ENVPOOL, KERNEL, PEERS, README_ENV, SIMULATED, SYNC
 from .section import Row

@@ -12,7 +12,6 @@ import datetime
 import difflib
 import importlib
 import json
-import os
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -22,10 +21,11 @@ from typing import Any, NamedTuple, cast
 
 from pearl_marl.benchmark.machine import machine
 from pearl_marl.errors import ArgumentError, PearlError
+from pearl_marl.files import replace_file
 from pearl_marl.rendering import import_pyplot
 
 from . import readme
-from .section import KINDS, Progress, Row, Section
+from .section import KINDS, Progress, Row, Section, having
 
 SECTIONS = (
     *("figure3", "equations", "figure6", "table3", "figure7", "figure8", "figure9", "table1", "table2"),
@@ -52,7 +52,7 @@ class Made(NamedTuple):
 def report(
     folder: Path, quick: bool, only: Sequence[str], progress: Progress, say: Callable[[str], None]
 ) -> list[Made]:
-    """Make the sections that are not in the folder yet, and the page of all that are.
+    """Make the sections that are not in the folder yet, and the page of all that are; return those made.
 
     Parameters
     ----------
@@ -62,15 +62,8 @@ def report(
         A small part of everything.
     only
         Names of sections to make; none for all.
-    progress
-        Shows how far it is.
-    say
-        Takes a line about each section.
-
-    Returns
-    -------
-    list
-        Every section that was to be made.
+    progress, say
+        Shows how far a section is, and takes a line about each.
 
     Raises
     ------
@@ -85,12 +78,14 @@ def report(
     names = [name for name in SECTIONS if name in only or not only]
     template = _template()
     import_pyplot()
-    _make(folder)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ArgumentError(f"--out {folder} is no folder that can be written: {error.strerror}") from None
     found = {name: _read(folder / f"{name}.json") for name in SECTIONS}
     if quick:
         for name in names:
-            data = found[name]
-            if data is not None and not data["quick"]:
+            if (data := found[name]) is not None and not data["quick"]:
                 raise ArgumentError(
                     f"{folder / name}.json is of a full run, which --quick would replace: give another "
                     "--out, or delete the file"
@@ -99,11 +94,9 @@ def report(
     found |= {each.name: each.data for each in made if each.data is not None}
     problems = {each.name: each.problem for each in made}
     entries = [_entry(folder, name, found[name], problems.get(name)) for name in SECTIONS]
-    page = template.render(sections=entries, kinds=KINDS)
-    _write(folder / "index.html", page)
-    throughput = found["figure6"]
-    if throughput is not None:
-        _write(folder / "readme_table.md", readme.tables(throughput))
+    replace_file(folder / "index.html", template.render(sections=entries, kinds=KINDS).encode())
+    if (throughput := found["figure6"]) is not None:
+        replace_file(folder / "readme_table.md", readme.tables(throughput).encode())
     return made
 
 
@@ -121,13 +114,6 @@ def load(name: str) -> Section:
         raise ArgumentError(
             f"it needs the Python package {error.name}: pip install 'pearl-marl[report]'"
         ) from None
-
-
-def _make(folder: Path) -> None:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ArgumentError(f"--out {folder} is no folder that can be written: {error.strerror}") from None
 
 
 def _template() -> Any:
@@ -148,12 +134,6 @@ def _read(path: Path) -> dict[str, Any] | None:
     except (OSError, ValueError, KeyError, TypeError):
         return None
     return data
-
-
-def _write(path: Path, text: str) -> None:
-    beside = path.with_name(f".{path.name}.part")
-    beside.write_text(text)
-    os.replace(beside, path)
 
 
 def _section(
@@ -184,19 +164,18 @@ def _section(
         "quick": quick,
         "date": datetime.datetime.now().astimezone().isoformat(timespec="seconds"),
         "seconds": round(seconds, 1),
-        "seeds": sorted({row["seed"] for row in rows if row.get("seed") is not None}) or list(section.SEEDS),
+        "seeds": sorted({row["seed"] for row in having(rows, "seed")}) or [0],
         "machine": _machine(),
         "rows": rows,
     }
-    _write(path, json.dumps(data, indent=1, allow_nan=False) + "\n")
+    replace_file(path, (json.dumps(data, indent=1, allow_nan=False) + "\n").encode())
     say(f"{name}: {len(rows)} rows in {seconds:.1f} s")
     return Made(name, data)
 
 
 def _machine() -> dict[str, Any]:
     facts = machine()
-    torch = sys.modules.get("torch")
-    if torch is not None:
+    if (torch := sys.modules.get("torch")) is not None:
         facts["torch_threads"] = torch.get_num_threads()
     for package in _TOOLS:
         try:
@@ -222,7 +201,7 @@ def _entry(folder: Path, name: str, data: dict[str, Any] | None, problem: str | 
         writer.writeheader()
         writer.writerows(rows)
     try:
-        figure = section.draw(rows)
+        figure = section.draw(rows) if hasattr(section, "draw") else None
     except KeyError as error:
         return {
             **entry,
@@ -235,11 +214,7 @@ def _entry(folder: Path, name: str, data: dict[str, Any] | None, problem: str | 
     else:
         figure.savefig(picture, dpi=160)
         import_pyplot().close(figure)
-    shown = {
-        key: heading
-        for key, heading in section.COLUMNS.items()
-        if any(row.get(key) is not None for row in rows)
-    }
+    shown = {key: heading for key, heading in section.COLUMNS.items() if having(rows, key)}
     table = [[_cell(row.get(key)) for key in ("kind", *shown)] for row in rows]
     numeric = [any(cells[i].number for cells in table) for i in range(len(shown) + 1)]
     return {
@@ -259,12 +234,10 @@ class Cell(NamedTuple):
 
 
 def _cell(value: Any) -> Cell:
-    if value is None:
-        return Cell("", None)
     if isinstance(value, bool):
-        return Cell("yes" if value else "no", None)
-    if isinstance(value, str):
-        return Cell(value, None)
+        value = "yes" if value else "no"
+    if value is None or isinstance(value, str):
+        return Cell(value or "", None)
     if isinstance(value, int):
         return Cell(f"{value:,}", repr(value))
     for factor, prefix in ((1e9, " G"), (1e6, " M"), (1e4, " k")):

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -66,10 +67,7 @@ console = Console(stderr=True)
 
 
 class EnvPoolVecEnv(VecEnv):
-    """EnvPool's environments as Stable-Baselines3 wants them.
-
-    Those that ended are reset at once, all in one call.
-    """
+    """EnvPool's environments for Stable-Baselines3. Those that ended are reset at once, all in one call."""
 
     def __init__(self, name: str, n: int, seed: int) -> None:
         try:
@@ -131,14 +129,12 @@ def vec_env(source: str, env_id: str, n: int, seed: int) -> VecEnv:
     oracle = get_spec(env_id).oracle
     if source == "pearl":
         env: VecEnv = pearl_marl.wrappers.sb3_vec_env(pearl_marl.parallel_env(env_id, n_agents=n))
-        env.seed(seed)
-        return env
-    if oracle is None or ":" in oracle:
+    elif oracle is None or ":" in oracle:
         raise ArgumentError(f"--source {source} has no {env_id}")
-    if source == "envpool":
+    elif source == "envpool":
         return EnvPoolVecEnv(oracle, n, seed)
-    name: str = oracle
-    env = DummyVecEnv([lambda: gymnasium.make(name)] * n)
+    else:
+        env = DummyVecEnv([partial(gymnasium.make, oracle)] * n)
     env.seed(seed)
     return env
 

@@ -7,8 +7,10 @@ picture and table alike, is made of the rows that :meth:`Section.collect` return
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any, Protocol, TypeVar
+
+from pearl_marl.rendering import import_pyplot
 
 T = TypeVar("T")
 
@@ -41,8 +43,6 @@ class Section(Protocol):
     """What it shows, in a sentence or two, for the page."""
     COLUMNS: Mapping[str, str]
     """Headings of the page's table by keys of a row; ``kind`` always comes first, and is not named here."""
-    SEEDS: tuple[int, ...]
-    """Of everything random in it."""
 
     def collect(self, quick: bool, progress: Progress) -> list[Row]:
         """Measure everything, or with ``quick`` a small part in some seconds.
@@ -55,8 +55,23 @@ class Section(Protocol):
         ...
 
     def draw(self, rows: list[Row]) -> Any:
-        """Return a figure of matplotlib, or ``None`` where there is nothing to draw, as in a mere table."""
+        """Return a figure of matplotlib; a mere table has no such function."""
         ...
+
+
+def row_of(kind: str, counts: str, **values: Any) -> Row:
+    """Return a row: its kind, its values, and what is counted or from where."""
+    return {"kind": kind, **values, "counts": counts}
+
+
+def select(rows: Iterable[Row], **wanted: Any) -> list[Row]:
+    """Return the rows that have all these values."""
+    return [row for row in rows if all(row.get(key) == value for key, value in wanted.items())]
+
+
+def having(rows: Iterable[Row], key: str) -> list[Row]:
+    """Return the rows that have a value of that key."""
+    return [row for row in rows if row.get(key) is not None]
 
 
 # ---- What the pictures have in common ----
@@ -64,9 +79,13 @@ class Section(Protocol):
 WIDTH = 9.0
 """Inches: at 100 dots an inch as wide as the page."""
 
-# Okabe and Ito's colours, which people tell apart who do not see all of them, and a dark purple.
-BLACK, ORANGE, SKY, GREEN = "#000000", "#E69F00", "#56B4E9", "#009E73"
-BLUE, RED, PINK, PURPLE = "#0072B2", "#D55E00", "#CC79A7", "#5B2A86"
+
+class Colour:
+    """Okabe and Ito's colours, which people tell apart who do not see all of them, and a dark purple."""
+
+    BLACK, ORANGE, SKY, GREEN = "#000000", "#E69F00", "#56B4E9", "#009E73"
+    BLUE, RED, PINK, PURPLE = "#0072B2", "#D55E00", "#CC79A7", "#5B2A86"
+
 
 LINES: dict[str, dict[str, Any]] = {
     "measured": {"linestyle": "-", "marker": "o"},
@@ -93,6 +112,44 @@ def log_axis(axes: Any, which: str, values: Iterable[float], ticks: bool = False
         axes.set(**{f"{which}lim": (10.0**low, 10.0 ** max(high, low + 1))})
 
 
-def select(rows: Iterable[Row], **wanted: Any) -> list[Row]:
-    """Return the rows that have all these values."""
-    return [row for row in rows if all(row.get(key) == value for key, value in wanted.items())]
+def subplots(lines: int, columns: int, height: float, **options: Any) -> Any:
+    """Return a figure as wide as the page and so many inches high, and its panels."""
+    return import_pyplot().subplots(lines, columns, figsize=(WIDTH, height), layout="constrained", **options)
+
+
+def panels(names: Sequence[str], head: float, height: float, **options: Any) -> tuple[Any, dict[str, Any]]:
+    """Return a figure with a panel for each name, four in a line; the heights are inches."""
+    columns = min(4, len(names))
+    lines = -(-len(names) // columns)
+    figure, grid = subplots(lines, columns, head + height * lines, squeeze=False, **options)
+    for axes in list(grid.flat)[len(names) :]:
+        axes.axis("off")
+    return figure, dict(zip(names, grid.flat, strict=False))
+
+
+def bars(axes: Any, places: Any, values: Any, height: float, form: str = "{:,.0f}", **options: Any) -> None:
+    """Draw bars to the right, and their values beside them."""
+    drawn = axes.barh(places, values, height, edgecolor="white", **options)
+    axes.bar_label(drawn, fmt=form, fontsize=7, padding=2)
+
+
+def tidy(*panels: Any, grid: bool = True) -> None:
+    """Take lines away from around panels, and put pale ones into them."""
+    for axes in panels:
+        axes.spines[["top", "right"]].set_visible(False)
+        if grid:
+            axes.grid(alpha=0.3)
+
+
+def legend(
+    figure: Any, handles: Mapping[str, Any], columns: int, place: str = "upper", **options: Any
+) -> None:
+    """Put a legend above a figure, or below it; the handles by their labels."""
+    options = {"loc": f"outside {place} center", "ncols": columns, "fontsize": 8, "frameon": False, **options}
+    figure.legend(handles.values(), handles.keys(), **options)
+
+
+def labelled(axes: Any) -> dict[str, Any]:
+    """Return what has been drawn in a panel, by its labels."""
+    handles, labels = axes.get_legend_handles_labels()
+    return dict(zip(labels, handles, strict=True))

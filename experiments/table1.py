@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from pearl_marl.errors import DeviceError
 from pearl_marl.hardware import elaboration
 from pearl_marl.hardware.build import Build
@@ -12,7 +10,7 @@ from pearl_marl.registry import get_spec, names
 from pearl_marl.spec import EnvSpec
 
 from . import paper
-from .section import Progress, Row
+from .section import Progress, Row, row_of
 
 TITLE = "Table I: compute time"
 TEXT = (
@@ -29,7 +27,6 @@ COLUMNS = {
     "compute_ns": "ns",
     "counts": "what is counted, or from where",
 }
-SEEDS = (0,)
 
 N_ENVS, PE_NUM, DATA_WL = 16, 1, 32
 """The build that is placed and routed: one core, and little around it."""
@@ -46,23 +43,11 @@ def collect(quick: bool, progress: Progress) -> list[Row]:
             "latency_cycles": timing.latency,
             "interval_cycles": timing.interval,
         }
-        rows.append(
-            {
-                **common,
-                "kind": "simulated",
-                "counts": "stated by the core, checked by its bench in simulation",
-            }
-        )
+        rows.append(row_of("simulated", "stated by the core, checked by its bench in simulation", **common))
         if not quick:
             rows.append(_placed(spec, common))
-        rows.append(
-            {
-                "kind": "quoted",
-                "environment": spec.name,
-                "compute_ns": paper.COMPUTE_NS[spec.name],
-                "counts": paper.COMPUTE_NS_SOURCE,
-            }
-        )
+        quoted = {"environment": spec.name, "compute_ns": paper.COMPUTE_NS[spec.name]}
+        rows.append(row_of("quoted", paper.COMPUTE_NS_SOURCE, **quoted))
     return rows
 
 
@@ -71,17 +56,8 @@ def _placed(spec: EnvSpec, common: Row) -> Row:
     try:
         usage = synthesise(Build.of(spec, N_ENVS, PE_NUM, DATA_WL), Family.ECP5, fmax=True)
     except DeviceError as error:  # too large for the device, or a tool is missing
-        return {**common, "kind": "missing", "counts": f"{build}: {error}"}
+        return row_of("missing", f"{build}: {error}", **common)
     assert usage.fmax_mhz is not None
-    return {
-        **common,
-        "kind": "predicted",
-        "fmax_mhz": usage.fmax_mhz,
-        "compute_ns": common["latency_cycles"] * 1e3 / usage.fmax_mhz,
-        "counts": f"{build}, {FMAX_DEVICE}: nextpnr's estimate after routing, without pads",
-    }
-
-
-def draw(rows: list[Row]) -> Any:
-    """Return nothing: it is a table."""
-    return None
+    counts = f"{build}, {FMAX_DEVICE}: nextpnr's estimate after routing, without pads"
+    nanoseconds = common["latency_cycles"] * 1e3 / usage.fmax_mhz
+    return row_of("predicted", counts, **common, fmax_mhz=usage.fmax_mhz, compute_ns=nanoseconds)

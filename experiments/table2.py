@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from pearl_marl.benchmark.paper import TABLE_2, TABLE_2_SOURCE
 from pearl_marl.hardware import elaboration
 from pearl_marl.memory_map import default_map
 from pearl_marl.registry import get_spec, names
 from pearl_marl.spec import word_bits
 
-from .section import Progress, Row
+from .section import Progress, Row, row_of
 
 TITLE = "Table II: environment parameters"
 TEXT = (
@@ -30,9 +28,9 @@ COLUMNS = {
     "compute_ns": "c_c, ns",
     "counts": "what is counted, or from where",
 }
-SEEDS = (0,)
 
 N_ENVS = 43008
+WIDTHS = ("state_bits", "action_bits", "observation_bits", "reward_bits")
 
 
 def collect(quick: bool, progress: Progress) -> list[Row]:
@@ -41,39 +39,28 @@ def collect(quick: bool, progress: Progress) -> list[Row]:
     for name in names():
         spec = get_spec(name)
         layout = default_map(spec, N_ENVS)
+        bits = word_bits(spec.state), spec.action.bits, word_bits(spec.observation), spec.reward.bits
         rows.append(
-            {
-                "kind": "measured",
-                "environment": name,
-                "state_bits": word_bits(spec.state),
-                "action_bits": spec.action.bits,
-                "observation_bits": word_bits(spec.observation),
-                "reward_bits": spec.reward.bits,
-                "data_wl": layout.data_wl,
-                "pe_num": layout.pe_num,
-                "compute_cycles": elaboration.core_timing(spec).latency,
-                "counts": f"counted: the design of {N_ENVS:,} slots",
-            }
+            row_of(
+                "measured",
+                f"counted: the design of {N_ENVS:,} slots",
+                environment=name,
+                **dict(zip(WIDTHS, bits, strict=True)),
+                data_wl=layout.data_wl,
+                pe_num=layout.pe_num,
+                compute_cycles=elaboration.core_timing(spec).latency,
+            )
         )
-        column = TABLE_2.get(name)
-        if column is not None:
+        if (column := TABLE_2.get(name)) is not None:
             rows.append(
-                {
-                    "kind": "quoted",
-                    "environment": name,
-                    "state_bits": column.state,
-                    "action_bits": column.action,
-                    "observation_bits": column.observation,
-                    "reward_bits": column.reward,
-                    "data_wl": column.data_wl,
-                    "pe_num": column.pe_num,
-                    "compute_ns": column.compute_ns,
-                    "counts": TABLE_2_SOURCE,
-                }
+                row_of(
+                    "quoted",
+                    TABLE_2_SOURCE,
+                    environment=name,
+                    **dict(zip(WIDTHS, column.widths, strict=True)),
+                    data_wl=column.data_wl,
+                    pe_num=column.pe_num,
+                    compute_ns=column.compute_ns,
+                )
             )
     return rows
-
-
-def draw(rows: list[Row]) -> Any:
-    """Return nothing: it is a table."""
-    return None

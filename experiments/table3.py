@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from pearl_marl.hardware.build import Build
 from pearl_marl.hardware.fitting import largest_fit
 from pearl_marl.hardware.synthesis import synthesise
@@ -11,7 +9,7 @@ from pearl_marl.registry import get_spec
 
 from . import figure6, figure8, paper
 from .figure9 import BUILDS
-from .section import Progress, Row
+from .section import Progress, Row, row_of
 
 TITLE = "Table III: frameworks"
 TEXT = (
@@ -27,7 +25,6 @@ COLUMNS = {
     "most_envs": "most environments",
     "counts": "what is counted, or from where",
 }
-SEEDS = (0,)
 
 ENV = "CliffWalking"
 
@@ -49,14 +46,14 @@ def collect(quick: bool, progress: Progress) -> list[Row]:
         if row["contender"] in shown:
             framework, platform = shown[row["contender"]]
             rows.append(
-                {
-                    "kind": row["kind"],
-                    "framework": framework,
-                    "platform": platform,
-                    "n_envs": row["n_envs"],
-                    "steps_per_second": row.get("steps_per_second"),
-                    "counts": row["counts"],
-                }
+                row_of(
+                    row["kind"],
+                    row["counts"],
+                    framework=framework,
+                    platform=platform,
+                    n_envs=row["n_envs"],
+                    steps_per_second=row.get("steps_per_second"),
+                )
             )
     if not quick:
         rows.append(_most())
@@ -65,15 +62,15 @@ def collect(quick: bool, progress: Progress) -> list[Row]:
         for row in figure8.measured([ENV], quick, progress)
     ]
     rows += [
-        {
-            "kind": "quoted",
-            "framework": name,
-            "platform": "CPU + FPGA" if "board" in name else "CPU",
-            "steps_per_second": framework.steps_per_second,
-            "steps_per_joule": framework.steps_per_joule,
-            "most_envs": framework.n_envs,
-            "counts": paper.FRAMEWORKS_SOURCE,
-        }
+        row_of(
+            "quoted",
+            paper.FRAMEWORKS_SOURCE,
+            framework=name,
+            platform="CPU + FPGA" if "board" in name else "CPU",
+            steps_per_second=framework.steps_per_second,
+            steps_per_joule=framework.steps_per_joule,
+            most_envs=framework.n_envs,
+        )
         for name, framework in paper.FRAMEWORKS.items()
     ]
     return rows
@@ -83,15 +80,5 @@ def _most() -> Row:
     spec, (pe_num, data_wl) = get_spec(ENV), BUILDS[ENV]
     usage = synthesise(Build.of(spec, figure6.SIZES[-1], pe_num, data_wl))
     fit = largest_fit(spec, [usage], figure6.PART)
-    return {
-        "kind": "predicted",
-        "framework": "this platform",
-        "platform": "CPU + FPGA",
-        "most_envs": fit.n_envs,
-        "counts": f"block RAM of a {fit.part.name}, {pe_num} PEs, {data_wl}-bit words, as --fit predicts",
-    }
-
-
-def draw(rows: list[Row]) -> Any:
-    """Return nothing: it is a table."""
-    return None
+    counts = f"block RAM of a {fit.part.name}, {pe_num} PEs, {data_wl}-bit words, as --fit predicts"
+    return row_of("predicted", counts, framework="this platform", platform="CPU + FPGA", most_envs=fit.n_envs)

@@ -43,8 +43,8 @@ class LockstepError(PearlError, AssertionError):
     ----------
     divergence
         What differs, decoded: a :class:`pearl_marl.comparison.divergence.Divergence`. Its fields ``step``,
-        ``slot``, ``field``, ``device_value``, ``reference_value``, ``state_before`` and ``action`` are
-        attributes of the error too.
+        ``slot``, ``state_before`` and ``action`` are attributes of the error too, and those of its first
+        difference: ``field``, ``device_value`` and ``reference_value``.
     replay
         What does it again: a :class:`pearl_marl.comparison.replay.Replay`.
     """
@@ -55,9 +55,7 @@ class LockstepError(PearlError, AssertionError):
         self.replay = replay
         self.step = divergence.step
         self.slot = divergence.slot
-        self.field = divergence.field
-        self.device_value = divergence.device_value
-        self.reference_value = divergence.reference_value
+        self.field, self.device_value, self.reference_value = divergence.differences[0]
         self.state_before = divergence.state_before
         self.action = divergence.action
 

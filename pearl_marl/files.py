@@ -9,21 +9,9 @@ from pearl_marl.errors import ArgumentError
 
 
 def replace_file(path: Path, content: bytes, keep: Path | None = None) -> None:
-    """Write a file beside its place, and put it there once it is on the disk.
+    """Write a file beside its place, and put it there once it is on the disk; or raise ArgumentError.
 
-    Parameters
-    ----------
-    path
-        Its place.
-    content
-        All of it.
-    keep
-        Where the file that was there goes; ``None`` drops it. For a moment there is only this one.
-
-    Raises
-    ------
-    ArgumentError
-        The file cannot be written.
+    The file that was there goes to ``keep``, if that is given. For a moment there is only this one.
     """
     scratch = path.with_name(f"{path.name}.tmp")
     try:
@@ -34,15 +22,10 @@ def replace_file(path: Path, content: bytes, keep: Path | None = None) -> None:
         if keep is not None and path.exists():
             os.replace(path, keep)
         os.replace(scratch, path)
-        _sync_folder(path.parent)
+        folder = os.open(path.parent, os.O_RDONLY)
+        try:
+            os.fsync(folder)  # the names in it: a file's own fsync() does not bring them to the disk
+        finally:
+            os.close(folder)
     except OSError as error:
         raise ArgumentError(f"{path} cannot be written: {error.strerror}") from None
-
-
-def _sync_folder(folder: Path) -> None:
-    """Bring a folder's names to the disk: a file's own fsync() does not."""
-    descriptor = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)

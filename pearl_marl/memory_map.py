@@ -45,7 +45,6 @@ DATA_WIDTHS = (32, 64, 128, 256, 512, 1024)
 TER_BITS = 2
 ELAPSED_BITS = 32
 
-
 REGION_NAMES = (
     "control",
     "initial_states",
@@ -136,30 +135,19 @@ class StatusError(IntFlag):
 
 @dataclass(frozen=True, slots=True)
 class Region:
-    """One contiguous piece of the address space: ``rows`` streams, one after the other.
-
-    Parameters
-    ----------
-    name
-        As in the diagram above.
-    offset
-        Byte address of the first word.
-    rows
-        How many streams it is made of: one, or one per group.
-    row_words
-        How many words of ``data_wl`` bits a stream has.
-    row_slots
-        How many slots a stream has room for; 0 for the registers.
-    slot_bits
-        Bits a slot owns in it; 0 for the registers.
-    """
+    """One contiguous piece of the address space: ``rows`` streams, one after the other."""
 
     name: str
     offset: int
+    """Byte address of the first word."""
     rows: int
+    """One, or one per group."""
     row_words: int
+    """Words of ``data_wl`` bits of a stream."""
     row_slots: int
+    """How many slots a stream has room for; 0 for the registers."""
     slot_bits: int
+    """Bits that a slot owns; 0 for the registers."""
 
     @property
     def words(self) -> int:
@@ -205,23 +193,10 @@ class MemoryMap:
 
 
 def memory_map(spec: EnvSpec, n_envs: int, pe_num: int, data_wl: int) -> MemoryMap:
-    """Lay out the Comm-BRAM for one build.
+    """Lay out the Comm-BRAM for one build; raise ArgumentError where a size is out of range.
 
-    Parameters
-    ----------
-    spec
-        Gives the widths.
-    n_envs
-        Slots, at least 1.
-    pe_num
-        Processing elements, ``1 .. n_envs``; the last group may be partly empty.
-    data_wl
-        Bits of a word, one of :data:`DATA_WIDTHS`.
-
-    Raises
-    ------
-    ArgumentError
-        Names the parameter that is out of range and its limits.
+    That is ``1 .. n_envs`` for ``pe_num``, the processing elements (the last group may be partly empty), and
+    :data:`DATA_WIDTHS` for ``data_wl``, the bits of a word.
     """
     if n_envs < 1:
         raise ArgumentError(f"n_envs is {n_envs}; a memory map needs at least 1 slot")

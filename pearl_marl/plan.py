@@ -36,20 +36,11 @@ class Candidate:
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """The build that was chosen, and what it was chosen from.
+    """The build that was chosen, and what it was chosen from: the narrowest word that serves each ``pe_num``.
 
-    Parameters
-    ----------
-    chosen
-        The build.
-    candidates
-        For each number of processing elements the narrowest word that serves them.
-    host, half_host
-        What the host takes for all slots, and for half of them; measured.
-    overlap
-        Two devices of half the slots that take turns; ``None`` for a single slot.
-    usage
-        What synthesis made of the build, if it is in the cache.
+    ``host`` and ``half_host`` are what the host takes for all slots and for half of them, measured.
+    ``overlap`` is of two devices of half the slots that take turns; ``None`` for a single slot. ``usage`` is
+    what synthesis made of the build, if it is in the cache.
     """
 
     chosen: Candidate
@@ -69,23 +60,11 @@ def plan(
     pe_num: int | None = None,
     data_wl: int | None = None,
 ) -> Plan:
-    """Choose a build.
+    """Choose a build for a link, and a clock in hertz.
 
-    Of all builds whose memories fit the part, the smallest that is nearly as fast as the fastest
-    (:data:`NEAR`): fewest processing elements, then the narrowest word.
-
-    Parameters
-    ----------
-    spec, n_envs
-        What is to be stepped.
-    link
-        What the hardware is behind.
-    clock
-        The hardware's, in hertz.
-    part
-        What the memories have to fit; ``None`` for anything.
-    pe_num, data_wl
-        To look at one value only.
+    Of all builds whose memories fit the part (``None`` for anything), the smallest that is nearly as fast as
+    the fastest (:data:`NEAR`): fewest processing elements, then the narrowest word. ``pe_num`` and
+    ``data_wl`` look at one value only.
 
     Raises
     ------

@@ -40,11 +40,7 @@ def names() -> list[str]:
 def get_spec(name: str) -> EnvSpec:
     """Return the spec of an environment by its name, whatever its case.
 
-    Parameters
-    ----------
-    name
-        Such as ``"CliffWalking"``; or, for an environment of another package, ``"my_package:MyEnv"``, which
-        imports ``my_package`` first, where ``MyEnv`` is registered.
+    ``"my_package:MyEnv"`` imports ``my_package`` first, where ``MyEnv`` is registered.
 
     Raises
     ------

@@ -20,26 +20,16 @@ _SHADES = " ░▒▓█"
 
 
 class OracleRenderer:
-    """Draws one slot with the renderer of the environment that ours follows.
-
-    Parameters
-    ----------
-    spec
-        The environment.
-    mode
-        One of ``spec.render_modes``.
-    """
+    """Draws one slot with the renderer of the environment that ours follows, in one of its render modes."""
 
     def __init__(self, spec: EnvSpec, mode: str) -> None:
         check_render_mode(spec, mode)
         assert spec.oracle is not None
         assert spec.pose is not None
-        self._pose = spec.pose
-        self._spec = spec
+        self._pose, self._spec = spec.pose, spec
         with _installed(spec):
-            env = gymnasium.make(spec.oracle, render_mode=mode, **spec.options).unwrapped
-            env.reset()
-        self._env = env
+            self._env = gymnasium.make(spec.oracle, render_mode=mode, **spec.options).unwrapped
+            self._env.reset()
 
     def render(self, state: npt.NDArray[Any]) -> Any:
         """Draw a slot's state (its row of :meth:`pearl_marl.devices.Device.state`).
@@ -76,13 +66,7 @@ def check_render_mode(spec: EnvSpec, mode: str | None) -> None:
 
 
 class HeatMap:
-    """Counts how often the slots visit each cell of their grid.
-
-    Parameters
-    ----------
-    spec
-        An environment with a grid.
-    """
+    """Counts how often the slots of an environment with a grid visit each of its cells."""
 
     def __init__(self, spec: EnvSpec) -> None:
         if spec.grid is None:

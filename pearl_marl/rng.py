@@ -103,20 +103,10 @@ def seed_words(seed: int) -> tuple[int, int]:
 
 
 def draws(seed: tuple[int, int], slots: npt.ArrayLike, tick: int, index: int) -> npt.NDArray[np.uint32]:
-    """Return draw ``index`` at ``tick`` for many slots at once, as the devices draw it.
+    """Return draw ``index`` (below ``2**32``) at ``tick`` (below ``2**64``) for many slots at once.
 
-    Parameters
-    ----------
-    seed
-        What :func:`seed_words` returned.
-    slots
-        Global slot numbers below ``2**32``, any shape.
-    tick, index
-        Non-negative, below ``2**64`` and ``2**32``.
-
-    Returns
-    -------
-    ``uint32`` of the shape of ``slots``.
+    ``slots`` are global numbers below ``2**32``, of any shape, which is that of the result; the seed is
+    that of :func:`seed_words`.
     """
     with np.errstate(over="ignore"):
         words = u32(seed[0]), u32(seed[1]), u64(tick), u32(index)

@@ -260,17 +260,8 @@ class EnvSpec:
     def with_options(self, also: Iterable[str] = (), /, **options: Any) -> EnvSpec:
         """Return the spec of this environment under the given keyword arguments.
 
-        Parameters
-        ----------
-        also
-            Names that the caller takes himself, to be suggested where one of ``options`` is close to it.
-        **options
-            The environment's own arguments.
-
-        Raises
-        ------
-        ArgumentError
-            Names the first argument that this environment does not have, and those it has.
+        Raises ArgumentError for the first that it does not have. ``also`` are names that the caller takes
+        himself, to be suggested where that is close to one.
         """
         if not options:
             return self

@@ -13,7 +13,7 @@ from pearl_marl.batch.step import Array, BatchStep
 from pearl_marl.errors import ArgumentError
 from pearl_marl.interfaces.batch import Batch, Mask
 
-from .base import Env, wrap
+from .base import box, wrap
 from .transform import Slots, Transform
 
 
@@ -39,7 +39,7 @@ class _Checked(_Mapped):
 
 
 def action_lambda_v1(
-    env: Env,
+    env: Batch,
     change_action_fn: Callable[[Array, Any], Array],
     change_space_fn: Callable[[Any], Discrete | Box],
 ) -> Any:
@@ -47,8 +47,6 @@ def action_lambda_v1(
 
     Parameters
     ----------
-    env
-        The environment.
     change_action_fn
         Takes actions of shape ``(n, ...)`` and one slot's space inside; returns as many rows for there.
     change_space_fn
@@ -75,16 +73,16 @@ class _Clip(Transform):
         return ~_nan_slots(actions) | super().possible(actions)
 
 
-def clip_actions_v0(env: Env) -> Any:
+def clip_actions_v0(env: Batch) -> Any:
     """Move actions beyond the bounds of their ``Box`` to the bounds."""
 
     def make(batch: Batch, space: Space[Any], action_space: Any) -> Transform:
-        return _Clip(batch, space, _box(action_space, "clip_actions_v0"))
+        return _Clip(batch, space, box(action_space, "clip_actions_v0", "actions"))
 
     return wrap(env, make)
 
 
-def scale_actions_v0(env: Env, scale: float) -> Any:
+def scale_actions_v0(env: Batch, scale: float) -> Any:
     """Multiply actions in a ``Box`` by ``scale``.
 
     As in SuperSuit the bounds shown are those inside times ``scale`` too, so it is for policies whose
@@ -92,7 +90,7 @@ def scale_actions_v0(env: Env, scale: float) -> Any:
     """
 
     def make(batch: Batch, space: Space[Any], action_space: Any) -> Transform:
-        old = _box(action_space, "scale_actions_v0")
+        old = box(action_space, "scale_actions_v0", "actions")
         if not np.isfinite(scale) or scale <= 0:
             raise ArgumentError(f"scale is {scale!r}; it must be a positive number")
         new = Box(old.low * scale, old.high * scale, dtype=np.float32)
@@ -101,7 +99,7 @@ def scale_actions_v0(env: Env, scale: float) -> Any:
     return wrap(env, make)
 
 
-def pad_action_space_v0(env: Env) -> Any:
+def pad_action_space_v0(env: Batch) -> Any:
     """Pad action spaces to the largest agent's. Here all are alike, so this returns ``env`` as it is."""
     return env
 
@@ -147,7 +145,7 @@ class _NanRandom(_NoNans):
         return random_numbers(self.action_space, self.draws()[slots])
 
 
-def nan_noop_v0(env: Env, no_op_action: Any) -> Any:
+def nan_noop_v0(env: Batch, no_op_action: Any) -> Any:
     """Take ``no_op_action`` where an action is not a number."""
 
     def make(batch: Batch, space: Space[Any], action_space: Any) -> Transform:
@@ -158,14 +156,14 @@ def nan_noop_v0(env: Env, no_op_action: Any) -> Any:
     return wrap(env, make)
 
 
-def nan_zeros_v0(env: Env) -> Any:
+def nan_zeros_v0(env: Batch) -> Any:
     """Take zero where an action is not a number."""
     return wrap(
         env, lambda batch, space, actions: _NanNoop(batch, space, actions, np.zeros(actions.shape or ()))
     )
 
 
-def nan_random_v0(env: Env) -> Any:
+def nan_random_v0(env: Batch) -> Any:
     """Take a random action where one is not a number, drawn for each agent and step from the seed."""
     return wrap(env, _NanRandom)
 
@@ -199,7 +197,7 @@ class _Sticky(Transform):
         self._may_stick[slots] = False
 
 
-def sticky_actions_v0(env: Env, repeat_action_probability: float) -> Any:
+def sticky_actions_v0(env: Batch, repeat_action_probability: float) -> Any:
     """Repeat an agent's last action with a probability, drawn for each agent and step from the seed.
 
     SuperSuit draws the same for every agent if there is a seed.
@@ -208,9 +206,7 @@ def sticky_actions_v0(env: Env, repeat_action_probability: float) -> Any:
         raise ArgumentError(
             f"repeat_action_probability is {repeat_action_probability!r}; it must be in [0, 1)"
         )
-    return wrap(
-        env, lambda batch, space, actions: _Sticky(batch, space, actions, float(repeat_action_probability))
-    )
+    return wrap(env, _Sticky, float(repeat_action_probability))
 
 
 def _nan_slots(actions: Array) -> Mask:
@@ -219,9 +215,3 @@ def _nan_slots(actions: Array) -> Mask:
         return np.zeros(len(actions), np.bool_)
     nan: Any = np.isnan(actions).reshape(len(actions), -1).any(1)
     return np.asarray(nan)
-
-
-def _box(space: Any, name: str) -> Box:
-    if not isinstance(space, Box):
-        raise ArgumentError(f"{name} takes actions in a Box, not {space}")
-    return space

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, TypeVar
+from typing import Any
 
-from gymnasium.spaces import Box, Discrete, Space
+import numpy as np
+from gymnasium.spaces import Box, Space
 
 from pearl_marl.devices.by_name import make_host_device
 from pearl_marl.errors import ArgumentError
@@ -16,12 +17,10 @@ from pearl_marl.interfaces.vector_interface import VectorInterface
 from .transform import Transform
 from .wrapped import WrappedParallelEnv, WrappedVectorEnv
 
-__all__ = ["Batch", "Env", "Transform", "wrap"]
-
-Env = TypeVar("Env", ParallelInterface, VectorInterface)
+__all__ = ["Batch", "Transform", "box", "with_zeros", "wrap"]
 
 
-def wrap(env: Env, make: Callable[[Batch, Space[Any], Discrete | Box], Transform]) -> Any:
+def wrap(env: Batch, make: Callable[..., Transform], *arguments: Any) -> Any:
     """Put a transform around an environment.
 
     Parameters
@@ -29,7 +28,7 @@ def wrap(env: Env, make: Callable[[Batch, Space[Any], Discrete | Box], Transform
     env
         A :class:`pearl_marl.PearlParallelEnv` or :class:`pearl_marl.PearlVectorEnv`, wrapped or not.
     make
-        Makes the transform from what is inside: the batch, and one slot's spaces.
+        Makes the transform from what is inside, the batch and one slot's spaces, and from ``arguments``.
 
     Returns
     -------
@@ -41,7 +40,20 @@ def wrap(env: Env, make: Callable[[Batch, Space[Any], Discrete | Box], Transform
         )
     unwrapped: Any = env.unwrapped
     make_host_device(unwrapped.device)  # a transform is NumPy's work
-    transform = make(env, env.slot_observation_space, env.slot_action_space)
-    if isinstance(env, ParallelInterface):
-        return WrappedParallelEnv(env, transform)
-    return WrappedVectorEnv(env, transform)
+    transform = make(env, env.slot_observation_space, env.slot_action_space, *arguments)
+    wrapped = WrappedParallelEnv if isinstance(env, ParallelInterface) else WrappedVectorEnv
+    return wrapped(env, transform)
+
+
+def box(space: Space[Any], name: str, what: str = "observations") -> Box:
+    """Return a space that has to be a ``Box``, or refuse it for the wrapper called ``name``."""
+    if not isinstance(space, Box):
+        raise ArgumentError(f"{name} takes {what} in a Box, not {space}")
+    return space
+
+
+def with_zeros(space: Space[Any]) -> Space[Any]:
+    """Return the space itself, or if zeros are beyond its bounds, one that they are within."""
+    if not isinstance(space, Box) or ((space.low <= 0) & (space.high >= 0)).all():
+        return space
+    return Box(np.minimum(space.low, 0), np.maximum(space.high, 0), dtype=space.dtype.type)

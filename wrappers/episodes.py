@@ -14,8 +14,7 @@ from pearl_marl.golden import uniform_below
 from pearl_marl.interfaces.batch import Batch, Mask
 from pearl_marl.interfaces.parallel_interface import ParallelInterface
 
-from .base import Env, wrap
-from .spaces import with_zeros
+from .base import with_zeros, wrap
 from .transform import Transform
 
 
@@ -52,7 +51,7 @@ class _FrameSkip(Transform):
         return BatchStep(obs, rewards, terminations, truncations, final_obs)
 
 
-def frame_skip_v0(env: Env, num_frames: int | tuple[int, int]) -> Any:
+def frame_skip_v0(env: Batch, num_frames: int | tuple[int, int]) -> Any:
     """Take each action several times and add up the rewards; an episode's end ends it.
 
     Parameters
@@ -68,8 +67,7 @@ def frame_skip_v0(env: Env, num_frames: int | tuple[int, int]) -> Any:
         raise ArgumentError(
             f"num_frames is {num_frames!r}; it must be a positive integer, or the least and the most of them"
         )
-    low, high = counts
-    return wrap(env, lambda batch, space, actions: _FrameSkip(batch, space, actions, low, high))
+    return wrap(env, _FrameSkip, *counts)
 
 
 class _BlackDeath(Transform):

@@ -15,8 +15,7 @@ from pearl_marl.errors import ArgumentError
 from pearl_marl.interfaces.batch import Batch
 
 from . import kernels
-from .base import Env, wrap
-from .spaces import box, with_zeros
+from .base import box, with_zeros, wrap
 from .transform import Slots, Transform
 
 Change = Callable[[Array], Array]
@@ -35,7 +34,7 @@ class _Mapped(Transform):
         return self._change(obs)
 
 
-def _mapped(env: Env, name: str, change: Change) -> Any:
+def _mapped(env: Batch, name: str, change: Change) -> Any:
     """Wrap an environment whose ``Box`` goes through ``change`` as its observations do."""
 
     def make(batch: Batch, space: Space[Any], action_space: Any) -> Transform:
@@ -47,7 +46,7 @@ def _mapped(env: Env, name: str, change: Change) -> Any:
 
 
 def observation_lambda_v0(
-    env: Env,
+    env: Batch,
     change_observation_fn: Callable[[Array, Space[Any]], Array],
     change_obs_space_fn: Callable[[Space[Any]], Space[Any]] | None = None,
 ) -> Any:
@@ -55,8 +54,6 @@ def observation_lambda_v0(
 
     Parameters
     ----------
-    env
-        The environment.
     change_observation_fn
         Takes observations of shape ``(n, ...)`` and one slot's space; returns as many rows.
     change_obs_space_fn
@@ -83,18 +80,18 @@ def observation_lambda_v0(
     return wrap(env, make)
 
 
-def dtype_v0(env: Env, dtype: npt.DTypeLike) -> Any:
+def dtype_v0(env: Batch, dtype: npt.DTypeLike) -> Any:
     """Cast observations."""
     kind = np.dtype(dtype)
     return _mapped(env, "dtype_v0", lambda obs: obs.astype(kind))
 
 
-def flatten_v0(env: Env) -> Any:
+def flatten_v0(env: Batch) -> Any:
     """Give each observation one axis."""
     return _mapped(env, "flatten_v0", lambda obs: obs.reshape(len(obs), -1))
 
 
-def reshape_v0(env: Env, shape: tuple[int, ...]) -> Any:
+def reshape_v0(env: Batch, shape: tuple[int, ...]) -> Any:
     """Give each observation another shape of as many elements."""
 
     def change(obs: Array) -> Array:
@@ -105,7 +102,7 @@ def reshape_v0(env: Env, shape: tuple[int, ...]) -> Any:
     return _mapped(env, "reshape_v0", change)
 
 
-def normalize_obs_v0(env: Env, env_min: float = 0.0, env_max: float = 1.0) -> Any:
+def normalize_obs_v0(env: Batch, env_min: float = 0.0, env_max: float = 1.0) -> Any:
     """Scale observations from the bounds of their space, which must be finite, to others."""
     if not env_min < env_max:
         raise ArgumentError(f"env_min is {env_min}, env_max {env_max}; the first must be the smaller")
@@ -132,7 +129,7 @@ def normalize_obs_v0(env: Env, env_min: float = 0.0, env_max: float = 1.0) -> An
     return wrap(env, make)
 
 
-def color_reduction_v0(env: Env, mode: str = "full") -> Any:
+def color_reduction_v0(env: Batch, mode: str = "full") -> Any:
     """Keep one channel of pictures (``"R"``, ``"G"``, ``"B"``) or their brightness (``"full"``)."""
     if mode not in ("full", "R", "G", "B"):
         raise ArgumentError(f"mode is {mode!r}; possible are 'full', 'R', 'G' and 'B'")
@@ -148,7 +145,7 @@ def color_reduction_v0(env: Env, mode: str = "full") -> Any:
     return _mapped(env, "color_reduction_v0", change)
 
 
-def resize_v1(env: Env, x_size: int, y_size: int, linear_interp: bool = True) -> Any:
+def resize_v1(env: Batch, x_size: int, y_size: int, linear_interp: bool = True) -> Any:
     """Give pictures another size.
 
     Parameters
@@ -191,7 +188,7 @@ def _mixed(obs: Array, axis: int, new: int) -> Array:
     return np.asarray(one + (other - one) * share)
 
 
-def agent_indicator_v0(env: Env, type_only: bool = False) -> Any:
+def agent_indicator_v0(env: Batch, type_only: bool = False) -> Any:
     """Show each agent which one it is.
 
     A ``Discrete`` observation becomes ``observation * n + agent``, as SuperSuit has it. A ``Box`` gets
@@ -200,8 +197,6 @@ def agent_indicator_v0(env: Env, type_only: bool = False) -> Any:
 
     Parameters
     ----------
-    env
-        The environment.
     type_only
         Show the type in the agent's name instead. All agents here are of one type, so nothing changes.
     """
@@ -251,7 +246,7 @@ def _with_number(space: Box, n: int) -> tuple[Box, Change]:
     return Box(low, high, dtype=kind.type), change
 
 
-def pad_observations_v0(env: Env) -> Any:
+def pad_observations_v0(env: Batch) -> Any:
     """Pad observations to the largest agent's. Here all are alike, so this returns ``env`` as it is."""
     return env
 
@@ -291,11 +286,7 @@ class _Window(Transform):
 
     def show(self, slots: Slots | None = None) -> Array:
         shape = self.n if slots is None else len(slots), *(self.observation_space.shape or ())
-        out = (
-            self.new.empty(shape, self._window.dtype)
-            if slots is None
-            else np.empty(shape, self._window.dtype)
-        )
+        out = (self.new.empty if slots is None else np.empty)(shape, self._window.dtype)
         self.write(out, slots)
         return out
 
@@ -354,7 +345,7 @@ class _NumberStack(_Window):
             out += self._frame(age, slots)
 
 
-def frame_stack_v1(env: Env, stack_size: int = 4, stack_dim: int = -1) -> Any:
+def frame_stack_v1(env: Batch, stack_size: int = 4, stack_dim: int = -1) -> Any:
     """Show the last frames, oldest first; zeros before an episode's first.
 
     Parameters
@@ -369,12 +360,12 @@ def frame_stack_v1(env: Env, stack_size: int = 4, stack_dim: int = -1) -> Any:
     return _frame_stack(env, stack_size, stack_dim, repeat=False)
 
 
-def frame_stack_v2(env: Env, stack_size: int = 4, stack_dim: int = -1) -> Any:
+def frame_stack_v2(env: Batch, stack_size: int = 4, stack_dim: int = -1) -> Any:
     """Do as :func:`frame_stack_v1`, but with an episode's first frame in place of zeros."""
     return _frame_stack(env, stack_size, stack_dim, repeat=True)
 
 
-def _frame_stack(env: Env, size: int, axis: int, repeat: bool) -> Any:
+def _frame_stack(env: Batch, size: int, axis: int, repeat: bool) -> Any:
     if isinstance(size, bool) or not isinstance(size, int) or size < 1:
         raise ArgumentError(f"stack_size is {size!r}; it must be a positive integer")
     if axis not in (0, -1):
@@ -400,7 +391,7 @@ class _Maximum(_Window):
             np.maximum(out, self._frame(age, slots).reshape(out.shape), out=out)
 
 
-def _window(env: Env, name: str, kind: type[_Window], frames: int, repeat: bool) -> Any:
+def _window(env: Batch, name: str, kind: type[_Window], frames: int, repeat: bool) -> Any:
     """Wrap an environment in a window that shows observations of the shape they have inside."""
 
     def make(batch: Batch, space: Space[Any], action_space: Any) -> Transform:
@@ -414,14 +405,14 @@ def _window(env: Env, name: str, kind: type[_Window], frames: int, repeat: bool)
     return wrap(env, make)
 
 
-def delay_observations_v0(env: Env, delay: int) -> Any:
+def delay_observations_v0(env: Batch, delay: int) -> Any:
     """Show what was to be seen ``delay`` steps ago; zeros before."""
     if isinstance(delay, bool) or not isinstance(delay, int) or delay < 0:
         raise ArgumentError(f"delay is {delay!r}; it must be an integer of at least 0")
     return _window(env, "delay_observations_v0", _Delay, delay + 1, repeat=False)
 
 
-def max_observation_v0(env: Env, memory: int) -> Any:
+def max_observation_v0(env: Batch, memory: int) -> Any:
     """Show the greatest value of each element in the last ``memory`` steps of the episode."""
     if isinstance(memory, bool) or not isinstance(memory, int) or memory < 1:
         raise ArgumentError(f"memory is {memory!r}; it must be a positive integer")

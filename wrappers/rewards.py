@@ -12,7 +12,7 @@ from pearl_marl.batch.step import Array, BatchStep
 from pearl_marl.errors import ArgumentError
 from pearl_marl.interfaces.batch import Batch
 
-from .base import Env, wrap
+from .base import wrap
 from .transform import Transform
 
 
@@ -27,7 +27,7 @@ class _Mapped(Transform):
         return self._change(step.rewards)
 
 
-def reward_lambda_v0(env: Env, change_reward_fn: Callable[[Array], Array]) -> Any:
+def reward_lambda_v0(env: Batch, change_reward_fn: Callable[[Array], Array]) -> Any:
     """Change rewards by a function of the whole batch, ``float32`` of shape ``(n,)`` to as many numbers."""
 
     def change(rewards: Array) -> Array:
@@ -39,19 +39,14 @@ def reward_lambda_v0(env: Env, change_reward_fn: Callable[[Array], Array]) -> An
             )
         return result
 
-    return wrap(env, lambda batch, space, actions: _Mapped(batch, space, actions, change))
+    return wrap(env, _Mapped, change)
 
 
-def clip_reward_v0(env: Env, lower_bound: float = -1, upper_bound: float = 1) -> Any:
+def clip_reward_v0(env: Batch, lower_bound: float = -1, upper_bound: float = 1) -> Any:
     """Move rewards beyond two bounds to the bounds."""
     if not lower_bound <= upper_bound:
         raise ArgumentError(
             f"lower_bound is {lower_bound}, upper_bound {upper_bound}; they are the wrong way round"
         )
     low, high = np.float32(lower_bound), np.float32(upper_bound)
-    return wrap(
-        env,
-        lambda batch, space, actions: _Mapped(
-            batch, space, actions, lambda rewards: np.clip(rewards, low, high)
-        ),
-    )
+    return wrap(env, _Mapped, lambda rewards: np.clip(rewards, low, high))

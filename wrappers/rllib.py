@@ -59,18 +59,10 @@ def rllib_vector_env(env_id: str, *, wrap: Callable[[Any], Any] | None = None, *
         _check_vector_arguments(given)
         given["autoreset_mode"] = AutoresetMode.NEXT_STEP
         env = make_vec(env_id, given.pop("num_envs"), **given)
-        if wrap is None:
-            return env
-        wrapped = wrap(env)
-        if (
-            not isinstance(wrapped, VectorInterface)
-            or wrapped.slot_autoreset_mode is not AutoresetMode.NEXT_STEP
-        ):
-            raise ArgumentError(
-                f"wrap returned {type(wrapped).__name__}, which is not the environment it was given in "
-                "wrappers of this package"
-            )
-        return wrapped
+        mode = AutoresetMode.NEXT_STEP
+        return _wrapped(
+            env, wrap, lambda it: isinstance(it, VectorInterface) and it.slot_autoreset_mode is mode
+        )
 
     return create
 
@@ -84,16 +76,8 @@ def rllib_multi_agent_env(
     when their episode ends. RLlib keeps a Python object for every step of every agent and manages a few
     thousand of them a second: this is for a few agents. For many take :func:`rllib_vector_env`.
 
-    Parameters
-    ----------
-    env_id
-        A name of :func:`pearl_marl.envs`, in any case.
-    n_agents
-        How many agents.
-    wrap
-        Puts wrappers of this package around the environment; given the environment, returns another.
-    **arguments
-        As in :func:`pearl_marl.parallel_env`. RLlib's ``env_config`` adds to them.
+    Takes ``wrap`` as that does, and the arguments of :func:`pearl_marl.parallel_env`, to which RLlib's
+    ``env_config`` adds.
 
     Raises
     ------
@@ -105,19 +89,24 @@ def rllib_multi_agent_env(
     def create(config: Mapping[str, Any]) -> Any:
         given = {"n_agents": n_agents, **arguments, **config}
         _check_parallel_arguments(given)
-        env: Any = parallel_env(env_id, **{**given, "autoreset": False})
-        if wrap is not None:
-            env = wrap(env)
-            if not isinstance(env, ParallelInterface) or env.autoreset:
-                raise ArgumentError(
-                    f"wrap returned {type(env).__name__}, which is not the environment it was given in "
-                    "wrappers of this package"
-                )
+        env = parallel_env(env_id, **{**given, "autoreset": False})
+        env = _wrapped(env, wrap, lambda it: isinstance(it, ParallelInterface) and not it.autoreset)
         from ray.rllib.env.wrappers.pettingzoo_env import ParallelPettingZooEnv
 
         return ParallelPettingZooEnv(env)
 
     return create
+
+
+def _wrapped(env: Any, wrap: Callable[[Any], Any] | None, fits: Callable[[Any], bool]) -> Any:
+    """Return an environment in its wrappers, which must not have made another one of it."""
+    wrapped = env if wrap is None else wrap(env)
+    if not fits(wrapped):
+        raise ArgumentError(
+            f"wrap returned {type(wrapped).__name__}, which is not the environment it was given in "
+            "wrappers of this package"
+        )
+    return wrapped
 
 
 def _check_vector_arguments(arguments: Mapping[str, Any]) -> None:

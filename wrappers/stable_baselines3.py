@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -59,11 +59,6 @@ class PearlVecEnv(VecEnv):
     ``TimeLimit.truncated``, whether nothing but the time limit ended it; and ``episode``, what SB3's
     ``Monitor`` says of it: return ``r``, length ``l``, seconds ``t`` since the start. All others are one
     empty dict, which must not be written to.
-
-    Attributes
-    ----------
-    env
-        The environment.
     """
 
     def __init__(self, env: Any, staggered: bool = False) -> None:
@@ -166,7 +161,7 @@ class PearlVecEnv(VecEnv):
     def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
         """Return an attribute of the environment, once for each of the slots asked about."""
         value = getattr(self.env, attr_name)
-        return [value for _ in self._slots(indices)]
+        return [value for _ in self._get_indices(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
         """Set an attribute of the environment, for all slots."""
@@ -190,7 +185,7 @@ class PearlVecEnv(VecEnv):
         while not found and inside is not None:
             found = isinstance(inside, wrapper_class)
             inside = getattr(inside, "env", None)
-        return [found for _ in self._slots(indices)]
+        return [found for _ in self._get_indices(indices)]
 
     def get_images(self) -> Sequence[Array | None]:
         """Return images of the first slots, 16 at the most."""
@@ -215,11 +210,8 @@ class PearlVecEnv(VecEnv):
         elapsed[:] = np.linspace(0, device.config.limit, self.num_envs, endpoint=False)
         device.restore(saved)
 
-    def _slots(self, indices: VecEnvIndices) -> Iterable[int]:
-        return self._get_indices(indices)
-
     def _refuse_some(self, call: str, indices: VecEnvIndices) -> None:
-        if indices is not None and sorted(set(self._slots(indices))) != list(range(self.num_envs)):
+        if indices is not None and sorted(set(self._get_indices(indices))) != list(range(self.num_envs)):
             raise ArgumentError(
                 f"{call} for slots {indices!r}: one environment holds all {self.num_envs} slots; "
                 "leave out indices"
@@ -240,7 +232,7 @@ def _checked(env: Any) -> Batch:
                 f"autoreset_mode is {mode.name}, and SB3's slots start over in the step in which they "
                 "end: make the environment with autoreset_mode='SameStep'"
             )
-    if isinstance(env, (ParallelInterface, VectorInterface)):
+    if isinstance(env, Batch):
         return env
     raise ArgumentError(
         f"{type(env).__name__} is no environment of this package; sb3_vec_env takes those of "

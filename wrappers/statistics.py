@@ -12,8 +12,7 @@ from pearl_marl.errors import ArgumentError
 from pearl_marl.interfaces.batch import Batch, Mask
 
 from . import kernels
-from .base import Env, wrap
-from .spaces import box
+from .base import box, wrap
 from .transform import Slots, Transform
 
 
@@ -106,23 +105,18 @@ class _NormalisedReward(_Normalised):
         self._returns[slots] = 0
 
 
-def normalize_observation_v0(env: Env, epsilon: float = 1e-8) -> Any:
+def normalize_observation_v0(env: Batch, epsilon: float = 1e-8) -> Any:
     """Shift and scale observations to mean 0 and variance 1, by the statistics of all seen so far.
 
     ``env.transform.updates = False`` freezes the statistics; ``env.transform.statistics()`` returns
     them and ``env.transform.set_statistics(...)`` takes them up, as for evaluation.
     """
-    return wrap(
-        env, lambda batch, space, actions: _NormalisedObservation(batch, space, actions, float(epsilon))
-    )
+    return wrap(env, _NormalisedObservation, float(epsilon))
 
 
-def normalize_reward_v0(env: Env, gamma: float = 0.99, epsilon: float = 1e-8) -> Any:
+def normalize_reward_v0(env: Batch, gamma: float = 0.99, epsilon: float = 1e-8) -> Any:
     """Scale rewards so that their discounted sum has variance 1; see :func:`normalize_observation_v0`.
 
     As in Gymnasium, where an episode terminates the sum is that last reward alone.
     """
-    return wrap(
-        env,
-        lambda batch, space, actions: _NormalisedReward(batch, space, actions, float(gamma), float(epsilon)),
-    )
+    return wrap(env, _NormalisedReward, float(gamma), float(epsilon))

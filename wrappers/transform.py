@@ -27,13 +27,6 @@ class Transform:
     :meth:`observe`, if each depends on nothing but itself, or :meth:`push`, :meth:`begin` and
     :meth:`show`. What it keeps from step to step it keeps in :attr:`memory`.
 
-    Parameters
-    ----------
-    batch
-        What it is put around.
-    observation_space, action_space
-        One slot's spaces, with the change.
-
     Attributes
     ----------
     batch, n

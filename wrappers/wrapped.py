@@ -2,40 +2,57 @@
 
 from __future__ import annotations
 
+import io
+import zipfile
+import zlib
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from pearl_marl.batch.step import Array, BatchStep
-from pearl_marl.errors import OrderError
+from pearl_marl.errors import OrderError, SavedStateError
 from pearl_marl.interfaces.batch import Mask
 from pearl_marl.interfaces.parallel_interface import ParallelInterface
 from pearl_marl.interfaces.vector_interface import VectorInterface
 
-from .saving import packed, unpacked
 from .transform import Transform
 
+_FORMAT = b"PEARLWR1"
 
-class WrappedParallelEnv(ParallelInterface):
-    """An environment with a transform around it; everything else is as the environment has it.
 
-    Attributes
-    ----------
-    env
-        The environment inside.
-    transform
-        The :class:`Transform`.
-    """
+class _Wrapped:
+    """An environment, ``env``, with a transform around it; everything else is as the environment has it."""
+
+    env: Any
+    transform: Transform
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("_") or name == "env":
+            raise AttributeError(f"{type(self).__name__} has no attribute {name!r}")
+        if name in ("send", "recv"):  # they would go past the wrapper
+            raise AttributeError(f"a wrapped environment has no {name}(): only step() and step_batch()")
+        return getattr(self.env, name)
+
+    @property
+    def ready(self) -> bool:
+        """Whether a step is possible: after the first reset of this wrapper, and until closed."""
+        return self.transform.ready and bool(self.env.ready)
+
+    @property
+    def unwrapped(self) -> Any:
+        """The environment inside all wrappers."""
+        return self.env.unwrapped
+
+
+class WrappedParallelEnv(_Wrapped, ParallelInterface):
+    """An environment of PettingZoo's form with a transform around it."""
 
     def __init__(self, env: Any, transform: Transform) -> None:
         self.env, self.transform = env, transform
         self.metadata, self.render_mode = env.metadata, env.render_mode
         spaces = transform.observation_space, transform.action_space
         super().__init__(env.possible_agents, *spaces, transform.action_kinds, env.autoreset)
-
-    def __getattr__(self, name: str) -> Any:
-        return _inside(self, name)
 
     def reset_batch(self, seed: int | None = None) -> Array:
         """Begin an episode for every agent; return observations of shape ``(n_agents, ...)``."""
@@ -56,11 +73,11 @@ class WrappedParallelEnv(ParallelInterface):
         inner = self.env.save_state()
         if not self.ready:
             raise OrderError("save_state() before reset(): call reset() of the outermost wrapper first")
-        return packed(inner, self.transform)
+        return _packed(inner, self.transform)
 
     def load_state(self, blob: bytes) -> Array:
         """Continue from what :meth:`save_state` of an environment wrapped like this one returned."""
-        inner, remembered = unpacked(blob, self.transform)
+        inner, remembered = _unpacked(blob, self.transform)
         obs = self.env.load_state(inner)
         self.transform.restore(remembered)
         return self.transform.restored(obs)
@@ -76,19 +93,9 @@ class WrappedParallelEnv(ParallelInterface):
         self.env.max_cycles = value
 
     @property
-    def unwrapped(self) -> Any:
-        """The environment inside all wrappers."""
-        return self.env.unwrapped
-
-    @property
     def live(self) -> Mask:
         """Which slots' agents are there: the transform says."""
         return self.transform.live
-
-    @property
-    def ready(self) -> bool:
-        """Whether a step is possible: after the first reset of this wrapper, and until closed."""
-        return self.transform.ready and bool(self.env.ready)
 
     def state(self) -> Any:
         """See :class:`pearl_marl.PearlParallelEnv`."""
@@ -103,25 +110,14 @@ class WrappedParallelEnv(ParallelInterface):
         self.env.close()
 
 
-class WrappedVectorEnv(VectorInterface):
-    """A vector environment with a transform around it; everything else is as the environment has it.
-
-    Attributes
-    ----------
-    env
-        The environment inside.
-    transform
-        The :class:`Transform`.
-    """
+class WrappedVectorEnv(_Wrapped, VectorInterface):
+    """An environment of Gymnasium's form with a transform around it."""
 
     def __init__(self, env: Any, transform: Transform) -> None:
         self.env, self.transform = env, transform
         mode = env.metadata["autoreset_mode"]
         super().__init__(env.num_envs, transform.observation_space, transform.action_space, mode)
         self.spec, self.render_mode = env.spec, env.render_mode
-
-    def __getattr__(self, name: str) -> Any:
-        return _inside(self, name)
 
     def reset_batch(self, seed: int | None = None, mask: npt.ArrayLike | None = None) -> Array:
         """See :class:`VectorInterface`."""
@@ -132,25 +128,35 @@ class WrappedVectorEnv(VectorInterface):
         """See :class:`VectorInterface`."""
         return self.transform.step(actions)
 
-    @property
-    def ready(self) -> bool:
-        """Whether a step is possible: after the first reset of this wrapper, and until closed."""
-        return self.transform.ready and bool(self.env.ready)
-
-    @property
-    def unwrapped(self) -> Any:
-        """The environment inside all wrappers."""
-        return self.env.unwrapped
-
     def close_extras(self, **kwargs: Any) -> None:
         """Close the environment inside."""
         self.env.close(**kwargs)
 
 
-def _inside(wrapped: Any, name: str) -> Any:
-    """Return an attribute of the environment inside a wrapped one."""
-    if name.startswith("_") or name == "env":
-        raise AttributeError(f"{type(wrapped).__name__} has no attribute {name!r}")
-    if name in ("send", "recv"):  # they would go past the wrapper
-        raise AttributeError(f"a wrapped environment has no {name}(): only step() and step_batch()")
-    return getattr(wrapped.env, name)
+def _packed(inner: bytes, transform: Transform) -> bytes:
+    """Return the bytes of an environment and of the transform around it, as one."""
+    file = io.BytesIO()
+    arrays: dict[str, Any] = {"inner": np.frombuffer(inner, np.uint8), **transform.snapshot()}
+    np.savez(file, **arrays)
+    return _FORMAT + type(transform).__name__.encode() + b"\0" + file.getvalue()
+
+
+def _unpacked(blob: bytes, transform: Transform) -> tuple[bytes, dict[str, Array]]:
+    """Return the environment's bytes, and the snapshot for a transform like the one that was packed."""
+    if not isinstance(blob, (bytes, bytearray, memoryview)):
+        raise SavedStateError(f"a saved state is bytes, not {type(blob).__name__}")
+    blob = bytes(blob)
+    head, _, body = blob.partition(b"\0")
+    name = type(transform).__name__.encode()
+    if head != _FORMAT + name:
+        raise SavedStateError(f"this is no saved state of an environment in a {name.decode()} wrapper")
+    try:
+        with np.load(io.BytesIO(body), allow_pickle=False) as file:
+            saved = dict(file)
+        inner = saved.pop("inner").tobytes()
+    except (OSError, EOFError, KeyError, ValueError, zipfile.BadZipFile, zlib.error) as error:
+        raise SavedStateError(f"the saved state is damaged: {error}") from None
+    for key, array in transform.snapshot().items():
+        if key not in saved or saved[key].shape != array.shape or saved[key].dtype != array.dtype:
+            raise SavedStateError(f"the saved state's {key!r} is not that of this wrapper")
+    return inner, saved

@@ -17,29 +17,22 @@ from pearl_marl.spec import EnvSpec
 
 
 def encode(actions: Any, spec: EnvSpec, target: npt.NDArray[Any], first_slot: int = 0) -> npt.NDArray[Any]:
-    """Return actions as the device's words; refuse them all if one is not in the action space.
+    """Return actions as the device's words: in ``target``, or as they are if they are words already.
 
     Parameters
     ----------
     actions
         Integers of shape ``(n,)``, or for a ``Box`` numbers of shape ``(n, 1)``: an array, or what
         ``numpy.asarray`` makes one of. A number goes to the nearest fixed-point word.
-    spec
-        Says the action space and its word.
+    spec, first_slot
+        The environment; and the global number of the first slot, for the agents' names.
     target
-        Shape ``(n,)``, dtype ``spec.action.dtype``: where words go that are not in ``actions`` already.
-        After an error its content is of no meaning.
-    first_slot
-        The global number of the first slot, for the agents' names.
-
-    Returns
-    -------
-    ``target``, or ``actions`` if they are words already.
+        Shape ``(n,)``, dtype ``spec.action.dtype``. After an error its content is of no meaning.
 
     Raises
     ------
     ActionError
-        Names the first agent whose action is not in ``space``, and the action.
+        Names the first agent whose action is not in the action space, and the action.
     """
     space = spec.action_space
     try:
@@ -108,16 +101,12 @@ def refusal(actions: Any, space: Discrete | Box, n: int, first_slot: int = 0) ->
         shape = (len(actions),)
     whole = (n, *(space.shape or ()))
     if shape != whole:
-        wanted = f"{n} agents take {whole}: {limits(space)}"
-        return ActionError(f"actions have shape {shape}; {wanted}")
+        return ActionError(f"actions have shape {shape}; {n} agents take {whole}: {limits(space)}")
     return refuse_first((f"agent_{first_slot + i}" for i in range(n)), values, space)
 
 
 def random_actions(spec: EnvSpec, rng: np.random.Generator, n: int) -> npt.NDArray[Any]:
-    """Return independent uniform actions for ``n`` slots, in the form in which a step takes them.
-
-    Integers come in the dtype of ``spec.action``, which is the one that costs a step least.
-    """
+    """Return independent uniform actions for ``n`` slots, in the form that costs a step least."""
     space = spec.action_space
     if isinstance(space, Box):
         return rng.uniform(space.low, space.high, (n, 1)).astype(np.float32)

@@ -1,8 +1,6 @@
-"""Memory for results that is used again once nobody refers to what was in it.
+"""Memory for results that is used again once nobody refers to an array in it, or to a view of one.
 
-Fresh memory for 43,008 slots costs several times the step, because the system clears every page of it. So
-where results are the user's to keep, memory is used again, but only once nobody outside refers to an array
-in it, or to a view of one.
+Fresh memory for 43,008 slots costs several times the step, because the system clears every page of it.
 """
 
 from __future__ import annotations
@@ -35,9 +33,9 @@ class Block:
         What ``carve`` made of them. To hold on to one of them is to refer to it, not only to this tuple.
     """
 
-    def __init__(self, size: int, carve: Carve) -> None:
+    def __init__(self, size: int, carve: Carve | None) -> None:
         self.memory = aligned_bytes(size)
-        self.arrays = carve(self.memory)
+        self.arrays = carve(self.memory) if carve else ()
         # NumPy lets a view of a view refer to what owns the memory, so the owner tells of all of them.
         self._watched = [self.memory.base, *self.arrays]
         self._unshared = list(map(sys.getrefcount, self._watched))
@@ -47,23 +45,14 @@ class Block:
         return list(map(sys.getrefcount, self._watched)) != self._unshared
 
 
-def nothing(memory: npt.NDArray[np.uint8]) -> Arrays:
-    """Carve no arrays out of a block: :meth:`Recycler.empty` makes a view of it each time."""
-    return ()
-
-
 class Recycler:
     """Makes arrays that are the user's to keep, out of memory that nobody keeps.
 
-    Copies and pickles are empty: no two of them ever hand out the same memory.
-
-    Parameters
-    ----------
-    carve
-        Makes of a new block's bytes the arrays that are to stay in it, as :meth:`block` then gives them.
+    ``carve`` makes of a new block's bytes the arrays that are to stay in it, if any are. Copies and pickles
+    are empty: no two of them ever hand out the same memory.
     """
 
-    def __init__(self, carve: Carve = nothing) -> None:
+    def __init__(self, carve: Carve | None = None) -> None:
         self._carve = carve
         self._blocks: list[Block] = []
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -20,11 +21,7 @@ from pearl_marl.errors import ArgumentError
 class Layout:
     """Where the five arrays of a step's results lie in one block of bytes, each from a cache line on.
 
-    Parameters
-    ----------
-    config
-        Says the shapes, and whether final observations have a place of their own: in NEXT_STEP mode the
-        observation of an ending step is the final one.
+    In NEXT_STEP mode the observation of an ending step is the final one, so those have no place of their own.
 
     Attributes
     ----------
@@ -56,9 +53,9 @@ class Layout:
             for start, shape, dtype in zip(self.starts, self.shapes, self.dtypes, strict=True)
         ]
 
-    def arrays(self, memory: npt.NDArray[np.uint8]) -> BatchStep:
-        """Return the five arrays in a block of bytes."""
-        parts = zip(self.pieces(memory), self.dtypes, self.shapes, strict=True)
+    def arrays(self, memory: Any, dtypes: Sequence[Any] | None = None) -> BatchStep:
+        """Return the five arrays in a block of bytes: tensors, where ``dtypes`` are torch's."""
+        parts = zip(self.pieces(memory), dtypes or self.dtypes, self.shapes, strict=True)
         arrays = [piece.view(dtype).reshape(shape) for piece, dtype, shape in parts]
         if self.starts[4] == self.starts[0]:
             arrays[4] = arrays[0]
@@ -66,19 +63,9 @@ class Layout:
 
 
 def check_memory(config: BatchConfig, more: int = 0) -> None:
-    """Refuse a batch whose slots and results this machine has not the memory for, before any is taken.
+    """Refuse a batch that this machine has not the memory for, before any is taken.
 
-    Parameters
-    ----------
-    config
-        The batch.
-    more
-        Bytes that the caller takes for each agent besides.
-
-    Raises
-    ------
-    ArgumentError
-        Says how many agents there is memory for.
+    That is what its slots and results take, and ``more`` bytes for each agent that the caller takes besides.
     """
     n = config.n_envs
     needed = size(config.spec, n) + Layout(config).size + n * more
@@ -91,14 +78,9 @@ def check_memory(config: BatchConfig, more: int = 0) -> None:
 
 
 class ResultArrays:
-    """Hands out arrays for results: the same ones every time, or ones that nobody else refers to.
+    """Hands out arrays for results: with ``config.copy`` ones that nobody else refers to, else the same ones.
 
     Five array objects stay in every block of memory, so that a step makes no new views.
-
-    Parameters
-    ----------
-    config
-        Says the shapes, and with ``copy`` which of the two it is.
     """
 
     def __init__(self, config: BatchConfig) -> None:

@@ -12,13 +12,7 @@ RewardTable = npt.NDArray[np.float32]
 
 
 def reward_table(spec: EnvSpec, table: npt.ArrayLike | None) -> RewardTable:
-    """Return a reward table as the kernels need it: see :func:`padded`.
-
-    Raises
-    ------
-    ArgumentError
-        The environment computes its rewards, or the table is not as many finite numbers as it has categories.
-    """
+    """Return a reward table as :func:`padded` does; refuse what is not a finite number for each category."""
     if spec.rewards is None:
         if table is not None:
             raise ArgumentError(f"{spec.name} computes its rewards; it has no table to replace")

@@ -30,41 +30,42 @@ _ARRAYS = ("memory", "stored", "live")
 
 @dataclass(frozen=True, kw_only=True)
 class SavedState:
-    """Everything that the continuation of a batch depends on.
-
-    Parameters
-    ----------
-    identity
-        What an environment must agree with to continue from here, by name.
-    seed, tick
-        The position in the random numbers: see :mod:`pearl_marl.rng`.
-    rewards
-        The reward table.
-    memory, stored
-        The slots, and their stored initial states if there are any: see :mod:`pearl_marl.batch.slot_memory`.
-    live
-        For strict PettingZoo lifetimes, one ``uint8`` an agent: whether it is still there.
-    """
+    """Everything that the continuation of a batch depends on."""
 
     identity: dict[str, Any]
+    """What an environment must agree with to continue from here, by name."""
     seed: tuple[int, int]
     tick: int
     rewards: tuple[float, ...]
     memory: Bytes
+    """The slots: see :mod:`pearl_marl.batch.slot_memory`."""
     stored: Bytes
+    """Their stored initial states, if there are any."""
     live: Bytes
+    """For strict PettingZoo lifetimes, one ``uint8`` an agent: whether it is still there."""
 
     def check(self, identity: dict[str, Any]) -> None:
         """Raise SavedStateError where this is no state of an environment of the given identity."""
-        _compare(self.identity, identity)
+        # Options may hold what JSON has no type for, such as tuples: compare what becomes of them.
+        saved, mine = json.loads(json.dumps([self.identity, identity]))
+        for name, value in mine.items():
+            if saved.get(name) != value:
+                raise SavedStateError(
+                    f"the saved state has {name} = {saved.get(name)!r}; this environment has {value!r}"
+                )
 
     def cut(self, spec: EnvSpec, slots: slice) -> SavedState:
         """Return the state of some of the slots, for a device that has no others."""
         first, n = self.identity["first_slot"], self.identity["n_agents"]
         here = {"n_agents": slots.stop - slots.start, "first_slot": first + slots.start}
 
-        def part(memory: Bytes) -> Bytes:  # there may be no stored initial states
-            return SlotMemory(spec, n, memory).cut(slots).bytes if memory.size else memory
+        def part(memory: Bytes) -> Bytes:
+            if not memory.size:  # there may be no stored initial states
+                return memory
+            whole, share = SlotMemory(spec, n, memory), SlotMemory(spec, here["n_agents"])
+            for name, column in share.columns.items():
+                column[:] = whole.columns[name][slots]
+            return share.bytes
 
         return replace(
             self,
@@ -83,8 +84,11 @@ class SavedState:
             shares = [getattr(part, name) for part in parts]
             if not shares[0].size:
                 return shares[0]  # type: ignore[no-any-return]
-            memories = [SlotMemory(spec, n, share) for n, share in zip(sizes, shares, strict=True)]
-            return SlotMemory.join(memories).bytes
+            columns = [SlotMemory(spec, n, share).columns for n, share in zip(sizes, shares, strict=True)]
+            memory = SlotMemory(spec, sum(sizes))
+            for name, column in memory.columns.items():
+                np.concatenate([share[name] for share in columns], out=column)
+            return memory.bytes
 
         return replace(
             parts[0],
@@ -103,9 +107,8 @@ class SavedState:
         header = {"identity": self.identity, "seed": self.seed, "tick": self.tick, "rewards": self.rewards}
         header["lengths"] = [len(getattr(self, name)) for name in _ARRAYS]
         head = json.dumps(header).encode()
-        body = (
-            struct.pack("<Q", len(head)) + head + b"".join(getattr(self, name).tobytes() for name in _ARRAYS)
-        )
+        arrays = (getattr(self, name).tobytes() for name in _ARRAYS)
+        body = b"".join([struct.pack("<Q", len(head)), head, *arrays])
         return _MAGIC + _VERSION + struct.pack("<I", zlib.crc32(body)) + body
 
     @classmethod
@@ -133,22 +136,13 @@ class SavedState:
             raise SavedStateError("the saved state is damaged or cut short: its checksum is wrong")
         start = 8 + struct.unpack_from("<Q", body)[0]
         header = json.loads(body[8:start])
-        _compare(header["identity"], identity)
         arrays = np.split(np.frombuffer(body, np.uint8, offset=start), np.cumsum(header["lengths"])[:-1])
-        return cls(
-            identity=identity,
+        saved = cls(
+            identity=header["identity"],
             seed=tuple(header["seed"]),
             tick=header["tick"],
             rewards=tuple(header["rewards"]),
             **dict(zip(_ARRAYS, arrays, strict=True)),
         )
-
-
-def _compare(saved: dict[str, Any], mine: dict[str, Any]) -> None:
-    # Options may hold what JSON has no type for, such as tuples: compare what becomes of them.
-    saved, mine = json.loads(json.dumps([saved, mine]))
-    for name, value in mine.items():
-        if saved.get(name) != value:
-            raise SavedStateError(
-                f"the saved state has {name} = {saved.get(name)!r}; this environment has {value!r}"
-            )
+        saved.check(identity)
+        return replace(saved, identity=identity)

@@ -1,14 +1,12 @@
 """Where the slots of a batch live on the host: one byte array, each field a column of it.
 
-A saved state holds these bytes as they are, whatever device made them, so this layout is also
-what lets one device continue where another stopped.
+A saved state holds these bytes as they are, so this layout lets one device continue where another stopped.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from functools import cached_property
-from typing import Any, NamedTuple, Self
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -71,19 +69,9 @@ def state_dtype(spec: EnvSpec) -> np.dtype[Any]:
 
 
 class SlotMemory:
-    """The slots of a batch.
+    """The slots of a batch: ``bytes`` holds all columns, one after the other.
 
-    Parameters
-    ----------
-    spec, n
-        The environment, and how many slots.
-    data
-        Their bytes, which are shared; ``None`` for new ones, all zero.
-
-    Attributes
-    ----------
-    bytes
-        All columns, one after the other.
+    They are those of ``data``, which are shared, or new ones, all zero.
     """
 
     def __init__(self, spec: EnvSpec, n: int, data: Bytes | None = None) -> None:
@@ -95,10 +83,8 @@ class SlotMemory:
         """Every column by its name, as an array of shape ``(n,)`` that shares the bytes."""
         p = padded(self.n)
         return {
-            c.name: self.bytes[p * c.bytes_before : p * (c.bytes_before + c.dtype.itemsize)].view(c.dtype)[
-                : self.n
-            ]
-            for c in columns(self.spec)
+            name: self.bytes[p * before : p * (before + dtype.itemsize)].view(dtype)[: self.n]
+            for name, dtype, before in columns(self.spec)
         }
 
     @property
@@ -124,18 +110,3 @@ class SlotMemory:
             if f.fraction:
                 values[:, i] *= 2.0**-f.fraction
         return values
-
-    def cut(self, slots: slice) -> SlotMemory:
-        """Return some of the slots, in a memory of their own."""
-        part = SlotMemory(self.spec, slots.stop - slots.start)
-        for name, column in part.columns.items():
-            column[:] = self.columns[name][slots]
-        return part
-
-    @classmethod
-    def join(cls, parts: Sequence[SlotMemory]) -> Self:
-        """Return one memory of the slots of all parts, in their order."""
-        whole = cls(parts[0].spec, sum(part.n for part in parts))
-        for name, column in whole.columns.items():
-            np.concatenate([part.columns[name] for part in parts], out=column)
-        return whole

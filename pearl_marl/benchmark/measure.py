@@ -21,22 +21,10 @@ class UnavailableError(Exception):
 
 @dataclass
 class Contender:
-    """Something to time.
+    """Something to time: ``make`` returns the function that steps all ``n`` slots once.
 
-    Parameters
-    ----------
-    name
-        For the table.
-    counts
-        What one of its steps includes, in words: which sport this is.
-    n
-        Slots it steps at a time.
-    make
-        Returns the function to time, which steps every slot once.
-    ours
-        Whether it is this package.
-    wait
-        Waits for what steps have only started.
+    ``counts`` says what one of its steps includes: which sport this is. ``wait`` waits for what steps have
+    only started.
     """
 
     name: str
@@ -67,16 +55,9 @@ class Contender:
 
 
 def measure(contenders: list[Contender], rounds: int, seconds: float) -> Iterator[str]:
-    """Time contenders in turns; yields the name of each as it is about to be timed.
+    """Time contenders ``rounds`` times, each for about so many seconds; yield the name of the next.
 
-    Parameters
-    ----------
-    contenders
-        Their ``seconds`` are filled; those that cannot run get ``unavailable`` instead.
-    rounds
-        How often each is timed.
-    seconds
-        About how long one timing lasts.
+    Fills their ``seconds``; those that cannot run get ``unavailable`` instead.
     """
     running: list[tuple[Contender, Step, int]] = []
     for contender in contenders:
@@ -101,3 +82,19 @@ def _time(step: Step, count: int, wait: Callable[[], Any]) -> float:
         step()
     wait()
     return (time.perf_counter() - began) / count
+
+
+def rate(steps_per_second: float) -> str:
+    """Return steps per second as people read them: ``2.71 G``."""
+    for factor, prefix in ((1e9, "G"), (1e6, "M"), (1e3, "k")):
+        if steps_per_second >= factor:
+            return f"{steps_per_second / factor:.3g} {prefix}"
+    return f"{steps_per_second:.3g}"
+
+
+def duration(seconds: float) -> str:
+    """Return a duration as people read it: ``17.3 us``."""
+    for factor, unit in ((1.0, "s"), (1e-3, "ms")):
+        if seconds >= factor:
+            return f"{seconds / factor:.3g} {unit}"
+    return f"{seconds / 1e-6:.3g} us"

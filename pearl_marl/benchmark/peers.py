@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
 from importlib import metadata
@@ -29,34 +29,15 @@ def peers(spec: EnvSpec, n: int) -> list[Contender]:
     """Return the peers; one that has no such environment says so when it is made."""
     sync, asynchronous = min(n, GYMNASIUM_SYNC_LIMIT), min(n, GYMNASIUM_ASYNC_LIMIT)
     arrays = "all result arrays"
-    rows = [
-        ("EnvPool, sync", f"{arrays}; all cores", n, partial(_envpool, spec, n)),
-        (
-            "Gymnasium SyncVectorEnv",
-            f"{arrays}; one thread",
-            sync,
-            partial(_vectorised, spec, sync, "sync"),
-        ),
-        (
-            "Gymnasium AsyncVectorEnv",
-            f"{arrays}; a process a slot",
-            asynchronous,
-            partial(_vectorised, spec, asynchronous, "async"),
-        ),
-        (
-            "Gymnasium's own vectorisation",
-            f"{arrays}; NumPy, one thread",
-            n,
-            partial(_vectorised, spec, n, "vector_entry_point"),
-        ),
-        (
-            "MinAtar",
-            "observations, rewards, ends; Python, one thread",
-            sync,
-            partial(_minatar, spec, sync),
-        ),
+    processes, own = (partial(_vectorised, mode=mode) for mode in ("async", "vector_entry_point"))
+    rows: list[tuple[str, str, int, Callable[[EnvSpec, int], Step]]] = [
+        ("EnvPool, sync", f"{arrays}; all cores", n, _envpool),
+        ("Gymnasium SyncVectorEnv", f"{arrays}; one thread", sync, partial(_vectorised, mode="sync")),
+        ("Gymnasium AsyncVectorEnv", f"{arrays}; a process a slot", asynchronous, processes),
+        ("Gymnasium's own vectorisation", f"{arrays}; NumPy, one thread", n, own),
+        ("MinAtar", "observations, rewards, ends; Python, one thread", sync, _minatar),
     ]
-    return [Contender(*row) for row in rows]
+    return [Contender(name, counts, count, partial(make, spec, count)) for name, counts, count, make in rows]
 
 
 @contextmanager

@@ -79,5 +79,5 @@ def main() -> None:
 
 
 def _leave(sentence: str, status: int) -> NoReturn:
-    error_console.print(f"[bold red]pearl:[/] {escape(sentence)}", highlight=False, soft_wrap=True)
+    error_console.print(f"[bold red]pearl:[/] {escape(sentence)}", soft_wrap=True)
     sys.exit(status)

@@ -13,19 +13,9 @@ from rich.table import Table
 
 from pearl_marl.benchmark.contenders import contenders
 from pearl_marl.benchmark.machine import machine
-from pearl_marl.benchmark.measure import Contender, measure
-from pearl_marl.benchmark.units import duration, rate
-from pearl_marl.cli.common import (
-    Agents,
-    AsJson,
-    Options,
-    Out,
-    console,
-    print_json,
-    progress,
-    spec_of,
-    write_json,
-)
+from pearl_marl.benchmark.measure import Contender, duration, measure, rate
+from pearl_marl.cli import common
+from pearl_marl.cli.common import console
 from pearl_marl.errors import ArgumentError
 from pearl_marl.registry import names
 from pearl_marl.spec import EnvSpec
@@ -54,12 +44,12 @@ Every = Annotated[bool, typer.Option("--all", help="Every environment in turn, w
 def command(
     env_id: AnyEnv = None,
     every: Every = False,
-    n_agents: Agents = 43008,
+    n_agents: common.Agents = 43008,
     rounds: Rounds = 7,
     seconds: Seconds = 0.2,
-    option: Options = None,
-    out: Out = None,
-    as_json: AsJson = False,
+    option: common.Options = None,
+    out: common.Out = None,
+    as_json: common.AsJson = False,
 ) -> None:
     """Measure steps per second against Gymnasium's vector environments and EnvPool."""
     if every:
@@ -67,14 +57,11 @@ def command(
             raise ArgumentError("--all takes every environment as it is: leave out ENV and --option")
         _every(n_agents, rounds, seconds, out, as_json)
         return
-    spec = spec_of(env_id or "CliffWalking", option)
+    spec = common.spec_of(env_id or "CliffWalking", option)
     rows = contenders(spec, n_agents)
     small = [c for c in contenders(spec, 1) if c.ours and c.name in ("kernel only", "step_batch, copy=False")]
     result = _measured(spec, n_agents, rows, small, rounds, seconds)
-    if out is not None:
-        write_json(out, f"bench_{spec.name}_{n_agents}.json", result)
-    if as_json:
-        print_json(result)
+    if common.delivered(result, as_json, out, f"bench_{spec.name}_{n_agents}.json"):
         return
     console.print(_table(spec.id, rows))
     kernel, batch = (c.seconds_per_step for c in small)
@@ -86,22 +73,22 @@ def command(
 
 
 def _every(n_agents: int, rounds: int, seconds: float, out: Path | None, as_json: bool) -> None:
-    table = Table(title=f"Agent-steps per second, {n_agents:,} agents", box=box.SIMPLE, padding=(0, 1, 0, 0))
-    table.add_column("environment", no_wrap=True)
-    for heading in (*OURS.values(), "EnvPool", "x", "best other", "x"):
-        table.add_column(heading, justify="right", no_wrap=True)
+    grid = common.table(
+        f"Agent-steps per second, {n_agents:,} agents",
+        ["environment"],
+        [*OURS.values(), "EnvPool", "x", "best other", "x"],
+        box=box.SIMPLE,
+        padding=(0, 1, 0, 0),
+    )
     results = []
     for name in names():
-        spec = spec_of(name, None)
+        spec = common.spec_of(name, None)
         rows = [c for c in contenders(spec, n_agents) if c.name in (*OURS, ENVPOOL, *OTHERS)]
         results.append(_measured(spec, n_agents, rows, [], rounds, seconds))
-        table.add_row(spec.name, *_figures(rows))
-    if out is not None:
-        write_json(out, f"bench_all_{n_agents}.json", results)
-    if as_json:
-        print_json(results)
+        grid.add_row(spec.name, *_figures(rows))
+    if common.delivered(results, as_json, out, f"bench_all_{n_agents}.json"):
         return
-    console.print(table)
+    console.print(grid)
     console.print(
         "x is step_batch over that peer; Sync and NumPy are Gymnasium's SyncVectorEnv and its own vectorised "
         "form. What each counts: `pearl bench ENV`.",
@@ -129,7 +116,7 @@ def _measured(
     """Time contenders, those of ``small`` for one agent; return all that a figure needs with it."""
     everyone = rows + small
     turns = len(everyone) * (rounds + 1)
-    for _ in progress(measure(everyone, rounds, seconds), turns, f"{spec.name}, {n:,} agents"):
+    for _ in common.progress(measure(everyone, rounds, seconds), turns, f"{spec.name}, {n:,} agents"):
         pass
     return {
         "environment": spec.id,
@@ -143,30 +130,24 @@ def _measured(
 
 
 def _print_machine(facts: dict[str, Any]) -> None:
-    console.print(
-        f"{facts['processor']}, {facts['cores']} cores; {_versions(facts)}", style="dim", highlight=False
-    )
-
-
-def _versions(facts: dict[str, Any]) -> str:
-    return ", ".join(
-        f"{name} {version}" for name, version in {"Python": facts["python"], **facts["versions"]}.items()
-    )
+    versions = {"Python": facts["python"], **facts["versions"]}
+    listed = ", ".join(f"{name} {version}" for name, version in versions.items())
+    console.print(f"{facts['processor']}, {facts['cores']} cores; {listed}", style="dim")
 
 
 def _table(title: str, rows: list[Contender]) -> Table:
-    table = Table(title=f"{title}: agent-steps per second", show_lines=True)
-    table.add_column("contender, and what is counted")
+    grid = Table(title=f"{title}: agent-steps per second", show_lines=True)
+    grid.add_column("contender, and what is counted")
     for heading in ("agents", "steps/s", "x EnvPool", "a step", "spread"):
-        table.add_column(heading, justify="right", no_wrap=True)
+        grid.add_column(heading, justify="right", no_wrap=True)
     base = next((c for c in rows if c.name.startswith("EnvPool") and c.unavailable is None), None)
     for c in rows:
         name = f"[bold{'' if c.ours else ' cyan'}]{c.name}[/]\n[dim]{escape(c.unavailable or c.counts)}[/]"
         if c.unavailable is not None:
-            table.add_row(name, f"{c.n:,}", "-", "-", "-", "-")
+            grid.add_row(name, f"{c.n:,}", "-", "-", "-", "-")
             continue
         each = c.n / c.seconds_per_step
         ratio = f"{each / (base.n / base.seconds_per_step):,.3g}" if base else "-"
         spread = f"±{(max(c.seconds) - min(c.seconds)) / 2 / c.seconds_per_step:.0%}"
-        table.add_row(name, f"{c.n:,}", rate(each), ratio, duration(c.seconds_per_step), spread)
-    return table
+        grid.add_row(name, f"{c.n:,}", rate(each), ratio, duration(c.seconds_per_step), spread)
+    return grid

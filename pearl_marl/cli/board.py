@@ -2,22 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
 
 import typer
 from rich.table import Table
 
-from pearl_marl.cli.common import (
-    AsJson,
-    EnvName,
-    Options,
-    console,
-    out_folder,
-    print_json,
-    progress,
-    spec_of,
-)
+from pearl_marl.cli import common
+from pearl_marl.cli.common import console
 from pearl_marl.hardware import boards
 from pearl_marl.hardware.boards import BOARDS, Board, Placed
 
@@ -32,30 +25,30 @@ Where = Annotated[Path, typer.Option("--out", metavar="DIR", help="Where to writ
 
 def command(
     board_name: BoardName,
-    env_id: EnvName,
+    env_id: common.EnvName,
     out: Where,
     n_envs: Slots = 1024,
     pe_num: PeNum = None,
-    option: Options = None,
-    as_json: AsJson = False,
+    option: common.Options = None,
+    as_json: common.AsJson = False,
 ) -> None:
     """Make a board's bitstream, or all that its maker's tool needs for that.
 
     For an ECP5 the tools are free, and this runs them. For a Xilinx board it writes the sources with a
     script for Vivado.
     """
-    board, spec = boards.find(board_name), spec_of(env_id, option)
+    board, spec = boards.find(board_name), common.spec_of(env_id, option)
     build = boards.board_build(board, spec, n_envs, pe_num)
-    files = boards.write(board, build, out_folder(out))
+    files = boards.write(board, build, common.out_folder(out))
     placed: Placed | None = None
     if board.nextpnr:
         stages = boards.make_bitstream(board, out)
-        for _ in progress(stages, boards.STAGES, f"{spec.name} on {board.name}, {n_envs:,} slots"):
+        for _ in common.progress(stages, boards.STAGES, f"{spec.name} on {board.name}, {n_envs:,} slots"):
             pass
         placed = boards.placed(out)
     if as_json:
-        made = None if placed is None else placed.as_json()
-        print_json({**boards.facts(board, build), "placed": made, "files": files})
+        made = None if placed is None else asdict(placed)
+        common.print_json({**boards.facts(board, build), "placed": made, "files": files})
         return
     title = f"{spec.id} for the {board.title} ({board.part}): {boards.size(build.layout)}"
     if placed is None:
@@ -69,13 +62,11 @@ def command(
 
 
 def _say(text: str) -> None:
-    console.print(text, highlight=False, markup=False, soft_wrap=True)
+    console.print(text, markup=False, soft_wrap=True)
 
 
 def _table(title: str, board: Board, placed: Placed) -> Table:
-    table = Table(title=title)
-    for heading in ("clock", "Fmax", "LUT", "FF", "block RAM", "DSP"):
-        table.add_column(heading, justify="right", no_wrap=True)
+    grid = common.table(title, [], ["clock", "Fmax", "LUT", "FF", "block RAM", "DSP"])
     used = (f"{getattr(placed, name):,} of {count:,}" for name, count in placed.available.items())
-    table.add_row(f"{board.clock_mhz:g} MHz", f"{placed.fmax_mhz:.1f} MHz", *used)
-    return table
+    grid.add_row(f"{board.clock_mhz:g} MHz", f"{placed.fmax_mhz:.1f} MHz", *used)
+    return grid

@@ -13,6 +13,7 @@ from typing import Annotated, Any, TypeVar
 import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table
 
 from pearl_marl.errors import ArgumentError
 from pearl_marl.registry import get_spec
@@ -20,8 +21,8 @@ from pearl_marl.spec import EnvSpec
 
 T = TypeVar("T")
 
-console = Console()
-error_console = Console(stderr=True)
+console = Console(highlight=False)
+error_console = Console(stderr=True, highlight=False)
 
 EnvName = Annotated[str, typer.Argument(metavar="ENV", help="An environment of `pearl envs`.")]
 Agents = Annotated[int, typer.Option("--n-agents", help="How many agents.")]
@@ -80,6 +81,16 @@ def progress(items: Iterable[T], total: int, label: str) -> Iterator[T]:
         yield from bar.track(items, total=total, description=label, update_period=0.2)
 
 
+def table(title: str, text: Iterable[str], figures: Iterable[str], **arguments: Any) -> Table:
+    """Return an empty table: columns of text, then columns of figures, each as wide as what is in it."""
+    made = Table(title=title, **arguments)
+    for heading in text:
+        made.add_column(heading, no_wrap=True)
+    for heading in figures:
+        made.add_column(heading, justify="right", no_wrap=True)
+    return made
+
+
 def print_json(value: Any) -> None:
     """Print a result for machines."""
     typer.echo(json.dumps(value, indent=2))
@@ -90,3 +101,12 @@ def write_json(folder: Path, name: str, value: Any) -> Path:
     path = out_folder(folder) / name
     path.write_text(json.dumps(value, indent=2) + "\n")
     return path
+
+
+def delivered(result: Any, as_json: bool, out: Path | None, name: str) -> bool:
+    """Write a result into the ``--out`` folder, if there is one; print it if machines want it, and say so."""
+    if out is not None:
+        write_json(out, name, result)
+    if as_json:
+        print_json(result)
+    return as_json

@@ -10,24 +10,9 @@ from rich.markup import escape
 from rich.table import Table
 
 from pearl_marl.benchmark.machine import machine
-from pearl_marl.benchmark.units import duration
-from pearl_marl.cli.common import (
-    Agents,
-    AsJson,
-    DeviceName,
-    EnvName,
-    Options,
-    Out,
-    Seed,
-    console,
-    error_console,
-    in_file_name,
-    out_folder,
-    print_json,
-    progress,
-    spec_of,
-    write_json,
-)
+from pearl_marl.benchmark.measure import duration
+from pearl_marl.cli import common
+from pearl_marl.cli.common import console, error_console
 from pearl_marl.devices import Lockstep
 from pearl_marl.errors import LockstepError, PearlError
 from pearl_marl.evaluation.report import write_report
@@ -63,24 +48,24 @@ REFERENCE = "reference"
 
 
 def command(
-    env_id: EnvName,
+    env_id: common.EnvName,
     policy: PolicyName,
-    n_agents: Agents = 43008,
-    device: DeviceName = "native",
+    n_agents: common.Agents = 43008,
+    device: common.DeviceName = "native",
     episodes: Episodes = None,
-    seed: Seed = 0,
+    seed: common.Seed = 0,
     max_cycles: MaxCycles = None,
     lockstep: InLockstep = False,
-    option: Options = None,
-    out: Out = None,
-    as_json: AsJson = False,
+    option: common.Options = None,
+    out: common.Out = None,
+    as_json: common.AsJson = False,
 ) -> None:
     """Evaluate a policy on a device: returns, lengths, latency of every stage, and a digest.
 
     The digest is the same on every device. --out gets evaluation.json and a page, evaluation.html.
     Exit status 1: with --lockstep, the device parts from the golden functions.
     """
-    spec = spec_of(env_id, option)
+    spec = common.spec_of(env_id, option)
     evaluation = Evaluation(
         spec,
         load_policy(policy, spec, seed),
@@ -91,18 +76,16 @@ def command(
         max_cycles=max_cycles,
     )
     if out is not None:
-        out_folder(out)
+        common.out_folder(out)
     try:
-        for _ in progress(
+        for _ in common.progress(
             evaluation.run(), evaluation.episodes, f"{spec.name} on {device}, {n_agents:,} agents: episodes"
         ):
             pass
     except LockstepError as error:
-        error_console.print(
-            f"[bold red]Not bit-exact.[/] {escape(str(error))}", highlight=False, soft_wrap=True
-        )
+        error_console.print(f"[bold red]Not bit-exact.[/] {escape(str(error))}", soft_wrap=True)
         if out is not None:
-            path = out / f"divergence_{spec.name}_{in_file_name(device)}.json"
+            path = out / f"divergence_{spec.name}_{common.in_file_name(device)}.json"
             error.replay.write(path)
             error_console.print(
                 f"Wrote {path}: pearl verify {path} replays it.", markup=False, soft_wrap=True
@@ -117,14 +100,14 @@ def command(
     }
     written = []
     if out is not None:
-        written.append(write_json(out, "evaluation.json", result))
+        written.append(common.write_json(out, "evaluation.json", result))
         try:
             write_report(evaluation, result, out / "evaluation.html")
             written.append(out / "evaluation.html")
         except PearlError as error:  # the evaluation is done, and its figures are written
             error_console.print(f"No evaluation.html: {error}", markup=False)
     if as_json:
-        print_json(result)
+        common.print_json(result)
         return
     console.print(_outcome(result))
     console.print(_latency(result))
@@ -132,37 +115,32 @@ def command(
         console.print(
             f"{device} is bit-exact with {REFERENCE}: {result['words_compared']:,} words compared.",
             style="bold green",
-            highlight=False,
         )
     for path in written:
         console.print(f"Wrote {path}")
 
 
 def _outcome(result: dict[str, Any]) -> Table:
-    table = Table(title=f"{result['environment']} on {result['device']}", show_header=False)
-    table.add_column("what", style="bold")
-    table.add_column("figure")
-    table.add_row("policy", escape(result["policy"]))
+    grid = Table(title=f"{result['environment']} on {result['device']}", show_header=False)
+    grid.add_column("what", style="bold")
+    grid.add_column("figure")
+    grid.add_row("policy", escape(result["policy"]))
     limit = f"at most {result['max_cycles']:,} steps each" if result["max_cycles"] else "no time limit"
-    table.add_row("episodes", f"{result['episodes']:,} of {result['n_agents']:,} agents, {limit}")
-    table.add_row("truncated", f"{result['truncated']:,}")
+    grid.add_row("episodes", f"{result['episodes']:,} of {result['n_agents']:,} agents, {limit}")
+    grid.add_row("truncated", f"{result['truncated']:,}")
     for name in ("return", "length"):
         figures = result[name]
         text = f"{figures['mean']:,.2f}"
         if figures["ci95_low"] is not None:
             text += f" ± {figures['mean'] - figures['ci95_low']:,.2f} (95 %)"
-        table.add_row(name, f"{text}, from {figures['min']:g} to {figures['max']:g}")
-    table.add_row("digest", result["digest"])
-    return table
+        grid.add_row(name, f"{text}, from {figures['min']:g} to {figures['max']:g}")
+    grid.add_row("digest", result["digest"])
+    return grid
 
 
 def _latency(result: dict[str, Any]) -> Table:
-    table = Table(title="One step of all agents")
-    table.add_column("stage", no_wrap=True)
-    table.add_column("time", no_wrap=True)
-    for heading in ("median", "90 %", "99 %", "max"):
-        table.add_column(heading, justify="right", no_wrap=True)
+    grid = common.table("One step of all agents", ["stage", "time"], ["median", "90 %", "99 %", "max"])
     for row in (*result["latency"], {"stage": "step without policy", "paper": None, **result["step"]}):
         figures = (duration(row[key] * 1e-6) for key in ("p50_us", "p90_us", "p99_us", "max_us"))
-        table.add_row(row["stage"], row["paper"], *figures)
-    return table
+        grid.add_row(row["stage"], row["paper"], *figures)
+    return grid

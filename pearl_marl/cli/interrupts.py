@@ -17,12 +17,7 @@ STATUS = 130
 class Interrupts:
     """Whether there was a Ctrl-C, for where the exception of it does not arrive as what it was.
 
-    Attributes
-    ----------
-    noted
-        Whether there was.
-    advice
-        What an interrupted command says besides that; it begins with a colon.
+    ``noted`` says so; ``advice`` is what an interrupted command says besides, and begins with a colon.
     """
 
     def __init__(self) -> None:

@@ -35,13 +35,12 @@ def command(name: NewName, out: Where = Path()) -> None:
         snake_case(TEMPLATE).replace("_", "-"): snake_case(name).replace("_", "-"),
     }
     written = sorted(_copy(resources.files("pearl_marl") / "templates" / "environment", folder, words))
-    console.print(f"Wrote {folder}:", highlight=False, soft_wrap=True, markup=False)
+    console.print(f"Wrote {folder}:", soft_wrap=True, markup=False)
     for path in written:
-        console.print(f"  {path.relative_to(folder)}", highlight=False, soft_wrap=True, markup=False)
+        console.print(f"  {path.relative_to(folder)}", soft_wrap=True, markup=False)
     console.print(
         f"It works as it is: [bold]cd {escape(str(folder))}[/], [bold]pip install -e '.\\[test]'[/], "
         f"[bold]pytest[/], [bold]pearl verify {snake_case(name)}:{name} --device rtl[/].",
-        highlight=False,
         soft_wrap=True,
     )
 

@@ -8,14 +8,13 @@ import typer
 from rich.table import Table
 
 from pearl_marl.benchmark.machine import machine
-from pearl_marl.benchmark.units import duration, rate
-from pearl_marl.cli.common import AsJson, EnvName, Options, Out, console, print_json, spec_of, write_json
+from pearl_marl.benchmark.measure import duration, rate
+from pearl_marl.cli import common
+from pearl_marl.cli.common import console
 from pearl_marl.errors import ArgumentError
 from pearl_marl.hardware.fitting import PARTS
 from pearl_marl.latency import LINKS, Link, loop_cycles
-from pearl_marl.memory_map import MemoryMap
 from pearl_marl.plan import Plan, plan
-from pearl_marl.spec import EnvSpec
 
 Slots = Annotated[int, typer.Option("--n-envs", min=1, help="Slots.")]
 LinkName = Annotated[
@@ -36,63 +35,41 @@ OneDataWl = Annotated[int | None, typer.Option("--data-wl", help="Look at words 
 
 
 def command(
-    env_id: EnvName,
+    env_id: common.EnvName,
     n_envs: Slots = 43008,
     link: LinkName = "gen2x8",
     part: PartName = None,
     clock: Clock = 125.0,
     pe_num: OnePeNum = None,
     data_wl: OneDataWl = None,
-    option: Options = None,
-    out: Out = None,
-    as_json: AsJson = False,
+    option: common.Options = None,
+    out: common.Out = None,
+    as_json: common.AsJson = False,
 ) -> None:
     """Choose processing elements and word width for a link; predict throughput and bottleneck.
 
     A prediction: clock cycles are counted, the host's part is measured here, the link's is as stated.
     """
-    spec = spec_of(env_id, option)
+    spec = common.spec_of(env_id, option)
     if part is not None and part not in PARTS:
         raise ArgumentError(f"there is no part {part!r}; possible are {', '.join(PARTS)}")
     taken = _link(link)
     chip = None if part is None else PARTS[part]
     found = plan(spec, n_envs, taken, clock * 1e6, chip, pe_num, data_wl)
-    result = _result(spec, taken, found, clock, part, _synthesis(env_id, found.chosen.layout, option))
-    if out is not None:
-        write_json(out, f"plan_{spec.name}_{n_envs}.json", result)
-    if as_json:
-        print_json(result)
-        return
-    console.print(_candidates(result, found))
-    console.print(_stages(result, found))
-    for sentence in _sentences(result, found):
-        console.print(sentence, highlight=False, soft_wrap=True)
-
-
-def _synthesis(env_id: str, layout: MemoryMap, option: list[str] | None) -> str:
-    """Return the command that says what the chosen build takes."""
-    command = (
-        f"pearl synth {env_id} --n-envs {layout.n_envs} --pe-num {layout.pe_num} --data-wl {layout.data_wl}"
-    )
-    return command + "".join(f" --option {pair}" for pair in option or ())
-
-
-def _result(
-    spec: EnvSpec, link: Link, found: Plan, clock: float, part: str | None, synthesis: str
-) -> dict[str, Any]:
-    """Return everything that is known of the plan, as JSON has it."""
     layout, usage = found.chosen.layout, found.usage
-    return {
+    sizes = f"--n-envs {layout.n_envs} --pe-num {layout.pe_num} --data-wl {layout.data_wl}"
+    options = (f"--option {pair}" for pair in option or ())
+    result = {
         "environment": spec.id,
         "options": dict(spec.options),
         "n_envs": layout.n_envs,
         "clock_mhz": clock,
         "link": {
-            "name": link.name,
-            "call_us": link.call * 1e6,
-            "write_gb_per_s": link.write_rate / 1e9,
-            "read_gb_per_s": link.read_rate / 1e9,
-            "source": link.source,
+            "name": taken.name,
+            "call_us": taken.call * 1e6,
+            "write_gb_per_s": taken.write_rate / 1e9,
+            "read_gb_per_s": taken.read_rate / 1e9,
+            "source": taken.source,
         },
         "bytes_written": layout.step_write[1],
         "bytes_read": layout.step_read[1],
@@ -102,9 +79,15 @@ def _result(
         "candidates": [candidate.as_json() for candidate in found.candidates],
         "part": part,
         "usage": None if usage is None else usage.as_json(),
-        "synthesise": synthesis,
+        "synthesise": " ".join([f"pearl synth {env_id} {sizes}", *options]),
         "machine": machine(),
     }
+    if common.delivered(result, as_json, out, f"plan_{spec.name}_{n_envs}.json"):
+        return
+    console.print(_candidates(result, found))
+    console.print(_stages(result, found))
+    for sentence in _sentences(result, found):
+        console.print(sentence, soft_wrap=True)
 
 
 def _link(text: str) -> Link:
@@ -121,12 +104,12 @@ def _link(text: str) -> Link:
 
 
 def _candidates(result: dict[str, Any], found: Plan) -> Table:
-    table = Table(title=f"{result['environment']}, {result['n_envs']:,} slots, link {result['link']['name']}")
-    for heading in ("PEs", "word", "cycles", "a step", "steps/s", "BRAM36", "longest stage"):
-        table.add_column(heading, justify="left" if heading == "longest stage" else "right", no_wrap=True)
+    title = f"{result['environment']}, {result['n_envs']:,} slots, link {result['link']['name']}"
+    grid = common.table(title, [], ["PEs", "word", "cycles", "a step", "steps/s", "BRAM36"])
+    grid.add_column("longest stage", no_wrap=True)
     for candidate in found.candidates:
         prediction, chosen = candidate.prediction, candidate is found.chosen
-        table.add_row(
+        grid.add_row(
             f"{prediction.pe_num:,}",
             f"{prediction.data_wl}",
             f"{round(prediction.device * result['clock_mhz'] * 1e6):,}",
@@ -136,7 +119,7 @@ def _candidates(result: dict[str, Any], found: Plan) -> Table:
             prediction.bottleneck,
             style="bold green" if chosen else None,
         )
-    return table
+    return grid
 
 
 def _stages(result: dict[str, Any], found: Plan) -> Table:
@@ -153,12 +136,12 @@ def _stages(result: dict[str, Any], found: Plan) -> Table:
         ("T7", "unpack", step.unpack, "measured on this machine"),
         ("", "a step", step.total, f"{rate(step.rate)} steps/s, one step after the other"),
     ]
-    table = Table(title=f"{step.pe_num:,} PEs, {step.data_wl}-bit words")
+    grid = Table(title=f"{step.pe_num:,} PEs, {step.data_wl}-bit words")
     for heading in ("", "stage", "time", ""):
-        table.add_column(heading, justify="right" if heading == "time" else "left", no_wrap=bool(heading))
+        grid.add_column(heading, justify="right" if heading == "time" else "left", no_wrap=bool(heading))
     for time, stage, seconds, why in rows:
-        table.add_row(time, stage, duration(seconds), why)
-    return table
+        grid.add_row(time, stage, duration(seconds), why)
+    return grid
 
 
 def _sentences(result: dict[str, Any], found: Plan) -> list[str]:

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import sys
+from collections import Counter
 from pathlib import Path
 from typing import Annotated
 
 import typer
 from rich.markup import escape
-from rich.table import Table
 
-from pearl_marl.cli.common import console, error_console, progress
+from pearl_marl.cli.common import console, error_console, progress, table
 
 Quick = Annotated[bool, typer.Option("--quick", help="A small part of everything, in a minute or two.")]
 Folder = Annotated[
@@ -29,22 +29,20 @@ def command(quick: Quick = False, out: Folder = Path("out/report"), only: Only =
     """
 
     def say(line: str) -> None:
-        error_console.print(escape(line), highlight=False, soft_wrap=True)
+        error_console.print(escape(line), soft_wrap=True)
 
     from pearl_marl.experiments import report  # which takes what the report extra has
 
     made = report.report(out, quick, only or (), progress, say)
-    table = Table(title="Report")
-    for heading in ("section", "rows", "measured", "simulated", "predicted", "quoted", "missing"):
-        table.add_column(heading, justify="left" if heading == "section" else "right", no_wrap=True)
+    kinds = ["measured", "simulated", "predicted", "quoted", "missing"]
+    grid = table("Report", ["section"], ["rows", *kinds])
     for name, data, problem in made:
         if data is None:
-            table.add_row(name, f"[bold red]not made[/]: {escape(problem or '')}")
+            grid.add_row(name, f"[bold red]not made[/]: {escape(problem or '')}")
             continue
-        kinds = [row["kind"] for row in data["rows"]]
-        counts = [kinds.count(str(column.header)) for column in table.columns[2:]]
-        table.add_row(name, f"{len(kinds)}", *(f"{count}" if count else "" for count in counts))
-    console.print(table)
-    console.print(f"Wrote {out / 'index.html'}", highlight=False, soft_wrap=True)
+        counts = Counter(row["kind"] for row in data["rows"])
+        grid.add_row(name, f"{counts.total()}", *(f"{counts[kind] or ''}" for kind in kinds))
+    console.print(grid)
+    console.print(f"Wrote {out / 'index.html'}", soft_wrap=True)
     if any(each.problem for each in made):
         sys.exit(1)

@@ -15,24 +15,9 @@ from rich.table import Table
 
 from pearl_marl.batch.actions import random_actions
 from pearl_marl.benchmark.machine import machine
-from pearl_marl.benchmark.units import duration, rate
-from pearl_marl.cli.common import (
-    Agents,
-    AsJson,
-    DeviceName,
-    EnvName,
-    Options,
-    Out,
-    Seed,
-    Steps,
-    console,
-    error_console,
-    out_folder,
-    print_json,
-    progress,
-    spec_of,
-    write_json,
-)
+from pearl_marl.benchmark.measure import duration, rate
+from pearl_marl.cli import common
+from pearl_marl.cli.common import console, error_console
 from pearl_marl.errors import ArgumentError, PearlError
 from pearl_marl.evaluation.episodes import EpisodeStatistics
 from pearl_marl.interfaces.parallel import parallel_env
@@ -52,23 +37,23 @@ MaxCycles = Annotated[int | None, typer.Option("--max-cycles", help="Time limit 
 
 
 def command(
-    env_id: EnvName,
-    n_agents: Agents = 43008,
-    device: DeviceName = "native",
-    steps: Steps = 1000,
-    seed: Seed = 0,
+    env_id: common.EnvName,
+    n_agents: common.Agents = 43008,
+    device: common.DeviceName = "native",
+    steps: common.Steps = 1000,
+    seed: common.Seed = 0,
     max_cycles: MaxCycles = None,
     actions: ActionFile = None,
-    option: Options = None,
-    out: Out = None,
-    as_json: AsJson = False,
+    option: common.Options = None,
+    out: common.Out = None,
+    as_json: common.AsJson = False,
 ) -> None:
     """Step every agent with random (or given) actions: throughput and episode statistics."""
     if steps < 1:
         raise ArgumentError(f"--steps is {steps}; it must be at least 1")
-    spec = spec_of(env_id, option)
+    spec = common.spec_of(env_id, option)
     if out is not None:
-        out_folder(out)
+        common.out_folder(out)
     batches = (
         _random(spec, n_agents, steps, seed) if actions is None else _given(actions, spec, n_agents, steps)
     )
@@ -79,7 +64,7 @@ def command(
     stepping: list[float] = []
     with contextlib.closing(env):
         env.reset_batch(seed)
-        for batch in progress(batches, steps, f"{spec.name}, {n_agents:,} agents"):
+        for batch in common.progress(batches, steps, f"{spec.name}, {n_agents:,} agents"):
             began = time.perf_counter()
             step = env.step_batch(batch)
             stepping.append(time.perf_counter() - began)
@@ -106,7 +91,7 @@ def command(
     }
     written = []
     if out is not None:
-        written.append(write_json(out, "run.json", result))
+        written.append(common.write_json(out, "run.json", result))
         if heat_map is not None:
             try:
                 heat_map.save(out / "heat_map.png")
@@ -114,12 +99,12 @@ def command(
             except PearlError as error:  # the run is done, and its figures are written
                 error_console.print(f"No heat_map.png: {error}", markup=False)
     if as_json:
-        print_json(result)
+        common.print_json(result)
         return
     console.print(_table(result))
     if heat_map is not None:
         console.print("Visits of all agents (darker is more, logarithmic):")
-        console.print(heat_map.text(), highlight=False)
+        console.print(heat_map.text())
     for path in written:
         console.print(f"Wrote {path}")
 

@@ -60,11 +60,10 @@ def command(
                 f"Serving {board.spec.id}, {layout.n_envs:,} slots on {layout.pe_num} processing elements, "
                 f"words of {layout.data_wl} bits. Use it as [bold]--device xdma:{escape(str(at))}[/]; "
                 "Ctrl-C ends it.",
-                highlight=False,
                 soft_wrap=True,
             )
         board.serve()
     finally:
         board.close()
     if not as_json:
-        console.print(f"Served {board.steps:,} steps.", highlight=False)
+        console.print(f"Served {board.steps:,} steps.")

@@ -9,17 +9,8 @@ from typing import Annotated
 import typer
 from rich.table import Table
 
-from pearl_marl.cli.common import (
-    AsJson,
-    Options,
-    Out,
-    console,
-    error_console,
-    print_json,
-    progress,
-    spec_of,
-    write_json,
-)
+from pearl_marl.cli import common
+from pearl_marl.cli.common import console, error_console
 from pearl_marl.errors import ArgumentError
 from pearl_marl.hardware.build import Build
 from pearl_marl.hardware.fitting import PARTS, Fit, confirm, largest_fit
@@ -62,12 +53,12 @@ def command(
     pe_num: PeNum = None,
     data_wl: DataWl = None,
     part: PartFamily = Family.XC7,
-    option: Options = None,
+    option: common.Options = None,
     fmax: Fmax = False,
     fit: FitPart = None,
     confirmed: Confirm = False,
-    out: Out = None,
-    as_json: AsJson = False,
+    out: common.Out = None,
+    as_json: common.AsJson = False,
 ) -> None:
     """Synthesise a design with Yosys: LUT, FF, block RAM, DSP.
 
@@ -82,11 +73,22 @@ def command(
         return
     if env_id is None:
         raise ArgumentError("name an environment of `pearl envs`, or give --all")
-    spec = spec_of(env_id, option)
-    builds = _growing(spec, _numbers(n_envs), pe_num, data_wl)
+    spec = common.spec_of(env_id, option)
+    sizes = _numbers(n_envs)
+    # One design grows: what is chosen for the fewest slots holds for all.
+    chosen = default_map(spec, sizes[0], pe_num, data_wl)
+    builds = [Build.of(spec, n, chosen.pe_num, chosen.data_wl) for n in sizes]
     _check_fit(fit, part, confirmed)
-    points, rates = _synthesised(builds, part, fmax)
-    found = None if fit is None else _fitted(spec, points, fit, confirmed)
+    work = [(build, part, False) for build in builds]
+    if fmax:
+        work += [(build, Family.ECP5, True) for build in builds]
+    bar = common.progress(work, len(work), f"{spec.name}, {chosen.pe_num} PEs")
+    usages = [synthesise(build, family, fmax=placed) for build, family, placed in bar]
+    points, rates = usages[: len(builds)], usages[len(builds) :]
+    found = None if fit is None else largest_fit(spec, points, PARTS[fit])
+    if found is not None and confirmed:
+        for predicted in common.progress([found], 1, f"{spec.name}, {found.n_envs:,} slots on {fit}"):
+            found = confirm(spec, predicted, chosen.pe_num, chosen.data_wl)
 
     result = {
         "environment": spec.id,
@@ -98,20 +100,10 @@ def command(
         "fmax_device": FMAX_DEVICE if rates else None,
         "fit": None if found is None else found.as_json(),
     }
-    if out is not None:
-        first = points[0]
-        write_json(out, f"synth_{spec.name}_{part}_{first.pe_num}_{first.data_wl}.json", result)
-    if as_json:
-        print_json(result)
-    else:
+    name = f"synth_{spec.name}_{part}_{chosen.pe_num}_{chosen.data_wl}.json"
+    if not common.delivered(result, as_json, out, name):
         _show(spec.id, part, points, rates, found)
     _exit_if_misplaced([(spec, usage) for usage in points])
-
-
-def _growing(spec: EnvSpec, sizes: list[int], pe_num: int | None, data_wl: int | None) -> list[Build]:
-    """Return one design that grows: what is chosen for the fewest slots holds for all."""
-    first = default_map(spec, sizes[0], pe_num, data_wl)
-    return [Build.of(spec, n, first.pe_num, first.data_wl) for n in sizes]
 
 
 def _check_fit(fit: str | None, part: Family, confirmed: bool) -> None:
@@ -121,28 +113,6 @@ def _check_fit(fit: str | None, part: Family, confirmed: bool) -> None:
         raise ArgumentError("--fit is for 7-series parts: leave --part at xc7")
     if confirmed and fit is None:
         raise ArgumentError("--confirm synthesises what --fit predicts: name a part with --fit")
-
-
-def _synthesised(builds: list[Build], part: Family, fmax: bool) -> tuple[list[Usage], list[Usage]]:
-    """Synthesise every build; return what each takes, and with ``fmax`` the same of it placed on an ECP5."""
-    points: list[Usage] = []
-    rates: list[Usage] = []
-    work = [(build, part, False) for build in builds]
-    if fmax:
-        work += [(build, Family.ECP5, True) for build in builds]
-    spec, layout = builds[0]
-    for build, family, placed in progress(work, len(work), f"{spec.name}, {layout.pe_num} PEs"):
-        (rates if placed else points).append(synthesise(build, family, fmax=placed))
-    return points, rates
-
-
-def _fitted(spec: EnvSpec, points: list[Usage], board: str, confirmed: bool) -> Fit:
-    """Return the largest build for a board's part: predicted, and synthesised if it is to be confirmed."""
-    fit = largest_fit(spec, points, PARTS[board])
-    if confirmed:
-        for predicted in progress([fit], 1, f"{spec.name}, {fit.n_envs:,} slots on {board}"):
-            fit = confirm(spec, predicted, points[0].pe_num, points[0].data_wl)
-    return fit
 
 
 def _exit_if_misplaced(usages: list[tuple[EnvSpec, Usage]]) -> None:
@@ -162,26 +132,20 @@ def _every(
     n_envs: int, pe_num: int | None, data_wl: int | None, part: Family, out: Path | None, as_json: bool
 ) -> None:
     builds = [Build.of(get_spec(name), n_envs, pe_num, data_wl) for name in names()]
-    work = progress(builds, len(builds), f"{n_envs:,} slots")
+    work = common.progress(builds, len(builds), f"{n_envs:,} slots")
     usages = [(build.spec, synthesise(build, part)) for build in work]
     result = [{"environment": spec.id, "family": str(part), **usage.as_json()} for spec, usage in usages]
-    if out is not None:
-        write_json(out, f"synth_all_{part}_{n_envs}.json", result)
-    if as_json:
-        print_json(result)
-    else:
+    if not common.delivered(result, as_json, out, f"synth_all_{part}_{n_envs}.json"):
         console.print(_table_of_all(f"{n_envs:,} slots, {part}", usages))
     _exit_if_misplaced(usages)
 
 
 def _table_of_all(title: str, usages: list[tuple[EnvSpec, Usage]]) -> Table:
-    table = Table(title=title)
-    for heading in ("environment", "PEs", "word", "LUT", "FF", "BRAM36", "DSP"):
-        table.add_column(heading, justify="left" if heading == "environment" else "right", no_wrap=True)
+    grid = common.table(title, ["environment"], ["PEs", "word", "LUT", "FF", "BRAM36", "DSP"])
     for spec, usage in usages:
         figures = (usage.pe_num, usage.data_wl, usage.lut, usage.ff)
-        table.add_row(spec.name, *(f"{figure:,}" for figure in figures), f"{usage.bram36:g}", f"{usage.dsp}")
-    return table
+        grid.add_row(spec.name, *(f"{figure:,}" for figure in figures), f"{usage.bram36:g}", f"{usage.dsp}")
+    return grid
 
 
 def _numbers(texts: list[str]) -> list[int]:
@@ -206,36 +170,31 @@ def _show(title: str, part: Family, points: list[Usage], rates: list[Usage], fit
         "Synthesis, before placement; LUTs of memory and shift registers included. "
         + ", ".join(f"{name} {number}" for name, number in tools.items()),
         style="dim",
-        highlight=False,
     )
     if rates:
         console.print(
             f"Fmax is nextpnr's estimate after routing for the {FMAX_DEVICE}, without pads. That of a "
             "7-series part is another and needs the vendor's tools.",
             style="dim",
-            highlight=False,
         )
     if fit is not None:
-        console.print(_sentence(fit), highlight=False)
+        console.print(_sentence(fit))
 
 
 def _table(title: str, points: list[Usage], rates: list[Usage]) -> Table:
     """Return a row a size, and below them how much more the largest takes than the smallest."""
-    table = Table(title=title)
-    for heading in ("slots", "LUT", "FF", "BRAM36", "DSP", "memories", "in BRAM"):
-        table.add_column(heading, justify="right", no_wrap=True)
-    if rates:
-        table.add_column("Fmax (ECP5)", justify="right", no_wrap=True)
+    headings = ["slots", "LUT", "FF", "BRAM36", "DSP", "memories", "in BRAM"]
+    grid = common.table(title, [], [*headings, *(["Fmax (ECP5)"] if rates else [])])
     for i, usage in enumerate(points):
         blocks = sum(memory.kind == "block RAM" for memory in usage.memories)
         figures = [f"{figure:,}" for figure in (usage.n_envs, usage.lut, usage.ff)]
         figures += [f"{usage.bram36:g}", f"{usage.dsp}", f"{len(usage.memories)}", f"{blocks}"]
-        table.add_row(*figures, *([f"{rates[i].fmax_mhz:.1f} MHz"] if rates else []))
+        grid.add_row(*figures, *([f"{rates[i].fmax_mhz:.1f} MHz"] if rates else []))
     growth = _growth(points)
     if growth is not None:
-        table.add_section()
-        table.add_row("growth", f"x{growth['lut']:.2f}", f"x{growth['ff']:.2f}")
-    return table
+        grid.add_section()
+        grid.add_row("growth", f"x{growth['lut']:.2f}", f"x{growth['ff']:.2f}")
+    return grid
 
 
 def _sentence(fit: Fit) -> str:

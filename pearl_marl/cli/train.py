@@ -8,18 +8,8 @@ from typing import Annotated, Any
 import typer
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from pearl_marl.cli.common import (
-    AsJson,
-    DeviceName,
-    EnvName,
-    Options,
-    Seed,
-    console,
-    env_options,
-    error_console,
-    print_json,
-    spec_of,
-)
+from pearl_marl.cli import common
+from pearl_marl.cli.common import console, error_console
 from pearl_marl.cli.interrupts import interrupts
 from pearl_marl.errors import ArgumentError
 
@@ -53,19 +43,19 @@ Folder = Annotated[Path, typer.Option("--out", metavar="DIR", help="The run's fo
 
 
 def command(
-    env_id: EnvName,
+    env_id: common.EnvName,
     out: Folder,
     algo: Algorithm = "ppo",
     n_agents: Agents = None,
     iterations: Iterations = None,
     setting: Given = None,
-    seed: Seed = 0,
-    device: DeviceName = "native",
+    seed: common.Seed = 0,
+    device: common.DeviceName = "native",
     goal: Goal = None,
     evaluate_every: Every = None,
     shards: Shards = None,
-    option: Options = None,
-    as_json: AsJson = False,
+    option: common.Options = None,
+    as_json: common.AsJson = False,
 ) -> None:
     """Train a policy that all agents share; with the --out of a run that was killed, go on with it."""
     interrupts.advice = f": to go on, give the same command again, with the same --out {out}"
@@ -76,12 +66,10 @@ def command(
         raise ArgumentError(
             f"training needs the Python package {error.name}: pip install 'pearl-marl[train]'"
         ) from None
-    options = dict(spec_of(env_id, option).options)
-    given: dict[str, Any] = {"n_agents": n_agents, "iterations": iterations}
-    given = {name: value for name, value in given.items() if value is not None}
-    settings = training.settings_for(
-        algo, env_id, {**env_options(setting, "--set"), **given, "seed": seed}, shards
-    )
+    options = dict(common.spec_of(env_id, option).options)
+    chosen = {"n_agents": n_agents, "iterations": iterations, "seed": seed}
+    given = common.env_options(setting, "--set") | {name: n for name, n in chosen.items() if n is not None}
+    settings = training.settings_for(algo, env_id, given, shards)
 
     columns = (
         TextColumn(f"{env_id}, {algo}"),
@@ -106,11 +94,10 @@ def command(
     best = max(rows, key=lambda row: row["eval_return"])
     result = {"environment": env_id, "algorithm": algo, "folder": str(out), "best": best, "last": rows[-1]}
     if as_json:
-        print_json(result)
+        common.print_json(result)
         return
     console.print(
         f"Best mean return {best['eval_return']:.2f}, after {best['agent_steps']:,} agent-steps and "
         f"{best['seconds']:.1f} s. Wrote {out}: policy.safetensors, metrics.csv, learning_curve.png",
-        highlight=False,
         soft_wrap=True,
     )

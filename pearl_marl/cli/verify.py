@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any
@@ -13,19 +12,8 @@ from gymnasium.vector import AutoresetMode
 from rich.markup import escape
 from rich.table import Table
 
-from pearl_marl.cli.common import (
-    Agents,
-    AsJson,
-    Options,
-    Out,
-    Seed,
-    console,
-    error_console,
-    in_file_name,
-    print_json,
-    progress,
-    spec_of,
-)
+from pearl_marl.cli import common
+from pearl_marl.cli.common import console, error_console
 from pearl_marl.comparison.replay import Replay
 from pearl_marl.devices import Lockstep
 from pearl_marl.errors import ArgumentError, DeviceError, LockstepError
@@ -80,15 +68,15 @@ def command(
     subject: Subject,
     device: DeviceToCheck = None,
     reference: ReferenceName = None,
-    n_agents: Agents = 43008,
+    n_agents: common.Agents = 43008,
     steps: StepsOfAll = 300,
-    seed: Seed = 0,
+    seed: common.Seed = 0,
     max_cycles: MaxCycles = None,
     autoreset_mode: Mode = None,
     initial_states: InitialStates = None,
-    option: Options = None,
-    out: Out = None,
-    as_json: AsJson = False,
+    option: common.Options = None,
+    out: common.Out = None,
+    as_json: common.AsJson = False,
 ) -> None:
     """Compare a device with the golden functions, every word of every field, or replay a divergence.
 
@@ -98,7 +86,7 @@ def command(
     if subject.endswith(".json") or Path(subject).is_file():
         _replay(Replay.read(Path(subject)), device, reference, as_json)
         return
-    spec = spec_of(subject, option)
+    spec = common.spec_of(subject, option)
     mode = None if autoreset_mode is None else AutoresetMode[autoreset_mode.name]
     plan = runs(spec, n_agents, steps, mode, initial_states and initial_states.value, max_cycles)
     device, reference = device or "native", reference or "reference"
@@ -110,18 +98,16 @@ def command(
     parted: LockstepError | None = None
     path = None
     try:
-        for _ in progress(
-            _steps(plan, device, reference, seed),
-            sum(run.steps for run in plan),
-            f"{spec.name} on {device}, {n_agents:,} agents",
-        ):
+        steps_of_all = (step for run in plan for step in verify(run, Lockstep(device, reference), seed))
+        label = f"{spec.name} on {device}, {n_agents:,} agents"
+        for _ in common.progress(steps_of_all, sum(run.steps for run in plan), label):
             pass
     except LockstepError as caught:
         parted = caught
         if out is not None:
-            path = out / f"divergence_{spec.name}_{in_file_name(device)}.json"
+            path = out / f"divergence_{spec.name}_{common.in_file_name(device)}.json"
             _smallest(parted.replay, device, reference).write(path)
-    result = {
+    result: dict[str, Any] = {
         "environment": spec.id,
         "options": dict(spec.options),
         "device": device,
@@ -137,9 +123,9 @@ def command(
         "replay": None if path is None else str(path),
     }
     if as_json:
-        print_json(result)
+        common.print_json(result)
     else:
-        console.print(_table(f"{spec.id} on {device}, held against {reference}", plan))
+        console.print(_table(f"{spec.id} on {device}, held against {reference}", result["modes"]))
         _say(parted, _verdict(result))
         if path is not None:
             console.print(f"Wrote {path}: pearl verify {path} replays it.", markup=False, soft_wrap=True)
@@ -150,11 +136,6 @@ def command(
             "Warning: no episode ended, so no start of another was compared. Take more --steps or agents.",
             style="yellow",
         )
-
-
-def _steps(plan: list[Run], device: str, reference: str, seed: int) -> Iterator[Run]:
-    for run in plan:
-        yield from verify(run, Lockstep(device, reference), seed)
 
 
 def _smallest(recorded: Replay, device: str, reference: str) -> Replay:
@@ -172,7 +153,7 @@ def _replay(recorded_call: Replay, device: str | None, reference: str | None, as
     device, reference = device or recorded.device, reference or recorded.reference
     error = replay(recorded_call, Lockstep(device, reference))
     if as_json:
-        print_json(
+        common.print_json(
             {
                 "environment": recorded.environment,
                 "device": device,
@@ -185,7 +166,7 @@ def _replay(recorded_call: Replay, device: str | None, reference: str | None, as
     else:
         agents = f"{recorded_call.config.n_envs:,} agent{'s' * (recorded_call.config.n_envs != 1)}"
         text = f"Recorded, replayed here with {agents}:\n{recorded}\n"
-        console.print(text, markup=False, highlight=False, soft_wrap=True)
+        console.print(text, markup=False, soft_wrap=True)
         _say(error, f"The divergence is gone: {device} agrees with {reference} in every word of this call.")
     if error is not None:
         sys.exit(1)
@@ -193,9 +174,9 @@ def _replay(recorded_call: Replay, device: str | None, reference: str | None, as
 
 def _say(error: LockstepError | None, verdict: str) -> None:
     if error is None:
-        console.print(f"[bold green]{escape(verdict)}[/]", highlight=False, soft_wrap=True)
+        console.print(f"[bold green]{escape(verdict)}[/]", soft_wrap=True)
     else:
-        console.print(f"[bold red]Not bit-exact.[/] {escape(str(error))}", highlight=False, soft_wrap=True)
+        console.print(f"[bold red]Not bit-exact.[/] {escape(str(error))}", soft_wrap=True)
 
 
 def _verdict(result: dict[str, Any]) -> str:
@@ -207,7 +188,7 @@ def _verdict(result: dict[str, Any]) -> str:
 
 def _row(run: Run) -> dict[str, Any]:
     return {
-        "autoreset_mode": _written(run.config.autoreset_mode),
+        "autoreset_mode": Autoreset[run.config.autoreset_mode.name].value,
         "initial_states": run.config.initial_states,
         "max_cycles": run.config.limit,
         "steps": run.taken,
@@ -218,20 +199,12 @@ def _row(run: Run) -> dict[str, Any]:
     }
 
 
-def _written(mode: AutoresetMode) -> str:
-    return Autoreset[mode.name].value
-
-
-def _table(title: str, plan: list[Run]) -> Table:
-    table = Table(title=title)
-    for heading in ("autoreset", "starts"):
-        table.add_column(heading, no_wrap=True)
-    for heading in ("limit", "steps", "words", "episodes"):
-        table.add_column(heading, justify="right", no_wrap=True)
-    table.add_column("", no_wrap=True)
+def _table(title: str, modes: list[dict[str, Any]]) -> Table:
+    grid = common.table(title, ["autoreset", "starts"], ["limit", "steps", "words", "episodes"])
+    grid.add_column("", no_wrap=True)
     verdicts = {True: "[green]bit-exact[/]", False: "[bold red]differs[/]", None: "[dim]not run[/]"}
-    for run in plan:
-        mode, starts, limit = _written(run.config.autoreset_mode), run.config.initial_states, run.config.limit
-        figures = (f"{figure:,}" for figure in (run.taken, run.words, run.episodes))
-        table.add_row(mode, starts, f"{limit or 'none'}", *figures, verdicts[run.exact])
-    return table
+    for mode in modes:
+        figures = (f"{mode[name]:,}" for name in ("steps", "words", "episodes"))
+        limit = f"{mode['max_cycles'] or 'none'}"
+        grid.add_row(mode["autoreset_mode"], mode["initial_states"], limit, *figures, verdicts[mode["exact"]])
+    return grid

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import asdict, dataclass
 from typing import Any, NamedTuple, Self
 
@@ -37,54 +37,30 @@ class Difference(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class Divergence:
-    """Where two devices part: the first slot (by number) of the first step in which any word differs.
-
-    Parameters
-    ----------
-    environment, device, reference
-        Who was compared.
-    call
-        ``"step"``, or the call that is no step: ``"reset"``, ``"restore"`` or ``"snapshot"``.
-    step
-        The tick: steps since seeding, from 0. A full reset without a seed counts as one.
-    slot
-        The global number of the slot.
-    slots
-        How many slots differ in this step.
-    differences
-        Every word of the slot that differs, results before state.
-    state_before
-        The slot's state words by name, with ``elapsed`` and ``ended``, as they were before the call;
-        ``None`` before the first reset.
-    action
-        What the slot was told to do; ``None`` where the call is no step.
-    """
+    """Where two devices part: the first slot (by number) of the first step in which any word differs."""
 
     environment: str
     device: str
     reference: str
     call: str
+    """``"step"``, or the call that is no step: ``"reset"``, ``"restore"`` or ``"snapshot"``."""
     step: int
+    """The tick: steps since seeding, from 0. A full reset without a seed counts as one."""
     slot: int
+    """Its global number."""
     slots: int
+    """How many slots differ in this step."""
     differences: tuple[Difference, ...]
+    """Every word of the slot that differs, results before state."""
     state_before: dict[str, int] | None
+    """The slot's state words by name, with ``elapsed`` and ``ended``; ``None`` before the first reset."""
     action: float | None
+    """What the slot was told to do; ``None`` where the call is no step."""
 
     @property
     def field(self) -> str:
         """The first word that differs."""
         return self.differences[0].field
-
-    @property
-    def device_value(self) -> Any:
-        """What the device has there."""
-        return self.differences[0].device_value
-
-    @property
-    def reference_value(self) -> Any:
-        """What the reference has there."""
-        return self.differences[0].reference_value
 
     def __str__(self) -> str:
         at = f"step {self.step}" if self.call == "step" else f"{self.call}() before step {self.step}"
@@ -128,10 +104,7 @@ def observation_words(
     spec: EnvSpec, name: str, device: Array, reference: Array, where: Array | None = None
 ) -> Iterator[Words]:
     """Yield the words of an array of observations: one, or as many as the observation has fields."""
-    if device.shape != reference.shape or reference.ndim == 1:
-        yield Words(name, device, reference, where)
-        return
-    if spec.unpack is not None:
+    if device.shape != reference.shape or reference.ndim == 1 or spec.unpack is not None:
         yield Words(name, device, reference, where)
         return
     device, reference = (array.reshape(len(array), -1) for array in (device, reference))
@@ -155,13 +128,7 @@ def state_of(spec: EnvSpec, n: int, saved: SavedState, i: int) -> dict[str, int]
 
 
 class Comparison:
-    """Compares words, counts them, and keeps those that differ.
-
-    Attributes
-    ----------
-    words
-        How many were compared.
-    """
+    """Compares words, and keeps those that differ; ``words`` counts how many were compared."""
 
     def __init__(self) -> None:
         self.words = 0
@@ -171,13 +138,16 @@ class Comparison:
         """Whether any word differed."""
         return bool(self._differing)
 
-    def add(self, words: Words) -> None:
-        """Compare every slot's word, or array of words."""
-        field, ours, theirs, where = words
+    def add(self, all_words: Iterable[Words]) -> None:
+        """Compare every slot's words."""
+        for words in all_words:
+            self._add(*words)
+
+    def _add(self, field: str, ours: Array, theirs: Array, where: Array | None) -> None:
         if ours.dtype != theirs.dtype or ours.shape != theirs.shape:
             unequal = np.arange(len(theirs)) == 0
             ours, theirs = (np.array([f"{a.dtype} of shape {a.shape}"]) for a in (ours, theirs))
-            words = words._replace(field=f"{field} array")
+            field += " array"
         else:
             # As integers: two floats may be equal and yet have other bits, or have the same and be unequal.
             bits = f"u{theirs.dtype.itemsize}"
@@ -190,7 +160,7 @@ class Comparison:
             place = f"[{', '.join(map(str, element))}]" if element else ""
             at: Any = (slice(None), *element)
             # Copies: a device may write its next results where these are.
-            apart = Words(f"{words.field}{place}", ours[at].copy(), theirs[at].copy())
+            apart = Words(f"{field}{place}", ours[at].copy(), theirs[at].copy())
             self._differing.append((apart, unequal[at]))
 
     def first(self) -> tuple[int, int, tuple[Difference, ...]]:

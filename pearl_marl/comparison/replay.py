@@ -1,9 +1,7 @@
 """A call in which two devices part, with all that it takes to make it again: a small JSON file.
 
-The file holds the state of the batch before the call, and the call. One slot is enough where that
-slot alone parts again, which a fault of a core does: see :meth:`Replay.alone`. A fault of what
-lies around the cores may need the slot's neighbours, so otherwise the file holds the whole batch,
-compressed.
+One slot is enough where that slot alone parts again, which a fault of a core does: see :meth:`Replay.alone`.
+A fault of what lies around the cores may need its neighbours; then the file holds the whole batch.
 """
 
 from __future__ import annotations
@@ -31,26 +29,15 @@ _VERSION = 1
 
 @dataclass(frozen=True, kw_only=True)
 class Replay:
-    """One call of a device, and the state before it.
-
-    Parameters
-    ----------
-    config
-        The batch.
-    divergence
-        What differed when it was recorded; ``divergence.call`` names the call.
-    before
-        The state before the call (of a ``restore``, the one restored); ``None`` before the first reset.
-    actions
-        The words of a step.
-    seed, mask
-        Of a reset.
-    """
+    """One call of a device, and the state before it: a step with ``actions``, a reset, or a restore."""
 
     config: BatchConfig
     divergence: Divergence
+    """What differed when it was recorded; ``divergence.call`` names the call."""
     before: SavedState | None
+    """The state before the call (of a ``restore``, the one restored); ``None`` before the first reset."""
     actions: npt.NDArray[Any] | None = None
+    """The words of a step."""
     seed: int | None = None
     mask: npt.NDArray[np.bool_] | None = None
 
@@ -81,13 +68,7 @@ class Replay:
 
     @classmethod
     def read(cls, path: Path) -> Replay:
-        """Read what :meth:`write` wrote.
-
-        Raises
-        ------
-        ArgumentError
-            The file cannot be read, or is something else, or its environment is not known here.
-        """
+        """Read what :meth:`write` wrote; raise ArgumentError for what is something else, or damaged."""
         try:
             value = json.loads(path.read_bytes())
         except (OSError, ValueError) as error:

@@ -2,11 +2,9 @@
 
 ::
 
-    Device(...)  --open(spec, n_envs, ...)-->  open  --reset(seed)-->  ready  --step(actions)-->  ...
+    Device(...)  --open(config)-->  open  --reset(seed)-->  ready  --step(actions)-->  ...
 
-:class:`Device` does what all devices share (order of calls, checks, seeds, saved states, ``send``
-and ``recv``); a subclass moves the slots. What is kept for a failure, a device owns: see
-:mod:`pearl_marl.devices.recovery`.
+:class:`Device` does what all devices share; a subclass moves the slots.
 """
 
 from __future__ import annotations
@@ -14,6 +12,9 @@ from __future__ import annotations
 import secrets
 import time
 from abc import ABC, abstractmethod
+from collections.abc import Iterator
+from concurrent.futures import Future
+from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any, Self
 
@@ -27,9 +28,8 @@ from pearl_marl.batch.config import BatchConfig
 from pearl_marl.batch.saved_state import SavedState
 from pearl_marl.batch.slot_memory import SlotMemory
 from pearl_marl.batch.step import Array, BatchStep
-from pearl_marl.devices.copies import unopened
-from pearl_marl.devices.recovery import Position, Recovery
-from pearl_marl.devices.threads import StepUnderWay
+from pearl_marl.devices.recovery import CheckpointLog, Position
+from pearl_marl.devices.threads import Threads
 from pearl_marl.errors import ArgumentError, DeviceError, OrderError
 
 
@@ -46,7 +46,7 @@ class Device(ABC):
     seed, tick
         The position in the random numbers: see :mod:`pearl_marl.rng`.
     reward_table
-        The reward of every word of the reward field: see :mod:`pearl_marl.batch.rewards`.
+        The reward of every word of the reward field.
     made_with
         The attributes that it had before it was opened, which are the settings of a copy.
     """
@@ -54,28 +54,35 @@ class Device(ABC):
     name: str
     """As users write it, for example ``"native"``."""
 
+    tensors = False
+    """Whether results are tensors on a GPU rather than NumPy arrays."""
+
+    words_compared: int | None = None
+    """How many words have been compared with another device's; ``None`` where none are."""
+
     checkpoint_every: int | None = None
     """Steps between two states that are kept for :meth:`recover`; ``None`` keeps nothing."""
+
+    recovery_type: type[CheckpointLog] | None = None
+    """What keeps them; ``None`` where nothing can fail under way."""
+
+    recovery: CheckpointLog | None = None
+    """One of these, from :meth:`open` on."""
 
     known = True
     """Whether the slots are where the calls so far have brought them: not after a call failed under way."""
 
-    recovery: Recovery | None = None
-    """What is kept for :meth:`recover`, from :meth:`open` on; ``None`` where nothing can fail under way."""
+    under_way: tuple[Any, Future[BatchStep]] | None = None
+    """Between :meth:`send` and :meth:`recv`: the step's words, and what will have its results."""
+
+    ready = False
+    """Whether the slots have been reset, and not closed, so that they can step."""
 
     config: BatchConfig
     _closed = False
-    _ready = False
 
     def open(self, config: BatchConfig, rewards: npt.ArrayLike | None = None) -> Self:
-        """Take up a batch of slots.
-
-        Parameters
-        ----------
-        config
-            What to step.
-        rewards
-            Replaces the environment's reward table: see :meth:`set_rewards`.
+        """Take up a batch of slots; ``rewards`` replaces its reward table, as :meth:`set_rewards` does.
 
         Raises
         ------
@@ -94,8 +101,10 @@ class Device(ABC):
         self.seed = (0, 0)
         self.tick = 0
         self._actions = np.empty(config.n_envs, config.spec.action.dtype)
-        self.under_way = StepUnderWay(f"pearl-{self.name}", self._actions)
-        self.recovery = self._make_recovery()
+        self._thread = Threads(1, f"pearl-{self.name}")
+        # Every step asks for these two, and finds them faster here than on the class.
+        self.under_way = None
+        self.recovery = None if self.recovery_type is None else self.recovery_type(self.checkpoint_every)
         if rewards is not None:
             try:
                 self._apply_rewards(rewards)
@@ -127,27 +136,20 @@ class Device(ABC):
         chosen = None if mask is None else self.config.checked_mask(mask)
         if chosen is not None and seed is not None:
             raise ArgumentError("a seed restarts every slot, so it cannot come with a reset mask")
-        if chosen is not None and not self._ready:
+        if chosen is not None and not self.ready:
             raise OrderError("the first reset starts every slot: call reset() without a mask first")
         if seed is not None:
             seed = rng.checked_seed(seed)
-        elif not self._ready:
+        elif not self.ready:
             seed = secrets.randbits(64)
         words = None if seed is None else rng.seed_words(seed)
-        self._before("reset")
-        position = self.position
-        if words is not None:
-            self.seed, self.tick = words, 0
-        elif chosen is None:
-            self.tick += 1  # or every reset would begin the same episodes
-        self._ready = True
-        try:
-            obs = self._reset(chosen, seed)
-            self._after("reset", seed, chosen)
-        except BaseException:
-            self.position = position
-            raise
-        return obs
+        with self._noted("reset", seed, chosen):
+            if words is not None:
+                self.seed, self.tick = words, 0
+            elif chosen is None:
+                self.tick += 1  # or every reset would begin the same episodes
+            self.ready = True
+            return self._reset(chosen, seed)
 
     def step(self, actions: npt.ArrayLike) -> BatchStep:
         """Step every slot once.
@@ -164,7 +166,7 @@ class Device(ABC):
         OrderError
             Before the first reset, after ``close``, or between ``send`` and ``recv``.
         """
-        if not self._ready or self.under_way.pending is not None:
+        if not self.ready or self.under_way is not None:
             self.check_idle("step", ready=True)
         return self.step_words(self.encoded(actions))
 
@@ -183,14 +185,20 @@ class Device(ABC):
         """Start a step and return at once; :meth:`recv` has its results. Raises as :meth:`step` does."""
         self.check_idle("send", ready=True)
         words = self.encoded(actions)
-        self._before("step_words")
+        if self.recovery is not None:
+            self.recovery.before(self, "step_words")
         self._begin(words)
 
     def recv(self) -> BatchStep:
         """Wait for the step that :meth:`send` started and return its results."""
-        if not hasattr(self, "under_way") or self.under_way.pending is None:
+        if self.under_way is None:
             raise OrderError("recv() without a step under way: call send() first")
-        words, result = self.under_way.finish()
+        words, step = self.under_way
+        try:
+            result = step.result()
+        finally:
+            if step.done():  # or Ctrl-C came first, and the step is still under way
+                self.under_way = None
         self._after("step_words", words)
         self.tick += 1
         return result
@@ -200,19 +208,12 @@ class Device(ABC):
         return encode(actions, self.config.spec, self._actions, self.config.first_slot)
 
     def set_rewards(self, table: npt.ArrayLike) -> None:
-        """Replace the reward table, from the next step on.
-
-        Parameters
-        ----------
-        table
-            Finite numbers, as many as the environment has reward categories.
-        """
+        """Replace the reward table, from the next step on: a finite number for each reward category."""
         self.check_idle("set_rewards")
         padded = reward_tables.reward_table(self.config.spec, table)
-        self._before("set_rewards")
-        self._apply_rewards(table)
-        self.reward_table = padded
-        self._after("set_rewards", np.array(table))
+        with self._noted("set_rewards", np.array(table)):
+            self._apply_rewards(table)
+            self.reward_table = padded
 
     @property
     def rewards(self) -> Array:
@@ -221,24 +222,9 @@ class Device(ABC):
         return self.reward_table[: len(self.config.spec.rewards or ())].copy()
 
     @property
-    def tensors(self) -> bool:
-        """Whether results are tensors on a GPU rather than NumPy arrays."""
-        return False
-
-    @property
     def cycles(self) -> int | None:
         """Clock cycles that the last step took in the hardware; ``None`` where there is none."""
         return None
-
-    @property
-    def words_compared(self) -> int | None:
-        """How many words have been compared with another device's; ``None`` where none are."""
-        return None
-
-    @property
-    def ready(self) -> bool:
-        """Whether the slots have been reset, and not closed, so that they can step."""
-        return self._ready and not self._closed
 
     def state(self) -> Array:
         """Return every slot's state, shape ``(n, fields)``: what the next step starts from.
@@ -269,36 +255,22 @@ class Device(ABC):
     def restore(self, saved: SavedState) -> Array:
         """Continue from a snapshot of a batch like this one; return every slot's observation.
 
-        Raises
-        ------
-        SavedStateError
-            Names what differs between the two batches. Nothing has changed.
+        A snapshot of another one raises SavedStateError, which names what differs. Nothing has changed then.
         """
         self.check_idle("restore")
         saved.check(self.config.identity())
-        self._before("restore")
-        position = self.position
-        self.seed, self.tick = saved.seed, saved.tick
-        self.reward_table = reward_tables.padded(self.config.spec, saved.rewards)
-        self._ready = True
-        try:
-            obs = self._write(saved.memory, saved.stored)
-            self._after("restore", saved)
-        except BaseException:
-            self.position = position
-            raise
-        return obs
+        with self._noted("restore", saved):
+            self.seed, self.tick = saved.seed, saved.tick
+            self.reward_table = reward_tables.padded(self.config.spec, saved.rewards)
+            self.ready = True
+            return self._write(saved.memory, saved.stored)
 
     def recover(self) -> None:
         """Go on from the last call that succeeded, after one that raised DeviceError.
 
         The connection is made anew, and the state and every call since are as they were; the call that
-        failed may be made again. A device that cannot fail under way has nothing to do.
-
-        Raises
-        ------
-        DeviceError
-            The device is still not available (call again when it is), or nothing is kept to go on from.
+        failed may be made again. A device that cannot fail under way has nothing to do. Where nothing is
+        kept, or the device is still not available, it raises DeviceError: then call it again later.
         """
         self.check_idle("recover")
         if self.recovery is None:
@@ -307,26 +279,18 @@ class Device(ABC):
             self.recovery.recover(self)
 
     def set_max_cycles(self, max_cycles: int | None) -> None:
-        """Replace the time limit, from the next step on; see :class:`BatchConfig`.
-
-        Steps are counted only while there is a limit: where there was none, every episode counts
-        from now.
-        """
+        """Replace the time limit, from the next step on; where there was none, steps count from now."""
         self.check_idle("set_max_cycles")
         config = replace(self.config, max_cycles=max_cycles)
-        self._before("set_max_cycles")
-        self._apply_limit(config)
-        self.config = config
-        self._after("set_max_cycles", max_cycles)
+        with self._noted("set_max_cycles", max_cycles):
+            self._apply_limit(config)
+            self.config = config
 
     def timed(self) -> dict[str, float]:
-        """Time every step from now on.
+        """Time every step from now on; return where each step writes the seconds of its stages.
 
-        Returns
-        -------
-        The seconds of the last step's stages, by the names of :data:`~pearl_marl.devices.transport.STAGES`; a
-        device without a link to hardware has ``"compute"`` alone. Each step writes them anew. What is kept
-        for :meth:`recover` is not among them.
+        They are named as in :data:`~pearl_marl.devices.transport.STAGES`; a device without a link to hardware
+        has ``"compute"`` alone. What is kept for :meth:`recover` is not among them.
         """
         self.check_idle("timed")
         seconds: dict[str, float] = {}
@@ -335,7 +299,7 @@ class Device(ABC):
         def timed_step(words: Array) -> BatchStep:
             began = time.perf_counter()
             result = step(words)
-            seconds["compute"] = time.perf_counter() - began
+            seconds.update(self._stages(began, time.perf_counter()))
             return result
 
         setattr(self, "_step", timed_step)  # noqa: B010, as mypy takes methods for constants
@@ -345,19 +309,19 @@ class Device(ABC):
         """Release what the device holds. Safe to call twice."""
         if self._closed:
             return
-        self._closed, self._ready = True, False
+        self._closed, self.ready = True, False
         if hasattr(self, "config"):
-            self.under_way.close()
+            self._thread.close()
             self._close()
 
     @property
     def position(self) -> Position:
         """Where the device is: to be assigned again where a call has failed."""
-        return Position(self.config, self.seed, self.tick, self.reward_table, self._ready)
+        return Position(self.config, self.seed, self.tick, self.reward_table, self.ready)
 
     @position.setter
     def position(self, position: Position) -> None:
-        self.config, self.seed, self.tick, self.reward_table, self._ready = position
+        self.config, self.seed, self.tick, self.reward_table, self.ready = position
 
     @property
     def way_on(self) -> str:
@@ -371,9 +335,9 @@ class Device(ABC):
             raise OrderError(f"{call}() after close(): make a new environment")
         if not hasattr(self, "config"):
             raise OrderError(f"{call}() before open(): this {self.name} device has no batch yet")
-        if ready and not self._ready:
+        if ready and not self.ready:
             raise OrderError(f"{call}() before reset(): call reset() first")
-        if self.under_way.pending is not None:
+        if self.under_way is not None:
             raise OrderError(f"{call}() between send() and recv(): call recv() first")
 
     def check_known(self) -> None:
@@ -381,9 +345,18 @@ class Device(ABC):
         if not self.known:
             raise DeviceError(f"a step of the {self.name} device failed before; {self.way_on}")
 
-    def _before(self, call: str) -> None:
+    @contextmanager
+    def _noted(self, call: str, *arguments: Any) -> Iterator[None]:
+        """Make a call that is no step, and note it for :meth:`recover`; if it fails, go back to before."""
+        position = self.position
         if self.recovery is not None:
             self.recovery.before(self, call)
+        try:
+            yield
+            self._after(call, *arguments)
+        except BaseException:
+            self.position = position
+            raise
 
     def _after(self, call: str, *arguments: Any) -> None:
         if self.recovery is None:
@@ -398,8 +371,8 @@ class Device(ABC):
         # A copy is a device of its own that goes on from here: threads, buffers and compiled code stay.
         if not hasattr(self, "config"):
             return {"settings": self.__dict__}
-        saved = self.snapshot() if self._ready else None
-        settings = {name: unopened(value) for name, value in self.made_with.items()}
+        saved = self.snapshot() if self.ready else None
+        settings = {name: _unopened(value) for name, value in self.made_with.items()}
         return {"settings": settings, "config": self.config, "rewards": self.reward_table, "saved": saved}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -414,10 +387,6 @@ class Device(ABC):
     def _open(self, config: BatchConfig) -> None:
         """Get ready to step the slots of ``config``, or raise DeviceError."""
 
-    def _make_recovery(self) -> Recovery | None:
-        """Return what is kept for :meth:`recover`; ``None`` where nothing can fail under way."""
-        return None
-
     @abstractmethod
     def _reset(self, mask: Array | None, seed: int | None) -> Array:
         """Start the masked slots (all, if ``None``) at ``tick``; return all observations.
@@ -431,7 +400,13 @@ class Device(ABC):
 
     def _begin(self, words: Array) -> None:
         """Start a step whose results :meth:`recv` will ask for."""
-        self.under_way.begin(self._step, words)
+        if words is not self._actions:  # the caller may change his own
+            self._actions[:] = words
+        self.under_way = self._actions, self._thread.submit(self._step, self._actions)
+
+    def _stages(self, began: float, ended: float) -> dict[str, float]:
+        """Return the seconds of the last step's stages; it took from ``began`` to ``ended``."""
+        return {"compute": ended - began}
 
     @abstractmethod
     def _read(self) -> tuple[Array, Array]:
@@ -446,7 +421,7 @@ class Device(ABC):
 
     def _apply_limit(self, config: BatchConfig) -> None:
         """Get ready for another time limit, that of ``config``."""
-        if self._ready and not (self.config.limit and config.limit):
+        if self.ready and not (self.config.limit and config.limit):
             memory, stored = self._read()
             memory = memory.copy()
             SlotMemory(config.spec, config.n_envs, memory).elapsed[:] = 0
@@ -455,3 +430,23 @@ class Device(ABC):
     @abstractmethod
     def _close(self) -> None:
         """Release everything; called once."""
+
+
+def count_or_none(name: str, value: Any) -> int | None:
+    """Return a setting that is a positive integer or ``None``; refuse what is neither."""
+    if value is None:
+        return None
+    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < 1:
+        raise ArgumentError(f"{name} is {value!r}; it must be a positive integer or None")
+    return int(value)
+
+
+def _unopened(setting: Any) -> Any:
+    """Return a setting of a device as it was when that was made: other devices in it without a batch."""
+    if isinstance(setting, list):
+        return [_unopened(value) for value in setting]
+    if not hasattr(setting, "made_with"):  # no device, or one that is not open
+        return setting
+    fresh = object.__new__(type(setting))
+    fresh.__dict__.update({name: _unopened(value) for name, value in setting.made_with.items()})
+    return fresh

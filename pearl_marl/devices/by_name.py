@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from pearl_marl.devices.base import Device
 from pearl_marl.devices.cuda import Cuda
 from pearl_marl.devices.native import Native
@@ -11,14 +13,8 @@ from pearl_marl.devices.serial import Serial
 from pearl_marl.devices.xdma import Xdma
 from pearl_marl.errors import ArgumentError
 
-_BY_NAME: dict[str, type[Device]] = {
-    "cuda": Cuda,
-    "native": Native,
-    "reference": Reference,
-    "rtl": Rtl,
-    "serial": Serial,
-    "xdma": Xdma,
-}
+_KINDS: tuple[type[Device], ...] = (Cuda, Native, Reference, Rtl, Serial, Xdma)
+_BY_NAME = {kind.name: kind for kind in _KINDS}
 
 
 def make_device(device: str | Device, *, tensors: bool = False) -> Device:
@@ -42,6 +38,16 @@ def make_device(device: str | Device, *, tensors: bool = False) -> Device:
             "pearl_marl.devices"
         )
     return Cuda(results="torch") if tensors and name == Cuda.name else _BY_NAME[name]()
+
+
+def make_distinct(name: str, devices: Sequence[str | Device], use: str) -> list[Device]:
+    """Return devices for as many shares of slots; refuse what is no list of them, or has one twice."""
+    if isinstance(devices, (str, Device)) or not len(devices):
+        raise ArgumentError(f"{name} is {devices!r}; it must be a list of at least one device")
+    made = [make_host_device(device) for device in devices]
+    if len(set(map(id, made))) < len(made):
+        raise ArgumentError(f"the same device is among the {name} twice; {use}")
+    return made
 
 
 def make_host_device(device: str | Device) -> Device:

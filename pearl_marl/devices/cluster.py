@@ -1,9 +1,8 @@
 """Ray: finding a cluster, placing actors in it by what they need, and telling one that is lost.
 
-A cluster is joined where ``RAY_ADDRESS`` names one, or begun on this machine. An actor is an object of a
-plain class in a process of its own, on whichever machine has what it needs. :func:`get` waits for what its
-methods return. Where that raises one of :func:`lost`, the actor or its machine is gone; what the actor's own
-code raised on purpose, a :class:`~pearl_marl.errors.PearlError`, arrives as itself.
+An actor is an object of a plain class in a process of its own, on whichever machine has what it needs. Where
+:func:`get` raises one of :func:`lost`, the actor or its machine is gone; what the actor's own code raised on
+purpose, a :class:`~pearl_marl.errors.PearlError`, arrives as itself.
 """
 
 from __future__ import annotations
@@ -39,15 +38,10 @@ def ray_module() -> Any:
 
 
 def connect() -> Any:
-    """Return the module ``ray``, connected to a cluster.
+    """Return the module ``ray``, connected to a cluster; raise DeviceError where that cannot be.
 
     That is the one this process is connected to already, or the one that ``RAY_ADDRESS`` names, or a new
     one on this machine, which ends with this process.
-
-    Raises
-    ------
-    DeviceError
-        Ray is not installed, or there is no cluster where ``RAY_ADDRESS`` says.
     """
     ray = ray_module()
     if ray.is_initialized():
@@ -86,22 +80,18 @@ def check_address(address: str) -> None:
 def start_actor(cls: type, *args: Any, resources: Mapping[str, float] | None = None, **kwargs: Any) -> Any:
     """Start an actor where its resources are, and return its handle once it is ready.
 
-    Without resources it takes none, not even a core: any number of them fits on any machine, and where
-    they are to be told apart, the caller says what each takes. Ray spreads them over the machines.
+    Without resources it takes none, not even a core: any number of them fits on any machine. Ray spreads
+    them over the machines.
 
     Parameters
     ----------
-    cls
-        A plain class. Its constructor should do little: what it raises is not told from a lost actor.
-    *args, **kwargs
-        For its constructor.
+    cls, *args, **kwargs
+        A plain class, whose constructor should do little: what it raises is not told from a lost actor.
     resources
         What it holds while it lives, by Ray's names: ``{"CPU": 2}``, ``{"GPU": 1}``, ``{"fpga": 1}``.
 
     Raises
     ------
-    ArgumentError
-        The resources are no numbers by name.
     DeviceError
         No machine of the cluster has these resources, or none has them free in time; or the actor's machine
         runs another version of this package.
@@ -148,19 +138,9 @@ def start_actor(cls: type, *args: Any, resources: Mapping[str, float] | None = N
 
 
 def get(references: Any, timeout: float | None = None) -> Any:
-    """Wait for what calls of actors return: of one, or of a list of them.
+    """Wait for what calls of actors return; ``references`` are what ``actor.method.remote(...)`` returned.
 
-    Parameters
-    ----------
-    references
-        What ``actor.method.remote(...)`` returned.
-    timeout
-        Seconds, after which Ray's ``GetTimeoutError`` is raised; ``None`` waits for as long as it takes.
-
-    Raises
-    ------
-    PearlError
-        What the method raised, as it raised it.
+    A PearlError arrives as it was raised. After ``timeout`` seconds Ray's ``GetTimeoutError`` is raised.
     """
     ray = ray_module()
     try:

@@ -13,6 +13,7 @@ kernel as the native device's, from the seed and the tick.
 
 from __future__ import annotations
 
+import itertools
 import mmap
 import time
 from abc import abstractmethod
@@ -26,12 +27,11 @@ from pearl_marl.batch.slot_memory import SlotMemory
 from pearl_marl.batch.step import Array, BatchStep
 from pearl_marl.compiler.kernels import compile_kernels
 from pearl_marl.devices.base import Device
-from pearl_marl.devices.transport import STAGES, Exchange, TimedTransport, Transport, word
+from pearl_marl.devices.transport import STAGES, Exchange, Transport, word
 from pearl_marl.errors import DeviceError
 from pearl_marl.hardware import elaboration
 from pearl_marl.hardware.build import Build
-from pearl_marl.hardware.codec import Stream, pack, stream_bytes, unpack
-from pearl_marl.hardware.regions import pack_region, unpack_region
+from pearl_marl.hardware.codec import Stream, pack, pack_region, stream_bytes, unpack, unpack_region
 from pearl_marl.memory_map import (
     ELAPSED_BITS,
     MAGIC,
@@ -132,22 +132,13 @@ class CommBram(Device):
 
         ``"compute"`` lies between the end of the write and the beginning of the read that had the results.
         """
-        self.check_idle("timed")
-        self._transport = link = TimedTransport(self._transport)
-        seconds: dict[str, float] = {}
-        step = self._step
-
-        def timed_step(actions: Array) -> BatchStep:
-            began = time.perf_counter()
-            result = step(actions)
-            ended = time.perf_counter()
-            (writing, written), (reading, read) = link.written, link.read_back
-            lasted = (writing - began, written - writing, reading - written, read - reading, ended - read)
-            seconds.update(zip(STAGES, lasted, strict=True))
-            return result
-
-        setattr(self, "_step", timed_step)  # noqa: B010, as mypy takes methods for constants
+        seconds = super().timed()
+        self._transport.timed = True
         return seconds
+
+    def _stages(self, began: float, ended: float) -> dict[str, float]:
+        edges = itertools.pairwise((began, *self._transport.times, ended))
+        return {stage: end - begin for stage, (begin, end) in zip(STAGES, edges, strict=True)}
 
     def _reset(self, mask: Array | None, seed: int | None) -> Array:
         if mask is not None:
@@ -165,7 +156,7 @@ class CommBram(Device):
             if self._repeats:
                 every = np.ones(self.config.n_envs, np.bool_)
                 self._start(self._stored, every, self._results.take().obs, use_stored=False)
-                self._write_states("initial_states", self._stored.state)
+                self._write_region("initial_states", self.config.spec.state, self._stored.state)
             return self._slots()[1]
         except BaseException:
             self.known = False
@@ -272,8 +263,8 @@ class CommBram(Device):
         try:
             if stored.size:
                 self._stored.bytes[:] = stored
-                self._write_states("initial_states", self._stored.state)
-            self._write_states("current_states", [*slots.state, slots.ended], _TER)
+                self._write_region("initial_states", spec.state, self._stored.state)
+            self._write_region("current_states", (*spec.state, _TER), [*slots.state, slots.ended])
             self._write_region("elapsed", (_ELAPSED,), [slots.elapsed])
             self._resets_all = False
             self._mask[:] = False
@@ -282,10 +273,6 @@ class CommBram(Device):
         except BaseException:
             self.known = False
             raise
-
-    def _write_states(self, name: str, columns: list[Array], *above: Field) -> None:
-        """Write the columns of the state to a region, and those of the fields that stand above it there."""
-        self._write_region(name, (*self.config.spec.state, *above), columns)
 
     def _write_region(self, name: str, fields: tuple[Field, ...], columns: list[Array]) -> None:
         region = self._layout[name]
@@ -364,13 +351,7 @@ def identity(build: Build) -> tuple[int, ...]:
 
 
 def check_identity(name: str, transport: Transport, build: Build) -> None:
-    """Refuse hardware that is not what a batch needs.
-
-    Raises
-    ------
-    DeviceError
-        Names the first word that differs, and both values.
-    """
+    """Refuse hardware that is not what a batch needs; name the first word that differs, and both values."""
     spec, layout = build
     expected = identity(build)
     found = np.empty(4 * len(_IDENTITY), np.uint8)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import warnings
 from bisect import bisect_right
 from collections.abc import Iterator
+from concurrent.futures import Future
 from contextlib import contextmanager
 from dataclasses import replace
 from importlib import import_module
@@ -61,11 +62,7 @@ class Cuda(Device):
         if results not in ("numpy", "torch"):
             raise ArgumentError(f"results is {results!r}; possible are 'numpy' and 'torch'")
         self.results = results
-
-    @property
-    def tensors(self) -> bool:
-        """Whether results are tensors on the GPU."""
-        return self.results == "torch"
+        self.tensors = results == "torch"
 
     def encoded(self, actions: Any) -> Any:
         """Return actions as a step takes them: words on the host, or what is on the GPU already."""
@@ -75,10 +72,7 @@ class Cuda(Device):
     def synchronize(self) -> None:
         """Wait until the GPU has done every step.
 
-        Raises
-        ------
-        ActionError
-            An action that was on the GPU was out of range: names the first step and its first agent.
+        Where an action that was on the GPU was out of range, ActionError names the first step and agent.
         """
         self.check_idle("synchronize")
         if self._torch is None:  # every step has waited
@@ -98,7 +92,7 @@ class Cuda(Device):
 
     def _open(self, config: BatchConfig) -> None:
         self._gpu = available()
-        self._torch = _torch() if self.results == "torch" else None
+        self._torch = _torch() if self.tensors else None
         self._next_step = config.autoreset_mode is AutoresetMode.NEXT_STEP
         spec, n = config.spec, config.n_envs
         with _failures():
@@ -120,6 +114,7 @@ class Cuda(Device):
                 self._seen = self._block[:split]  # all but the final observations, if those are apart
             else:
                 self._layout = Layout(config)
+                self._dtypes = [getattr(self._torch, str(dtype)) for dtype in self._layout.dtypes]
                 self._block = None if config.copy else self._new_block()
                 self._tensors = None if config.copy else self._in_tensors(self._block)
         self._streams: dict[int, Any] = {}
@@ -182,7 +177,9 @@ class Cuda(Device):
 
     def _begin(self, words: Any) -> None:
         if isinstance(words, _OnGpu):  # queued here and now, as nothing waits for it
-            self.under_way.done(words, self._step(words))
+            results: Future[BatchStep] = Future()
+            results.set_result(self._step(words))
+            self.under_way = words, results
         else:
             super()._begin(words)
 
@@ -236,14 +233,7 @@ class Cuda(Device):
         return block.numpy() if simulated() else self._gpu.as_cuda_array(block, sync=False)
 
     def _in_tensors(self, block: Any) -> BatchStep:
-        layout = self._layout
-        parts = zip(layout.pieces(block), layout.dtypes, layout.shapes, strict=True)
-        tensors = [
-            piece.view(getattr(self._torch, str(dtype))).reshape(shape) for piece, dtype, shape in parts
-        ]
-        if self._next_step:
-            tensors[4] = tensors[0]
-        return BatchStep(*tensors)
+        return self._layout.arrays(block, self._dtypes)
 
     def _on_gpu(self, actions: Any) -> _OnGpu | None:
         """Return actions that are on the GPU as a kernel takes them; ``None`` for those on the host."""
@@ -275,10 +265,7 @@ class Cuda(Device):
 def available() -> Any:
     """Return the module ``numba.cuda`` where it can launch kernels, or numba's simulator can.
 
-    Raises
-    ------
-    DeviceError
-        Says what is missing, and what to do.
+    Otherwise DeviceError says what is missing, and what to do.
     """
     if find_spec("numba_cuda") is None:
         raise DeviceError(

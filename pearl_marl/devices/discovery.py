@@ -13,21 +13,14 @@ XILINX = "0x10ee"
 
 
 class FoundBoard(NamedTuple):
-    """A board that the XDMA driver has taken up.
-
-    Parameters
-    ----------
-    number
-        *N* in ``/dev/xdmaN_h2c_0``.
-    device_id
-        The PCI device, such as ``"10ee:7028"``.
-    slot
-        Where it is plugged in, such as ``"0000:01:00.0"``.
-    """
+    """A board that the XDMA driver has taken up."""
 
     number: int
+    """*N* in ``/dev/xdmaN_h2c_0``."""
     device_id: str
+    """The PCI device, such as ``"10ee:7028"``."""
     slot: str
+    """Where it is plugged in, such as ``"0000:01:00.0"``."""
 
 
 def boards() -> list[FoundBoard]:

@@ -19,7 +19,7 @@ from pearl_marl.comparison.divergence import (
     state_words,
 )
 from pearl_marl.comparison.replay import Replay
-from pearl_marl.devices.base import Device
+from pearl_marl.devices.base import Device, count_or_none
 from pearl_marl.devices.by_name import make_host_device
 from pearl_marl.errors import ArgumentError, LockstepError, PearlError
 
@@ -33,13 +33,12 @@ STEPS_BETWEEN_STATES = 16
 
 
 class Lockstep(Device):
-    """A device, and another one that it must agree with.
+    """A device, and another one that it must agree with; it is used as the device would be.
 
-    It is used as the device would be, and answers as it does. Whatever both return is compared bit
-    for bit: observations, rewards, terminations, truncations, and final observations where a slot
-    ended. So are their states, after every ``state_every`` steps and at every reset, snapshot and
-    restore. At the first difference the call raises :class:`~pearl_marl.errors.LockstepError`, and
-    both devices are given the state that the reference had before the call.
+    Whatever both return is compared bit for bit, final observations where a slot ended. So are their
+    states, after every ``state_every`` steps and at every reset, snapshot and restore. At the first
+    difference the call raises :class:`~pearl_marl.errors.LockstepError`, and both devices are given the
+    state that the reference had before the call.
 
     A state that went wrong between two comparisons is not reported late: the steps since the last
     one are taken again, with a comparison after each, to find the first that differs.
@@ -58,16 +57,12 @@ class Lockstep(Device):
     def __init__(
         self, device: str | Device, reference: str | Device = "native", state_every: int | None = None
     ) -> None:
-        if state_every is not None and (
-            isinstance(state_every, bool) or not isinstance(state_every, int) or state_every < 1
-        ):
-            raise ArgumentError(f"state_every is {state_every!r}; it must be a positive integer or None")
+        self._asked = count_or_none("state_every", state_every)
         self.device, self.reference = make_host_device(device), make_host_device(reference)
         if self.device is self.reference:
             raise ArgumentError("a device is not its own reference: lockstep takes two")
         self.name = f"lockstep of {self.device.name} and {self.reference.name}"
-        self._words = 0
-        self._asked = state_every
+        self.words_compared: int = 0
 
     def recover(self) -> None:
         """Go on from the last call that succeeded on both devices; see :meth:`Device.recover`."""
@@ -90,11 +85,6 @@ class Lockstep(Device):
         """Those of the device that is checked."""
         return self.device.cycles
 
-    @property
-    def words_compared(self) -> int:
-        """How many words have been compared."""
-        return self._words
-
     def _open(self, config: BatchConfig) -> None:
         self._every = self._asked or (1 if config.n_envs <= SMALL else STEPS_BETWEEN_STATES)
         # The state that both were last seen to share, and the actions of the steps since.
@@ -108,32 +98,29 @@ class Lockstep(Device):
             raise
 
     def _reset(self, mask: Array | None, seed: int | None) -> Array:
-        before = None
         if self._since is not None:  # the first reset of all may have begun different episodes
             self._compare_states()
-            before = self.reference.snapshot()
         copy = None if mask is None else mask.copy()
-        return self._restart("reset", lambda device: device.reset(seed, mask), before, seed=seed, mask=copy)
+        return self._restart("reset", lambda device: device.reset(seed, mask), seed=seed, mask=copy)
 
     def _write(self, memory: Array, stored: Array) -> Array:
         saved = self.saved(memory, stored)
         return self._restart("restore", lambda device: device.restore(saved), saved)
 
     def _restart(
-        self, call: str, begin: Callable[[Device], Array], before: SavedState | None, **arguments: Any
+        self, call: str, begin: Callable[[Device], Array], saved: SavedState | None = None, **arguments: Any
     ) -> Array:
-        """Reset or restore both devices and compare all there is."""
+        """Reset both devices, or restore what was saved, and compare all there is."""
         previous = None if self._since is None else self.reference.snapshot()
         ours, theirs = self._both(begin)
         found = Comparison()
-        for words in observation_words(self.config.spec, "obs", ours, theirs):
-            found.add(words)
+        found.add(observation_words(self.config.spec, "obs", ours, theirs))
         self._add_states(found)
-        self._words += found.words
+        self.words_compared += found.words
         if found:
             if previous is not None:
                 self._continue_from(previous)
-            raise self._error(call, found, before, tick=self.tick, **arguments)
+            raise self._error(call, found, saved or previous, tick=self.tick, **arguments)
         self._agreed()
         return ours
 
@@ -141,11 +128,10 @@ class Lockstep(Device):
         ours, theirs = self._both(lambda device: device.step_words(actions))
         self._taken.append(actions.copy())
         found = Comparison()
-        for words in result_words(self.config.spec, ours, theirs):
-            found.add(words)
+        found.add(result_words(self.config.spec, ours, theirs))
         if found or len(self._taken) >= self._every:
             self._add_states(found)
-        self._words += found.words
+        self.words_compared += found.words
         if found:
             self._diverged(found, undo=1)
         if len(self._taken) >= self._every:
@@ -178,7 +164,7 @@ class Lockstep(Device):
     def _compare_states(self) -> None:
         found = Comparison()
         self._add_states(found)
-        self._words += found.words
+        self.words_compared += found.words
         if found:
             self._diverged(found, undo=0)
         self._agreed()
@@ -189,8 +175,7 @@ class Lockstep(Device):
 
     def _add_states(self, found: Comparison) -> None:
         saved = self.device.snapshot(), self.reference.snapshot()
-        for words in state_words(self.config.spec, self.config.n_envs, *saved):
-            found.add(words)
+        found.add(state_words(self.config.spec, self.config.n_envs, *saved))
 
     def _both(self, call: Callable[[Device], T]) -> tuple[T, T]:
         """Call both devices. Should one refuse, neither has moved."""

@@ -18,9 +18,8 @@ from pearl_marl.batch.slot_memory import SlotMemory
 from pearl_marl.batch.step import Array, BatchStep
 from pearl_marl.compiler.kernel_source import BLOCK
 from pearl_marl.compiler.kernels import compile_kernels
-from pearl_marl.devices.base import Device
+from pearl_marl.devices.base import Device, count_or_none
 from pearl_marl.devices.threads import Threads
-from pearl_marl.errors import ArgumentError
 
 SLOW_STEP_SECONDS = 300e-6
 """From here on a second thread can pay: handing it work and waiting for it costs about 50 us."""
@@ -45,10 +44,7 @@ class Native(Device):
     name = "native"
 
     def __init__(self, threads: int | None = None) -> None:
-        integer = isinstance(threads, (int, np.integer)) and not isinstance(threads, bool)
-        if threads is not None and not (integer and threads >= 1):
-            raise ArgumentError(f"threads is {threads!r}; it must be a positive integer or None")
-        self._threads = int(threads or 1)
+        self._threads = count_or_none("threads", threads) or 1
         self._tuning = threads is None and _cores() > 1
         self._recent: list[float] = []
         self._alone = 0.0
@@ -63,21 +59,17 @@ class Native(Device):
         self._mode = (config.autoreset_mode is AutoresetMode.NEXT_STEP, self._stored is not self._memory)
         self._pool = Threads(max(self._threads, _cores()), "pearl-native")
 
-    def _ranges(self) -> list[tuple[int, int]]:
-        """Split the slots at block boundaries into as many ranges as there are threads."""
-        n = self.config.n_envs
-        blocks = -(-n // BLOCK)
-        parts = min(self._threads, blocks)
-        edges = [blocks * i // parts * BLOCK for i in range(parts)] + [n]
-        return list(itertools.pairwise(edges))
-
     def _run(self, kernel: Any, arguments: tuple[Any, ...]) -> None:
         """Call ``kernel(*arguments, n, lo, hi)`` for every range, one of them on this thread."""
         n = self.config.n_envs
         if self._threads == 1:
             kernel(*arguments, n, 0, n)
             return
-        first, *others = self._ranges()
+        blocks = -(-n // BLOCK)
+        parts = min(self._threads, blocks)
+        # Ranges end where blocks do.
+        edges = [blocks * i // parts * BLOCK for i in range(parts)] + [n]
+        first, *others = itertools.pairwise(edges)
         tasks = [self._pool.submit(partial(kernel, *arguments, n, lo, hi)) for lo, hi in others]
         kernel(*arguments, n, *first)
         for task in tasks:

@@ -10,9 +10,8 @@
                                         <--results--
 
 It is :class:`~pearl_marl.devices.sharded.Sharded` over parts that are elsewhere. A part keeps a state of its
-slots and the calls since. When its actor is lost, with its process or its machine, the part starts another
-one, gives it that state, makes these calls again, and then the one that failed: nobody notices but by the
-clock. What comes back is what would have come without it, bit for bit.
+slots and the calls since. When its actor is lost, the part starts another one, gives it that state, and makes
+these calls again, then the one that failed. What comes back is what would have come without it, bit for bit.
 """
 
 from __future__ import annotations
@@ -22,7 +21,7 @@ import platform
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -36,13 +35,11 @@ from pearl_marl.compiler.kernel_source import kernel_source
 from pearl_marl.compiler.kernels import kernel_name
 from pearl_marl.devices import cluster
 from pearl_marl.devices.base import Device
-from pearl_marl.devices.by_name import make_host_device
-from pearl_marl.devices.recovery import CHECKPOINT_EVERY, CheckpointLog, Recovery
+from pearl_marl.devices.by_name import make_distinct
+from pearl_marl.devices.recovery import CHECKPOINT_EVERY, CheckpointLog
 from pearl_marl.devices.sharded import Sharded
 from pearl_marl.errors import ArgumentError, DeviceError
 from pearl_marl.spec import EnvSpec
-
-T = TypeVar("T")
 
 TRIES = 3
 """How many actors in a row one call may lose until it raises."""
@@ -51,11 +48,30 @@ CLOSE_SECONDS = 10.0
 """How long a device may take to close before its actor is ended anyway."""
 
 
-class Ray(Sharded):
-    """Slots shared among actors of a Ray cluster.
+class _ShardLogs(CheckpointLog):
+    """The logs of all shards: a call has succeeded only if it has on all of them."""
 
-    The cluster is the one that this process is connected to, or that ``RAY_ADDRESS`` names, or a new one on
-    this machine. An actor that is lost is replaced, and its slots go on as if nothing had happened. Where
+    def before(self, device: Any, call: str) -> None:
+        """Mark the moment to go back to, unless there is one already."""
+        if device.known:
+            for part in device.parts:
+                part.recovery.mark()
+
+    def after(self, device: Any, call: str, *arguments: Any) -> None:
+        """Every shard has noted it in its own log."""
+
+    def recover(self, device: Any) -> None:
+        """Bring every shard to the mark; see :meth:`Device.recover`."""
+        self.before(device, "recover")
+        device.known = False
+        device.on_all(lambda part, _: part.recovery.rewind(part))
+        device.known = True
+
+
+class Ray(Sharded):
+    """Slots shared among actors of a Ray cluster: see :func:`pearl_marl.devices.cluster.connect`.
+
+    An actor that is lost is replaced, and its slots go on as if nothing had happened. Where
     that is not possible the call raises DeviceError, and :meth:`recover` goes on once it is.
 
     Parameters
@@ -72,6 +88,8 @@ class Ray(Sharded):
         what is lost stays lost.
     """
 
+    recovery_type = _ShardLogs
+
     def __init__(
         self,
         shards: Sequence[str | Device],
@@ -79,11 +97,7 @@ class Ray(Sharded):
         resources: Mapping[str, float] | Sequence[Mapping[str, float] | None] | None = None,
         checkpoint_every: int | None = CHECKPOINT_EVERY,
     ) -> None:
-        if isinstance(shards, (str, Device)) or not len(shards):
-            raise ArgumentError(f"shards is {shards!r}; it must be a list of at least one device")
-        made = [make_host_device(shard) for shard in shards]
-        if len(set(map(id, made))) < len(made):
-            raise ArgumentError("the same device is among the shards twice; each is for one actor")
+        made = make_distinct("shards", shards, "each is for one actor")
         if any(isinstance(device, Ray) for device in made):
             raise ArgumentError("a shard of a Ray device is a Ray device itself: list its shards instead")
         if resources is None or isinstance(resources, Mapping):
@@ -100,58 +114,19 @@ class Ray(Sharded):
         self.part_checkpoint_every = self.checkpoint_every
         self.name = f"ray({', '.join(device.name for device in made)})"
 
-    def _make_recovery(self) -> Recovery:
-        return _ShardLogs()
-
     def _open_parts(self, config: BatchConfig) -> None:
         cluster.connect()
         self.on_all(partial(self.open_part, config))
 
 
-class _ShardLogs(Recovery):
-    """The logs of all shards: a call has succeeded only if it has on all of them."""
-
-    def before(self, device: Device, call: str) -> None:
-        """Mark the moment to go back to, unless there is one already."""
-        assert isinstance(device, Ray)
-        if device.known:
-            for part in device.parts:
-                _log(part).mark()
-
-    def after(self, device: Device, call: str, *arguments: Any) -> None:
-        """Every shard has noted it in its own log."""
-
-    def recover(self, device: Device) -> None:
-        """Bring every shard to the mark; see :meth:`Device.recover`."""
-        assert isinstance(device, Ray)
-        self.before(device, "recover")
-        device.known = False
-        device.on_all(lambda part, _: _log(part).rewind(part))
-        device.known = True
-
-
-def _log(shard: Device) -> CheckpointLog:
-    assert isinstance(shard.recovery, CheckpointLog)
-    return shard.recovery
-
-
 class _Shard(Device):
-    """A device that is in an actor, as a device here.
+    """A device that is in an actor, which holds ``resources``, as a device here."""
 
-    Parameters
-    ----------
-    device
-        What the actor opens, not open here.
-    resources
-        What the actor holds.
-    """
+    recovery_type = CheckpointLog
 
     def __init__(self, device: Device, resources: Mapping[str, float]) -> None:
         self.name = device.name
         self._device, self._resources = device, resources
-
-    def _make_recovery(self) -> Recovery:
-        return CheckpointLog(self.checkpoint_every)
 
     def _apply_rewards(self, table: npt.ArrayLike) -> None:
         self._ask("call", "set_rewards", np.array(table))
@@ -209,14 +184,9 @@ class _Shard(Device):
             self._drop()
 
     def _ask(self, call: str, *arguments: Any, anew: bool = False) -> Any:
-        """Make a call in the actor; if that is lost, in another one.
+        """Call a method of :class:`_Host` in the actor; if that is lost, in another one.
 
-        Parameters
-        ----------
-        call, *arguments
-            A method of :class:`_Host`.
-        anew
-            Whether what comes of it does not depend on what was before.
+        ``anew`` says that what comes of it does not depend on what was before.
         """
         for tries_left in reversed(range(TRIES)):
             try:
@@ -333,13 +303,7 @@ def parcel(spec: EnvSpec, *others: Any) -> Parcel:
 
 
 def contents(parcel: Parcel) -> tuple[Any, ...]:
-    """Return what was packed, in the actor.
-
-    Raises
-    ------
-    DeviceError
-        This machine does not have the environment, or another one of that name.
-    """
+    """Return what was packed, in the actor; refuse an environment that is not that of the other side."""
     name = parcel.environment
     try:
         content: tuple[Any, ...] = pickle.loads(parcel.content)

@@ -12,19 +12,21 @@ have come without the failure, bit for bit, whatever the device did or did not d
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from pearl_marl.batch.config import BatchConfig
 from pearl_marl.batch.saved_state import SavedState
-from pearl_marl.errors import ArgumentError, DeviceError
+from pearl_marl.errors import DeviceError
 
 CHECKPOINT_EVERY = 100
 """Steps between two states that are kept. Of 43,008 slots of CliffWalking, a state takes 0.3 ms to keep,
 and the actions of 100 steps are 4 MB."""
+
+Kept = tuple[BatchConfig, SavedState]
+Calls = list[tuple[str, tuple[Any, ...]]]
 
 
 class Position(NamedTuple):
@@ -37,53 +39,10 @@ class Position(NamedTuple):
     ready: bool
 
 
-class Recoverable(Protocol):
-    """What a device offers to whoever brings it back."""
-
-    name: str
-    config: BatchConfig
-    position: Position
-
-    def snapshot(self) -> SavedState:
-        """Return all that the continuation depends on."""
-
-    def restore(self, saved: SavedState) -> Any:
-        """Continue from a snapshot."""
-
-
-class Recovery(ABC):
-    """How a device goes on after a failure; told of every call that moves slots or what they depend on.
+class CheckpointLog:
+    """Keeps a state of a device's slots on the host, and the calls since.
 
     It does not refer to the device, so that one that everybody has forgotten frees its board at once.
-    """
-
-    def before(self, device: Any, call: str) -> None:  # noqa: B027, as not every kind has to know
-        """Take note that a call is about to be made."""
-
-    @abstractmethod
-    def after(self, device: Any, call: str, *arguments: Any) -> None:
-        """Take note that a call has succeeded."""
-
-    @abstractmethod
-    def recover(self, device: Any) -> None:
-        """Bring the device to where the last call that succeeded left it."""
-
-
-Kept = tuple[BatchConfig, SavedState]
-Calls = list[tuple[str, tuple[Any, ...]]]
-
-
-def checked_every(every: Any) -> int | None:
-    """Return the number of steps between two states to keep, ``None`` for none; refuse what is neither."""
-    if every is None:
-        return None
-    if isinstance(every, bool) or not isinstance(every, (int, np.integer)) or every < 1:
-        raise ArgumentError(f"checkpoint_every is {every!r}; it must be a positive integer or None")
-    return int(every)
-
-
-class CheckpointLog(Recovery):
-    """Keeps a state of a device's slots on the host, and the calls since.
 
     Parameters
     ----------
@@ -98,12 +57,12 @@ class CheckpointLog(Recovery):
         self._calls: Calls = []
         self._marked: tuple[Kept | None, Calls, int] = None, [], 0
 
-    def before(self, device: Recoverable, call: str) -> None:
+    def before(self, device: Any, call: str) -> None:
         """Keep the state before a step, rather than after one: then what it returned is safe already."""
         if call == "step_words" and self._every is not None and len(self._calls) >= self._every:
             self._keep(device, device.snapshot())
 
-    def after(self, device: Recoverable, call: str, *arguments: Any) -> None:
+    def after(self, device: Any, call: str, *arguments: Any) -> None:
         """Note a call that succeeded; keep the state that begins anew."""
         if self._every is None:
             return
@@ -115,7 +74,7 @@ class CheckpointLog(Recovery):
             copies = (a.copy() if isinstance(a, np.ndarray) else a for a in arguments)
             self._calls.append((call, tuple(copies)))
 
-    def recover(self, device: Recoverable) -> None:
+    def recover(self, device: Any) -> None:
         """Restore what is kept and make the calls since again; see :meth:`Device.recover`."""
         if self._kept is None:
             why = "checkpoint_every is None" if self._every is None else "no reset has succeeded"
@@ -139,12 +98,12 @@ class CheckpointLog(Recovery):
         """Remember this moment for :meth:`rewind`."""
         self._marked = self._kept, self._calls, len(self._calls)
 
-    def rewind(self, device: Recoverable) -> None:
+    def rewind(self, device: Any) -> None:
         """Recover what was at the mark: a call since may have succeeded here, but not on other devices."""
         self._kept, calls, count = self._marked
         self._calls = calls[:count]
         self.recover(device)
 
-    def _keep(self, device: Recoverable, saved: SavedState) -> None:
+    def _keep(self, device: Any, saved: SavedState) -> None:
         self._kept = device.config, saved
         self._calls = []

@@ -1,8 +1,4 @@
-"""The hardware, simulated: the same SystemVerilog as on a board, under Verilator.
-
-A step is one call into the model (:mod:`pearl_marl.devices.simulator.simulation`), and the host's half of the
-protocol is the one that drives a board (:mod:`pearl_marl.devices.comm_bram`).
-"""
+"""The hardware, simulated: the same SystemVerilog as on a board, under Verilator."""
 
 from __future__ import annotations
 
@@ -78,21 +74,15 @@ class Rtl(CommBram):
     def peek(self, signal: str) -> int:
         """Return the present value of a signal, by its name in the hierarchy under ``pearl_top``.
 
-        For example ``"irq_o"`` or ``"u_backbone.u_sequencer.busy_o"``. Verilator optimises signals
-        away; with ``trace`` it keeps them all.
-
-        Raises
-        ------
-        DeviceError
-            The model has no such signal.
+        For example ``"irq_o"`` or ``"u_backbone.u_sequencer.busy_o"``. Verilator optimises signals away,
+        which raises DeviceError; with ``trace`` it keeps them all.
         """
         self.check_idle("peek")
         return self._simulation.peek(signal)
 
     def _connect(self, config: BatchConfig) -> tuple[Transport, MemoryMap]:
-        spec, n = config.spec, int(config.n_envs)
         pe_num, data_wl = (None if value is None else int(value) for value in (self._pe_num, self._data_wl))
-        build = Build.of(spec, n, pe_num, data_wl)
+        build = Build.of(config.spec, config.n_envs, pe_num, data_wl)
         built = library(build, traced=self._trace is not None, pipelined=self._pipelined)
         self._simulation = Simulation(built, build.layout, self._path == "backdoor", self._trace)
         return self._simulation, build.layout

@@ -25,8 +25,9 @@ import zlib
 import numpy as np
 
 from pearl_marl.batch.config import BatchConfig
+from pearl_marl.devices.base import count_or_none
 from pearl_marl.devices.comm_bram import CommBram
-from pearl_marl.devices.recovery import CHECKPOINT_EVERY, CheckpointLog, Recovery, checked_every
+from pearl_marl.devices.recovery import CHECKPOINT_EVERY, CheckpointLog
 from pearl_marl.devices.transport import Exchange, Transport, word
 from pearl_marl.errors import DeviceError
 from pearl_marl.hardware.codec import Stream
@@ -52,15 +53,7 @@ def answer_bytes(words: int) -> int:
 
 
 class SerialTransport(Transport):
-    """Moves bytes over a serial port, a request at a time.
-
-    Parameters
-    ----------
-    port
-        The port's device file.
-    timeout
-        Seconds without a byte after which an answer is given up.
-    """
+    """Moves bytes over a serial port, a request at a time; for its arguments see :class:`Serial`."""
 
     _file = -1
 
@@ -174,6 +167,7 @@ class Serial(CommBram):
     """
 
     name = "serial"
+    recovery_type = CheckpointLog
 
     def __init__(
         self,
@@ -181,7 +175,7 @@ class Serial(CommBram):
         timeout: float = 1.0,
         checkpoint_every: int | None = CHECKPOINT_EVERY,
     ) -> None:
-        self.checkpoint_every = checked_every(checkpoint_every)
+        self.checkpoint_every = count_or_none("checkpoint_every", checkpoint_every)
         self._port, self._timeout = port, timeout
 
     def _connect(self, config: BatchConfig) -> tuple[Transport, MemoryMap]:
@@ -193,6 +187,3 @@ class Serial(CommBram):
         except BaseException:
             transport.close()
             raise
-
-    def _make_recovery(self) -> Recovery:
-        return CheckpointLog(self.checkpoint_every)

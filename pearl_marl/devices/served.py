@@ -65,7 +65,7 @@ class ServedBoard:
     Raises
     ------
     DeviceError
-        Another process serves a board there, the nodes cannot be made, or the simulation cannot be built.
+        Another process serves a board there, or it cannot be made.
     """
 
     _writes: int
@@ -97,13 +97,7 @@ class ServedBoard:
             self._opened = opened.pop_all()
 
     def serve(self) -> None:
-        """Do the steps that are asked for, until :meth:`stop`.
-
-        Raises
-        ------
-        DeviceError
-            The simulated board failed.
-        """
+        """Do the steps that are asked for, until :meth:`stop`; raise DeviceError if the simulation fails."""
         poller = select.poll()
         poller.register(self._writes, select.POLLIN)
         poller.register(self._stopping, select.POLLIN)

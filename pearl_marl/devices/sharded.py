@@ -24,9 +24,9 @@ from pearl_marl.batch.config import BatchConfig
 from pearl_marl.batch.results import ResultArrays
 from pearl_marl.batch.saved_state import SavedState
 from pearl_marl.batch.step import Array, BatchStep
-from pearl_marl.devices.base import Device
-from pearl_marl.devices.by_name import make_host_device
-from pearl_marl.devices.recovery import CHECKPOINT_EVERY, CheckpointLog, Recovery, checked_every
+from pearl_marl.devices.base import Device, count_or_none
+from pearl_marl.devices.by_name import make_distinct
+from pearl_marl.devices.recovery import CHECKPOINT_EVERY, CheckpointLog
 from pearl_marl.devices.threads import Threads
 from pearl_marl.errors import ArgumentError, DeviceError
 
@@ -47,6 +47,8 @@ class Sharded(Device):
         Steps between two states that are kept on the host for :meth:`recover`; ``None`` keeps nothing.
     """
 
+    recovery_type = CheckpointLog
+
     part_checkpoint_every: int | None = None
     """The same of each part, for what that keeps itself."""
 
@@ -56,12 +58,8 @@ class Sharded(Device):
         sizes: Sequence[int] | None = None,
         checkpoint_every: int | None = CHECKPOINT_EVERY,
     ) -> None:
-        self.checkpoint_every = checked_every(checkpoint_every)
-        if isinstance(parts, (str, Device)) or not len(parts):
-            raise ArgumentError(f"parts is {parts!r}; it must be a list of at least one device")
-        self.parts = [make_host_device(part) for part in parts]
-        if len(set(map(id, self.parts))) < len(self.parts):
-            raise ArgumentError("the same device is among the parts twice; each takes up one share of slots")
+        self.checkpoint_every = count_or_none("checkpoint_every", checkpoint_every)
+        self.parts = make_distinct("parts", parts, "each takes up one share of slots")
         if sizes is not None and (len(sizes) != len(self.parts) or min(sizes) < 1):
             raise ArgumentError(f"sizes is {sizes!r}; it must be {len(self.parts)} positive integers")
         self.name = " + ".join(part.name for part in self.parts)
@@ -120,15 +118,10 @@ class Sharded(Device):
         first_slot, size = config.first_slot + slots.start, slots.stop - slots.start
         part.open(replace(config, n_envs=size, first_slot=first_slot, copy=False))
 
-    def _make_recovery(self) -> Recovery:
-        return CheckpointLog(self.checkpoint_every)
-
     def _reset(self, mask: Array | None, seed: int | None) -> Array:
         if seed is None:
             self.check_known()
-        return self._joined_obs(
-            self._change(lambda part, slots: part.reset(seed, None if mask is None else mask[slots]))
-        )
+        return self._restart(lambda part, slots: part.reset(seed, None if mask is None else mask[slots]))
 
     def _step(self, actions: Array) -> BatchStep:
         self.check_known()
@@ -152,7 +145,7 @@ class Sharded(Device):
             part.config = replace(part.config, max_cycles=self.config.max_cycles)
             return part.restore(saved.cut(spec, slots))
 
-        return self._joined_obs(self._change(write))
+        return self._restart(write)
 
     def _apply_rewards(self, table: npt.ArrayLike) -> None:
         self.check_known()
@@ -175,7 +168,9 @@ class Sharded(Device):
         self.known = True
         return results
 
-    def _joined_obs(self, shares: list[Array]) -> Array:
+    def _restart(self, call: Callable[[Device, slice], Array]) -> Array:
+        """Reset or restore all parts; return all observations."""
+        shares = self._change(call)
         obs = self._results.take().obs
         for slots, share in zip(self._slots, shares, strict=True):
             obs[slots] = share

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -19,20 +18,11 @@ STAGES = {"pack": "T1", "write": "T2", "compute": "T3-T5", "read": "T6", "unpack
 class Exchange:
     """A step on its way: what is written, where the answer goes, and whether that is the step's own.
 
-    Parameters
-    ----------
-    read_at, answer
-        The byte address of results and status, and where they go.
-    status_at
-        The byte address of the status in it.
-
-    Attributes
-    ----------
-    write_at, data, sequence
-        What the step in question writes, from which address on, and its sequence number.
+    Results and status are read from byte address ``read_at`` on, the status at ``status_at``.
     """
 
     write_at: int
+    """The byte address from which on ``data`` is written."""
     data: Stream
     sequence: int
 
@@ -60,6 +50,12 @@ class Exchange:
 class Transport(ABC):
     """Moves bytes to and from a Comm-BRAM; all of its methods raise DeviceError when they cannot."""
 
+    timed = False
+    """Whether to do a step in its stages, so that :attr:`times` are those of the last one."""
+
+    times: tuple[float, float, float, float]
+    """Begin and end of the write, then of the read that had the results, by ``time.perf_counter``."""
+
     @abstractmethod
     def write(self, offset: int, data: Stream) -> None:
         """Write all of ``data`` from byte address ``offset`` on."""
@@ -82,12 +78,17 @@ class Transport(ABC):
     def exchange(self, step: Exchange) -> None:
         """Do a whole step: write, wait, and read for as long as it is :meth:`unfinished`."""
         self.begin()
+        began = time.perf_counter()
         self.write(step.write_at, step.data)
-        began = time.monotonic()
+        written = time.perf_counter()
         self.wait(step)
-        self.read(step.read_at, step.answer)
-        while self.unfinished(step, time.monotonic() - began):
+        while True:
+            reading = time.perf_counter()
             self.read(step.read_at, step.answer)
+            read = time.perf_counter()
+            if not self.unfinished(step, read - written):
+                break
+        self.times = began, written, reading, read
 
     def reconnect(self) -> None:  # noqa: B027, as not every connection can fail
         """Make the connection anew if it has failed."""
@@ -95,59 +96,6 @@ class Transport(ABC):
     @abstractmethod
     def close(self) -> None:
         """Release everything. Called once."""
-
-
-class TimedTransport(Transport):
-    """Another transport, and when its last write and read began and ended.
-
-    Parameters
-    ----------
-    inner
-        What moves the bytes.
-
-    Attributes
-    ----------
-    written, read_back
-        Beginning and end, by ``time.perf_counter``.
-    """
-
-    def __init__(self, inner: Transport) -> None:
-        self.inner = inner
-        self.written = self.read_back = 0.0, 0.0
-
-    def write(self, offset: int, data: Stream) -> None:
-        """See :class:`Transport`."""
-        self.written = _timed(self.inner.write, offset, data)
-
-    def read(self, offset: int, data: Stream) -> None:
-        """See :class:`Transport`."""
-        self.read_back = _timed(self.inner.read, offset, data)
-
-    def begin(self) -> None:
-        """See :class:`Transport`."""
-        self.inner.begin()
-
-    def wait(self, step: Exchange) -> None:
-        """See :class:`Transport`."""
-        self.inner.wait(step)
-
-    def unfinished(self, step: Exchange, waited: float) -> bool:
-        """See :class:`Transport`."""
-        return self.inner.unfinished(step, waited)
-
-    def reconnect(self) -> None:
-        """See :class:`Transport`."""
-        self.inner.reconnect()
-
-    def close(self) -> None:
-        """See :class:`Transport`."""
-        self.inner.close()
-
-
-def _timed(call: Callable[[int, Stream], None], offset: int, data: Stream) -> tuple[float, float]:
-    began = time.perf_counter()
-    call(offset, data)
-    return began, time.perf_counter()
 
 
 def word(transport: Transport, offset: int) -> int:

@@ -13,8 +13,9 @@ from typing import ClassVar
 import numpy as np
 
 from pearl_marl.batch.config import BatchConfig
+from pearl_marl.devices.base import count_or_none
 from pearl_marl.devices.comm_bram import CommBram
-from pearl_marl.devices.recovery import CHECKPOINT_EVERY, CheckpointLog, Recovery, checked_every
+from pearl_marl.devices.recovery import CHECKPOINT_EVERY, CheckpointLog
 from pearl_marl.devices.transport import Transport
 from pearl_marl.devices.xdma_transport import COMPLETIONS, XdmaTransport
 from pearl_marl.errors import ArgumentError
@@ -39,6 +40,7 @@ class Xdma(CommBram):
     """
 
     name = "xdma"
+    recovery_type = CheckpointLog
     transport_type: ClassVar[type[XdmaTransport]] = XdmaTransport
     """What moves the bytes; tests put links that fail in its place."""
 
@@ -49,11 +51,12 @@ class Xdma(CommBram):
         timeout: float = 10.0,
         checkpoint_every: int | None = CHECKPOINT_EVERY,
     ) -> None:
-        self.checkpoint_every = checked_every(checkpoint_every)
-        if isinstance(board, (int, np.integer)):
-            if isinstance(board, bool) or board < 0:
-                raise ArgumentError(f"board is {board!r}; it must be a number from 0 on, or a folder")
-        elif not isinstance(board, (str, os.PathLike)):
+        self.checkpoint_every = count_or_none("checkpoint_every", checkpoint_every)
+        if isinstance(board, (str, os.PathLike)):
+            self.board: int | str = os.fspath(board)
+        elif isinstance(board, (int, np.integer)) and not isinstance(board, bool) and board >= 0:
+            self.board = int(board)
+        else:
             raise ArgumentError(f"board is {board!r}; it must be a number from 0 on, or a folder")
         if completion not in (None, *COMPLETIONS):
             raise ArgumentError(
@@ -61,29 +64,21 @@ class Xdma(CommBram):
             )
         if not isinstance(timeout, (int, float)) or isinstance(timeout, bool) or not 0 < timeout < 1e6:
             raise ArgumentError(f"timeout is {timeout!r}; it must be a positive number of seconds")
-        self.board = int(board) if isinstance(board, (int, np.integer)) else os.fspath(board)
         self._completion, self.patience = completion, float(timeout)
 
     def _connect(self, config: BatchConfig) -> tuple[Transport, MemoryMap]:
         transport = self.transport_type(self.board, self._completion, self.patience)
+        found = np.empty(4 * Control.SEED_0, np.uint8)
         try:
-            layout = _layout_of(transport, config)
+            transport.read(0, found)
         except BaseException:
             transport.close()
             raise
         transport.recoverable = True
+        words = found.view("<u4").tolist()
+        try:
+            # The sizes that the board states.
+            layout = memory_map(config.spec, config.n_envs, words[Control.PE_NUM], words[Control.DATA_WL])
+        except ArgumentError:  # no board of ours, or not for so many slots: who checks its identity will tell
+            layout = default_map(config.spec, config.n_envs)
         return transport, layout
-
-    def _make_recovery(self) -> Recovery:
-        return CheckpointLog(self.checkpoint_every)
-
-
-def _layout_of(transport: Transport, config: BatchConfig) -> MemoryMap:
-    """Return the map of a board, with the sizes that it states."""
-    found = np.empty(4 * Control.SEED_0, np.uint8)
-    transport.read(0, found)
-    words = found.view("<u4").tolist()
-    try:
-        return memory_map(config.spec, config.n_envs, words[Control.PE_NUM], words[Control.DATA_WL])
-    except ArgumentError:  # no board of ours, or not for so many slots: who checks its identity will tell
-        return default_map(config.spec, config.n_envs)

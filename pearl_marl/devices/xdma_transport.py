@@ -18,7 +18,6 @@ import errno
 import fcntl
 import os
 import select
-import stat
 import time
 from pathlib import Path
 from typing import Any, NoReturn
@@ -62,18 +61,7 @@ for _function in (_libc.pread, _libc.pwrite):
 
 
 class XdmaTransport(Transport):
-    """Moves bytes through the character devices of the XDMA driver.
-
-    Parameters
-    ----------
-    board, completion, timeout
-        See :class:`Xdma`.
-
-    Raises
-    ------
-    DeviceError
-        There is no such board, somebody else uses it, or its nodes cannot be opened.
-    """
+    """Moves bytes through the character devices of the XDMA driver; for its arguments see :class:`Xdma`."""
 
     recoverable = False
     """Whether a device is open on it, so that ``recover()`` is the way on after a failure."""
@@ -176,7 +164,7 @@ class XdmaTransport(Transport):
         A served board's is a FIFO that its process holds open: so we learn when that ends.
         """
         path = f"{self._prefix}_events_0"
-        served = stat.S_ISFIFO(os.stat(path).st_mode) if os.path.exists(path) else False
+        served = Path(path).is_fifo()
         if served:
             if self._asked == "poll":
                 raise ArgumentError(

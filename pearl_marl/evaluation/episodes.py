@@ -12,16 +12,9 @@ from pearl_marl.batch.step import BatchStep
 
 
 class Ended(NamedTuple):
-    """The episodes that ended in one step, an element each.
+    """The episodes that ended in one step, an element each: whose slots, in order, returns and lengths.
 
-    Parameters
-    ----------
-    slots
-        Whose they were, in order.
-    returns, lengths
-        Their sums of rewards (``float64``) and numbers of steps.
-    truncated
-        Whether nothing but the time limit ended them.
+    ``truncated`` is whether nothing but the time limit ended them.
     """
 
     slots: npt.NDArray[np.intp]
@@ -35,13 +28,7 @@ NONE = Ended(np.zeros(0, np.intp), np.zeros(0), np.zeros(0, np.int64), np.zeros(
 
 
 class RunningEpisodes:
-    """Return and length of every slot's episode so far.
-
-    Parameters
-    ----------
-    n
-        How many slots.
-    """
+    """Return and length of the episode so far, of each of ``n`` slots."""
 
     def __init__(self, n: int) -> None:
         self._returns = np.zeros(n, np.float64)
@@ -65,17 +52,9 @@ class RunningEpisodes:
 
 
 class EpisodeStatistics:
-    """Adds up returns and lengths of finished episodes.
+    """Adds up returns and lengths of the episodes that ``n`` slots finish.
 
-    Parameters
-    ----------
-    n
-        How many slots.
-
-    Attributes
-    ----------
-    finished, truncated
-        How many episodes ended, and how many of those in truncation alone.
+    ``finished`` is how many ended, ``truncated`` how many of those in truncation alone.
     """
 
     def __init__(self, n: int) -> None:

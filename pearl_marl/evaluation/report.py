@@ -50,15 +50,8 @@ _BLUE, _GREY = "#3b6ea5", "#999999"
 def write_report(evaluation: Evaluation, result: dict[str, Any], path: Path) -> None:
     """Write the page. Needs matplotlib, of the ``render`` extra.
 
-    Parameters
-    ----------
-    evaluation
-        Done.
-    result
-        Its :meth:`~pearl_marl.evaluation.Evaluation.summary`, and what the caller knows besides: ``policy``,
-        ``lockstep`` and ``machine``.
-    path
-        Of the file.
+    ``result`` is the evaluation's :meth:`~pearl_marl.evaluation.Evaluation.summary`, and what the caller
+    knows besides: ``policy``, ``lockstep`` and ``machine``.
     """
     facts = {
         "Policy": result["policy"],

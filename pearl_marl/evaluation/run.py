@@ -45,19 +45,12 @@ class Evaluation:
 
     Parameters
     ----------
-    spec
-        The environment.
     policy
         What acts; see :mod:`pearl_marl.policies.loading`.
-    n_agents
-        How many agents.
     device
-        Where they are stepped: a name or a device. Of a :class:`~pearl_marl.devices.Lockstep`, the device
-        that is checked is timed.
+        A name or a device. Of a :class:`~pearl_marl.devices.Lockstep`, the device that is checked is timed.
     episodes
-        How many episodes count; one an agent, if not given.
-    seed
-        Of the environment.
+        How many count; one an agent, if not given.
     max_cycles
         Time limit of an episode, 0 for none; ``None`` is the environment's own, or :data:`LIMIT` where it has
         none.

@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import shutil
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -31,18 +31,8 @@ ADDRESS_BITS = 32
 class Board:
     """A board that there is a design for.
 
-    Parameters
-    ----------
-    name
-        Of its folder, and with ``pearl_`` before it, of its top.
-    title, part
-        Of the board and its FPGA, for people.
-    data_wl
-        Bits of a word of its bus.
-    clock_mhz
-        What the design is clocked with.
-    nextpnr
-        The options that name the part to nextpnr-ecp5; empty where a vendor's tool is needed.
+    ``name`` is that of its folder, ``data_wl`` the bits of a word of its bus. ``nextpnr`` names the part to
+    nextpnr-ecp5; it is empty where a vendor's tool is needed.
     """
 
     name: str
@@ -74,25 +64,13 @@ BOARDS = {
             clock_mhz=45.0,
             nextpnr=("--85k", "--speed", "6", "--package", "CABGA381"),
         ),
-        Board(
-            "vc707",
-            "Xilinx VC707",
-            "xc7vx485tffg1761-2",
-            data_wl=256,
-            clock_mhz=125.0,
-        ),
+        Board("vc707", "Xilinx VC707", "xc7vx485tffg1761-2", data_wl=256, clock_mhz=125.0),
     )
 }
 
 
 def find(name: str) -> Board:
-    """Return the board of that name.
-
-    Raises
-    ------
-    ArgumentError
-        There is none.
-    """
+    """Return the board of that name, or refuse it."""
     if name not in BOARDS:
         raise ArgumentError(f"there is no board {name!r}; possible are {', '.join(BOARDS)}")
     return BOARDS[name]
@@ -122,13 +100,6 @@ def macros(build: Build) -> dict[str, str]:
     return {**elaboration.macros(build.spec), "PEARL_TOP_PARAMETERS": assigned}
 
 
-def header(build: Build) -> str:
-    """Return the file that defines :func:`macros`."""
-    defined = macros(build)
-    lines = [f"`define {name} {value}" for name, value in defined.items()]
-    return "\n".join([f"// {build.spec.id}, {size(build.layout)}; written by `pearl board`.", *lines, ""])
-
-
 def facts(board: Board, build: Build) -> dict[str, Any]:
     """Return what a bitstream is, as JSON has it: the file of it lies beside the sources."""
     spec, layout = build
@@ -146,20 +117,15 @@ def facts(board: Board, build: Build) -> dict[str, Any]:
 
 
 def write(board: Board, build: Build, folder: Path) -> list[str]:
-    """Write all that a tool needs for a bitstream into ``folder``; return the names of the files.
-
-    Raises
-    ------
-    DeviceError
-        The environment has no core.
-    """
+    """Write all that a tool needs for a bitstream into ``folder``; return the names of the files."""
     paths = sources(board, build.spec)
     (folder / "rtl").mkdir(exist_ok=True)
     for path in paths:
         shutil.copyfile(path, folder / "rtl" / path.name)
     listed = [HEADER, *(f"rtl/{path.name}" for path in paths)]
+    title = f"// {build.spec.id}, {size(build.layout)}; written by `pearl board`."
     texts = {
-        HEADER: header(build),
+        HEADER: "\n".join([title, *(f"`define {name} {value}" for name, value in macros(build).items()), ""]),
         SOURCES: "\n".join(listed) + "\n",
         FACTS: json.dumps(facts(board, build), indent=2) + "\n",
         **{path.name: path.read_text() for path in sorted(_folder(board).iterdir()) if path.suffix != ".sv"},
@@ -189,10 +155,6 @@ class Placed:
     bram: int
     dsp: int
     available: dict[str, int]
-
-    def as_json(self) -> dict[str, Any]:
-        """Return it as JSON has it."""
-        return asdict(self)
 
 
 STAGES = 3

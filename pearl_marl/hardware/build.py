@@ -9,15 +9,7 @@ from pearl_marl.spec import EnvSpec
 
 
 class Build(NamedTuple):
-    """What decides every file, parameter and address of a design.
-
-    Parameters
-    ----------
-    spec
-        The environment, with its options.
-    layout
-        The memory map, which also says how many slots, processing elements and bits of a word there are.
-    """
+    """What decides every file, parameter and address of a design: environment, options and sizes."""
 
     spec: EnvSpec
     layout: MemoryMap

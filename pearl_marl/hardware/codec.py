@@ -4,20 +4,25 @@ A stream is a ``uint8`` array in which value ``i`` owns the ``bits`` bits from `
 offset`` on, least significant first. A word of several fields is one :func:`pack` per field into
 the same stream, each with its own offset. The length of a stream is a multiple of 8 bytes
 (:func:`stream_bytes`), so that the kernels move whole 64-bit words.
+
+The regions of every step are packed in place; :func:`pack_region` makes whole ones, moved now and then.
 """
 
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from pearl_marl.cache import compiled
+from pearl_marl.memory_map import MemoryMap, Region
+from pearl_marl.spec import Field
 
 Stream = npt.NDArray[np.uint8]
+Columns = Sequence[npt.NDArray[Any]]
 
 
 def stream_bytes(count: int, stride: int) -> int:
@@ -28,18 +33,9 @@ def stream_bytes(count: int, stride: int) -> int:
 def pack(values: npt.NDArray[Any], bits: int, stream: Stream, stride: int, offset: int = 0) -> None:
     """Write the low ``bits`` bits of each value into its place in the stream; other bits stay.
 
-    Parameters
-    ----------
-    values
-        Integers of shape ``(n,)``; higher bits (as of negative numbers) are cut off.
-    bits
-        1 to 64, the width of a value.
-    stream
-        ``uint8``, at least :func:`stream_bytes` long.
-    stride
-        Distance of two neighbours in bits, at least ``offset + bits``.
-    offset
-        First bit of the value within its stride.
+    ``values`` are integers of shape ``(n,)``, whose higher bits (as of negative numbers) are cut off. They
+    are ``bits`` wide, 1 to 64, from bit ``offset`` of each ``stride`` on. ``stream`` is at least
+    :func:`stream_bytes` long.
     """
     _check(len(values), bits, stream, stride, offset)
     done = _fast_part(len(values), bits, stride)
@@ -154,3 +150,40 @@ def _unpack_any(words: Any, bits: int, out: Any, stride: int, offset: int, signe
         if signed and value & sign:
             value |= ~mask
         out[i] = value
+
+
+def pack_region(layout: MemoryMap, region: Region, fields: Sequence[Field], columns: Columns) -> Stream:
+    """Return the bytes of a region whose slots hold ``columns``, one for each field."""
+    data = np.zeros(layout.size(region.name), np.uint8)
+    for slots, row, stream in _rows(layout, region, data):
+        offset = 0
+        for field, column in zip(fields, columns, strict=True):
+            pack(column[slots], field.bits, stream, region.slot_bits, offset)
+            offset += field.bits
+        row[:] = stream[: row.size]
+    return data
+
+
+def unpack_region(
+    layout: MemoryMap, region: Region, data: Stream, fields: Sequence[Field], columns: Columns
+) -> None:
+    """Fill ``columns``, each in its field's dtype; the inverse of :func:`pack_region`."""
+    for slots, row, stream in _rows(layout, region, data):
+        stream[: row.size] = row
+        offset = 0
+        for field, column in zip(fields, columns, strict=True):
+            unpack(stream, field.bits, column[slots], region.slot_bits, offset)
+            offset += field.bits
+
+
+def _rows(layout: MemoryMap, region: Region, data: Stream) -> Iterator[tuple[slice, Stream, Stream]]:
+    """Yield the slots of each row, its bytes in ``data``, and a stream with room for both."""
+    rows, slots = region.rows, region.row_slots
+    row_bytes = region.row_words * layout.data_wl // 8
+    if slots * region.slot_bits == 8 * row_bytes:  # no padding between rows: they are one
+        rows, slots, row_bytes = 1, rows * slots, rows * row_bytes
+    for row in range(rows):
+        start = row * slots
+        stop = min(start + slots, layout.n_envs)
+        stream = np.zeros(max(stream_bytes(slots, region.slot_bits), row_bytes + -row_bytes % 8), np.uint8)
+        yield slice(start, stop), data[row * row_bytes : (row + 1) * row_bytes], stream

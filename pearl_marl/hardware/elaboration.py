@@ -25,13 +25,7 @@ _PACKAGES_OF_CORES = ("pearl_pkg", "pearl_fixed_pkg")
 
 
 def core_path(spec: EnvSpec) -> Path:
-    """Return the core's file: ``<name>_pe.sv`` in the folder ``<name>`` that holds the golden step.
-
-    Raises
-    ------
-    DeviceError
-        There is no such file.
-    """
+    """Return the core's file: ``<name>_pe.sv`` in the folder ``<name>`` that holds the golden step."""
     folder = Path(inspect.getfile(spec.golden.step)).parent
     path = folder / f"{folder.name}_pe.sv"
     if not path.is_file():
@@ -90,13 +84,7 @@ class Timing(NamedTuple):
 
 
 def core_timing(spec: EnvSpec) -> Timing:
-    """Return when a core answers, as its package states it.
-
-    Raises
-    ------
-    DeviceError
-        There is no core, or its package does not state both in numbers and constants of packages.
-    """
+    """Return when a core answers, as its package states it in numbers and constants of packages."""
     core = core_path(spec)
     folder = backbone_paths()[0].parent
     constants: dict[str, str] = {}
@@ -150,8 +138,7 @@ def env_hash(spec: EnvSpec) -> int:
 
 def address_bits(layout: MemoryMap) -> int:
     """Return how many bits of byte address reach the whole map and a hole after it."""
-    last = layout.regions[-1]
-    return layout.end(last.name).bit_length()
+    return layout.end(layout.regions[-1].name).bit_length()
 
 
 def parameters(build: Build) -> dict[str, int]:

@@ -59,14 +59,12 @@ def modelled_bram36(layout: MemoryMap) -> float:
 
 
 def _bram36(width: int, depth: int) -> float:
-    costs = []
-    for deep, wide in _SHAPES:
-        columns = -(-width // wide)
-        halves = -(-2 * depth // deep) * columns
+    def halves(deep: int, wide: int) -> int:
         if deep == 512:  # half of the widest shape is 512 x 36
-            halves = -(-depth // deep) * -(-2 * width // wide)
-        costs.append(halves / 2)
-    return min(costs)
+            return -(-depth // deep) * -(-2 * width // wide)
+        return -(-2 * depth // deep) * -(-width // wide)
+
+    return min(halves(deep, wide) for deep, wide in _SHAPES) / 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,15 +93,8 @@ class Fit:
 def largest_fit(spec: EnvSpec, points: Sequence[Usage], part: Part) -> Fit:
     """Predict the largest ``n_envs`` whose memories fit a part.
 
-    Parameters
-    ----------
-    spec
-        The environment.
-    points
-        Synthesised builds of one ``(pe_num, data_wl)``. The model of the memories' shapes is scaled by
-        what synthesis made of the largest one; it only holds where memories are block RAM.
-    part
-        What it has to fit.
+    ``points`` are synthesised builds of one ``(pe_num, data_wl)``. The model of the memories' shapes is
+    scaled by what synthesis made of the largest one; it only holds where memories are block RAM.
 
     Raises
     ------
@@ -141,12 +132,9 @@ def _most(fits: Callable[[int], bool]) -> int:
 
 
 def confirm(spec: EnvSpec, fit: Fit, pe_num: int, data_wl: int) -> Fit:
-    """Synthesise a predicted build; if it does not fit after all, go down until one does.
+    """Synthesise a predicted build; if its block RAM does not fit after all, go down until one does.
 
-    Raises
-    ------
-    DeviceError
-        It is not the block RAM that does not fit.
+    Where something else does not fit, it raises a DeviceError.
     """
     while True:
         usage = synthesise(Build.of(spec, fit.n_envs, pe_num, data_wl))

@@ -52,20 +52,11 @@ class Cells:
 CELLS = {
     Family.XC7: Cells(
         lut={
-            **{f"LUT{i}": 1 for i in range(1, 7)},
-            "INV": 1,
-            "SRL16E": 1,
-            "SRLC32E": 1,
+            **dict.fromkeys((*(f"LUT{i}" for i in range(1, 7)), "INV", "SRL16E", "SRLC32E"), 1),
             # How many of a SLICEM's LUTs a memory takes: Xilinx UG474, table 2-3.
-            "RAM32M": 4,
-            "RAM64M": 4,
-            "RAM32X1D": 2,
-            "RAM64X1D": 2,
-            "RAM128X1D": 4,
-            "RAM32X1S": 1,
-            "RAM64X1S": 1,
-            "RAM128X1S": 2,
-            "RAM256X1S": 4,
+            **dict.fromkeys(("RAM32X1S", "RAM64X1S"), 1),
+            **dict.fromkeys(("RAM32X1D", "RAM64X1D", "RAM128X1S"), 2),
+            **dict.fromkeys(("RAM32M", "RAM64M", "RAM128X1D", "RAM256X1S"), 4),
         },
         ff=r"FD[CPRS]E(_1)?",
         bram36={"RAMB36E1": 1.0, "RAMB18E1": 0.5},
@@ -136,14 +127,7 @@ class Usage:
 def synthesise(build: Build, family: Family = Family.XC7, *, fmax: bool = False) -> Usage:
     """Synthesise one build, or take the result from the cache.
 
-    Parameters
-    ----------
-    build
-        What is synthesised.
-    family
-        What for.
-    fmax
-        Also place and route it, with nextpnr; only for the ECP5, which has free tools for it.
+    ``fmax`` also places and routes it, with nextpnr; only for the ECP5, which has free tools for it.
 
     Raises
     ------
@@ -203,10 +187,9 @@ def _usage(layout: MemoryMap, found: dict[str, Any], tools: Mapping[str, str]) -
 
 def _read(path: Path) -> dict[str, Any] | None:
     try:
-        found: dict[str, Any] = json.loads(path.read_text())
+        return dict(json.loads(path.read_text()))
     except (OSError, ValueError):  # not there, or damaged: made again
         return None
-    return found
 
 
 def read_design(build: Build, files: Iterable[str]) -> str:

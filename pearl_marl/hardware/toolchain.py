@@ -42,13 +42,7 @@ def _verilator_folder() -> Path:
 
 
 def environment() -> dict[str, str]:
-    """Return the environment variables under which a tool has to be called.
-
-    Raises
-    ------
-    DeviceError
-        Verilator's package is not installed.
-    """
+    """Return the environment variables under which a tool has to be called."""
     # Verilator's scripts call `python`, which has to be this one.
     folders = [str(_verilator_folder()), str(Path(sys.executable).parent), os.environ.get("PATH", "")]
     variables = " ".join(f"{name}={value}" for name, value in _MAKE_VARIABLES.items())
@@ -56,13 +50,7 @@ def environment() -> dict[str, str]:
 
 
 def find(program: str) -> str:
-    """Return the path of a tool.
-
-    Raises
-    ------
-    DeviceError
-        It is not installed; the message says how to install it.
-    """
+    """Return the path of a tool; a DeviceError says how to install one that is missing."""
     path = shutil.which(program, path=environment()["PATH"])
     if path is None:
         how = _FROM_SYSTEM if program in ("g++", "make", "perl") else _FROM_PYPI
@@ -73,20 +61,9 @@ def find(program: str) -> str:
 def run(
     command: Sequence[str], *, cwd: Path | None = None, variables: Mapping[str, str] | None = None
 ) -> str:
-    """Run a tool to its end.
+    """Run a tool to its end in a folder, with ``variables`` on top of :func:`environment`.
 
-    Parameters
-    ----------
-    command
-        The program's name and its arguments.
-    cwd
-        The folder to run it in.
-    variables
-        Environment variables on top of :func:`environment`.
-
-    Returns
-    -------
-    What it printed, both streams in order.
+    Returns what it printed, both streams in order.
 
     Raises
     ------

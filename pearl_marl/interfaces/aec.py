@@ -9,7 +9,7 @@ from pettingzoo.utils.wrappers import OrderEnforcingWrapper
 
 from pearl_marl.batch.actions import refuse_first, why_not
 from pearl_marl.errors import ArgumentError
-from pearl_marl.interfaces.parallel import PearlParallelEnv, parallel_env
+from pearl_marl.interfaces.parallel import parallel_env
 
 
 def raw_env(env_id: str, n_agents: int = 1, **arguments: Any) -> Any:
@@ -18,12 +18,14 @@ def raw_env(env_id: str, n_agents: int = 1, **arguments: Any) -> Any:
     Takes what :func:`parallel_env` takes but ``autoreset``: turn by turn, agents leave when their
     episode ends.
     """
-    return _CheckedAEC(_strict(env_id, n_agents, arguments))
+    if arguments.pop("autoreset", False):
+        raise ArgumentError("the AEC form has no autoreset: its agents leave when their episode ends")
+    return _CheckedAEC(parallel_env(env_id, n_agents, autoreset=False, **arguments))
 
 
 def env(env_id: str, n_agents: int = 1, **arguments: Any) -> Any:
     """Make the AEC form; takes what :func:`raw_env` takes."""
-    return OrderEnforcingWrapper(_CheckedAEC(_strict(env_id, n_agents, arguments)))
+    return OrderEnforcingWrapper(raw_env(env_id, n_agents, **arguments))
 
 
 class _CheckedAEC(parallel_to_aec_wrapper):  # type: ignore[misc]
@@ -36,9 +38,3 @@ class _CheckedAEC(parallel_to_aec_wrapper):  # type: ignore[misc]
             if why_not(action, space):
                 raise refuse_first([agent], [action], space)
         super().step(action)
-
-
-def _strict(env_id: str, n_agents: int, arguments: dict[str, Any]) -> PearlParallelEnv:
-    if arguments.pop("autoreset", False):
-        raise ArgumentError("the AEC form has no autoreset: its agents leave when their episode ends")
-    return parallel_env(env_id, n_agents, autoreset=False, **arguments)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any, Protocol
+from abc import abstractmethod
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -14,34 +15,29 @@ from pearl_marl.batch.step import Array, BatchStep
 Mask = npt.NDArray[np.bool_]
 
 
-class Batch(Protocol):
+class Batch:
     """A batch of slots: every environment of this package is one, of either interface, wrapped or not."""
 
-    @property
-    def batch_size(self) -> int:
-        """How many slots."""
+    batch_size: int
+    """How many slots."""
+
+    slot_observation_space: Space[Any]
+    """The space of one slot's observation."""
+
+    slot_action_space: Discrete | Box
+    """The space of one slot's action."""
+
+    slot_autoreset_mode: AutoresetMode
+    """When a slot that ended begins again: in the ``SAME_STEP``, or in the ``NEXT_STEP``.
+
+    That is what :meth:`step_batch` does. A ``VectorEnv`` in DISABLED mode and agents that leave only hide it.
+    """
+
+    autoreset: bool
+    """Whether whoever ended is seen to begin again, and need not be reset."""
 
     @property
-    def slot_observation_space(self) -> Space[Any]:
-        """The space of one slot's observation."""
-
-    @property
-    def slot_action_space(self) -> Discrete | Box:
-        """The space of one slot's action."""
-
-    @property
-    def slot_autoreset_mode(self) -> AutoresetMode:
-        """When a slot that ended begins again: in the ``SAME_STEP``, or in the ``NEXT_STEP``.
-
-        That is what :meth:`step_batch` does. A ``VectorEnv`` in DISABLED mode and agents that leave only
-        hide it.
-        """
-
-    @property
-    def autoreset(self) -> bool:
-        """Whether whoever ended is seen to begin again, and need not be reset."""
-
-    @property
+    @abstractmethod
     def live(self) -> Mask:
         """Which slots' agents are there: they have not left for good. Shape ``(batch_size,)``.
 
@@ -49,11 +45,18 @@ class Batch(Protocol):
         """
 
     @property
+    @abstractmethod
     def ready(self) -> bool:
         """Whether a step is possible: after the first reset, and until closed."""
 
+    @abstractmethod
     def step_batch(self, actions: npt.ArrayLike) -> BatchStep:
         """Step every slot once; what ``actions`` hold for agents that left does not matter."""
 
+    @abstractmethod
+    def reset_batch(self, seed: int | None = None) -> Array:
+        """Begin an episode in every slot; return observations of shape ``(batch_size, ...)``."""
+
+    @abstractmethod
     def reset_slots(self, mask: Mask) -> Array:
         """Begin an episode in the masked slots; return all observations."""

@@ -39,19 +39,9 @@ class PearlParallelEnv(ParallelInterface):
     next, and ``infos[agent]["final_obs"]`` holds where the old one ended. With ``autoreset=False``
     it leaves ``agents`` until the next :meth:`reset`, as PettingZoo's own environments do.
 
-    Attributes
-    ----------
-    possible_agents, agents
-        ``"agent_0"`` and so on, in the order of the slots: all of them, and those still there.
-    metadata
-        PettingZoo's: ``name``, ``render_modes``, ``render_fps``, ``is_parallelizable``.
-    spec
-        The :class:`pearl_marl.spec.EnvSpec`.
-    device
-        The :class:`pearl_marl.devices.Device` that steps the slots.
-    np_random
-        A ``numpy.random.Generator`` from the seed of :meth:`reset`, for other packages' wrappers: nothing
-        here draws from it.
+    ``spec`` is its :class:`pearl_marl.spec.EnvSpec`, ``device`` the :class:`pearl_marl.devices.Device` that
+    steps the slots. ``np_random`` is a ``numpy.random.Generator`` from the seed of :meth:`reset`, for other
+    packages' wrappers: nothing here draws from it.
     """
 
     def __init__(
@@ -99,7 +89,8 @@ class PearlParallelEnv(ParallelInterface):
         if seed is not None:
             self.np_random = np.random.default_rng(seed)
         self._live = self._all
-        self._render_for_human()
+        if self.render_mode == "human":
+            self.render()
         return obs
 
     @property
@@ -139,7 +130,7 @@ class PearlParallelEnv(ParallelInterface):
             if leaving.any():
                 self._live = self._live & ~leaving
         if self.render_mode == "human":
-            self._render_for_human()
+            self.render()
         return result
 
     def state(self) -> Array:
@@ -163,11 +154,7 @@ class PearlParallelEnv(ParallelInterface):
         return replace(saved, identity=self._identity(), live=live.view(np.uint8)).to_bytes()
 
     def load_state(self, blob: bytes) -> Array:
-        """Continue from what :meth:`save_state` returned, bit for bit.
-
-        Returns
-        -------
-        The observation of every slot, shape ``(n_agents, ...)``.
+        """Continue from what :meth:`save_state` returned, bit for bit; return the observation of every slot.
 
         Raises
         ------
@@ -194,24 +181,24 @@ class PearlParallelEnv(ParallelInterface):
         self.device.set_rewards(table)
 
     def render(self, agent: str | None = None) -> Any:
-        """Draw an agent with the renderer of the environment that this one follows.
+        """Draw ``agent``, now and later (``"agent_0"`` at first), with the renderer of the oracle.
 
-        Parameters
-        ----------
-        agent
-            Whom to draw, from now on; ``"agent_0"`` at first.
-
-        Returns
-        -------
-        An image of shape ``(height, width, 3)`` for ``"rgb_array"``, a string for ``"ansi"``, ``None`` for
-        ``"human"``, which draws by itself after every step.
+        Returns an image of shape ``(height, width, 3)`` for ``"rgb_array"``, a string for ``"ansi"``, and
+        ``None`` for ``"human"``, which draws by itself after every step.
         """
         if self.render_mode is None:
             raise OrderError(
                 f"render() without a render_mode: make the environment with one of {self.spec.render_modes}"
             )
         if agent is not None:
-            self._rendered_slot = self._slot_to_render(agent)
+            slot = self.slots.get(agent)
+            if slot is None:
+                raise ArgumentError(
+                    f"there is no agent {agent!r}; agents are agent_0 to agent_{self.batch_size - 1}"
+                )
+            if not self._live[slot]:
+                raise OrderError(f"render({agent!r}): its episode has ended, and it has left until reset()")
+            self._rendered_slot = slot
         state = self.device.state()[self._rendered_slot]
         if self._renderer is None:
             self._renderer = OracleRenderer(self.spec, self.render_mode)
@@ -226,20 +213,6 @@ class PearlParallelEnv(ParallelInterface):
 
     def _identity(self) -> dict[str, Any]:
         return {**self.device.config.identity(), "autoreset": self.autoreset}
-
-    def _slot_to_render(self, agent: str) -> int:
-        slot = self.slots.get(agent)
-        if slot is None:
-            raise ArgumentError(
-                f"there is no agent {agent!r}; agents are agent_0 to agent_{self.batch_size - 1}"
-            )
-        if not self._live[slot]:
-            raise OrderError(f"render({agent!r}): its episode has ended, and it has left until reset()")
-        return slot
-
-    def _render_for_human(self) -> None:
-        if self.render_mode == "human":
-            self.render()
 
 
 def parallel_env(

@@ -16,34 +16,14 @@ from pearl_marl.batch.actions import refuse_first
 from pearl_marl.batch.step import Array, BatchStep, on_host
 from pearl_marl.errors import ActionError, OrderError
 from pearl_marl.interfaces.agent_dict import AgentDict, ended_infos, observations_in, python_values
-from pearl_marl.interfaces.batch import Mask
+from pearl_marl.interfaces.batch import Batch, Mask
 
 
-class ParallelInterface(pettingzoo.ParallelEnv):  # type: ignore[misc]
-    """A ``ParallelEnv`` made of methods on whole arrays; a :class:`pearl_marl.interfaces.batch.Batch`.
+class ParallelInterface(pettingzoo.ParallelEnv, Batch):  # type: ignore[misc]
+    """A ``ParallelEnv`` made of a batch's methods, and of :meth:`step_slots`.
 
-    A subclass has :attr:`live`, :attr:`ready`, :meth:`reset_batch`, :meth:`step_slots` and
-    :meth:`reset_slots`.
-
-    Parameters
-    ----------
-    agents
-        The names of all agents, in the order of the slots.
-    observation_space, action_space
-        One slot's spaces.
-    action_kinds
-        The kinds of dtype that actions may have.
-    autoreset
-        Whether agents stay when their episode ends.
-
-    Attributes
-    ----------
-    possible_agents
-        ``"agent_0"`` and so on, in the order of the slots.
-    slots
-        Each agent's slot, by its name.
-    batch_size, slot_observation_space, slot_action_space, autoreset
-        See :class:`pearl_marl.interfaces.batch.Batch`.
+    ``possible_agents`` are the names of all, in the order of the slots; ``slots`` has each one's slot.
+    ``action_kinds`` are the kinds of dtype that actions may have.
     """
 
     slot_autoreset_mode = AutoresetMode.SAME_STEP
@@ -73,16 +53,6 @@ class ParallelInterface(pettingzoo.ParallelEnv):  # type: ignore[misc]
         self._everybody: Mask | None = None
 
     @property
-    @abstractmethod
-    def live(self) -> Mask:
-        """Which slots' agents are there; see :class:`pearl_marl.interfaces.batch.Batch`."""
-
-    @property
-    @abstractmethod
-    def ready(self) -> bool:
-        """Whether a step is possible."""
-
-    @property
     def agents(self) -> list[str]:
         """The names of those that are there, in the order of the slots."""
         self._name_who_is_there()
@@ -95,14 +65,6 @@ class ParallelInterface(pettingzoo.ParallelEnv):  # type: ignore[misc]
     def action_space(self, agent: str) -> Space[Any]:
         """Return the action space, one object for all agents."""
         return self.slot_action_space
-
-    @abstractmethod
-    def reset_batch(self, seed: int | None = None) -> Array:
-        """Begin an episode for every agent; return observations of shape ``(n_agents, ...)``."""
-
-    @abstractmethod
-    def reset_slots(self, mask: Mask) -> Array:
-        """Begin an episode in the masked slots; return all observations."""
 
     def step_batch(self, actions: npt.ArrayLike) -> BatchStep:
         """Step every slot once, without any dict.
@@ -128,13 +90,7 @@ class ParallelInterface(pettingzoo.ParallelEnv):  # type: ignore[misc]
         """Do what :meth:`step_batch` does, with possible actions for agents that have left."""
 
     def filled(self, actions: npt.ArrayLike) -> npt.ArrayLike:
-        """Return actions with a possible one where an agent has left: nobody looks at what was there.
-
-        Raises
-        ------
-        OrderError
-            Every agent has left.
-        """
+        """Return actions with a possible one where an agent has left: nobody looks at what was there."""
         live = self.live
         if live.all():
             self._everybody = live
@@ -153,18 +109,10 @@ class ParallelInterface(pettingzoo.ParallelEnv):  # type: ignore[misc]
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, Any], dict[str, Any]]:
-        """Begin an episode for every agent.
+        """Begin an episode for every agent; return observations and infos by agent, the latter empty.
 
-        Parameters
-        ----------
-        seed
-            A non-negative integer. ``None`` goes on with the random numbers in use.
-        options
-            Accepted as PettingZoo asks, and not used.
-
-        Returns
-        -------
-        Observations and infos, dicts by agent; the infos are empty.
+        ``seed`` is a non-negative integer; ``None`` goes on with the random numbers in use. ``options`` are
+        accepted as PettingZoo asks, and not used.
         """
         obs = on_host(self.reset_batch(seed))
         nobody = np.zeros(len(obs), np.bool_)
@@ -209,9 +157,7 @@ class ParallelInterface(pettingzoo.ParallelEnv):  # type: ignore[misc]
             obs = result.arrivals()
             ended = np.zeros(len(agents), np.bool_)
             if len(agents) < len(live):
-                obs, rewards, terminations, truncations = (
-                    a[live] for a in (obs, rewards, terminations, truncations)
-                )
+                obs, rewards, terminations, truncations = (a[live] for a in (obs, *result[1:4]))
         return (
             AgentDict(agents, obs, self._observations),
             AgentDict(agents, rewards, python_values),

@@ -12,7 +12,7 @@ from gymnasium.vector import AutoresetMode
 from pearl_marl.batch.step import Array
 from pearl_marl.devices import BatchConfig, BatchStep, Device, make_device
 from pearl_marl.errors import ArgumentError
-from pearl_marl.interfaces.vector_interface import VectorInterface, slot_autoreset_mode
+from pearl_marl.interfaces.vector_interface import Shown, VectorInterface, slot_autoreset_mode
 from pearl_marl.registry import get_spec
 
 
@@ -31,10 +31,7 @@ class PearlVectorEnv(VectorInterface):
     ``DISABLED``
         It has to be reset before the next step: ``reset(options={"reset_mask": ended})``.
 
-    Attributes
-    ----------
-    device
-        The :class:`pearl_marl.devices.Device` that steps the slots.
+    ``device`` is the :class:`pearl_marl.devices.Device` that steps the slots.
     """
 
     def __init__(
@@ -63,23 +60,17 @@ class PearlVectorEnv(VectorInterface):
         self.check_nobody_waits()
         self.device.send(actions)
 
-    def recv(self) -> tuple[Array | tuple[Array, ...], Array, Array, Array, dict[str, Any]]:
+    def recv(self) -> Shown:
         """Wait for the step that :meth:`send` started and return what :meth:`step` would have."""
         return self.shown(self.device.recv())
 
     def recover(self) -> None:
-        """Go on where the last call that succeeded left every sub-environment, after a DeviceError.
-
-        Raises
-        ------
-        DeviceError
-            The device is still not available; call again when it is.
-        """
+        """See :meth:`pearl_marl.PearlParallelEnv.recover`."""
         self.device.recover()
 
     @property
     def ready(self) -> bool:
-        """Whether a step is possible: after the first reset, and until closed."""
+        """See :class:`pearl_marl.interfaces.batch.Batch`."""
         return self.device.ready
 
     def close_extras(self, **kwargs: Any) -> None:

@@ -14,7 +14,13 @@ from gymnasium.vector.utils import batch_space
 from pearl_marl.batch.step import Array, BatchStep, on_host
 from pearl_marl.errors import ArgumentError, OrderError
 from pearl_marl.interfaces.agent_dict import observations_in
-from pearl_marl.interfaces.batch import Mask
+from pearl_marl.interfaces.batch import Batch, Mask
+
+Observations = Array | tuple[Array, ...]
+"""Of all slots, as Gymnasium batches them: those of a ``Tuple`` space are a tuple of arrays."""
+
+Shown = tuple[Observations, Array, Array, Array, dict[str, Any]]
+"""Observations, rewards (``float32``), terminations, truncations, infos."""
 
 
 def slot_autoreset_mode(mode: AutoresetMode) -> AutoresetMode:
@@ -22,25 +28,8 @@ def slot_autoreset_mode(mode: AutoresetMode) -> AutoresetMode:
     return AutoresetMode.SAME_STEP if mode is AutoresetMode.DISABLED else mode
 
 
-class VectorInterface(VectorEnv[Any, Any, Any]):
-    """A ``VectorEnv`` made of methods on whole arrays; a :class:`pearl_marl.interfaces.batch.Batch`.
-
-    A subclass has :attr:`ready`, :meth:`reset_batch` and :meth:`step_batch`.
-
-    Parameters
-    ----------
-    num_envs
-        How many slots.
-    observation_space, action_space
-        One slot's spaces.
-    mode
-        What ``reset`` and ``step`` do with those that ended.
-
-    Attributes
-    ----------
-    batch_size, slot_observation_space, slot_action_space, slot_autoreset_mode, autoreset, live
-        See :class:`pearl_marl.interfaces.batch.Batch`. Nobody leaves.
-    """
+class VectorInterface(VectorEnv[Any, Any, Any], Batch):
+    """A ``VectorEnv`` made of a batch's methods; ``mode`` is what it does with those that ended."""
 
     def __init__(
         self, num_envs: int, observation_space: Space[Any], action_space: Discrete | Box, mode: AutoresetMode
@@ -54,7 +43,7 @@ class VectorInterface(VectorEnv[Any, Any, Any]):
         self.action_space = batch_space(action_space, num_envs)
         self.slot_autoreset_mode = slot_autoreset_mode(mode)
         self.autoreset = mode is not AutoresetMode.DISABLED
-        self.live: Mask = np.ones(num_envs, np.bool_)
+        self._everybody: Mask = np.ones(num_envs, np.bool_)
         self._observations = observations_in(observation_space)
         self._mode = mode
         # DISABLED mode only: who waits for a reset, and what everyone saw last.
@@ -62,17 +51,13 @@ class VectorInterface(VectorEnv[Any, Any, Any]):
         self._seen: Array | None = None
 
     @property
-    @abstractmethod
-    def ready(self) -> bool:
-        """Whether a step is possible: after the first reset, and until closed."""
+    def live(self) -> Mask:
+        """Everybody: nobody leaves."""
+        return self._everybody
 
     @abstractmethod
     def reset_batch(self, seed: int | None = None, mask: npt.ArrayLike | None = None) -> Array:
         """Begin new episodes, in the masked slots only if there is a mask; return all observations."""
-
-    @abstractmethod
-    def step_batch(self, actions: npt.ArrayLike) -> BatchStep:
-        """Step every slot once; in DISABLED mode as in SAME_STEP mode."""
 
     def reset_slots(self, mask: Mask) -> Array:
         """Begin an episode in the masked slots; return all observations."""
@@ -80,19 +65,11 @@ class VectorInterface(VectorEnv[Any, Any, Any]):
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Array | tuple[Array, ...], dict[str, Any]]:
-        """Begin new episodes.
+    ) -> tuple[Observations, dict[str, Any]]:
+        """Begin new episodes; return the observations of all sub-environments, and empty infos.
 
-        Parameters
-        ----------
-        seed
-            A non-negative integer for the whole batch. ``None`` goes on with the random numbers in use.
-        options
-            ``{"reset_mask": bool array of shape (num_envs,)}`` resets those sub-environments only.
-
-        Returns
-        -------
-        The observations of all sub-environments, and infos (empty).
+        ``seed`` is a non-negative integer for the whole batch; ``None`` goes on with the random numbers in
+        use. ``options={"reset_mask": mask}``, ``bool`` of shape ``(num_envs,)``, resets some only.
         """
         options = options or {}
         unknown = [name for name in options if name != "reset_mask"]
@@ -114,7 +91,7 @@ class VectorInterface(VectorEnv[Any, Any, Any]):
             self._seen = obs.copy()
         return self._batched(obs), {}
 
-    def step(self, actions: Any) -> tuple[Array | tuple[Array, ...], Array, Array, Array, dict[str, Any]]:
+    def step(self, actions: Any) -> Shown:
         """Step every sub-environment once.
 
         Parameters
@@ -145,9 +122,7 @@ class VectorInterface(VectorEnv[Any, Any, Any]):
                 "reset(options={'reset_mask': terminations | truncations}) before the next step"
             )
 
-    def shown(
-        self, result: BatchStep
-    ) -> tuple[Array | tuple[Array, ...], Array, Array, Array, dict[str, Any]]:
+    def shown(self, result: BatchStep) -> Shown:
         """Return a step's results as Gymnasium has them."""
         result = result.on_host()
         obs, rewards, terminations, truncations, final_obs = result
@@ -164,6 +139,5 @@ class VectorInterface(VectorEnv[Any, Any, Any]):
             infos = {"final_obs": final, "_final_obs": ended, "final_info": {}, "_final_info": ended.copy()}
         return self._batched(obs), rewards, terminations, truncations, infos
 
-    def _batched(self, obs: Array) -> Array | tuple[Array, ...]:
-        """Return observations as Gymnasium batches them: those of a ``Tuple`` space as a tuple of arrays."""
+    def _batched(self, obs: Array) -> Observations:
         return tuple(obs.T) if isinstance(self.single_observation_space, Tuple) else obs

@@ -32,16 +32,9 @@ ENDING = 100
 
 
 def measure_host(spec: EnvSpec, n_envs: int, rounds: int = 200) -> HostTimes:
-    """Measure T1 and T7 on this machine, by stepping the host's code without hardware.
+    """Measure T1 and T7 on this machine, by stepping the host's code ``rounds`` times without hardware.
 
     They are medians of the thread's CPU time, so that other programs on the machine count less.
-
-    Parameters
-    ----------
-    spec, n_envs
-        What is stepped.
-    rounds
-        How many steps.
     """
     device = NoHardware().open(BatchConfig(spec=spec, n_envs=n_envs, copy=False))
     answers = device.answers

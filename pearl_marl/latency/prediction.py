@@ -1,4 +1,4 @@
-"""How long a step takes with the hardware behind a link: its stages, and two half-batches that take turns."""
+"""T2 and T6, the link; how long a step takes behind one, and two half-batches that take turns."""
 
 from __future__ import annotations
 
@@ -17,9 +17,56 @@ from pearl_marl.latency.cycles import (
     write_cycles,
 )
 from pearl_marl.latency.host import HostTimes
-from pearl_marl.latency.links import Link
 from pearl_marl.memory_map import MemoryMap
 from pearl_marl.spec import EnvSpec, word_bits
+
+
+@dataclass(frozen=True, slots=True)
+class Link:
+    """What lies between host and hardware, as ``pearl plan --link`` takes it by name.
+
+    ``call`` is what a transfer takes besides its bytes, in seconds; the rates to the hardware and from it are
+    in bytes per second. ``source`` says where the figures are from.
+    """
+
+    name: str
+    call: float
+    write_rate: float
+    read_rate: float
+    source: str
+
+    def __post_init__(self) -> None:
+        for what in ("call", "write_rate", "read_rate"):
+            value = getattr(self, what)
+            if not value >= 0 or (what != "call" and value == 0):
+                raise ArgumentError(f"{what} of the link {self.name!r} is {value}; it must be positive")
+
+
+_DRIVER = "https://github.com/Xilinx/dma_ip_drivers/issues"
+_CALL = 30e-6
+
+LINKS = {
+    link.name: link
+    for link in (
+        Link(
+            "gen2x4",
+            _CALL,
+            1.6e9,
+            1.3e9,
+            "reported: a K7-325T at 1.6 and 1.3 GB/s (https://github.com/Prandr/dma_ip_drivers/issues/6), "
+            f"30 us a call ({_DRIVER}/321)",
+        ),
+        Link("gen2x8", _CALL, 3.2e9, 2.6e9, "the paper's link: gen2x4 with twice the lanes, 30 us a call"),
+        Link(
+            "gen3x16",
+            _CALL,
+            5e9,
+            5e9,
+            f"reported: 5 to 6 GB/s through the stock driver ({_DRIVER}/293), 30 us a call ({_DRIVER}/321)",
+        ),
+    )
+}
+"""Links by name. The figures are of the Xilinx XDMA driver, as its users report them; measure your own."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,31 +106,17 @@ class Prediction:
 
     def as_json(self) -> dict[str, Any]:
         """Return it as JSON has it."""
-        result = asdict(self)
-        return {**result, "total": self.total, "rate": self.rate, "bottleneck": self.bottleneck}
+        return {**asdict(self), "total": self.total, "rate": self.rate, "bottleneck": self.bottleneck}
 
 
 def predict(
     spec: EnvSpec, layout: MemoryMap, link: Link, host: HostTimes, clock: float, pipelined: bool = True
 ) -> Prediction:
-    """Predict a step.
+    """Predict a step of a build, with the host's times for so many slots and a clock in hertz.
 
     Not pipelined is what the paper calls PEARL without pipeline, with one processing element in ``layout``:
     no group overlaps with another, and the states are not kept in the hardware, but go to it with the
     actions and come back with the results, packed, at no cost to the host.
-
-    Parameters
-    ----------
-    spec, layout
-        The environment and its build.
-    link
-        The link.
-    host
-        What the host takes for so many slots.
-    clock
-        Of the hardware, in hertz.
-    pipelined
-        Whether groups of slots overlap, and states stay in the hardware.
     """
     if not clock > 0:
         raise ArgumentError(f"the clock is {clock} Hz; it must be positive")
@@ -115,10 +148,7 @@ def predict(
 class Overlap:
     """Two half-batches that take turns: while the link moves one, the host works on the other.
 
-    Parameters
-    ----------
-    half
-        A step of one of them: of a device with half of the slots.
+    ``half`` is a step of a device with half of the slots.
     """
 
     half: Prediction

@@ -49,7 +49,10 @@ def load_policy(name: str, spec: EnvSpec, seed: int = 0) -> Policy:
         There is no such policy, or it is not one for this environment.
     """
     if name == RANDOM:
-        return _random(spec, seed)
+        if seed < 0:
+            raise ArgumentError(f"seed is {seed}; it must be a non-negative integer")
+        rng = np.random.default_rng(seed)
+        return lambda observations: random_actions(spec, rng, len(observations))
     path = Path(name)
     if name and path.is_dir():
         path /= "policy.safetensors"
@@ -66,13 +69,6 @@ def load_policy(name: str, spec: EnvSpec, seed: int = 0) -> Policy:
         "a model of Stable-Baselines3 (FILE.zip), a folder of `pearl train`, and a function "
         "(MODULE:FUNCTION, FILE.py:FUNCTION)"
     )
-
-
-def _random(spec: EnvSpec, seed: int) -> Policy:
-    if seed < 0:
-        raise ArgumentError(f"seed is {seed}; it must be a non-negative integer")
-    rng = np.random.default_rng(seed)
-    return lambda observations: random_actions(spec, rng, len(observations))
 
 
 def table_policy(table: npt.ArrayLike, spec: EnvSpec) -> Policy:
@@ -178,11 +174,9 @@ def _trained(path: Path, spec: EnvSpec) -> Policy:
         found = network.load(path)
     except ModuleNotFoundError as error:
         raise ArgumentError(f"{path} takes {error.name}: pip install 'pearl-marl[train]'") from None
-    theirs = found.spec
-    _check_space(path, "observations", theirs.observation_space, spec.observation_space)
-    _check_space(path, "actions", theirs.action_space, spec.action_space)
-    choose: Policy = found.choose
-    return choose
+    _check_space(path, "observations", found.spec.observation_space, spec.observation_space)
+    _check_space(path, "actions", found.spec.action_space, spec.action_space)
+    return found.choose
 
 
 _LOADERS: dict[tuple[str, ...], Callable[[Path, EnvSpec], Policy]] = {

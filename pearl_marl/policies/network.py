@@ -32,19 +32,12 @@ KINDS = ("logits", "values", "mean")
 
 
 class Encoder(nn.Module):
-    """The first layer: makes features of a batch of observations, whatever their space.
+    """The first layer: makes ``width`` features of an observation, whatever its space.
 
     Numbers (``Discrete``, or a ``Tuple`` of it) choose rows of a table, which is what a linear layer over
     their one-hot form computes. Vectors are standardised by the statistics of all that were seen in
     training, then go through a linear layer. Pictures (``Box`` of three axes, channels last) go through
     a convolution, as in MinAtar's DQN.
-
-    Parameters
-    ----------
-    space
-        Of one observation.
-    width
-        Features to make.
     """
 
     offsets: Tensor
@@ -59,8 +52,7 @@ class Encoder(nn.Module):
             self.kind = "numbers"
             parts: list[Any] = list(space) if isinstance(space, Tuple) else [space]
             sizes = [int(part.n) for part in parts]
-            starts = [int(part.start) for part in parts]
-            offsets = np.cumsum([0, *sizes[:-1]]) - starts
+            offsets = np.cumsum([0, *sizes[:-1]]) - [int(part.start) for part in parts]
             self.register_buffer("offsets", torch.from_numpy(offsets))
             self.table = nn.Embedding(sum(sizes), width)
             nn.init.normal_(self.table.weight, std=1.0)
@@ -99,32 +91,20 @@ class Encoder(nn.Module):
     def forward(self, obs: Tensor) -> Tensor:
         """Return features, shape ``(batch, width)``."""
         if self.kind == "numbers":
-            rows: Tensor = self.table(obs.reshape(len(obs), -1) + self.offsets).sum(1) + self.bias
-            return rows
+            rows: Tensor = self.table(obs.reshape(len(obs), -1) + self.offsets)
+            return rows.sum(1) + self.bias
         if self.kind == "picture":
             planes = obs.permute(0, 3, 1, 2).float()
-            made: Tensor = self.linear(torch.relu(self.convolution(planes)).flatten(1))
-            return made
-        scale = (self.variance + 1e-8).rsqrt().float()
-        scaled = (obs.reshape(len(obs), -1) - self.mean.float()) * scale
-        result: Tensor = self.linear(scaled.clamp(-10, 10))
-        return result
+            given = torch.relu(self.convolution(planes)).flatten(1)
+        else:
+            scale = (self.variance + 1e-8).rsqrt().float()
+            given = ((obs.reshape(len(obs), -1) - self.mean.float()) * scale).clamp(-10, 10)
+        features: Tensor = self.linear(given)
+        return features
 
 
 class Network(nn.Module):
-    """An :class:`Encoder`, one hidden layer, and an output for each of ``outputs``.
-
-    Parameters
-    ----------
-    space
-        Of one observation.
-    outputs
-        How many numbers to make of it.
-    width
-        Of both layers.
-    scale
-        Of the output layer's first weights.
-    """
+    """An :class:`Encoder`, a hidden layer as wide, and an output layer whose first weights have ``scale``."""
 
     def __init__(self, space: Space[Any], outputs: int, width: int, scale: float = 1.0) -> None:
         super().__init__()
@@ -138,17 +118,40 @@ class Network(nn.Module):
 
     def features(self, obs: Tensor) -> Tensor:
         """Return what the output layer is given, shape ``(batch, width)``."""
-        made = self.activation(self.encoder(obs))
-        result: Tensor = self.activation(self.hidden(made))
-        return result
+        features: Tensor = self.activation(self.hidden(self.activation(self.encoder(obs))))
+        return features
 
     def forward(self, obs: Tensor) -> Tensor:
         """Return the outputs, shape ``(batch, outputs)``."""
-        result: Tensor = self.output(self.features(obs))
-        return result
+        outputs: Tensor = self.output(self.features(obs))
+        return outputs
 
 
-class NetworkPolicy(nn.Module):
+class _Trained(nn.Module):
+    """A policy that says what it is for, and ``about`` what it was made."""
+
+    def __init__(self, spec: EnvSpec, **about: Any) -> None:
+        super().__init__()
+        self.spec = spec
+        self.about = {"environment": spec.name, "options": dict(spec.options), **about}
+
+    def best(self, obs: Tensor) -> Tensor:
+        """Return the best actions."""
+        raise NotImplementedError
+
+    def choose(self, obs: Array) -> Array:
+        """Return the best action for each observation, as ``step_batch`` takes them."""
+        where = next(self.buffers()).device
+        actions: Array = self.best(torch.from_numpy(obs).to(where)).cpu().numpy()
+        return actions
+
+    def save(self, path: Path) -> None:
+        """Write what :func:`load` reads."""
+        header = {"format": FORMAT, "policy": json.dumps(self.about)}
+        replace_file(path, _ordered(save(self.state_dict(), header)))
+
+
+class NetworkPolicy(_Trained):
     """What chooses actions: a network, and how its outputs are meant.
 
     Parameters
@@ -165,8 +168,7 @@ class NetworkPolicy(nn.Module):
     bound: Tensor
 
     def __init__(self, spec: EnvSpec, kind: str, width: int) -> None:
-        super().__init__()
-        self.spec, self.about = spec, {**_about(spec), "kind": kind, "width": width}
+        super().__init__(spec, kind=kind, width=width)
         actions = spec.action_space
         if isinstance(actions, Box) != (kind == "mean"):
             raise ArgumentError(
@@ -193,43 +195,23 @@ class NetworkPolicy(nn.Module):
         best: Tensor = outputs.argmax(1)
         return best
 
-    def choose(self, obs: Array) -> Array:
-        """Return the best action for each observation, as ``step_batch`` takes them."""
-        actions: Array = self.best(torch.from_numpy(obs).to(self.bound.device)).cpu().numpy()
-        return actions
-
     def within_bounds(self, outputs: Tensor) -> Tensor:
         """Return outputs of the kind ``"mean"`` as actions that the environment takes."""
         return outputs.clamp(-1, 1) * self.bound
 
-    def save(self, path: Path) -> None:
-        """Write what :func:`load` reads."""
-        _save(path, self.state_dict(), self.about)
 
-
-class Table(nn.Module):
+class Table(_Trained):
     """What chooses actions by tables: a value for each observation and action, one table a learner.
 
-    Of ``n`` observations, the first ``n / learners`` are the first learner's, and so on.
-
-    Parameters
-    ----------
-    spec
-        The environment that it is for. Its observations are numbers, or tuples of them.
-    learners
-        How many tables.
-
-    Attributes
-    ----------
-    values
-        Shape ``(learners, observations, actions)``, ``float32``.
+    Observations are numbers, or tuples of them. Of ``n``, the first ``n / learners`` are the first learner's,
+    and so on.
     """
 
     values: Tensor
+    """Shape ``(learners, observations, actions)``, ``float32``."""
 
     def __init__(self, spec: EnvSpec, learners: int = 1) -> None:
-        super().__init__()
-        self.spec, self.about = spec, {**_about(spec), "kind": "table"}
+        super().__init__(spec, kind="table")
         space, actions = spec.observation_space, spec.action_space
         parts: list[Any] = list(space) if isinstance(space, Tuple) else [space]
         if not all(isinstance(part, Discrete) for part in parts) or not isinstance(actions, Discrete):
@@ -251,15 +233,9 @@ class Table(nn.Module):
             rows = rows + torch.arange(len(obs), device=obs.device) * learners // len(obs) * size
         return torch.as_tensor(rows)
 
-    def choose(self, obs: Array) -> Array:
-        """Return the best action for each observation."""
-        rows = self.rows(torch.from_numpy(obs).to(self.values.device))
-        best: Array = self.values.view(-1, self.values.shape[2])[rows].argmax(1).cpu().numpy()
-        return best
-
-    def save(self, path: Path) -> None:
-        """Write what :func:`load` reads."""
-        _save(path, self.state_dict(), self.about)
+    def best(self, obs: Tensor) -> Tensor:
+        """Return the best actions, as ``int64`` numbers."""
+        return self.values.view(-1, self.values.shape[2])[self.rows(obs)].argmax(1)
 
 
 def load(path: Path) -> NetworkPolicy | Table:
@@ -309,8 +285,7 @@ def _rebuilt(about: dict[str, Any], tensors: dict[str, Tensor]) -> NetworkPolicy
     spec = get_spec(about["environment"]).with_options(**about["options"])
     policy: NetworkPolicy | Table
     if about["kind"] == "table":
-        values = tensors.get("values", torch.empty(0))
-        policy = Table(spec, len(values))
+        policy = Table(spec, len(tensors.get("values", ())))
     elif about["kind"] in KINDS:
         width, hidden = about["width"], tensors.get("network.hidden.weight", torch.empty(0))
         if hidden.shape != (width, width):  # and memory for another width need not be there
@@ -320,37 +295,19 @@ def _rebuilt(about: dict[str, Any], tensors: dict[str, Tensor]) -> NetworkPolicy
         raise ArgumentError(
             f"its policy has the kind {about['kind']!r}; possible are {', '.join(KINDS)}, table"
         )
-    expected = {name: tensor.shape for name, tensor in policy.state_dict().items()}
-    for name in {**expected, **tensors}:
-        found = tensors[name].shape if name in tensors else None
-        if found != expected.get(name):
+    wanted = policy.state_dict()
+    for name in {**wanted, **tensors}:
+        found, expected = (tuple(of[name].shape) if name in of else "of nothing" for of in (tensors, wanted))
+        if found != expected:
             raise ArgumentError(
-                f"its tensors are not those of {spec.name}: {name} has the shape {_shape(found)}, "
-                f"not {_shape(expected.get(name))}"
+                f"its tensors are not those of {spec.name}: {name} has the shape {found}, not {expected}"
             )
     policy.load_state_dict(tensors)
     return policy
 
 
-def _shape(shape: Any) -> str:
-    return "of nothing" if shape is None else str(tuple(shape))
-
-
-def _about(spec: EnvSpec) -> dict[str, Any]:
-    return {"environment": spec.name, "options": dict(spec.options)}
-
-
-def _save(path: Path, tensors: dict[str, Tensor], about: dict[str, Any]) -> None:
-    content = save(tensors, {"format": FORMAT, "policy": json.dumps(about)})
-    replace_file(path, _ordered(content))
-
-
 def _ordered(content: bytes) -> bytes:
-    """Return a safetensors file with its header in alphabetical order.
-
-    The library writes metadata in an order that differs from run to run; equal policies are to be equal
-    files.
-    """
+    """Return a safetensors file with its header in order: the library's order differs from run to run."""
     (size,) = struct.unpack_from("<Q", content)
     header = json.loads(content[8 : 8 + size])
     text = json.dumps(header, sort_keys=True, separators=(",", ":")).encode()

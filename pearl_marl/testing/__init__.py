@@ -11,6 +11,8 @@ This repository's own ``tests/contract`` does the same, for its environments and
 package needs pytest: ``pip install 'pearl-marl[testing]'``. It may import everything below ``training``.
 """
 
+import pkgutil
+
 try:
     import pytest
 except ModuleNotFoundError as error:
@@ -19,22 +21,7 @@ except ModuleNotFoundError as error:
     ) from None
 
 # Before the modules are imported: pytest then shows the values in a failed assertion of theirs.
-pytest.register_assert_rewrite(
-    *(
-        f"{__name__}.{module}"
-        for module in (
-            "agreement",
-            "buffers",
-            "case",
-            "determinism",
-            "golden_functions",
-            "interfaces",
-            "lifetimes",
-            "saved_states",
-            "spaces",
-        )
-    )
-)
+pytest.register_assert_rewrite(*(f"{__name__}.{module.name}" for module in pkgutil.iter_modules(__path__)))
 
 from pearl_marl.testing.case import (  # noqa: E402
     HALF,

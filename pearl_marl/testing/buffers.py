@@ -55,8 +55,7 @@ class BuffersContract:
 
     def test_a_view_of_a_result_keeps_it_too(self, case: Case) -> None:
         """The arrays are used again once nobody refers to them; a slice of one refers to it."""
-        device = case.open(max_cycles=3)
-        device.reset(seed=0)
+        device = case.open(max_cycles=3, seed=0)
         views: list[tuple[Any, ...]] = []
         copies: list[tuple[Array, ...]] = []
         for actions in case.actions(30):
@@ -70,19 +69,14 @@ class BuffersContract:
 
     def test_unread_dicts_keep_their_step(self, case: Case) -> None:
         """The dicts are filled on first use, which may be long after the step."""
-        env, other = case.parallel(max_cycles=4), case.parallel(max_cycles=4)
-        env.reset(seed=0)
-        other.reset(seed=0)
+        env, other = (case.parallel(max_cycles=4, seed=0) for _ in range(2))
         unread = [env.step(actions) for actions in case.actions(25)]
         for results, actions in zip(unread, case.actions(25), strict=True):
             assert_same_dicts(results, [dict(result) for result in other.step(actions)])
 
     def test_without_copies_the_arrays_are_the_same_ones(self, case: Case) -> None:
         """They hold what the last step gave."""
-        device = case.open(copy=False)
-        copying = case.open()
-        device.reset(seed=0)
-        copying.reset(seed=0)
+        device, copying = (case.open(copy=copy, seed=0) for copy in (False, True))
         first = device.step(case.actions()[0])
         copying.step(case.actions()[0])
         for actions in case.actions()[1:]:
@@ -94,16 +88,13 @@ class BuffersContract:
 
     def test_results_do_not_pile_up_memory(self, case: Case) -> None:
         """Dropped results are written again: the addresses repeat."""
-        device = case.open()
-        device.reset(seed=0)
+        device = case.open(seed=0)
         addresses = {device.step(actions).obs.__array_interface__["data"][0] for actions in case.actions(40)}
         assert len(addresses) <= 4
 
     def test_results_are_writable(self, case: Case) -> None:
         """And what is written there does not reach the device (SB3 and wrappers write into rewards)."""
-        written, twin = case.open(), case.open()
-        written.reset(seed=0)
-        twin.reset(seed=0)
+        written, twin = (case.open(seed=0) for _ in range(2))
         for actions in case.actions(10):
             step = written.step(actions)
             expected = twin.step(actions)

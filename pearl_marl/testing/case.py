@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -22,6 +22,7 @@ from pearl_marl.registry import get_spec
 from pearl_marl.spec import EnvSpec
 
 Array = npt.NDArray[Any]
+T = TypeVar("T", Device, PearlParallelEnv, PearlVectorEnv)
 
 SIZE, STEPS = 70, 40
 """What a test uses where size is not its subject: just over a cache line of slots."""
@@ -45,14 +46,7 @@ by_mode = pytest.mark.parametrize(
 def make_device(name: str, spec: EnvSpec, n: int = SIZE, **options: Any) -> Device:
     """Return a fresh device; skip the test, and say why, where this machine or environment has none.
 
-    Parameters
-    ----------
-    name
-        A device's name, or ``"lockstep"`` for the native device in lockstep with the reference.
-    spec, n
-        What it is for, and for how many slots.
-    **options
-        The device's own arguments.
+    ``"lockstep"`` is the native device in lockstep with the reference. ``options`` are the device's own.
     """
     if name == "lockstep":
         return Lockstep("native", "reference", **options)
@@ -71,20 +65,7 @@ def make_device(name: str, spec: EnvSpec, n: int = SIZE, **options: Any) -> Devi
 
 
 class Case:
-    """One environment on one device; closes what it made.
-
-    Parameters
-    ----------
-    env_id
-        The environment, as :func:`pearl_marl.get_spec` takes it.
-    device_name
-        The device, as :func:`make_device` takes it.
-
-    Attributes
-    ----------
-    spec
-        The environment's spec.
-    """
+    """One environment on one device, by the names that :func:`make_device` takes; closes what it made."""
 
     def __init__(self, env_id: str, device_name: str) -> None:
         self.env_id, self.device_name = env_id, device_name
@@ -106,27 +87,33 @@ class Case:
         return make_device(self.device_name, self.spec, n, **options)
 
     def open(
-        self, n_envs: int = SIZE, rewards: Any = None, device: Device | None = None, **config: Any
+        self,
+        n_envs: int = SIZE,
+        rewards: Any = None,
+        device: Device | None = None,
+        seed: int | None = None,
+        **config: Any,
     ) -> Device:
-        """Return an open device; ``config`` are arguments of :class:`BatchConfig`."""
+        """Return an open device, reset if there is a seed; ``config`` is for :class:`BatchConfig`."""
         config = {"spec": self.spec, **config}
         opened = (device or self.device(n_envs)).open(BatchConfig(n_envs=n_envs, **config), rewards)
-        self._open.append(opened)
-        return opened
+        return self._made(opened, seed)
 
-    def parallel(self, n_agents: int = SIZE, **arguments: Any) -> PearlParallelEnv:
-        """Return a new environment in PettingZoo's form."""
+    def parallel(self, n_agents: int = SIZE, seed: int | None = None, **arguments: Any) -> PearlParallelEnv:
+        """Return a new environment in PettingZoo's form, reset if there is a seed."""
         arguments = {"device": self.device(n_agents), **arguments}
-        env = parallel_env(self.env_id, n_agents, **arguments)
-        self._open.append(env)
-        return env
+        return self._made(parallel_env(self.env_id, n_agents, **arguments), seed)
 
-    def vector(self, num_envs: int = SIZE, **arguments: Any) -> PearlVectorEnv:
-        """Return a new environment in Gymnasium's form."""
+    def vector(self, num_envs: int = SIZE, seed: int | None = None, **arguments: Any) -> PearlVectorEnv:
+        """Return a new environment in Gymnasium's form, reset if there is a seed."""
         arguments = {"device": self.device(num_envs), **arguments}
-        env = make_vec(self.env_id, num_envs, **arguments)
-        self._open.append(env)
-        return env
+        return self._made(make_vec(self.env_id, num_envs, **arguments), seed)
+
+    def _made(self, thing: T, seed: int | None) -> T:
+        self._open.append(thing)
+        if seed is not None:
+            thing.reset(seed=seed)
+        return thing
 
     def actions(self, steps: int = STEPS, n: int = SIZE, seed: int = 0) -> Array:
         """Return random actions, a batch a step; those of fewer slots are the first columns."""

@@ -103,9 +103,7 @@ class DeterminismContract:
 
     def test_send_and_recv_are_step_in_two_halves(self, case: Case) -> None:
         """Gymnasium's ``step_async`` and ``step_wait``."""
-        stepped, sent = case.open(max_cycles=5), case.open(max_cycles=5)
-        stepped.reset(seed=0)
-        sent.reset(seed=0)
+        stepped, sent = (case.open(max_cycles=5, seed=0) for _ in range(2))
         results = []
         for actions in case.actions():
             sent.send(actions)

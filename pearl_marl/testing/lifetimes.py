@@ -55,9 +55,7 @@ class LifetimesContract:
 
     def test_array_actions_of_agents_that_left_are_ignored(self, case: Case) -> None:
         """Their rows may hold anything: a policy over all slots has no use for looking who is there."""
-        env, twin = (case.parallel(autoreset=False, max_cycles=0) for _ in range(2))
-        for e in (env, twin):
-            e.reset(seed=3)
+        env, twin = (case.parallel(autoreset=False, max_cycles=0, seed=3) for _ in range(2))
         for t, actions in enumerate(case.actions(300)):
             live = np.isin(env.possible_agents, env.agents)
             odd = actions.astype(np.int64 if actions.dtype.kind == "u" else np.float64)
@@ -76,8 +74,7 @@ class LifetimesContract:
 
     def test_autoreset_keeps_everyone(self, case: Case) -> None:
         """The default: whoever ends begins again."""
-        env = case.parallel(max_cycles=3)
-        env.reset(seed=0)
+        env = case.parallel(max_cycles=3, seed=0)
         for actions in case.habits(10):
             env.step(actions)
             assert env.agents == env.possible_agents

@@ -29,8 +29,7 @@ class SavedStatesContract:
     def test_a_fresh_environment_continues(self, case: Case, initial_states: str, limit: int) -> None:
         """And so does the one that went on in the meantime."""
         arguments: dict[str, Any] = {"max_cycles": limit, "initial_states": initial_states}
-        env = case.parallel(**arguments)
-        env.reset(seed=6)
+        env = case.parallel(**arguments, seed=6)
         last_obs = trajectory(env, case.actions(20))[-1].obs
         blob = env.save_state()
         assert isinstance(blob, bytes)
@@ -49,8 +48,7 @@ class SavedStatesContract:
 
     def test_the_unseeded_resets_continue_too(self, case: Case) -> None:
         """They are part of what a seed says."""
-        env, fresh = case.parallel(), case.parallel()
-        env.reset(seed=1)
+        env, fresh = case.parallel(seed=1), case.parallel()
         fresh.load_state(env.save_state())
         np.testing.assert_array_equal(env.reset_batch(), fresh.reset_batch())
 
@@ -58,8 +56,7 @@ class SavedStatesContract:
         """Where there is one."""
         if case.spec.rewards is None:
             pytest.skip(f"{case.spec.name} computes its rewards")
-        env, fresh = case.parallel(), case.parallel()
-        env.reset(seed=1)
+        env, fresh = case.parallel(seed=1), case.parallel()
         env.set_rewards([k / 3 for k in range(len(case.spec.rewards))])
         fresh.load_state(env.save_state())
         assert_same_trajectory(trajectory(env, case.actions(9)), trajectory(fresh, case.actions(9)))
@@ -67,8 +64,7 @@ class SavedStatesContract:
     @by_mode
     def test_a_snapshot_is_of_its_moment(self, case: Case, mode: AutoresetMode) -> None:
         """It must not change with the device that it was taken from."""
-        device = case.open(autoreset_mode=mode, max_cycles=5)
-        device.reset(seed=0)
+        device = case.open(autoreset_mode=mode, max_cycles=5, seed=0)
         trajectory(device, case.actions(8))
         snapshot = device.snapshot()
         expected = trajectory(device, case.actions(20, seed=1))
@@ -80,8 +76,7 @@ class SavedStatesContract:
 
     def test_states_can_be_put_into_a_snapshot(self, case: Case) -> None:
         """Tests inject states this way; what is written is what the next step starts from."""
-        device = case.open()
-        device.reset(seed=0)
+        device = case.open(seed=0)
         trajectory(device, case.actions(5))
         snapshot = device.snapshot()
         columns = SlotMemory(case.spec, SIZE, snapshot.memory).columns
@@ -108,8 +103,7 @@ class SavedStatesContract:
 
     def test_strict_lifetimes_are_part_of_it(self, case: Case) -> None:
         """Who has left stays away in the environment that continues."""
-        env = case.parallel(autoreset=False, max_cycles=0)
-        env.reset(seed=3)
+        env = case.parallel(autoreset=False, max_cycles=0, seed=3)
         for actions in case.actions(300):
             env.step(actions)
             if env.num_agents < SIZE * 3 // 4:
@@ -132,9 +126,7 @@ class SavedStatesContract:
         if table is None:
             pytest.skip(f"{case.spec.name} computes its rewards")
         other = [2 * r + 1 for r in table]
-        plain, given, changed = case.open(), case.open(rewards=other), case.open()
-        for device in (plain, given, changed):
-            device.reset(seed=0)
+        plain, given, changed = (case.open(rewards=rewards, seed=0) for rewards in (None, other, None))
         assert_same_trajectory(trajectory(plain, case.actions(10)), trajectory(changed, case.actions(10)))
         trajectory(given, case.actions(10))
         changed.set_rewards(other)
@@ -149,12 +141,10 @@ class SavedStatesContract:
 
     def test_close_twice_and_between_send_and_recv(self, case: Case) -> None:
         """Whatever the moment, what was sent is answered."""
-        env = case.parallel()
-        env.reset(seed=0)
+        env = case.parallel(seed=0)
         env.close()
         env.close()
-        device = case.open()
-        device.reset(seed=0)
+        device = case.open(seed=0)
         device.send(case.actions(1)[0])
         device.close()
         device.close()

@@ -129,9 +129,7 @@ class SpacesContract:
             pytest.skip(f"the actions of {case.spec.name} are no integers")
         if case.spec.action_space.n > np.iinfo(dtype).max:
             pytest.skip(f"{dtype} does not hold the actions of {case.spec.name}")
-        plain, other = case.open(), case.open()
-        plain.reset(seed=0)
-        other.reset(seed=0)
+        plain, other = (case.open(seed=0) for _ in range(2))
         for actions in case.actions(4):
             wide = np.repeat(actions.astype(dtype), 2)[::2]  # not contiguous
             np.testing.assert_array_equal(plain.step(actions).obs, other.step(wide).obs)
@@ -160,8 +158,7 @@ class SpacesContract:
     def test_the_least_and_the_greatest_action(self, case: Case) -> None:
         """Both ends of the space are taken, and the number after each is not."""
         space = case.spec.action_space
-        device = case.open(HALF)
-        device.reset(seed=0)
+        device = case.open(HALF, seed=0)
         least: Any
         most: Any
         beyond: list[Any]
@@ -180,8 +177,7 @@ class SpacesContract:
 
     def test_state_and_its_space(self, case: Case) -> None:
         """The state of all slots, as values."""
-        env = case.parallel()
-        env.reset(seed=0)
+        env = case.parallel(seed=0)
         for actions in case.actions(STEPS):
             state = env.state()
             assert state.shape == (SIZE, len(case.spec.state)) == env.state_space.shape

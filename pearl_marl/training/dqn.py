@@ -14,90 +14,50 @@ from torch import Tensor, nn
 
 from pearl_marl.policies.network import NetworkPolicy
 from pearl_marl.spec import EnvSpec
-from pearl_marl.training.rollout import Agents, Returns, go_on, kept
-from pearl_marl.training.settings import (
-    SEEDS,
-    SLOTS,
-    WIDEST,
-    Checked,
-    check_memory,
-    count,
-    number,
-    observation_bytes,
-)
+from pearl_marl.training.rollout import Agents, Trainer
+from pearl_marl.training.settings import SEEDS, SLOTS, WIDEST, Checked, check_memory, count, number
 
 
 @dataclass(frozen=True)
 class Settings(Checked):
-    """What a run of DQN depends on.
+    """What a run of DQN depends on, each said beside its default."""
 
-    Attributes
-    ----------
-    n_agents
-        Agents that gather experience.
-    iterations
-        Steps of every agent.
-    memory
-        How many of every agent's last steps are kept.
-    warm_up
-        Steps of every agent before the first update.
-    updates, minibatch
-        Updates after each step of all agents, and how many single steps each learns from.
-    learning_rate
-        Of Adam.
-    discount
-        Gamma.
-    refresh
-        Updates after which the target network becomes a copy of the network.
-    explore_first, explore_last, exploring
-        Share of random actions at first and at last, and the part of the run in which it falls.
-    reward_scale
-        What rewards are multiplied with before anything else.
-    width
-        Of the network's layers.
-    seed
-        Of everything random.
-    """
-
-    n_agents: int = count(512, most=SLOTS)
-    iterations: int = count(1000)
-    memory: int = count(200)
-    warm_up: int = count(10, least=0)
-    updates: int = count(4)
-    minibatch: int = count(256)
-    learning_rate: float = number(2e-3, most=1, above=True)
-    discount: float = number(0.99, most=1)
-    refresh: int = count(50)
-    explore_first: float = number(1.0, most=1)
-    explore_last: float = number(0.02, most=1)
-    exploring: float = number(0.2, most=1, above=True)
-    reward_scale: float = number(1.0, above=True)
-    width: int = count(64, most=WIDEST)
-    seed: int = count(0, least=0, most=SEEDS)
+    n_agents: int = count(512, most=SLOTS)  # that gather experience
+    iterations: int = count(1000)  # steps of every agent
+    memory: int = count(200)  # how many of every agent's last steps are kept
+    warm_up: int = count(10, least=0)  # steps of every agent before the first update
+    updates: int = count(4)  # after each step of all agents
+    minibatch: int = count(256)  # how many single steps an update learns from
+    learning_rate: float = number(2e-3, most=1, above=True)  # of Adam
+    discount: float = number(0.99, most=1)  # gamma
+    refresh: int = count(50)  # updates after which the target network becomes a copy of the network
+    explore_first: float = number(1.0, most=1)  # share of random actions at first
+    explore_last: float = number(0.02, most=1)  # and at last
+    exploring: float = number(0.2, most=1, above=True)  # the part of the run in which it falls
+    reward_scale: float = number(1.0, above=True)  # what rewards are multiplied with before anything else
+    width: int = count(64, most=WIDEST)  # of the network's layers
+    seed: int = count(0, least=0, most=SEEDS)  # of everything random
 
 
-class DQN:
+class DQN(Trainer):
     """A run of DQN: :meth:`iterate` is a step of all agents with its updates."""
 
     def __init__(self, spec: EnvSpec, device: Any, settings: Settings) -> None:
         n, depth = settings.n_agents, settings.memory
         # Of every step in memory two observations, action, reward and end; of those learned from, no less.
-        needed = (n * depth + settings.minibatch) * (2 * observation_bytes(spec) + 13)
-        check_memory(spec, settings, ("n_agents", "memory", "minibatch"), needed, device)
-        self.settings = settings
+        rows = n * depth + settings.minibatch
+        check_memory(spec, settings, device, ("n_agents", "memory", "minibatch"), 2 * rows, 13 * rows)
         torch.manual_seed(settings.seed)
         self.policy = NetworkPolicy(spec, "values", settings.width)
         self.target = NetworkPolicy(spec, "values", settings.width)
-        self.agents = Agents(spec, device, n, settings.seed)
-        obs = self.agents.obs
-        where = self.where = obs.device
-        self.random = torch.Generator(where).manual_seed(settings.seed)
+        agents = Agents(spec, device, n, settings.seed)
+        obs, where = agents.obs, agents.obs.device
+        super().__init__(settings, agents, where)
         self.policy.to(where)
         self.target.to(where)
         self.target.load_state_dict(self.policy.state_dict())
         self.optimiser = torch.optim.Adam(self.policy.parameters(), lr=settings.learning_rate, fused=True)
-        self.evaluated = 1000
-        self.episodes = Returns(n, where)
+        self.learned = {"policy": self.policy, "target": self.target, "optimiser": self.optimiser}
         self.losses: list[Tensor] = []
         one = obs.shape[1:]
         # A row a step: what was seen, done, got, where it led, and whether that was the end of it.
@@ -108,12 +68,7 @@ class DQN:
             "arrivals": torch.zeros((depth, n, *one), dtype=obs.dtype, device=where),
             "over": torch.zeros((depth, n), dtype=torch.bool, device=where),
         }
-        self.done = self.updated = 0
-
-    @property
-    def agent_steps(self) -> int:
-        """Steps of single agents so far."""
-        return self.done * self.settings.n_agents
+        self.updated = 0
 
     def iterate(self) -> None:
         """Step all agents and learn."""
@@ -124,32 +79,25 @@ class DQN:
     def figures(self) -> dict[str, float | None]:
         """Return figures for the metrics: of episodes since they were last asked for, and the last losses."""
         loss = torch.stack(self.losses).mean().item() if self.losses else None
-        return {**self.episodes.take(), "loss": loss, "explored": self.explored}
+        return {**super().figures(), "loss": loss, "explored": self.explored}
 
     @property
     def explored(self) -> float:
         """The share of actions that is random now."""
-        settings = self.settings
+        settings: Settings = self.settings
         passed = min(1.0, self.done / (settings.exploring * settings.iterations))
         return settings.explore_first + passed * (settings.explore_last - settings.explore_first)
 
     def _step(self) -> None:
-        settings, n, obs = self.settings, self.settings.n_agents, self.agents.obs
+        obs = self.agents.obs
         self.policy.network.encoder.see(obs)
-        random = torch.rand(n, generator=self.random, device=self.where) < self.explored
-        anything = torch.randint(self.policy.outputs, (n,), generator=self.random, device=self.where)
-        actions = torch.where(random, anything, self.policy.best(obs))
-        step: Any = self.agents.step(actions)
+        actions = self.explore(self.policy.best(obs), self.policy.outputs, self.explored)
+        step = self.agents.step(actions)
         self.episodes.add(step.rewards[None], step.ended[None])
-        row = self.done % settings.memory
-        for name, value in (
-            ("obs", obs),
-            ("actions", actions),
-            ("rewards", step.rewards * settings.reward_scale),
-            ("arrivals", step.arrivals()),
-            ("over", step.terminations),
-        ):
-            self.memory[name][row] = value
+        rewards = step.rewards * self.settings.reward_scale
+        seen = obs, actions, rewards, step.arrivals(), step.terminations
+        for rows, value in zip(self.memory.values(), seen, strict=True):
+            rows[self.done % self.settings.memory] = value
         self.done += 1
 
     def _learn(self) -> Tensor:
@@ -178,26 +126,11 @@ class DQN:
 
     def state(self) -> dict[str, Any]:
         """Return all that the continuation depends on."""
-        return {
-            "done": self.done,
-            "updated": self.updated,
-            "policy": self.policy.state_dict(),
-            "target": self.target.state_dict(),
-            "optimiser": self.optimiser.state_dict(),
-            "memory": self.memory,
-            "random": self.random.get_state(),
-            "agents": kept(self.agents),
-            "episodes": self.episodes.state(),
-        }
+        return {**super().state(), "updated": self.updated, "memory": self.memory}
 
     def load(self, state: dict[str, Any]) -> None:
         """Go on from what :meth:`state` returned."""
-        self.done, self.updated = state["done"], state["updated"]
-        self.policy.load_state_dict(state["policy"])
-        self.target.load_state_dict(state["target"])
-        self.optimiser.load_state_dict(state["optimiser"])
+        super().load(state)
+        self.updated = state["updated"]
         for name, rows in self.memory.items():
             rows.copy_(state["memory"][name])
-        self.random.set_state(state["random"])
-        go_on(self.agents, state["agents"])
-        self.episodes.load(state["episodes"])

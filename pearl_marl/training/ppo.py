@@ -16,67 +16,33 @@ from torch import Tensor, nn
 
 from pearl_marl.errors import ArgumentError
 from pearl_marl.spec import EnvSpec
-from pearl_marl.training.rollout import ActorCritic, Returns, RolloutWorker, go_on, kept
-from pearl_marl.training.settings import (
-    SEEDS,
-    SLOTS,
-    WIDEST,
-    Checked,
-    check_memory,
-    count,
-    number,
-    observation_bytes,
-)
+from pearl_marl.training.rollout import ActorCritic, RolloutWorker, Trainer
+from pearl_marl.training.settings import SEEDS, SLOTS, WIDEST, Checked, check_memory, count, number
 from pearl_marl.training.workers import RayWorkers
 
 
 @dataclass(frozen=True)
 class Settings(Checked):
-    """What a run of PPO depends on.
+    """What a run of PPO depends on, each said beside its default.
 
-    Attributes
-    ----------
-    n_agents
-        Agents that gather experience.
-    depth
-        Steps of each between updates.
-    iterations
-        Updates in all.
-    epochs, minibatch
-        How often an update goes through its experience, and in parts of how many steps.
-    learning_rate
-        Of Adam, at first; falls to 0 evenly.
-    discount, trace
-        Gamma and lambda of the advantages.
-    clip
-        How far a probability may move in an update, as a ratio.
-    entropy
-        Weight of the entropy in the loss.
-    reward_scale
-        What rewards are multiplied with before anything else.
-    width
-        Of the networks' layers.
-    blocks
-        Parts of the agents that the policy sees one at a time, each with random numbers of its own. What is
-        learned depends on them, and not on how many workers share them.
-    seed
-        Of everything random.
+    Agents are in blocks, which the policy sees one at a time, each with random numbers of its own. What is
+    learned depends on them, and not on how many workers share them.
     """
 
-    n_agents: int = count(1024, most=SLOTS)
-    depth: int = count(32)
-    iterations: int = count(60)
-    epochs: int = count(4)
-    minibatch: int = count(4096)
-    learning_rate: float = number(3e-3, most=1, above=True)
-    discount: float = number(0.98, most=1)
-    trace: float = number(0.9, most=1)
-    clip: float = number(0.2, above=True)
-    entropy: float = number(0.0)
-    reward_scale: float = number(1.0, above=True)
-    width: int = count(64, most=WIDEST)
+    n_agents: int = count(1024, most=SLOTS)  # that gather experience
+    depth: int = count(32)  # steps of each between updates
+    iterations: int = count(60)  # updates in all
+    epochs: int = count(4)  # how often an update goes through its experience
+    minibatch: int = count(4096)  # steps of single agents to learn from at a time
+    learning_rate: float = number(3e-3, most=1, above=True)  # of Adam, at first; falls to 0 evenly
+    discount: float = number(0.98, most=1)  # gamma of the advantages
+    trace: float = number(0.9, most=1)  # lambda of the advantages
+    clip: float = number(0.2, above=True)  # how far a probability may move in an update, as a ratio
+    entropy: float = number(0.0)  # its weight in the loss
+    reward_scale: float = number(1.0, above=True)  # what rewards are multiplied with before anything else
+    width: int = count(64, most=WIDEST)  # of the networks' layers
     blocks: int = count(1, most=SLOTS)
-    seed: int = count(0, least=0, most=SEEDS)
+    seed: int = count(0, least=0, most=SEEDS)  # of everything random
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -86,48 +52,33 @@ class Settings(Checked):
             )
 
 
-class PPO:
-    """A run of PPO: :meth:`iterate` is one update, and :meth:`state` all that the next depends on.
+class PPO(Trainer):
+    """A run of PPO: :meth:`iterate` is one update.
 
-    Parameters
-    ----------
-    spec
-        The environment.
-    device
-        Where it is stepped. Learned is where that has its observations: with ``"cuda"``, on the GPU.
-    settings
-        The run's.
-    shards
-        How many processes gather experience, by Ray; ``None`` for this one. What is learned is the same.
+    Learned is where the device has its observations: with ``"cuda"``, on the GPU. This process gathers
+    experience, or as many of Ray's as ``shards`` says; what is learned is the same.
     """
 
     def __init__(self, spec: EnvSpec, device: Any, settings: Settings, shards: int | None = None) -> None:
         # Of every step at least an observation, and six numbers of its experience.
-        needed = settings.n_agents * settings.depth * (observation_bytes(spec) + 6 * 4)
-        check_memory(spec, settings, ("n_agents", "depth"), needed, device)
-        self.settings = settings
+        rows = settings.n_agents * settings.depth
+        check_memory(spec, settings, device, ("n_agents", "depth"), rows, 6 * 4 * rows)
         torch.manual_seed(settings.seed)
         self.model = ActorCritic(spec, settings.width)
-        self.worker: Any = (
-            RolloutWorker(spec, device, settings, self.model)
-            if shards is None
-            else RayWorkers(spec, device, settings, self.model, shards)
-        )
-        self.where = self.worker.where
+        self.worker: Any
+        if shards is None:
+            self.worker = RolloutWorker(spec, device, settings, self.model)
+            agents = self.worker.agents
+        else:
+            agents = self.worker = RayWorkers(spec, device, settings, self.model, shards)
+        super().__init__(settings, agents, self.worker.where)
+        self.depth = settings.depth
         self.model.to(self.where)
         self.policy = self.model.policy
-        self.random = torch.Generator(self.where).manual_seed(settings.seed)
         self.parameters = list(self.model.parameters())
         self.optimiser = torch.optim.Adam(self.parameters, lr=settings.learning_rate, eps=1e-5, fused=True)
-        self.evaluated = 1000
-        self.episodes = Returns(settings.n_agents, self.where)
+        self.learned = {"model": self.model, "optimiser": self.optimiser}
         self.losses = torch.zeros(4, device=self.where)
-        self.done = 0
-
-    @property
-    def agent_steps(self) -> int:
-        """Steps of single agents so far."""
-        return self.done * self.settings.depth * self.settings.n_agents
 
     def iterate(self) -> None:
         """Gather experience and learn from it."""
@@ -145,7 +96,7 @@ class PPO:
     def figures(self) -> dict[str, float | None]:
         """Return figures for the metrics: of episodes since they were last asked for, and the last losses."""
         names = ("policy_loss", "value_loss", "entropy", "clipped")
-        return {**self.episodes.take(), **dict(zip(names, self.losses.tolist(), strict=True))}
+        return {**super().figures(), **dict(zip(names, self.losses.tolist(), strict=True))}
 
     def _minibatches(self, rollout: list[Tensor]) -> Iterator[list[Tensor]]:
         size = len(rollout[0])
@@ -175,23 +126,3 @@ class PPO:
         with torch.no_grad():
             clipped = ((ratio - 1).abs() > clip).float().mean()
             return torch.stack((policy_loss, value_loss, entropy, clipped))
-
-    def state(self) -> dict[str, Any]:
-        """Return all that the continuation depends on."""
-        return {
-            "done": self.done,
-            "model": self.model.state_dict(),
-            "optimiser": self.optimiser.state_dict(),
-            "random": self.random.get_state(),
-            "agents": kept(self.worker),
-            "episodes": self.episodes.state(),
-        }
-
-    def load(self, state: dict[str, Any]) -> None:
-        """Go on from what :meth:`state` returned."""
-        self.done = state["done"]
-        self.model.load_state_dict(state["model"])
-        self.optimiser.load_state_dict(state["optimiser"])
-        self.random.set_state(state["random"])
-        go_on(self.worker, state["agents"])
-        self.episodes.load(state["episodes"])

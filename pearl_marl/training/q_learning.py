@@ -18,50 +18,22 @@ from torch import Tensor
 from pearl_marl.errors import ArgumentError
 from pearl_marl.policies.network import Table
 from pearl_marl.spec import EnvSpec
-from pearl_marl.training.rollout import Agents, Returns, go_on, kept
-from pearl_marl.training.settings import (
-    SEEDS,
-    SLOTS,
-    Checked,
-    check_memory,
-    count,
-    number,
-    observation_bytes,
-)
+from pearl_marl.training.rollout import Agents, Trainer
+from pearl_marl.training.settings import SEEDS, SLOTS, Checked, check_memory, count, number
 
 
 @dataclass(frozen=True)
 class Settings(Checked):
-    """What a run of Q-learning depends on.
+    """What a run of Q-learning depends on, each said beside its default."""
 
-    Attributes
-    ----------
-    n_agents
-        Agents that gather experience, as many for each learner.
-    learners
-        Tables; from 1, which all agents share, to ``n_agents``.
-    iterations
-        Steps of every agent.
-    epsilon
-        Share of random actions at first; falls evenly to 0 at 80 % of the run.
-    rate
-        How far an entry moves towards the mean of its targets, at its first update.
-    fading
-        After ``1 / fading`` updates of an entry, it moves half as far; 0 for always as far.
-    discount
-        Gamma.
-    seed
-        Of everything random.
-    """
-
-    n_agents: int = count(43008, most=SLOTS)
-    learners: int = count(1, most=SLOTS)
-    iterations: int = count(300)
-    epsilon: float = number(0.2, most=1)
-    rate: float = number(0.5, most=1, above=True)
-    fading: float = number(0.0)
-    discount: float = number(1.0, most=1)
-    seed: int = count(0, least=0, most=SEEDS)
+    n_agents: int = count(43008, most=SLOTS)  # that gather experience, as many for each learner
+    learners: int = count(1, most=SLOTS)  # tables; from 1, which all agents share, to n_agents
+    iterations: int = count(300)  # steps of every agent
+    epsilon: float = number(0.2, most=1)  # share of random actions at first; falls evenly to 0 at EXPLORING
+    rate: float = number(0.5, most=1, above=True)  # how far an entry's first update moves it to its target
+    fading: float = number(0.0)  # after 1 / fading updates an entry moves half as far; 0: always as far
+    discount: float = number(1.0, most=1)  # gamma
+    seed: int = count(0, least=0, most=SEEDS)  # of everything random
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -71,9 +43,10 @@ class Settings(Checked):
 
 
 EXPLORING = 0.8
+"""The part of a run in which random actions become fewer."""
 
 
-class QLearning:
+class QLearning(Trainer):
     """A run of Q-learning: :meth:`iterate` is a step of all agents and an update of the tables.
 
     Parameters
@@ -97,18 +70,18 @@ class QLearning:
         rates: npt.NDArray[Any] | None = None,
         rewards: npt.NDArray[Any] | None = None,
     ) -> None:
-        self.settings = settings
         n, learners = settings.n_agents, settings.learners
         # Of every agent an observation and some ten numbers; of every entry of a table, one.
-        needed = n * (observation_bytes(spec) + 10 * 8) + learners * Table(spec).values.numel() * 4
-        check_memory(spec, settings, ("n_agents", "learners"), needed, device)
+        others = n * 10 * 8 + learners * Table(spec).values.numel() * 4
+        check_memory(spec, settings, device, ("n_agents", "learners"), n, others)
         self.policy = Table(spec, learners)
         entries = len(spec.rewards or ())
         for name, given, shape in (("rates", rates, (learners,)), ("rewards", rewards, (learners, entries))):
             if given is not None and np.shape(given) != shape:
                 raise ArgumentError(f"{name} have the shape {np.shape(given)}; of {spec.name} it is {shape}")
-        self.agents = Agents(spec, device, n, settings.seed)
-        where = self.agents.obs.device
+        agents = Agents(spec, device, n, settings.seed)
+        where = agents.obs.device
+        super().__init__(settings, agents, where)
         self.policy.to(where)
         if rates is None:
             rates = np.full(learners, settings.rate)
@@ -116,50 +89,39 @@ class QLearning:
         self.rewards: Tensor | None = None
         if rewards is not None:
             self.rewards = torch.as_tensor(np.asarray(rewards, np.float32), device=where)
-            self.agents.device.set_rewards(np.arange(entries, dtype=np.float32))
+            agents.device.set_rewards(np.arange(entries, dtype=np.float32))
         self.learner = torch.arange(n, device=where) * learners // n  # of every agent
-        self.random = torch.Generator(where).manual_seed(settings.seed)
-        self.episodes = Returns(n, where)
-        self.rows = self.policy.rows(self.agents.obs)
+        self.rows = self.policy.rows(agents.obs)
         # An entry of each table's: updates so far; of the step, visits and the sum of targets.
         self.updates = torch.zeros_like(self.policy.values).flatten()
         self.visits, self.sums = (torch.zeros_like(self.updates, dtype=torch.float64) for _ in range(2))
         self.evaluated = max(2_000, learners)
-        self.done = 0
-
-    @property
-    def agent_steps(self) -> int:
-        """Steps of single agents so far."""
-        return self.done * self.settings.n_agents
 
     @property
     def explored(self) -> float:
         """The share of actions that is random now."""
-        settings = self.settings
+        settings: Settings = self.settings
         return max(0.0, settings.epsilon * (1 - self.done / (EXPLORING * settings.iterations)))
 
     def iterate(self) -> None:
         """Step all agents and update the tables."""
-        settings, rows, where = self.settings, self.rows, self.rows.device
-        n, n_actions = settings.n_agents, self.policy.values.shape[2]
+        rows, n_actions = self.rows, self.policy.values.shape[2]
         values = self.policy.values.view(-1, n_actions)  # of all learners, one below the other
-        random = torch.rand(n, generator=self.random, device=where) < self.explored
-        anything = torch.randint(n_actions, (n,), generator=self.random, device=where)
-        actions = torch.where(random, anything, values[rows].argmax(1))
+        actions = self.explore(values[rows].argmax(1), n_actions, self.explored)
         step = self.agents.step(actions)
         rewards = step.rewards
         if self.rewards is not None:
             rewards = self.rewards[self.learner, rewards.long()]
         # Where the step itself led; in its place there may be the next episode's start already.
-        later = values[self.policy.rows(step.arrivals())].amax(1)
-        self._update(rows * n_actions + actions, rewards + settings.discount * later * ~step.terminations)
+        later = values[self.policy.rows(step.arrivals())].amax(1) * ~step.terminations
+        self._update(rows * n_actions + actions, rewards + self.settings.discount * later)
         self.episodes.add(rewards[None], step.ended[None])
         self.rows = self.policy.rows(step.obs)
         self.done += 1
 
     def figures(self) -> dict[str, float | None]:
         """Return figures for the metrics: of episodes since they were last asked for."""
-        return {**self.episodes.take(), "explored": self.explored}
+        return {**super().figures(), "explored": self.explored}
 
     def _update(self, entries: Tensor, targets: Tensor) -> None:
         """Move the entries that agents visited towards the mean of their targets."""
@@ -177,21 +139,11 @@ class QLearning:
 
     def state(self) -> dict[str, Any]:
         """Return all that the continuation depends on."""
-        return {
-            "done": self.done,
-            "values": self.policy.values,
-            "updates": self.updates,
-            "random": self.random.get_state(),
-            "agents": kept(self.agents),
-            "episodes": self.episodes.state(),
-        }
+        return {**super().state(), "values": self.policy.values, "updates": self.updates}
 
     def load(self, state: dict[str, Any]) -> None:
         """Go on from what :meth:`state` returned."""
-        self.done = state["done"]
-        self.updates.copy_(state["updates"])
+        super().load(state)
         self.policy.values[:] = state["values"]
-        self.random.set_state(state["random"])
-        go_on(self.agents, state["agents"])
+        self.updates.copy_(state["updates"])
         self.rows = self.policy.rows(self.agents.obs)
-        self.episodes.load(state["episodes"])

@@ -24,34 +24,20 @@ ROWS = 16_384
 
 
 class Agents:
-    """The agents of a range of slots, stepped by tensors: where the device has its results, these stay.
+    """The agents of ``n`` slots, the first of the global number ``first``; ``obs`` is what they see now.
 
-    Parameters
-    ----------
-    spec, device
-        The environment, and where it is stepped. ``"cuda"`` keeps results on the GPU.
-    n, first
-        How many agents, and the global number of the first.
-    seed
-        Of their first episodes.
-
-    Attributes
-    ----------
-    obs
-        What the agents see now.
+    They are stepped by tensors. Where the device has its results, these stay: of ``"cuda"`` on the GPU.
     """
 
     def __init__(self, spec: EnvSpec, device: str | Device, n: int, seed: int, first: int = 0) -> None:
         self.device = make_device(device, tensors=True)
         self.device.open(BatchConfig(spec=spec, n_envs=n, first_slot=first))
-        obs = self.device.reset(seed)
-        self.obs = torch.as_tensor(obs)
+        self.obs = torch.as_tensor(self.device.reset(seed))
 
     def step(self, actions: Tensor) -> Any:
         """Step every agent; return a :class:`BatchStep` of tensors."""
         given: Any = actions if self.device.tensors else actions.numpy()
-        results: Any = map(torch.as_tensor, self.device.step(given))
-        step: Any = BatchStep(*results)
+        step: Any = BatchStep(*map(torch.as_tensor, self.device.step(given)))  # type: ignore[arg-type]
         self.obs = step.obs
         return step
 
@@ -69,26 +55,8 @@ class Agents:
         self.obs = torch.as_tensor(self.device.restore(state))
 
 
-def kept(agents: Any) -> Tensor:
-    """Return the state of agents, or of workers, as a checkpoint has it: bytes, which are plain data."""
-    return torch.frombuffer(bytearray(agents.state().to_bytes()), dtype=torch.uint8)
-
-
-def go_on(agents: Any, state: Tensor) -> None:
-    """Have agents, or workers, go on from what :func:`kept` returned."""
-    agents.load(SavedState.from_bytes(state.numpy().tobytes(), agents.identity))
-
-
 class Returns:
-    """Mean return and length of the episodes that agents finish, added up where the rewards are.
-
-    Parameters
-    ----------
-    n
-        How many agents.
-    where
-        The device of torch that has their rewards.
-    """
+    """Mean return and length of the episodes that ``n`` agents finish, added up where the rewards are."""
 
     def __init__(self, n: int, where: torch.device) -> None:
         # Of the episodes under way: returns, lengths. Of those finished: number, returns, lengths.
@@ -131,6 +99,64 @@ class Returns:
             mine.copy_(kept)
 
 
+class Trainer:
+    """A run of any algorithm: ``iterate`` goes on by one iteration, and ``policy`` is what has been learned.
+
+    Parameters
+    ----------
+    settings
+        The run's.
+    agents
+        Who gathers: :class:`Agents`, or what else has ``state``, ``load`` and ``identity``.
+    where
+        The device of torch that has their observations, and on which is learned.
+    """
+
+    def __init__(self, settings: Any, agents: Any, where: torch.device) -> None:
+        self.settings, self.agents, self.where = settings, agents, where
+        self.random = torch.Generator(where).manual_seed(settings.seed)
+        self.episodes = Returns(settings.n_agents, where)
+        self.learned: dict[str, Any] = {}  # modules and optimisers, by their names in a checkpoint
+        self.done = 0  # iterations so far
+        self.depth = 1  # steps of every agent in an iteration
+        self.evaluated = 1000  # agents whose first episodes are an evaluation, unless said otherwise
+
+    @property
+    def agent_steps(self) -> int:
+        """Steps of single agents so far."""
+        return int(self.done * self.depth * self.settings.n_agents)
+
+    def figures(self) -> dict[str, float | None]:
+        """Return figures for the metrics, of episodes since they were last asked for."""
+        return self.episodes.take()
+
+    def explore(self, best: Tensor, n_actions: int, share: float) -> Tensor:
+        """Return the best actions, of which a share is replaced by random ones."""
+        random = torch.rand(len(best), generator=self.random, device=self.where) < share
+        anything = torch.randint(n_actions, best.shape, generator=self.random, device=self.where)
+        return torch.where(random, anything, best)
+
+    def state(self) -> dict[str, Any]:
+        """Return all that the continuation depends on: tensors and plain data."""
+        agents = torch.frombuffer(bytearray(self.agents.state().to_bytes()), dtype=torch.uint8)
+        return {
+            "done": self.done,
+            "random": self.random.get_state(),
+            "agents": agents,
+            "episodes": self.episodes.state(),
+            **{name: part.state_dict() for name, part in self.learned.items()},
+        }
+
+    def load(self, state: dict[str, Any]) -> None:
+        """Go on from what :meth:`state` returned."""
+        self.done = state["done"]
+        for name, part in self.learned.items():
+            part.load_state_dict(state[name])
+        self.random.set_state(state["random"])
+        self.agents.load(SavedState.from_bytes(state["agents"].numpy().tobytes(), self.agents.identity))
+        self.episodes.load(state["episodes"])
+
+
 class ActorCritic(nn.Module):
     """A policy, and a critic that says what is still to come by it."""
 
@@ -148,9 +174,9 @@ class ActorCritic(nn.Module):
 
     def see(self, obs: Tensor) -> None:
         """Take a batch of observations into the statistics by which they are standardised."""
-        for network in (self.policy.network, self.critic):
-            if isinstance(network, Network):
-                network.encoder.see(obs)
+        self.policy.network.encoder.see(obs)
+        if isinstance(self.critic, Network):
+            self.critic.encoder.see(obs)
 
     def values(self, obs: Tensor) -> Tensor:
         """Return what the critic expects, shape ``(batch,)``."""
@@ -192,42 +218,21 @@ class ActorCritic(nn.Module):
 
 
 class Experience(NamedTuple):
-    """A rollout, a row a step and a column an agent.
-
-    Attributes
-    ----------
-    obs, actions
-        What was seen and, of the policy's own form, done.
-    logs
-        Logarithms of the actions' probabilities.
-    advantages, returns
-        How much better than expected it went, and what came of it.
-    rewards, ended
-        As the device had them.
-    """
+    """A rollout, a row a step and a column an agent."""
 
     obs: Tensor
-    actions: Tensor
-    logs: Tensor
-    advantages: Tensor
-    returns: Tensor
-    rewards: Tensor
+    actions: Tensor  # of the policy's own form
+    logs: Tensor  # logarithms of the actions' probabilities
+    advantages: Tensor  # how much better than expected it went
+    returns: Tensor  # what came of it
+    rewards: Tensor  # as the device had them, and the ends
     ended: Tensor
 
 
 class RolloutWorker:
-    """Gathers with the agents of some blocks; see ``Settings.blocks`` of :mod:`pearl_marl.training.ppo`.
+    """Gathers with the agents of some blocks, by default all: see :class:`pearl_marl.training.ppo.Settings`.
 
-    Parameters
-    ----------
-    spec, device
-        The environment, and where it is stepped.
-    settings
-        Of :mod:`pearl_marl.training.ppo`.
-    model
-        What acts: its weights may change between rollouts.
-    blocks
-        Whose agents, of all blocks; by default all.
+    The weights of the model, which acts, may change between rollouts.
     """
 
     def __init__(
@@ -243,11 +248,7 @@ class RolloutWorker:
         edges = block_edges(settings, self.numbers)
         self.blocks = [slice(a - edges[0], b - edges[0]) for a, b in itertools.pairwise(edges)]
         self.agents = Agents(spec, device, edges[-1] - edges[0], settings.seed, edges[0])
-
-    @property
-    def where(self) -> torch.device:
-        """The device of torch that has the agents' observations."""
-        return self.agents.obs.device
+        self.where = self.agents.obs.device
 
     @torch.no_grad()
     def gather(self, rollout: int) -> Experience:
@@ -301,19 +302,6 @@ class RolloutWorker:
             advantage = torch.addcmul(errors[t], going_on[t], advantage)
             advantages[t] = advantage
         return advantages
-
-    @property
-    def identity(self) -> dict[str, Any]:
-        """What a saved state of these agents has to agree with."""
-        return self.agents.identity
-
-    def state(self) -> SavedState:
-        """Return all that the agents' continuation depends on."""
-        return self.agents.state()
-
-    def load(self, state: SavedState) -> None:
-        """Go on from what :meth:`state` returned."""
-        self.agents.load(state)
 
 
 def block_edges(settings: Any, blocks: range) -> list[int]:

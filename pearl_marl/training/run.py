@@ -58,8 +58,6 @@ def settings_for(algorithm: str, env_id: str, given: dict[str, Any], shards: int
         return settings
     if "blocks" not in names:
         raise ArgumentError(f"{algorithm} does not learn with --shards: leave it out, or use ppo")
-    if shards < 1:
-        raise ArgumentError(f"--shards is {shards}; it must be at least 1, or left out for this process")
     if "blocks" in given:
         return settings
     return dataclasses.replace(settings, blocks=min(BLOCKS, settings.n_agents))
@@ -83,12 +81,10 @@ def train(
 
     Parameters
     ----------
-    env_id, options
-        The environment.
+    env_id, options, device
+        The environment, and where agents are stepped.
     algorithm, settings
         One of :data:`ALGORITHMS`, and what :func:`settings_for` made.
-    device
-        Where agents are stepped.
     folder
         Of the run. If it holds one of the same settings, that goes on where its last checkpoint was.
     goal

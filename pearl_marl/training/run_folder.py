@@ -1,13 +1,4 @@
-"""A training run's folder: settings, metrics, checkpoints, the policy; and how it goes on after a kill.
-
-::
-
-    config.json            settings, seed, versions, machine
-    metrics.csv            a row for each report; the same figures for TensorBoard beside it
-    checkpoint.pt          all that the continuation depends on
-    checkpoint.previous.pt the one before
-    policy.safetensors     the best policy so far that was evaluated
-    learning_curve.png     when the run is done
+"""A training run's folder (docs/training.md has its files), and how a run goes on after a kill.
 
 Everything is written beside and renamed, and metrics and checkpoint belong together: whenever a run is
 killed, it goes on from its last checkpoint as if nothing had happened. A folder may be somebody else's: a
@@ -39,19 +30,14 @@ FORMAT = 3
 
 
 class RunFolder:
-    """The folder of one run, new or to be gone on with.
+    """The folder of one run, new or to be gone on with; ``rows`` are the metrics so far, a dict a report.
 
     Parameters
     ----------
     path
-        The folder. If it holds a run already, that has to be of the same settings.
+        The folder.
     settings
         What the run depends on, by name; JSON.
-
-    Attributes
-    ----------
-    rows
-        The metrics so far, a dict a report.
 
     Raises
     ------
@@ -62,25 +48,23 @@ class RunFolder:
     def __init__(self, path: Path, settings: dict[str, Any]) -> None:
         self.path = path
         self.rows: list[dict[str, Any]] = []
+        self._board: SummaryWriter | None = None
+        self._resumed = path / CHECKPOINT
         config = path / "config.json"
         settings = json.loads(json.dumps(settings))
         try:
             path.mkdir(parents=True, exist_ok=True)
-            if config.exists():
-                self._refuse_others(_settings(config), settings)
-            else:
-                about = {"settings": settings, "machine": machine()}
-                replace_file(config, json.dumps(about, indent=2).encode())
+            theirs = _settings(config) if config.exists() else None
         except OSError as error:
             raise ArgumentError(f"--out {path} is no folder that can be written: {error.strerror}") from None
-        self._board: SummaryWriter | None = None
-        self._resumed = path / CHECKPOINT
-
-    def _refuse_others(self, theirs: dict[str, Any], ours: dict[str, Any]) -> None:
-        for name in {**theirs, **ours}:
-            if theirs.get(name) != ours.get(name):
+        if theirs is None:
+            about = {"settings": settings, "machine": machine()}
+            replace_file(config, json.dumps(about, indent=2).encode())
+            return
+        for name in {**theirs, **settings}:
+            if theirs.get(name) != settings.get(name):
                 raise ArgumentError(
-                    f"{self.path} holds a run with {name} {theirs.get(name)!r}, not {ours.get(name)!r}: "
+                    f"{path} holds a run with {name} {theirs.get(name)!r}, not {settings.get(name)!r}: "
                     "give the same settings to go on with it, or another --out"
                 )
 
@@ -101,7 +85,9 @@ class RunFolder:
         if checkpoint.get("format") != FORMAT:
             raise ArgumentError(f"{self._resumed} is of another version of this package: give another --out")
         rows = checkpoint.pop("rows", None)
-        if not isinstance(rows, list) or not all(_is_row(row) for row in rows):
+        if not isinstance(rows, list) or not all(
+            isinstance(row, dict) and isinstance(row.get("agent_steps"), int) for row in rows
+        ):
             raise self.damaged("and has no metrics")
         self.rows = rows
         return checkpoint
@@ -163,8 +149,8 @@ class RunFolder:
         if self._board is not None:
             self._board.flush()
 
-    def draw_curve(self, title: str, goal: float | None) -> Path:
-        """Draw the returns of training and of evaluations over agent-steps; return the picture's path."""
+    def draw_curve(self, title: str, goal: float | None) -> None:
+        """Draw the returns of training and of evaluations over agent-steps."""
         plt = import_pyplot()
         figure, axes = plt.subplots(figsize=(7, 4), layout="constrained")
         for name, label in (("train_return", "episodes in training"), ("eval_return", "best actions")):
@@ -176,14 +162,8 @@ class RunFolder:
         axes.set(xlabel="agent-steps (millions)", ylabel="mean return", title=title)
         axes.grid(alpha=0.3)
         axes.legend()
-        path = self.path / "learning_curve.png"
-        figure.savefig(path, dpi=120)
+        figure.savefig(self.path / "learning_curve.png", dpi=120)
         plt.close(figure)
-        return path
-
-
-def _is_row(row: Any) -> bool:
-    return isinstance(row, dict) and isinstance(row.get("agent_steps"), int)
 
 
 def _settings(config: Path) -> dict[str, Any]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
 from numbers import Integral, Real
 from typing import Any
@@ -38,20 +37,18 @@ class Range:
     whole: bool
 
     def __contains__(self, value: Any) -> bool:
-        kind = Integral if self.whole else Real
-        if isinstance(value, bool) or not isinstance(value, kind):
+        if isinstance(value, bool) or not isinstance(value, Integral if self.whole else Real):
             return False
         figure: Any = value
-        within = self.least <= figure <= self.most and figure != math.inf
-        return bool(within and not (self.above and figure == self.least))
+        enough = figure > self.least if self.above else figure >= self.least
+        return bool(enough and figure <= self.most and figure != math.inf)
 
     def __str__(self) -> str:
         kind = "a whole number" if self.whole else "a number"
         if self.most == math.inf:
-            return f"{kind} above {self.least:,}" if self.above else f"{kind} of at least {self.least:,}"
-        return (
-            f"{kind} {'above' if self.above else 'from'} {self.least:,} {'up ' * self.above}to {self.most:,}"
-        )
+            return f"{kind} {'above' if self.above else 'of at least'} {self.least:,}"
+        first = f"above {self.least:,} up" if self.above else f"from {self.least:,}"
+        return f"{kind} {first} to {self.most:,}"
 
 
 def count(default: int, least: int = 1, most: int = MANY) -> Any:
@@ -59,9 +56,9 @@ def count(default: int, least: int = 1, most: int = MANY) -> Any:
     return field(default=default, metadata={"range": Range(least, most, above=False, whole=True)})
 
 
-def number(default: float, least: float = 0, most: float = math.inf, above: bool = False) -> Any:
-    """Return a setting that is a finite number; of those above ``least`` only, if ``above``."""
-    return field(default=default, metadata={"range": Range(least, most, above, whole=False)})
+def number(default: float, most: float = math.inf, above: bool = False) -> Any:
+    """Return a setting that is a finite number from 0; of those above 0 only, if ``above``."""
+    return field(default=default, metadata={"range": Range(0, most, above, whole=False)})
 
 
 class Checked:
@@ -69,32 +66,31 @@ class Checked:
 
     def __post_init__(self) -> None:
         for setting in fields(self):  # type: ignore[arg-type]
-            value = getattr(self, setting.name)
-            if value not in setting.metadata["range"]:
-                raise ArgumentError(
-                    f"setting {setting.name!r} is {value!r}; it must be {setting.metadata['range']}"
-                )
+            value, possible = getattr(self, setting.name), setting.metadata["range"]
+            if value not in possible:
+                raise ArgumentError(f"setting {setting.name!r} is {value!r}; it must be {possible}")
 
 
-def check_memory(spec: EnvSpec, settings: Any, names: Sequence[str], needed: int, device: Any) -> None:
+def check_memory(
+    spec: EnvSpec, settings: Any, device: Any, names: tuple[str, ...], observations: int, others: int
+) -> None:
     """Refuse a run that takes more memory than there is, before any is taken.
 
     Parameters
     ----------
-    spec, settings
-        The environment, and the run's settings.
+    spec, settings, device
+        The run's. With the device ``"cuda"``, what is learned from is on the GPU.
     names
         The settings that the memory grows with.
-    needed
-        Bytes that the run takes at least.
-    device
-        Where agents are stepped: with ``"cuda"``, what is learned from is on the GPU.
+    observations, others
+        What the run holds at least: observations, and bytes of anything else.
 
     Raises
     ------
     ArgumentError
         There is less.
     """
+    needed = observations * math.prod(spec.observation_shape) * spec.observation_dtype.itemsize + others
     there, where = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"), "this machine"
     if device == Cuda.name and torch.cuda.is_available():
         there, where = torch.cuda.get_device_properties(0).total_memory, "the GPU"
@@ -104,8 +100,3 @@ def check_memory(spec: EnvSpec, settings: Any, names: Sequence[str], needed: int
             f"training on {spec.name} with {given} takes at least {needed / 2**30:,.1f} GiB of memory, and "
             f"{where} has {there / 2**30:,.1f} GiB: make one of these settings smaller"
         )
-
-
-def observation_bytes(spec: EnvSpec) -> int:
-    """Return the bytes of one observation."""
-    return math.prod(spec.observation_shape) * spec.observation_dtype.itemsize

@@ -1,12 +1,5 @@
 """Rollouts of one training run, gathered by many processes: weights travel instead of steps.
 
-::
-
-    learner --- weights, number of the rollout ---> worker 0, with the agents of blocks 0 to a
-       ^    --- weights, number of the rollout ---> worker 1, with the agents of blocks a to b
-       |                                               |
-       +------------- experience, state ---------------+
-
 What a worker gathers depends on what it is sent and on its agents' state, which comes back each time. A
 worker that was lost is replaced by one that is given that state, and gathers the same.
 """
@@ -45,39 +38,24 @@ class Worker:
         self.model = ActorCritic(spec, settings.width)
         self.worker = RolloutWorker(spec, device, settings, self.model, blocks)
         self.model.to(self.worker.where)
-        return self.worker.state()
+        return self.worker.agents.state()
 
     def gather(
         self, rollout: int, weights: dict[str, Array], state: SavedState | None
     ) -> tuple[list[Array], SavedState]:
-        """Return the experience of a rollout as arrays, and the agents' state after it.
-
-        Parameters
-        ----------
-        rollout
-            Its number.
-        weights
-            Of the model.
-        state
-            Of the agents, to begin with; ``None`` to go on.
-        """
+        """Return a rollout's experience, and the agents' state after it; they begin at ``state``, if any."""
         if state is not None:
-            self.worker.load(state)
+            self.worker.agents.load(state)
         # Copies: what comes out of the object store cannot be written to.
         self.model.load_state_dict({name: torch.tensor(array) for name, array in weights.items()})
         experience = self.worker.gather(rollout)
-        return [part.cpu().numpy() for part in experience], self.worker.state()
+        return [part.cpu().numpy() for part in experience], self.worker.agents.state()
 
 
 class RayWorkers:
-    """Gathers as one :class:`RolloutWorker` of all agents would, with actors of Ray that share them.
+    """Gathers as one :class:`RolloutWorker` of all agents would, with as many actors of Ray as ``shards``.
 
-    Parameters
-    ----------
-    spec, device, settings, model
-        As of :class:`RolloutWorker`.
-    shards
-        How many actors. Each takes as many blocks of agents as any other, or one more.
+    Blocks of agents are divided among them evenly.
 
     Raises
     ------
@@ -115,8 +93,7 @@ class RayWorkers:
         for attempt in itertools.count(1):
             try:
                 actor = cluster.start_actor(Worker, resources=self._resources)
-                state: SavedState = cluster.get(actor.begin.remote(sent))
-                return actor, state
+                return actor, cluster.get(actor.begin.remote(sent))
             except cluster.lost() as error:
                 self._give_up(i, attempt, "while it started", error)
         raise AssertionError
@@ -129,19 +106,13 @@ class RayWorkers:
         self._apart = [True] * len(self._actors)
         gathered: list[tuple[list[Array], SavedState]] = []
         for i, asked in enumerate(under_way):
-            attempt = 0
-            while len(gathered) == i:
+            for attempt in itertools.count(1):
                 try:
                     gathered.append(cluster.get(asked))
+                    break
                 except cluster.lost() as error:
-                    attempt += 1
-                    self._give_up(
-                        i,
-                        attempt,
-                        f"in rollout {rollout}",
-                        error,
-                        ". With the same --out the run goes on later",
-                    )
+                    mend = ". With the same --out the run goes on later"
+                    self._give_up(i, attempt, f"in rollout {rollout}", error, mend)
                     cluster.kill(self._actors[i])
                     self._actors[i], _ = self._start(i)
                     asked = self._ask(i, rollout, weights)
@@ -173,10 +144,7 @@ class RayWorkers:
         return SavedState.join(self.spec, self._states)
 
     def load(self, state: SavedState) -> None:
-        """Go on from what :meth:`state` returned, or that of a :class:`RolloutWorker`."""
-        self._states = [state.cut(self.spec, slots) for slots in self._slots()]
-        self._apart = [True] * len(self._states)
-
-    def _slots(self) -> list[slice]:
+        """Go on from what :meth:`state` returned, or that of this process's own agents."""
         edges = [block_edges(self.settings, blocks) for blocks in self._blocks]
-        return [slice(edge[0], edge[-1]) for edge in edges]
+        self._states = [state.cut(self.spec, slice(edge[0], edge[-1])) for edge in edges]
+        self._apart = [True] * len(self._states)

@@ -115,8 +115,9 @@ def test_a_ctrl_c_in_recv_leaves_the_step_under_way(monkeypatch: pytest.MonkeyPa
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr(device.under_way.pending, "result", interrupted)
-        patch.setattr(device.under_way.pending, "done", lambda: False)
+        assert device.under_way is not None
+        patch.setattr(device.under_way[1], "result", interrupted)
+        patch.setattr(device.under_way[1], "done", lambda: False)
         with pytest.raises(KeyboardInterrupt):
             device.recv()
     assert_same_trajectory([device.recv()], trajectory(other, actions(1)))

@@ -284,7 +284,7 @@ def test_episodes_of_a_random_policy(options: dict[str, Any], share: float) -> N
 def test_episodes_with_fickle_passengers() -> None:
     """The same, but the oracle's own ``step`` has to do it, one slot after the other."""
     eager = {"fickle_passenger": True, "fickle_probability": 0.9}
-    env, generator, n = gymnasium.make("Taxi-v4", **eager), np.random.default_rng(5), 20_000
+    env, generator, n = gymnasium.make("Taxi-v4", **eager), np.random.default_rng(5), 8_000
     lengths, returns = np.zeros(n, int), np.zeros(n)
     env.reset(seed=3)
     act = policy(0.9)

@@ -1,8 +1,7 @@
 """Simulated devices, built once and kept: from a build to a compiled library.
 
-A build's name in the cache is a hash of everything that it depends on, so a changed core, option,
-size or tool is another build. An entry appears whole or not at all, and carries a checksum: one
-that a full disk or a crash has damaged is built again.
+A build's name in the cache is a hash of everything that it depends on. An entry appears whole or not at all,
+and carries a checksum: one that a full disk or a crash has damaged is built again.
 """
 
 from __future__ import annotations
@@ -49,14 +48,8 @@ _LIGHT_MAKE = ("OPT_FAST=-O1 -march=native", *_MAKE[1:], "VM_PARALLEL_BUILDS=0")
 def library(build: Build, traced: bool = False, pipelined: bool = True) -> Path:
     """Return the library of a simulated device; build it unless the cache has it.
 
-    Parameters
-    ----------
-    build
-        Says what the hardware is.
-    traced
-        Whether it can write waveforms and keeps every signal, at the cost of some speed.
-    pipelined
-        Whether groups of slots overlap in it.
+    If ``traced`` it can write waveforms and keeps every signal, at the cost of some speed. If ``pipelined``
+    groups of slots overlap in it.
 
     Raises
     ------

@@ -27,16 +27,8 @@ _ANSWERS = {
 class Simulation(Transport):
     """A simulated board as a transport.
 
-    Parameters
-    ----------
-    built
-        The model's library.
-    layout
-        Its memory map.
-    backdoor
-        Whether the regions of a step bypass the AXI port.
-    trace
-        Where to write waveforms, if the model was built for them.
+    ``built`` is the model's library. With ``backdoor`` the regions of a step bypass the AXI port. ``trace``
+    is where to write waveforms, if the model was built for them.
     """
 
     def __init__(self, built: Path, layout: MemoryMap, backdoor: bool, trace: str | None) -> None:
@@ -78,8 +70,11 @@ class Simulation(Transport):
         self._check(self._functions.pearl_wait(self._host))
 
     def exchange(self, step: Exchange) -> None:
-        """Do a whole step in one call."""
-        self.step(step.write_at, step.data, step.read_at, step.answer)
+        """Do a whole step in one call, unless its stages are timed."""
+        if self.timed:
+            super().exchange(step)
+        else:
+            self.step(step.write_at, step.data, step.read_at, step.answer)
 
     def step(self, offset: int, data: Stream, answer_offset: int, answer: Stream) -> None:
         """Write, clock until the interrupt, and read, in one call."""

@@ -1,4 +1,4 @@
-"""Holding a device against the golden functions: in which modes, with which actions, for how long."""
+"""Holding a device against the golden functions in every mode, and replaying where it differed."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ import numpy.typing as npt
 from gymnasium.vector import AutoresetMode
 
 from pearl_marl.batch.actions import random_actions
+from pearl_marl.comparison.replay import Replay
 from pearl_marl.devices import BatchConfig, Lockstep
 from pearl_marl.errors import LockstepError
 from pearl_marl.spec import EnvSpec
@@ -19,30 +20,18 @@ from pearl_marl.spec import EnvSpec
 
 @dataclass
 class Run:
-    """One mode, how long to run in it, and what has come of it so far.
-
-    Parameters
-    ----------
-    config
-        The mode.
-    steps
-        How many steps it gets.
-
-    Attributes
-    ----------
-    taken, words, episodes, truncated
-        Steps taken, words compared, episodes ended, and those of them that were only truncated.
-    exact
-        Whether all was the same; ``None`` before the end.
-    """
+    """One mode, how many steps it gets, and what has come of it so far."""
 
     config: BatchConfig
     steps: int
     taken: int = 0
     words: int = 0
+    """How many have been compared."""
     episodes: int = 0
     truncated: int = 0
+    """How many of the episodes were only truncated."""
     exact: bool | None = None
+    """Whether all was the same; ``None`` before the end."""
 
 
 def runs(
@@ -53,17 +42,10 @@ def runs(
     initial_states: str | None = None,
     max_cycles: int | None = None,
 ) -> list[Run]:
-    """Return the modes to run in, every combination of what is left open, with the steps shared out.
+    """Return the modes to run in: every combination of what is ``None``, with the steps shared out.
 
-    Parameters
-    ----------
-    spec, n_agents
-        The environment and the size.
-    steps
-        Of all runs together; each gets one at least.
-    autoreset_mode, initial_states, max_cycles
-        ``None`` is both modes, both kinds of starts, and once without a limit and once with one that
-        is reached twice.
+    Without ``max_cycles`` there is once no limit, and once one that is reached twice. Each run gets at least
+    one step.
     """
     modes = [AutoresetMode.SAME_STEP, AutoresetMode.NEXT_STEP] if autoreset_mode is None else [autoreset_mode]
     starts = ["random", "stored"] if initial_states is None else [initial_states]
@@ -90,10 +72,7 @@ def runs(
 def verify(run: Run, lockstep: Lockstep, seed: int) -> Iterator[Run]:
     """Step a lockstep through a run, with a masked reset half way; yield the run after every step.
 
-    Raises
-    ------
-    LockstepError
-        At the first word that differs.
+    At the first word that differs it raises LockstepError.
     """
     lockstep.open(run.config)
     try:
@@ -118,11 +97,9 @@ def verify(run: Run, lockstep: Lockstep, seed: int) -> Iterator[Run]:
 
 
 def sticky_actions(spec: EnvSpec, n: int, steps: int, seed: int) -> Iterator[npt.NDArray[Any]]:
-    """Yield random actions that get somewhere: a slot repeats its action for a while.
+    """Yield random actions that end episodes: independent ones hardly ever swing up a mountain.
 
-    Independent actions hardly ever walk twelve cells or swing up a mountain, so that no episode
-    would end. Here a slot keeps its action with a probability of its own: of every five slots one
-    never does, and the others for 2, 4, 8 and 16 steps on average.
+    Of every five slots one never repeats its action, and the others do for 2, 4, 8 and 16 steps on average.
     """
     rng = np.random.default_rng(seed)
     changes = 0.5 ** (np.arange(n) % 5)
@@ -132,3 +109,24 @@ def sticky_actions(spec: EnvSpec, n: int, steps: int, seed: int) -> Iterator[npt
         drawn = random_actions(spec, rng, n)
         change = (rng.random(n) < changes).reshape(-1, *(1,) * (drawn.ndim - 1))
         actions = np.where(change, drawn, actions)
+
+
+def replay(recorded: Replay, lockstep: Lockstep) -> LockstepError | None:
+    """Make a call again on a new ``lockstep`` of the two devices, which is closed afterwards.
+
+    Returns where they differ now, ``None`` if they agree.
+    """
+    lockstep.open(recorded.config)
+    try:
+        if recorded.before is not None:
+            lockstep.restore(recorded.before)
+        if recorded.actions is not None:
+            lockstep.step_words(recorded.actions)
+        elif recorded.divergence.call == "reset":
+            lockstep.reset(recorded.seed, recorded.mask)
+        lockstep.snapshot()
+    except LockstepError as error:
+        return error
+    finally:
+        lockstep.close()
+    return None
