@@ -14,6 +14,7 @@ from rich.markup import escape
 from pearl_marl.cli import (
     bench,
     board,
+    core,
     doctor,
     envs,
     eval,
@@ -39,7 +40,22 @@ app = typer.Typer(
 )
 COMMANDS = {
     module.__name__.rpartition(".")[2]: module.command
-    for module in (envs, doctor, run, train, eval, bench, verify, serve, synth, plan, board, new, report)
+    for module in (
+        envs,
+        doctor,
+        run,
+        train,
+        eval,
+        bench,
+        verify,
+        serve,
+        core,
+        synth,
+        plan,
+        board,
+        new,
+        report,
+    )
 }
 for name, command in COMMANDS.items():
     app.command(name)(command)

@@ -1,4 +1,4 @@
-"""The graph of an environment's core: what one slot does in one step, from the core's inputs to its outputs."""
+"""The graph of an environment's core: what a slot does in a step, from the core's inputs to its outputs."""
 
 from __future__ import annotations
 
@@ -6,7 +6,8 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from pearl_marl.compiler.gating import held
-from pearl_marl.compiler.graph import Graph, Node
+from pearl_marl.compiler.graph import Graph
+from pearl_marl.compiler.nodes import Node
 from pearl_marl.compiler.tracing import trace
 from pearl_marl.spec import EnvSpec, Field
 
@@ -31,7 +32,7 @@ class CoreGraph(NamedTuple):
 def core_graph(spec: EnvSpec) -> CoreGraph:
     """Return the graph of an environment's core.
 
-    Inputs are ``first``, ``hold``, ``action``, the state's fields, each by its name, and ``draw_0`` and so on.
+    Inputs are named as the core's ports have them: ``first_i``, ``state_i.row``, ``rng_i[0]``.
 
     Raises
     ------
@@ -50,9 +51,7 @@ def core_graph(spec: EnvSpec) -> CoreGraph:
             node.name = field.name
         graph.free(node)  # what the step does is seen by values of fields, not of inputs
     results = trace(graph, spec.golden.step, [*start, action, *draws[spec.reset_draws :]])
-    *moved, reward, terminated = _narrowed(
-        graph, results, [*spec.state, spec.reward, Field("terminated", 1)]
-    )
+    *moved, reward, terminated = _narrowed(graph, results, [*spec.state, spec.reward, Field("terminated", 1)])
     after, (reward, terminated) = held(graph, hold, start, moved, [reward, terminated])
     after = _narrowed(graph, after, spec.state)
     for node, field in zip(after, spec.state, strict=True):

@@ -5,35 +5,52 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from pearl_marl.compiler.core_graph import core_graph
+from pearl_marl.compiler.drawing import drawing
 from pearl_marl.compiler.lowering import lowered
 from pearl_marl.compiler.scheduling import scheduled
-from pearl_marl.compiler.targets import FAMILIES, Target
+from pearl_marl.compiler.targets import Target
 from pearl_marl.compiler.verilog import system_verilog
 from pearl_marl.spec import EnvSpec, snake_case
 
 
 class Core(NamedTuple):
-    """A generated core: its SystemVerilog, and what it takes."""
+    """A generated core: its SystemVerilog, its graph as a picture, and what it takes."""
 
     text: str
+    picture: str
     latency: int
+    """Cycles from an input to its result; an input can follow the other in every cycle."""
     register_bits: int
     multipliers: int
+    levels: float
+    """How many tables of the family the slowest stage takes one after the other, by estimate."""
 
 
-def generated_core(spec: EnvSpec, family: str = "ecp5", mhz: float = 125.0) -> Core:
-    """Return the core of an environment under its options.
+def generated_core(spec: EnvSpec, target: Target, name: str | None = None) -> Core:
+    """Return the core of an environment, with its options as constants.
+
+    Parameters
+    ----------
+    spec, target
+        What it is to do, and for which hardware at which clock.
+    name
+        Its module is ``<name>_pe`` and its package ``<name>_pkg``; by default the environment's name.
 
     Raises
     ------
     ArgumentError
-        The golden functions do what no hardware can.
+        The golden functions do what no hardware can; the message names the file and the line.
     """
-    target = Target(FAMILIES[family], mhz)
     graph, outputs = core_graph(spec)
     outputs = lowered(graph, outputs, target)
     schedule = scheduled(outputs, target)
-    about = [f"({spec.id}{''.join(f', {k}={v!r}' for k, v in spec.options.items())}) for {family} at {mhz:g} MHz."]
-    text = system_verilog(spec, snake_case(spec.name), outputs, schedule, about)
-    multipliers = sum(n.op == "mul" for n in schedule.order)
-    return Core(text, schedule.latency, schedule.register_bits, multipliers)
+    options = ", ".join(f"{option}={value!r}" for option, value in spec.options.items())
+    about = [f"{spec.id}({options}), for {target.name} at {target.mhz:g} MHz."]
+    return Core(
+        text=system_verilog(spec, name or snake_case(spec.name), outputs, schedule, about),
+        picture=drawing(f"{spec.name}, {target.name} at {target.mhz:g} MHz", outputs, schedule),
+        latency=schedule.latency,
+        register_bits=schedule.register_bits,
+        multipliers=sum(node.op == "mul" for node in schedule.order),
+        levels=schedule.longest / target.family.level,
+    )

@@ -1,9 +1,9 @@
 """``hold`` by gating: a slot that is held keeps its state because what would change it is switched off.
 
-To choose between the old state and the new one at the end would cost a multiplexer a bit, and the old state would
-have to be carried along. So a word that has to be 0 under hold is made so where that takes the fewest bits, such as
-in the flag that decides on a move; and ``row + down - up`` keeps ``row`` if ``down`` and ``up`` are 0. What nobody
-looks at under hold is anything then.
+To choose between the old state and the new one at the end would cost a multiplexer a bit, and the old state
+would have to be carried along. So a word that has to be 0 under hold is made so where that takes the fewest
+bits, such as in the flag that decides on a move; and ``row + down - up`` keeps ``row`` if ``down`` and ``up``
+are 0. What nobody looks at under hold is anything then.
 """
 
 from __future__ import annotations
@@ -11,10 +11,11 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import Literal
 
-from pearl_marl.compiler.graph import Graph, Node, in_order
+from pearl_marl.compiler.graph import Graph
+from pearl_marl.compiler.nodes import Node, in_order
 
-Demand = Node | Literal["zero", "ones"] | None
-"""What a node has to be under hold: this word, all zeros, all ones, anything."""
+Demand = Node | Literal["zero", "ones", "one"] | None
+"""What a node has to be under hold: this word, 0, -1, 1 (as a flag), anything."""
 Plan = tuple[Demand, ...]
 """What a node's arguments have to be so that it is what it has to be."""
 
@@ -26,7 +27,9 @@ def held(
     gates = _Gates(graph, hold, start, in_order([*moved, *unseen]))
     for word, node in zip(start, moved, strict=True):
         gates.plan(node, word)
-    return [gates.gated(n, word) for word, n in zip(start, moved, strict=True)], [gates.free(n) for n in unseen]
+    return [gates.gated(n, word) for word, n in zip(start, moved, strict=True)], [
+        gates.free(n) for n in unseen
+    ]
 
 
 class _Gates:
@@ -47,8 +50,10 @@ class _Gates:
         cost: dict[tuple[Node, Demand], float] = {}
         best: dict[tuple[Node, Demand], Plan | None] = {}
         for n in self.order:
-            for demand in ("zero", "ones", word) if n in reaching else ("zero", "ones"):
-                key = n, demand
+            demands: list[Demand] = ["zero", "one" if n.is_flag else "ones"]
+            demands += [word] if n in reaching else []
+            for demand in demands:
+                key: tuple[Node, Demand] = n, demand
                 if n is word and demand is word:
                     cost[key], best[key] = 0, ()
                     continue
@@ -67,13 +72,13 @@ class _Gates:
                         cost[key], best[key] = total, plan
         waiting: list[tuple[Node, Demand]] = [(node, word)]
         while waiting:
-            key = waiting.pop()
-            if key in self.plans or key[1] is None or key[0] is key[1]:
+            n, demand = waiting.pop()
+            if (n, demand) in self.plans or demand is None or n is demand:
                 continue
-            plan = self.plans[key] = best.get(key)
-            if plan is not None:
-                self.first.setdefault(*key)
-                waiting += zip(key[0].args, plan, strict=True)
+            chosen = self.plans[n, demand] = best.get((n, demand))
+            if chosen is not None:
+                self.first.setdefault(n, demand)
+                waiting += zip(n.args, chosen, strict=True)
 
     def _reaching(self, word: Node) -> set[Node]:
         found = {word}
@@ -83,9 +88,9 @@ class _Gates:
         return found
 
     def _cost_here(self, n: Node, demand: Demand) -> float:
-        if n.is_constant(0 if demand == "zero" else -1 if demand == "ones" else None) and isinstance(demand, str):
-            return 0
-        return n.bits if isinstance(demand, str) else 2 * n.bits
+        if isinstance(demand, Node):
+            return 2 * n.bits
+        return 0 if n.is_constant({"zero": 0, "one": 1, "ones": -1}[str(demand)]) else n.bits
 
     def free(self, node: Node) -> Node:
         """Return a node made anew of gated ones; under hold it may be anything."""
@@ -117,7 +122,7 @@ class _Gates:
                 elif demand == "zero":
                     made = graph.choose(self.go, whole, graph.constant(0))
                 else:
-                    made = graph.or_(graph.mask(self.hold) if not whole.is_flag else self.hold, whole)
+                    made = graph.or_(self.hold if demand == "one" else graph.mask(self.hold), whole)
                 if made.name is None:
                     made.name, made.line = n.name, n.line
             self.made[key] = made
@@ -126,12 +131,13 @@ class _Gates:
 
 def _plans(graph: Graph, n: Node, demand: Demand) -> Iterator[Plan]:
     """Yield what the arguments of a node can be so that it is what it has to be."""
-    if demand == "zero":
-        yield from _zero(n)
-    elif demand == "ones":
-        yield from _ones(n)
-    elif demand is not None:
-        yield from _kept(graph, n, demand)
+    match demand:
+        case "zero":
+            yield from _zero(n)
+        case "one" | "ones":
+            yield from _ones(n, demand)
+        case Node():
+            yield from _kept(graph, n, demand)
 
 
 def _zero(n: Node) -> Iterator[Plan]:
@@ -144,24 +150,26 @@ def _zero(n: Node) -> Iterator[Plan]:
             yield ("zero",)
         case "left_by" | "right_by":
             yield "zero", None
-        case "not" | "invert":
+        case "not":
+            yield ("one",)
+        case "invert":
             yield ("ones",)
         case "choose":
-            yield from (("zero", None, "zero"), ("ones", "zero", None), (None, "zero", "zero"))
+            yield from (("zero", None, "zero"), ("one", "zero", None), (None, "zero", "zero"))
         case "table" if n.imm[0] == 0:
             yield ("zero",)
 
 
-def _ones(n: Node) -> Iterator[Plan]:
+def _ones(n: Node, demand: Literal["one", "ones"]) -> Iterator[Plan]:
     match n.op:
         case "or":
-            yield from (("ones", None), (None, "ones"))
+            yield from ((demand, None), (None, demand))
         case "and":
-            yield "ones", "ones"
+            yield demand, demand
         case "not" | "invert":
             yield ("zero",)
         case "mask":
-            yield ("ones",)
+            yield ("one",)
 
 
 def _kept(graph: Graph, n: Node, word: Node) -> Iterator[Plan]:
@@ -172,7 +180,9 @@ def _kept(graph: Graph, n: Node, word: Node) -> Iterator[Plan]:
             yield word, "zero"
         case "and":
             yield from ((word, "ones"), ("ones", word))
+            if word.is_flag:
+                yield from ((word, "one"), ("one", word))
         case "choose":
-            yield from (("zero", None, word), ("ones", word, None), (None, word, word))
+            yield from (("zero", None, word), ("one", word, None), (None, word, word))
         case "wrap" if graph.wrap(word, *n.imm) is word:
             yield (word,)

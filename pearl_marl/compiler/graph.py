@@ -1,192 +1,15 @@
-"""The graph of a golden step: integers, what each is made of, and all that is known of their values.
-
-A node's range is exact where it depends on few bits: such a node has its *function*, an array of its values over the
-words it depends on, and two nodes of one function are one node. Elsewhere its range is an interval, and the bits
-that can be set are known. Operations are simplified as they are made, by what is known of their arguments.
-"""
+"""The operations of golden functions, on nodes, simplified by what is known of their values."""
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
-from typing import Any, NamedTuple
+from collections.abc import Sequence
 
-import numpy as np
-import numpy.typing as npt
-
-from pearl_marl.compiler.operations import RANGES, VALUES, bits_of, word_range, wrapped
-
-MOST_CASES = 1 << 13
-"""Values up to which a node's function is written out."""
-MOST_VALUES = 64
-"""Values up to which a node can be an axis of functions."""
-SAFE = 1 << 61
-"""Functions are made of 64-bit integers."""
+from pearl_marl.compiler.nodes import Node, Nodes
+from pearl_marl.compiler.operations import word_range, wrapped
 
 
-class Function(NamedTuple):
-    """All values of a node: an array with an axis for each free word, whose numbers are ``axes``."""
-
-    axes: tuple[int, ...]
-    values: npt.NDArray[np.int64]
-
-
-@dataclass(eq=False, slots=True, repr=False)
-class Node:
-    """One integer of a graph."""
-
-    op: str
-    args: tuple[Node, ...]
-    imm: Any
-    low: int
-    high: int
-    ones: int
-    """The bits that can be set, if it is never negative."""
-    number: int
-    function: Function | None = None
-    axis: int | None = None
-    name: str | None = None
-    line: int | None = None
-    """Where in the author's file it was made."""
-
-    def __repr__(self) -> str:
-        return f"{self.name or (self.imm if self.op == 'input' else self.op)}_{self.number}[{self.low}..{self.high}]"
-
-    @property
-    def bits(self) -> int:
-        """The width that holds all its values."""
-        return bits_of(self.low, self.high)
-
-    @property
-    def is_flag(self) -> bool:
-        """Whether it is always 0 or 1."""
-        return self.low >= 0 and self.high <= 1
-
-    def is_constant(self, value: int | None = None) -> bool:
-        """Return whether it is a constant, and this one if a value is given."""
-        return self.op == "constant" and (value is None or self.imm == value)
-
-
-class Graph:
-    """Makes nodes, each once; ``exact`` ones know their functions."""
-
-    def __init__(self, exact: bool = True) -> None:
-        self.exact = exact
-        self.line: Callable[[], int | None] = lambda: None
-        """Says where the author is."""
-        self._nodes: dict[tuple[Any, ...], Node] = {}
-        self._same: dict[tuple[Any, ...], Node] = {}
-        self._domains: list[npt.NDArray[np.int64]] = []
-        self._numbers = itertools.count()
-
-    def constant(self, value: int) -> Node:
-        value = int(value)
-        key = ("constant", (), value)
-        if key not in self._nodes:
-            function = Function((), np.array(value)) if abs(value) < SAFE else None
-            self._nodes[key] = self._new("constant", (), value, (value, value), max(value, 0), function)
-        return self._nodes[key]
-
-    def input(self, name: str, bits: int, signed: bool = False) -> Node:
-        """Return a free word."""
-        key = ("input", (), name)
-        if key not in self._nodes:
-            low, high = word_range(bits, signed)
-            node = self._nodes[key] = self._new("input", (), name, (low, high), high)
-            self.free(node)
-        return self._nodes[key]
-
-    def free(self, node: Node) -> None:
-        """Forget how a node of few values came about: what is made of it has it as a free word."""
-        self._make_axis(node)
-        if node.axis is not None:
-            node.function = Function((node.axis,), self._domains[node.axis])
-
-    def make(self, op: str, *args: Node, imm: Any = None, like: Node | None = None) -> Node:
-        """Return the node of an operation as it stands; the methods below simplify it first.
-
-        Where ``like`` is given, its values are known to be among those of that node.
-        """
-        key = (op, args, imm)
-        if key in self._nodes:
-            return self._nodes[key]
-        low, high = RANGES[op](imm, *args)
-        if like is not None:
-            low, high = max(low, like.low), min(high, like.high)
-        ones = _ones(op, imm, args, high) & (-1 if like is None or like.low < 0 else like.ones)
-        function = self._function(op, imm, args, low, high)
-        if function is not None:
-            low, high = max(low, int(function.values.min())), min(high, int(function.values.max()))
-            ones &= int(np.bitwise_or.reduce(function.values, None)) if low >= 0 else -1
-            same = function.axes, function.values.tobytes()
-        if low >= 0:
-            high = min(high, ones)
-        if low == high:
-            node = self.constant(low)
-        elif function is not None and same in self._same:
-            node = self._same[same]
-        else:
-            node = self._new(op, args, imm, (low, high), ones & ((1 << max(high, 0).bit_length()) - 1), function)
-            if function is not None:
-                self._same[same] = node
-            else:
-                self._make_axis(node)
-        self._nodes[key] = node
-        return node
-
-    def _new(
-        self, op: str, args: tuple[Node, ...], imm: Any, range_: tuple[int, int], ones: int, function: Any = None
-    ) -> Node:
-        return Node(op, args, imm, *range_, ones, next(self._numbers), function, line=self.line())
-
-    def _make_axis(self, node: Node) -> None:
-        if self.exact and node.axis is None and node.high - node.low < MOST_VALUES and node.op != "constant":
-            found = node.function
-            values = np.arange(node.low, node.high + 1) if found is None else np.unique(found.values)
-            node.axis = len(self._domains)
-            self._domains.append(values)
-            if found is None:
-                node.function = Function((node.axis,), values)
-
-    def _function(self, op: str, imm: Any, args: Sequence[Node], low: int, high: int) -> Function | None:
-        """Return the function of an operation on nodes that have one, if it has few enough values."""
-        functions = [a.function for a in args]
-        if not self.exact or None in functions or max(-low, high, *(max(-a.low, a.high) for a in args)) >= SAFE:
-            return None
-        # Of too many words together, those that hold intermediate results are taken as free ones.
-        while self._cases(functions) > MOST_CASES:
-            made = [a for a, f in zip(args, functions, strict=True) if a.op != "constant" and f.axes != (a.axis,)]  # type: ignore[union-attr]
-            made = [a for a in made if a.high - a.low < MOST_VALUES]
-            if not made:
-                return None
-            largest = max(made, key=lambda a: a.function.values.size)  # type: ignore[union-attr]
-            self._make_axis(largest)
-            assert largest.axis is not None
-            whole = Function((largest.axis,), self._domains[largest.axis])
-            functions = [whole if a is largest else f for a, f in zip(args, functions, strict=True)]
-        axes = self._axes(functions)
-        sizes = [len(self._domains[axis]) for axis in axes]
-        arrays = [
-            f.values.reshape([size if axis in f.axes else 1 for axis, size in zip(axes, sizes, strict=True)])
-            for f in functions
-            if f is not None
-        ]
-        values = np.broadcast_to(VALUES[op](imm, *arrays), sizes).astype(np.int64)
-        kept = [i for i in range(len(axes)) if not (values == values.take([0], i)).all()]
-        values = values[tuple(slice(None) if i in kept else 0 for i in range(len(axes)))]
-        return Function(tuple(axes[i] for i in kept), np.ascontiguousarray(values))
-
-    def _axes(self, functions: Iterable[Function | None]) -> list[int]:
-        return sorted({axis for f in functions if f is not None for axis in f.axes})
-
-    def _cases(self, functions: Iterable[Function | None]) -> int:
-        cases = 1
-        for axis in self._axes(functions):
-            cases *= len(self._domains[axis])
-        return cases
-
-    # ---- operations, simplified
+class Graph(Nodes):
+    """Nodes, and the operations that make others of them."""
 
     def flag_of_mask(self, a: Node) -> Node | None:
         """Return the flag that ``a`` is 0 or -1 by, if it is."""
@@ -199,6 +22,7 @@ class Graph:
         return self.constant(-flag.imm) if flag.is_constant() else self.make("mask", flag)
 
     def wrap(self, a: Node, bits: int, signed: bool) -> Node:
+        """Return a node modulo ``2**bits``."""
         low, high = word_range(bits, signed)
         if low <= a.low and a.high <= high:
             return a
@@ -219,6 +43,7 @@ class Graph:
         return self.make("wrap", a, imm=(bits, signed))
 
     def add(self, a: Node, b: Node) -> Node:
+        """Return ``a + b``."""
         if a.is_constant():
             a, b = b, a
         if b.is_constant(0):
@@ -238,6 +63,7 @@ class Graph:
         return self._ordered("add", a, b)
 
     def sub(self, a: Node, b: Node) -> Node:
+        """Return ``a - b``."""
         if b.is_constant():
             return self.add(a, self.constant(-b.imm))
         if a is b:
@@ -251,6 +77,7 @@ class Graph:
         return self.make("sub", a, b)
 
     def mul(self, a: Node, b: Node) -> Node:
+        """Return ``a * b``."""
         if a.is_constant():
             a, b = b, a
         if b.is_constant():
@@ -280,11 +107,12 @@ class Graph:
         value = b.imm
         if value & (value - 1) == 0:
             return self.wrap(a, value.bit_length() - 1, False) if value > 1 else self.constant(0)
-        if 0 <= a.low and a.high < value:
+        if a.low >= 0 and a.high < value:
             return a
         return self.sub(a, self.mul(self.floor_divide(a, b), b))
 
     def left(self, a: Node, by: int) -> Node:
+        """Return ``a << by``, by a number."""
         if by == 0:
             return a
         if a.is_constant():
@@ -294,6 +122,7 @@ class Graph:
         return self.make("left", a, imm=by)
 
     def right(self, a: Node, by: int) -> Node:
+        """Return ``a >> by``, by a number."""
         if by == 0:
             return a
         if a.is_constant():
@@ -314,12 +143,15 @@ class Graph:
         return self.make("right", a, imm=by)
 
     def left_by(self, a: Node, by: Node) -> Node:
+        """Return ``a << by``, by a node."""
         return self.left(a, by.imm) if by.is_constant() else self.make("left_by", a, by)
 
     def right_by(self, a: Node, by: Node) -> Node:
+        """Return ``a >> by``, by a node."""
         return self.right(a, by.imm) if by.is_constant() else self.make("right_by", a, by)
 
     def and_(self, a: Node, b: Node) -> Node:
+        """Return ``a & b``."""
         if a.is_constant():
             a, b = b, a
         if a is b:
@@ -348,6 +180,7 @@ class Graph:
         return self._ordered("and", a, b)
 
     def or_(self, a: Node, b: Node) -> Node:
+        """Return ``a | b``."""
         if a.is_constant():
             a, b = b, a
         if a is b:
@@ -370,6 +203,7 @@ class Graph:
         return self._ordered("or", a, b)
 
     def xor(self, a: Node, b: Node) -> Node:
+        """Return ``a ^ b``."""
         if a.is_constant():
             a, b = b, a
         if a is b:
@@ -388,12 +222,18 @@ class Graph:
             return self.mask(self.xor(x, y))
         for x, y in ((a, b), (b, a)):
             # x ^ ((x ^ other) & mask) is a choice.
-            if y.op == "choose" and y.args[2].is_constant(0) and y.args[1].op == "xor" and x in y.args[1].args:
+            if (
+                y.op == "choose"
+                and y.args[2].is_constant(0)
+                and y.args[1].op == "xor"
+                and x in y.args[1].args
+            ):
                 p, q = y.args[1].args
                 return self.choose(y.args[0], q if p is x else p, x)
         return self._ordered("xor", a, b)
 
     def invert(self, a: Node) -> Node:
+        """Return ``~a``."""
         if a.is_constant():
             return self.constant(~a.imm)
         if a.op == "invert":
@@ -402,11 +242,13 @@ class Graph:
         return self.make("invert", a) if flag is None else self.mask(self.logical_not(flag))
 
     def logical_not(self, a: Node) -> Node:
+        """Return the opposite of a flag."""
         if a.is_constant():
             return self.constant(1 - a.imm)
         return a.args[0] if a.op == "not" else self.make("not", a)
 
     def equal(self, a: Node, b: Node) -> Node:
+        """Return whether ``a == b``."""
         if a is b:
             return self.constant(1)
         if a.is_constant():
@@ -421,6 +263,7 @@ class Graph:
         return self._ordered("equal", a, b)
 
     def less(self, a: Node, b: Node) -> Node:
+        """Return whether ``a < b``."""
         if a is b or a.low >= b.high:
             return self.constant(0)
         if a.high < b.low:
@@ -462,15 +305,21 @@ class Graph:
         return self.make("choose", flag, a, b)
 
     def minimum(self, a: Node, b: Node) -> Node:
+        """Return the less of two."""
         return a if a.high <= b.low else b if b.high <= a.low else self.choose(self.less(a, b), a, b)
 
     def maximum(self, a: Node, b: Node) -> Node:
+        """Return the greater of two."""
         return b if a.high <= b.low else a if b.high <= a.low else self.choose(self.less(a, b), b, a)
 
     def table(self, entries: Sequence[int], index: Node) -> Node:
         """Return the entry of a constant table; the index is never beyond it."""
         entries = tuple(entries)[: index.high + 1]
-        return self.constant(entries[index.imm]) if index.is_constant() else self.make("table", index, imm=entries)
+        return (
+            self.constant(entries[index.imm])
+            if index.is_constant()
+            else self.make("table", index, imm=entries)
+        )
 
     def _ordered(self, op: str, a: Node, b: Node) -> Node:
         """Return the node of an operation whose arguments may change places, a constant last."""
@@ -484,11 +333,11 @@ class Graph:
             case "left" | "right":
                 result: Node = getattr(self, node.op)(*args, node.imm)
             case "wrap":
-                result = self.wrap(*args, *node.imm)
+                result = self.wrap(args[0], *node.imm)
             case "divide":
-                result = self.floor_divide(*args, self.constant(node.imm))
+                result = self.floor_divide(args[0], self.constant(node.imm))
             case "table":
-                result = self.table(node.imm, *args)
+                result = self.table(node.imm, args[0])
             case op:
                 result = getattr(self, _METHODS.get(op, op))(*args)
         if result.name is None and result.op != "constant":
@@ -497,41 +346,3 @@ class Graph:
 
 
 _METHODS = {"and": "and_", "or": "or_", "not": "logical_not"}
-
-
-def _ones(op: str, imm: Any, args: Sequence[Node], high: int) -> int:
-    """Return the bits that a result can have set, if it is never negative."""
-    every = (1 << max(high, 0).bit_length()) - 1
-    known = [a.ones for a in args if a.low >= 0]
-    if op == "and" and known:
-        return every & (known[0] & known[1] if len(known) == 2 else known[0])
-    if len(known) < len(args):
-        return every
-    match op:
-        case "or" | "xor":
-            return every & (known[0] | known[1])
-        case "choose":
-            return every & (known[1] | known[2])
-        case "left":
-            return every & known[0] << int(imm)
-        case "right":
-            return every & known[0] >> int(imm)
-        case "wrap":
-            return every & known[0]
-    return every
-
-
-def in_order(roots: Iterable[Node]) -> list[Node]:
-    """Return all nodes that the roots are made of, each after its arguments."""
-    order: list[Node] = []
-    seen: set[Node] = set()
-    stack = [(root, False) for root in reversed(list(roots))]
-    while stack:
-        node, done = stack.pop()
-        if done:
-            order.append(node)
-        elif node not in seen:
-            seen.add(node)
-            stack.append((node, True))
-            stack += ((arg, False) for arg in reversed(node.args) if arg not in seen)
-    return order

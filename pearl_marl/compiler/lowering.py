@@ -1,18 +1,20 @@
 """From the operations of a graph to those of an FPGA: multipliers of its width, and sums that fit a stage.
 
-The result is a graph of the same integers, modulo the bits that somebody uses. ``add``, ``sub``, ``mul`` and
-``divide`` have become ``sum``, of shifted and signed words and a constant, ``join``, of words side by side, and
-``mul`` of words that one multiplier takes.
+The result is a graph of the same integers, modulo the bits that somebody uses. ``add``, ``sub``, ``mul``
+and ``divide`` have become ``sum``, of shifted and signed words and a constant, ``join``, of words side by
+side, and ``mul`` of words that one multiplier takes.
 """
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import NamedTuple
 
 from pearl_marl.compiler.core_graph import Output
-from pearl_marl.compiler.graph import Graph, Node, in_order
+from pearl_marl.compiler.graph import Graph
+from pearl_marl.compiler.nodes import Node, in_order
 from pearl_marl.compiler.operations import bits_of
 from pearl_marl.compiler.targets import Target
 from pearl_marl.compiler.widths import used_bits, width
@@ -133,7 +135,8 @@ class _Lowering:
                 return constant + self._flatten(b, -sign if node.op == "sub" else sign, shift, terms)
             if node.op == "mul":
                 terms += (
-                    Term(sign * t.sign, shift + t.shift, t.node) for t in self._products(node, width(node, self.used))
+                    Term(sign * t.sign, shift + t.shift, t.node)
+                    for t in self._products(node, width(node, self.used))
                 )
                 return 0
         terms.append(Term(sign, shift, self.made[node]))
@@ -156,7 +159,11 @@ class _Lowering:
         wide, narrow = self.target.family.multiplier
         pieces = [(self._pieces(a, u), self._pieces(b, v)) for u, v in ((wide, narrow), (narrow, wide))]
         xs, ys = min(pieces, key=lambda pair: len(pair[0]) * len(pair[1]))
-        if a is b and (square := self._pieces(a, narrow)) and len(square) * (len(square) + 1) // 2 <= len(xs) * len(ys):
+        if (
+            a is b
+            and (square := self._pieces(a, narrow))
+            and len(square) * (len(square) + 1) // 2 <= len(xs) * len(ys)
+        ):
             xs = ys = square
         terms = []
         for i, (x, low_x) in enumerate(xs):
@@ -210,7 +217,9 @@ class _Lowering:
 
     def _sum(self, terms: Sequence[Term], constant: int, node: Node | None) -> Node:
         weights = tuple((t.sign, t.shift) for t in terms)
-        return self.graph.make("sum", *(t.node for t in terms), imm=(constant, weights), like=node and self._like(node))
+        return self.graph.make(
+            "sum", *(t.node for t in terms), imm=(constant, weights), like=node and self._like(node)
+        )
 
     def _like(self, node: Node) -> Node | None:
         """Return the node if its values are not only right modulo what is used of them."""
@@ -219,7 +228,7 @@ class _Lowering:
     def _paired(self, terms: list[Term], constant: int, bits: int, node: Node | None) -> Node:
         """Add the two neighbours first whose sum is the shortest."""
         terms = sorted(terms, key=lambda t: t.shift)
-        pairs = zip(terms, terms[1:], strict=False)
+        pairs = pairwise(terms)
         i = min(enumerate(pairs), key=lambda p: (max(t.top for t in p[1]) - p[1][0].shift, -p[1][0].shift))[0]
         own = constant if constant % (1 << terms[i].shift) == 0 else 0
         pair = self._total(terms[i : i + 2], own, bits)
@@ -234,7 +243,9 @@ class _Lowering:
         first, *others = sorted(terms, key=lambda t: t.shift)
         if len(others) == 1 and first.shift == 0 and first.sign > 0:
             cut = others[0].shift
-            if cut and constant % (1 << cut) == 0 and first.node.bits > cut:  # the lowest bits are there already
+            if (
+                cut and constant % (1 << cut) == 0 and first.node.bits > cut
+            ):  # the lowest bits are there already
                 upper = [Term(1, 0, graph.right(first.node, cut)), others[0]._replace(shift=0)]
                 return self._joined(self._total(upper, constant >> cut, bits - cut), first.node, cut)
         cut = (made + 1) // 2
@@ -242,7 +253,9 @@ class _Lowering:
             return self._sum(terms, constant, node)
         lower = [t._replace(node=graph.wrap(t.node, cut - t.shift, False)) for t in terms if t.shift < cut]
         upper = [
-            Term(t.sign, 0, graph.right(t.node, cut - t.shift)) if t.shift < cut else t._replace(shift=t.shift - cut)
+            Term(t.sign, 0, graph.right(t.node, cut - t.shift))
+            if t.shift < cut
+            else t._replace(shift=t.shift - cut)
             for t in terms
         ]
         below = self._total(lower, constant & ((1 << cut) - 1), cut + 2)

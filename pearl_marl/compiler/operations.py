@@ -1,7 +1,8 @@
 """What the operations of a graph mean: of integers, of ranges of them, and of arrays of few of them.
 
-A node is a mathematical integer, which never overflows; ``wrap`` is where a word does. ``imm`` is what an operation
-has besides its arguments: a constant's value, a shift, ``(bits, signed)`` of a wrap, the entries of a table.
+A node is a mathematical integer, which never overflows; ``wrap`` is where a word does. ``imm`` is what an
+operation has besides its arguments: a constant's value, a shift, ``(bits, signed)`` of a wrap, the entries of
+a table.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 if TYPE_CHECKING:
-    from pearl_marl.compiler.graph import Node
+    from pearl_marl.compiler.nodes import Node
 
 Range = tuple[int, int]
 
@@ -56,8 +57,12 @@ def _logic(op: str) -> Callable[..., Range]:
 
 def _sum(imm: Any, *args: Node) -> Range:
     constant, weights = imm
-    low = sum((x.low if sign > 0 else -x.high) << shift for (sign, shift), x in zip(weights, args, strict=True))
-    high = sum((x.high if sign > 0 else -x.low) << shift for (sign, shift), x in zip(weights, args, strict=True))
+    low = sum(
+        (x.low if sign > 0 else -x.high) << shift for (sign, shift), x in zip(weights, args, strict=True)
+    )
+    high = sum(
+        (x.high if sign > 0 else -x.low) << shift for (sign, shift), x in zip(weights, args, strict=True)
+    )
     return low + constant, high + constant
 
 

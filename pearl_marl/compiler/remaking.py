@@ -1,7 +1,7 @@
 """Making a function again over other names, and with it every function that it calls.
 
-A golden function names NumPy's types, tables and helpers. Whoever runs it over something else than NumPy's words,
-or compiles it, makes it again in a scope where those names stand for what he has instead.
+A golden function names NumPy's types, tables and helpers. Whoever runs it over something else than NumPy's
+words, or compiles it, makes it again in a scope where those names stand for something else.
 """
 
 from __future__ import annotations
@@ -27,9 +27,13 @@ def remade(
             return change(old)
         if old not in done:
             done[old] = old  # one that calls itself does not end
-            scope = {name: value(old.__globals__[name]) for name in _names(old.__code__) if name in old.__globals__}
+            scope = {
+                name: value(old.__globals__[name]) for name in _names(old.__code__) if name in old.__globals__
+            }
             cells = tuple(types.CellType(value(cell.cell_contents)) for cell in old.__closure__ or ())
-            new = types.FunctionType(old.__code__, {**old.__globals__, **scope}, old.__name__, old.__defaults__, cells)
+            new = types.FunctionType(
+                old.__code__, {**old.__globals__, **scope}, old.__name__, old.__defaults__, cells
+            )
             new.__kwdefaults__ = old.__kwdefaults__
             done[old] = finish(new)
         return done[old]

@@ -1,7 +1,8 @@
 """In which stage of the pipeline each operation is done.
 
-Two operations that are too long for one stage together are a stage apart. Of all the schedules of the least latency
-that is the one with the fewest register bits: a linear programme of differences, whose solution is whole by itself.
+Two operations that are too long for one stage together are a stage apart. Of all the schedules of the least
+latency it is the one with the fewest register bits: a linear programme of differences, whose solution is
+whole by itself.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 from pearl_marl.compiler.core_graph import Output
-from pearl_marl.compiler.graph import Node, in_order
+from pearl_marl.compiler.nodes import Node, in_order
 from pearl_marl.compiler.targets import Target
 from pearl_marl.compiler.widths import WIRES, used_bits, width
 from pearl_marl.errors import DeviceError
@@ -29,6 +30,8 @@ class Schedule(NamedTuple):
     last: Mapping[Node, int]
     """The last stage in which somebody uses it."""
     latency: int
+    longest: float
+    """What the slowest stage's operations take together, in ns."""
 
     @property
     def register_bits(self) -> int:
@@ -43,7 +46,8 @@ def scheduled(outputs: Sequence[Output], target: Target) -> Schedule:
     sources: dict[Node, list[Node]] = {}
     for node in whole:
         sources[node] = (
-            [node] if node.op not in WIRES and node.args or node.op == "input"
+            [node]
+            if (node.op not in WIRES and node.args) or node.op == "input"
             else list(dict.fromkeys(s for a in node.args for s in sources[a]))
         )
     order = [n for n in whole if sources[n] == [n]]
@@ -64,7 +68,11 @@ def scheduled(outputs: Sequence[Output], target: Target) -> Schedule:
             last[i] = max(last[i], stage[j])
     for i in ends:
         last[i] = latency
-    return Schedule(order, used, dict(zip(order, stage, strict=True)), dict(zip(order, last, strict=True)), latency)
+    arrival = list(delays)
+    for j, below in enumerate(arguments):
+        arrival[j] += max((arrival[i] for i in below if stage[i] == stage[j]), default=0)
+    stages, ends_at = (dict(zip(order, numbers, strict=True)) for numbers in (stage, last))
+    return Schedule(order, used, stages, ends_at, latency, max(arrival, default=0.0))
 
 
 def _too_far(arguments: Sequence[Sequence[int]], delays: Sequence[float], budget: float) -> list[list[int]]:
@@ -104,7 +112,8 @@ def _fewest_registers(
         from scipy.sparse import coo_array
     except ModuleNotFoundError as error:
         raise DeviceError(
-            f"generating a core needs the Python package {error.name}; install it with: pip install 'pearl-marl[rtl]'"
+            f"generating a core needs the Python package {error.name}; "
+            "install it with: pip install 'pearl-marl[rtl]'"
         ) from None
     count = len(order)
     rows: list[tuple[list[tuple[int, float]], float]] = []

@@ -1,7 +1,7 @@
 """What hardware a core is made for: how long its operations take, and how wide its multipliers are.
 
-Times are those of the slowest speed grade, with a share for routing, in ns. They are rough: they decide where stages
-are cut, and placement has the last word.
+Times are those of the slowest speed grade, with a share for routing, in ns. They are rough: they decide where
+stages are cut, and placement has the last word.
 """
 
 from __future__ import annotations
@@ -9,7 +9,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from pearl_marl.compiler.graph import Node
+from pearl_marl.compiler.nodes import Node
+from pearl_marl.errors import ArgumentError
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,10 +38,30 @@ FAMILIES = {
 
 @dataclass(frozen=True, slots=True)
 class Target:
-    """A family at a clock."""
+    """A family, by its name, at a clock.
 
-    family: Family
+    Raises
+    ------
+    ArgumentError
+        There is no such family, or it cannot do even one operation in a cycle of that clock.
+    """
+
+    name: str
     mhz: float
+
+    def __post_init__(self) -> None:
+        if self.name not in FAMILIES:
+            raise ArgumentError(f"there is no family {self.name!r}; possible are {', '.join(FAMILIES)}")
+        fastest = 1000 // (self.family.register + 1.5 * self.family.level)
+        if not 1 <= self.mhz <= fastest:
+            raise ArgumentError(
+                f"the clock is {self.mhz:g} MHz; for {self.name} it can be 1 to {fastest:g} MHz"
+            )
+
+    @property
+    def family(self) -> Family:
+        """What its operations take."""
+        return FAMILIES[self.name]
 
     @property
     def budget(self) -> float:
@@ -93,4 +114,4 @@ class Target:
 def is_small(node: Node, bits: int) -> bool:
     """Return whether a sum or comparison is so small that a table is better than a carry chain."""
     inputs = {a for a in node.args if a.op != "constant"}
-    return sum(a.bits for a in inputs) <= 6 and bits <= 6 and (node.op == "less" or bits > 1)
+    return sum(a.bits for a in inputs) <= 4 and bits <= 6 and (node.op == "less" or bits > 1)

@@ -1,7 +1,7 @@
 """Running a golden function once over symbolic words, which leaves the graph of what it does.
 
-Loops and helpers unroll by themselves. What depends on a word where Python wants a value, such as an ``if``, is
-found here, and said in one sentence with the line of the author's file.
+Loops and helpers unroll by themselves. What depends on a word where Python wants a value, such as an ``if``,
+is found here, and said in one sentence with the line of the author's file.
 """
 
 from __future__ import annotations
@@ -18,12 +18,28 @@ from typing import Any, NoReturn
 
 import numpy as np
 
-from pearl_marl.compiler.graph import Graph, Node
+from pearl_marl.compiler.graph import Graph
+from pearl_marl.compiler.nodes import Node
 from pearl_marl.compiler.operations import wrapped
 from pearl_marl.compiler.remaking import remade
 from pearl_marl.errors import ArgumentError
 
 _HERE = os.path.dirname(__file__)
+
+
+def _binary(operation: str, swapped: bool = False, negated: bool = False) -> Callable[[Any, Any], Any]:
+    """Return the method of a word for an operation of graphs, with another word or a number."""
+
+    def method(self: Word, other: object) -> Word:
+        graph, words = self.graph, (self.node, _node(self.graph, other))
+        node: Node = getattr(graph, operation)(*(reversed(words) if swapped else words))
+        return Word(graph, graph.logical_not(node) if negated else node)
+
+    return method
+
+
+def _both(operation: str) -> tuple[Callable[[Any, Any], Any], Callable[[Any, Any], Any]]:
+    return _binary(operation), _binary(operation, swapped=True)
 
 
 class Word:
@@ -36,16 +52,33 @@ class Word:
     def __init__(self, graph: Graph, node: Node) -> None:
         self.graph, self.node = graph, node
 
+    __add__, __radd__ = _both("add")
+    __sub__, __rsub__ = _both("sub")
+    __mul__, __rmul__ = _both("mul")
+    __and__, __rand__ = _both("and_")
+    __or__, __ror__ = _both("or_")
+    __xor__, __rxor__ = _both("xor")
+    __lshift__, __rlshift__ = _both("left_by")
+    __rshift__, __rrshift__ = _both("right_by")
+    __eq__ = _binary("equal")
+    __ne__ = _binary("equal", negated=True)
+    __lt__ = _binary("less")
+    __gt__ = _binary("less", swapped=True)
+    __ge__ = _binary("less", negated=True)
+    __le__ = _binary("less", swapped=True, negated=True)
+
     def __bool__(self) -> NoReturn:
         raise ArgumentError(
-            f"{_place()}: a word decides what Python does next (`if`, `and`, `or`, `not`, `while`, `min`, `max`); "
-            "use np.where, `&`, `|` and comparisons instead"
+            f"{_place()}: a word decides what Python does next (`if`, `and`, `or`, `not`, `while`, `min`, "
+            "`max`); use np.where, `&`, `|` and comparisons instead"
         )
 
     def __index__(self) -> int:
         if self.node.is_constant():
             return int(self.node.imm)
-        raise ArgumentError(f"{_place()}: Python needs a number here, and a word has none before hardware runs")
+        raise ArgumentError(
+            f"{_place()}: Python needs a number here, and a word has none before hardware runs"
+        )
 
     __int__ = __index__
 
@@ -63,10 +96,10 @@ class Word:
     def __pow__(self, exponent: object) -> Word:
         if not isinstance(exponent, int) or exponent < 0:
             raise ArgumentError(f"{_place()}: a power of a word has a constant exponent from 0")
-        result = Word(self.graph, self.graph.constant(1))
+        node = self.graph.constant(1)
         for _ in range(exponent):
-            result = result * self
-        return result
+            node = self.graph.mul(node, self.node)
+        return Word(self.graph, node)
 
     def __floordiv__(self, other: object) -> Word:
         return Word(self.graph, self.graph.floor_divide(self.node, self._divisor(other)))
@@ -101,57 +134,20 @@ class Word:
         made = _UFUNCS.get(ufunc.__name__)
         if made is None or method != "__call__" or keywords:
             _refuse_numpy(ufunc.__name__)
-        return made(*(_word(self.graph, x) for x in inputs))
+        return _word(self.graph, made(*(_word(self.graph, x) for x in inputs)))
 
     def __array_function__(self, function: Any, types_: Any, args: Any, keywords: Any) -> Word:
         if function is np.where and len(args) == 3:
             return Word(self.graph, self.graph.choose(*(_node(self.graph, x) for x in args)))
         if function is np.clip and len(args) == 3:
-            value, low, high = (_word(self.graph, x) for x in args)
-            return _UFUNCS["minimum"](_UFUNCS["maximum"](value, low), high)
+            value, low, high = (_node(self.graph, x) for x in args)
+            return Word(self.graph, self.graph.minimum(self.graph.maximum(value, low), high))
         _refuse_numpy(function.__name__)
 
 
-def _method(name: str, swapped: bool = False) -> Callable[[Word, object], Word]:
-    def method(self: Word, other: object) -> Word:
-        a, b = self.node, _node(self.graph, other)
-        return Word(self.graph, getattr(self.graph, name)(*((b, a) if swapped else (a, b))))
-
-    return method
-
-
-def _negated(name: str, swapped: bool = False) -> Callable[[Word, object], Word]:
-    def method(self: Word, other: object) -> Word:
-        return Word(self.graph, self.graph.logical_not(_method(name, swapped)(self, other).node))
-
-    return method
-
-
-for _name, _operation in {
-    "add": "add",
-    "sub": "sub",
-    "mul": "mul",
-    "and": "and_",
-    "or": "or_",
-    "xor": "xor",
-    "lshift": "left_by",
-    "rshift": "right_by",
-}.items():
-    setattr(Word, f"__{_name}__", _method(_operation))
-    setattr(Word, f"__r{_name}__", _method(_operation, swapped=True))
-for _name, _made in {
-    "eq": _method("equal"),
-    "ne": _negated("equal"),
-    "lt": _method("less"),
-    "gt": _method("less", swapped=True),
-    "ge": _negated("less"),
-    "le": _negated("less", swapped=True),
-}.items():
-    setattr(Word, f"__{_name}__", _made)
-
 _UFUNCS: dict[str, Any] = {
-    "minimum": _method("minimum"),
-    "maximum": _method("maximum"),
+    "minimum": _binary("minimum"),
+    "maximum": _binary("maximum"),
     "absolute": operator.abs,
     "negative": operator.neg,
     "invert": operator.invert,
@@ -196,7 +192,9 @@ def _integer(value: object) -> int:
     except TypeError:
         if isinstance(value, np.bool_):
             return int(value)
-        raise ArgumentError(f"{_place()}: {value!r} is no integer; golden functions work on integers") from None
+        raise ArgumentError(
+            f"{_place()}: {value!r} is no integer; golden functions work on integers"
+        ) from None
 
 
 class _Cast:
@@ -228,7 +226,8 @@ class _Table(tuple[Any, ...]):
         node, graph = index.node, index.graph
         if node.low < 0 or node.high >= len(self):
             raise ArgumentError(
-                f"{_place()}: an index can be {node.low} to {node.high}, and the table has {len(self)} entries"
+                f"{_place()}: an index can be {node.low} to {node.high}, "
+                f"and the table has {len(self)} entries"
             )
         return _looked_up(graph, list(self), node)
 
@@ -248,10 +247,11 @@ class _Row(_Table):
     def __getitem__(self, index: Any) -> Any:
         if not isinstance(index, Word):
             return super().__getitem__(index)
-        graph, result = index.graph, self[index.node.high]
-        for i in range(index.node.high - 1, index.node.low - 1, -1):
-            result = np.where(index == i, self[i], result)
-        return _word(graph, result)
+        graph, which = index.graph, index.node
+        result = _node(graph, self[which.high])
+        for i in range(which.high - 1, which.low - 1, -1):
+            result = graph.choose(graph.equal(which, graph.constant(i)), _node(graph, self[i]), result)
+        return Word(graph, result)
 
 
 class _NumPy:
@@ -276,7 +276,11 @@ def _stand_in(value: Any) -> Any:
         return _table(value.tolist())
     if isinstance(value, (list, tuple)) and type(value) in (list, tuple):
         return _table(value)
-    if isinstance(value, types.ModuleType) and value is not math and not value.__name__.startswith("pearl_marl"):
+    if (
+        isinstance(value, types.ModuleType)
+        and value is not math
+        and not value.__name__.startswith("pearl_marl")
+    ):
         return _Foreign(value.__name__)
     return value
 
@@ -299,8 +303,8 @@ class _Foreign:
 def trace(graph: Graph, function: Callable[..., Any], arguments: Sequence[Node]) -> list[Node]:
     """Run a golden function over nodes of a graph; return the nodes of its results.
 
-    Nodes get the names of the variables that they are assigned to, the author's before those of helpers, and the
-    lines they are made in.
+    Nodes get the names of the variables that they are assigned to, the author's before those of helpers, and
+    the lines they are made in.
 
     Raises
     ------
@@ -331,7 +335,9 @@ def trace(graph: Graph, function: Callable[..., Any], arguments: Sequence[Node])
         try:
             return [_node(graph, value) for value in results]
         except ArgumentError as error:
-            raise ArgumentError(f"{place}: {function.__name__}() returns " + str(error).split(": ", 1)[1]) from None
+            raise ArgumentError(
+                f"{place}: {function.__name__}() returns " + str(error).split(": ", 1)[1]
+            ) from None
 
 
 @contextmanager
@@ -345,7 +351,9 @@ def _watched(graph: Graph, own: str) -> Iterator[None]:
             for name, value in frame.f_locals.items():
                 if isinstance(value, Word) and not name.startswith("_"):
                     node = value.node
-                    if node.op not in ("constant", "input") and (node not in named or (authors and not named[node])):
+                    if node.op not in ("constant", "input") and (
+                        node not in named or (authors and not named[node])
+                    ):
                         node.name, named[node] = name, authors
         return watch
 

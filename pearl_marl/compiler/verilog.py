@@ -1,7 +1,7 @@
 """A scheduled core as SystemVerilog that a person can read.
 
-A section a stage, in the order in which a slot passes them; signals have the author's names, and what is in later
-stages has the stage after it (``row_q2``). A comment gives the author's line.
+A section a stage, in the order in which a slot passes them; signals have the author's names, and in later
+stages the number of the stage (``row_q2``). A comment gives the author's line.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from collections import Counter, defaultdict
 from collections.abc import Iterable, Sequence
 
 from pearl_marl.compiler.core_graph import Output
-from pearl_marl.compiler.graph import Node
+from pearl_marl.compiler.nodes import Node
 from pearl_marl.compiler.operations import VALUES
 from pearl_marl.compiler.scheduling import Schedule
 from pearl_marl.compiler.targets import is_small
@@ -21,22 +21,23 @@ from pearl_marl.spec import EnvSpec, word_bits
 
 RESERVED = frozenset(
     """
-    accept_on alias always and assert assign assume automatic before begin bind bins bit break buf byte case cell
-    chandle checker class clocking config const constraint context continue cover default design disable dist do edge
-    else end enum event expect export extern final first_match for force forever fork function generate genvar global
-    if iff implies import incdir include initial inout input inside instance int interface intersect join large let
-    liblist library local logic longint macromodule matches medium modport module nand negedge new nor not null or
-    output package packed posedge primitive priority program property protected pull0 pull1 pulldown pullup pure rand
-    randc randcase real ref reg release repeat restrict return rule scalared sequence shortint signed small solve
-    specify static string strong struct super supply0 supply1 table tagged task this throughout time timeprecision
-    timeunit tran tri type typedef union unique unsigned until untyped use uwire var vectored virtual void wait wand
-    weak while wildcard wire with within wor xnor xor
-    """.split()
+    accept_on alias always and assert assign assume automatic before begin bind bins bit break buf byte
+    case cell chandle checker class clocking config const constraint context continue cover default
+    design disable dist do edge else end enum event expect export extern final first_match for force
+    forever fork function generate genvar global if iff implies import incdir include initial inout
+    input inside instance int interface intersect join large let liblist library local logic longint
+    macromodule matches medium modport module nand negedge new nor not null or output package packed
+    posedge primitive priority program property protected pull0 pull1 pulldown pullup pure rand randc
+    randcase real ref reg release repeat restrict return rule scalared sequence shortint signed small
+    solve specify static string strong struct super supply0 supply1 table tagged task this throughout
+    time timeprecision timeunit tran tri type typedef union unique unsigned until untyped use uwire var
+    vectored virtual void wait wand weak while wildcard wire with within wor xnor xor
+    """.split()  # noqa: SIM905
 )
 
 LINE = 110
 UNNAMED = {
-    "add": "sum", "sum": "sum", "mul": "product", "choose": "chosen", "and": "both", "or": "either", "xor": "differs",
+    "sum": "sum", "mul": "product", "choose": "chosen", "and": "both", "or": "either", "xor": "differs",
     "equal": "same", "less": "less", "table": "entry", "left_by": "raised", "right_by": "lowered",
 }  # fmt: skip
 SIGNS = {"and": "&", "or": "|", "xor": "^"}
@@ -46,8 +47,8 @@ TEMPLATE = """\
 {about}
 // Pipelined, a slot a cycle.
 
-// The package of a core tells the backbone its timing and the widths of its words; the lint rule that a package has a
-// file of its own name is off for it.
+// The package of a core tells the backbone its timing and the widths of its words; the lint rule that a
+// package has a file of its own name is off for it.
 // verilator lint_off DECLFILENAME
 package {name}_pkg;
   // verilator lint_on DECLFILENAME
@@ -108,7 +109,7 @@ endmodule
 def system_verilog(
     spec: EnvSpec, name: str, outputs: Sequence[Output], schedule: Schedule, about: Sequence[str] = ()
 ) -> str:
-    """Return the package ``<name>_pkg`` and the module ``<name>_pe`` of a core; ``about`` is said at its head."""
+    """Return the package ``<name>_pkg`` and the module ``<name>_pe`` of a core; ``about`` is its head."""
     return TEMPLATE.format(
         title=spec.name,
         about="\n".join(f"// {line}" for line in about),
@@ -173,7 +174,9 @@ class _Body:
                 names[node] = f"{port}.{_identifier(field)}" if field else port
                 continue
             base = _identifier(node.name) if node.name else f"{UNNAMED[node.op]}_{node.number}"
-            name = next(n for i in itertools.count(1) if (n := base if i == 1 else f"{base}_{i}") not in taken)
+            name = next(
+                n for i in itertools.count(1) if (n := base if i == 1 else f"{base}_{i}") not in taken
+            )
             taken.add(name)
             names[node] = name
         return names
@@ -232,7 +235,9 @@ class _Body:
             if stages[k]:
                 lines += ["", f"  // ---- stage {k}", *stages[k]]
         tables = [self._table(entries, bits, name) for (entries, bits), name in self.tables.items()]
-        return "\n".join([*self._unused(), *([""] if tables else []), *tables, *lines, "", *self._outputs(), ""])
+        return "\n".join(
+            [*self._unused(), *([""] if tables else []), *tables, *lines, "", *self._outputs(), ""]
+        )
 
     def _assignment(self, bits: int, name: str, value: str, remark: str) -> list[str]:
         lines = [f"  logic {_range(bits)}{name};", f"  assign {name} = {value};"]
@@ -293,7 +298,11 @@ class _Body:
         draws = max(1, self.spec.reset_draws + self.spec.step_draws)
         every = ["first_i", "hold_i", "action_i", *(f"state_i.{f.name}" for f in self.spec.state)]
         every += (f"rng_i[{k}]" for k in range(draws))
-        names = (f"state_i.{_identifier(n[8:])}" if n.startswith("state_i.") else n for n in every if n not in known)
+        names = (
+            f"state_i.{_identifier(n[8:])}" if n.startswith("state_i.") else n
+            for n in every
+            if n not in known
+        )
         left = ", ".join(names)
         return ["", "  logic unused;", f"  assign unused = ^{{{left}}};"] if left else []
 
@@ -332,7 +341,7 @@ class _Body:
             case "invert":
                 return f"~{self.part(args[0], low, bits, stage)}"
         if node in self.inlined:
-            assert low == 0 and stage == self.stage[node]
+            assert (low, stage) == (0, self.stage[node])
             value, have = self.expression(node), self.width(node)
             if bits < have:
                 return f"{bits}'{value if value.startswith('(') else f'({value})'}"
@@ -451,7 +460,8 @@ class _Body:
         entries = []
         for case in itertools.product(*(range(1 << w.bits) for w in words)):
             values = {
-                w: v - (1 << w.bits) if w.low < 0 and v >> (w.bits - 1) else v for w, v in zip(words, case, strict=True)
+                w: v - (1 << w.bits) if w.low < 0 and v >> (w.bits - 1) else v
+                for w, v in zip(words, case, strict=True)
             }
             result = VALUES[node.op](node.imm, *(values.get(a, a.imm) for a in node.args))
             entries.append(int(result) & ((1 << bits) - 1))
@@ -464,4 +474,3 @@ class _Body:
     def _table_name(self, entries: Sequence[int], bits: int) -> str:
         key = tuple(e & ((1 << bits) - 1) for e in entries), bits
         return self.tables.setdefault(key, f"TABLE_{len(self.tables)}")
-

@@ -1,0 +1,75 @@
+"""``pearl core``: an environment's hardware core, generated from its golden functions."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from pearl_marl.cli import common
+from pearl_marl.cli.common import console, error_console
+from pearl_marl.compiler.cores import Core, generated_core
+from pearl_marl.compiler.targets import FAMILIES, Target
+from pearl_marl.errors import ArgumentError
+
+Clock = Annotated[
+    float, typer.Option("--clock", metavar="MHZ", help="The clock that its stages are cut for.")
+]
+FamilyName = Annotated[str, typer.Option("--family", metavar="|".join(FAMILIES), help="The FPGA it is for.")]
+Into = Annotated[
+    Path | None, typer.Option("--out", metavar="FILE.sv", help="Where to write it, if not here.")
+]
+Picture = Annotated[
+    Path | None, typer.Option("--graph", metavar="FILE.svg", help="Draw its operations, stage by stage.")
+]
+
+
+def command(
+    env_id: common.EnvName,
+    clock: Clock = 150.0,
+    family: FamilyName = "xc7",
+    option: common.Options = None,
+    out: Into = None,
+    graph: Picture = None,
+    as_json: common.AsJson = False,
+) -> None:
+    """Show the SystemVerilog core that an environment's golden functions become.
+
+    It takes a slot in every clock cycle; options of the environment are constants in it.
+    """
+    spec = common.spec_of(env_id, option)
+    core = generated_core(spec, Target(family, clock))
+    for path, text in ((out, core.text), (graph, core.picture)):
+        if path is not None:
+            _write(path, text)
+    figures = {
+        "environment": spec.id,
+        "family": family,
+        "clock_mhz": clock,
+        "latency": core.latency,
+        "interval": 1,
+        "register_bits": core.register_bits,
+        "multipliers": core.multipliers,
+        "levels": round(core.levels, 1),
+    }
+    if as_json:
+        common.print_json(figures)
+        return
+    if out is None:
+        typer.echo(core.text, nl=False)
+    (error_console if out is None else console).print(_sentence(core), soft_wrap=True)
+
+
+def _write(path: Path, text: str) -> None:
+    try:
+        path.write_text(text)
+    except OSError as error:
+        raise ArgumentError(f"{path} cannot be written: {error.strerror}") from None
+
+
+def _sentence(core: Core) -> str:
+    return (
+        f"A result after {core.latency} cycles, one a cycle; {core.register_bits:,} register bits, "
+        f"{core.multipliers} multipliers, {core.levels:.1f} levels of logic in the slowest stage (estimated)."
+    )

@@ -1,0 +1,120 @@
+"""What cores and graphs of them are given, and what the golden functions make of it."""
+
+from __future__ import annotations
+
+import itertools
+from typing import Any
+
+import numpy as np
+from gymnasium.spaces import Box
+
+from pearl_marl.golden import call_reference
+from pearl_marl.spec import EnvSpec, Field, Golden, word_bits
+
+
+def split(words: list[int], fields: tuple[Field, ...]) -> list[np.ndarray]:
+    """Return an array a field of many words."""
+    columns, offset = [], 0
+    for field in fields:
+        pieces = np.array([(word >> offset) & ((1 << field.bits) - 1) for word in words], np.uint64)
+        if field.signed:  # the sign goes up to the top and comes back down
+            spare = np.uint64(64 - field.bits)
+            pieces = (pieces << spare).view(np.int64) >> spare.astype(np.int64)
+        columns.append(pieces.astype(field.dtype))
+        offset += field.bits
+    return columns
+
+
+def join(columns: Any, fields: tuple[Field, ...], count: int) -> list[int]:
+    """Return many words, made of an array (or a constant) a field."""
+    words, offset = [0] * count, 0
+    for column, field in zip(columns, fields, strict=True):
+        pieces = np.broadcast_to(np.asarray(column), count).tolist()
+        words = [
+            word | (piece & ((1 << field.bits) - 1)) << offset
+            for word, piece in zip(words, pieces, strict=True)
+        ]
+        offset += field.bits
+    return words
+
+
+def golden(
+    spec: EnvSpec,
+    states: list[int],
+    actions: np.ndarray,
+    first: np.ndarray,
+    hold: np.ndarray,
+    draws: np.ndarray,
+) -> dict[str, list[int]]:
+    """Return what every case has to give, by port."""
+    n = len(states)
+    words = [np.ascontiguousarray(draws[:, d]) for d in range(spec.reset_draws + spec.step_draws)]
+    drawn = call_reference(spec.golden.initial, words[: spec.reset_draws])
+    origin = [
+        np.where(first, new, old).astype(field.dtype)
+        for new, old, field in zip(drawn, split(states, spec.state), spec.state, strict=True)
+    ]
+    act = actions.astype(spec.action.dtype)
+    *moved, reward, terminated = call_reference(spec.golden.step, [*origin, act, *words[spec.reset_draws :]])
+    after = [
+        np.where(hold, old, new).astype(field.dtype)
+        for old, new, field in zip(origin, moved, spec.state, strict=True)
+    ]
+    observed = call_reference(spec.golden.observe, after)
+    return {
+        "state_o": join(after, spec.state, n),
+        "obs_o": join(observed, spec.observation, n),
+        "reward_o": join([reward], (spec.reward,), n),
+        "terminated_o": join([terminated], (Field("terminated", 1),), n),
+    }
+
+
+def golden_one(
+    spec: EnvSpec, functions: Golden, state: list[int], action: int, first: bool, hold: bool, draws: list[int]
+) -> dict[str, int]:
+    """Return what one case has to give, by golden functions over Python's integers."""
+
+    def narrowed(values: Any, fields: tuple[Field, ...]) -> list[int]:
+        values = values if isinstance(values, tuple) else (values,)
+        pairs = zip(values, fields, strict=True)
+        return [
+            (int(v) + (f.signed << f.bits - 1)) % (1 << f.bits) - (f.signed << f.bits - 1) for v, f in pairs
+        ]
+
+    if first:
+        state = narrowed(functions.initial(*draws[: spec.reset_draws]), spec.state)
+    results = functions.step(*state, action, *draws[spec.reset_draws :])
+    *moved, reward, terminated = narrowed(results, (*spec.state, spec.reward, Field("terminated", 1)))
+    after = state if hold else moved
+    observed = narrowed(functions.observe(*after), spec.observation)
+    words = {"state_o": (after, spec.state), "obs_o": (observed, spec.observation)}
+    joined = {port: join(columns, fields, 1)[0] for port, (columns, fields) in words.items()}
+    return {**joined, "reward_o": reward % (1 << spec.reward.bits), "terminated_o": terminated}
+
+
+def all_cases(
+    spec: EnvSpec, limit: int, generator: np.random.Generator
+) -> tuple[list[int], np.ndarray, np.ndarray, np.ndarray]:
+    """Return states, actions, ``first`` and ``hold`` of every case, or of as many as the limit allows."""
+    bits, space = word_bits(spec.state), spec.action_space
+    if isinstance(space, Box):
+        scale = 2**spec.action.fraction
+        least, most = (round(float(bound[0]) * scale) for bound in (space.low, space.high))
+    else:
+        least, most = 0, int(space.n) - 1
+    if (most - least + 1) * 4 << bits <= limit:
+        flags = (False, True)
+        cases = itertools.product(range(1 << bits), range(least, most + 1), flags, flags)
+        states, *rest = zip(*cases, strict=True)
+        return (list(states), *map(np.array, rest))
+    states = [int.from_bytes(generator.bytes(-(-bits // 8))) >> -bits % 8 for _ in range(limit)]
+    first, hold = generator.random((2, limit)) < 0.25
+    return states, generator.integers(least, most, size=limit, endpoint=True), first, hold
+
+
+def edge_draws(spec: EnvSpec) -> list[int]:
+    """Return draws at which something may change: thirds, ends, and the core's own thresholds."""
+    values = {0, 0x55555555, 0x55555556, 0xAAAAAAAA, 0xAAAAAAAB, 0xFFFFFFFF, 0x12345678}
+    for threshold in (spec.core_parameters or {}).values():
+        values |= {value for value in range(threshold - 1, threshold + 2) if 0 <= value < 1 << 32}
+    return sorted(values)

@@ -1,0 +1,129 @@
+"""Environments that nobody wrote: golden functions of random operations, to be compiled and compared."""
+
+from __future__ import annotations
+
+import random
+import types
+from typing import Any
+
+import numpy as np
+from gymnasium.spaces import Box, Discrete
+
+from pearl_marl.spec import EnvSpec, Field, Golden
+
+TABLE = np.array([3, 1, 4, 1, 5, 9, 2, 6])
+PATTERNS = [
+    "{} + {}",
+    "{} - {}",
+    "{} & {}",
+    "{} | {}",
+    "{} ^ {}",
+    "{} == {}",
+    "{} < {}",
+    "{} >= {}",
+    "np.minimum({}, {})",
+    "np.maximum({}, {})",
+    "np.where({} > {}, {}, {})",
+    "np.where({} != {}, {c}, {})",
+    "np.where({} <= {}, {}, 0)",
+    "~{}",
+    "-{}",
+    "{} << {n}",
+    "{} >> {n}",
+    "{} // {d}",
+    "{} % {d}",
+    "np.uint8({})",
+    "np.int16({})",
+    "TABLE[{} & 7]",
+    "np.int16({}) * np.uint8({})",
+    "np.int32({}) * {c}",
+    "np.uint8({}) >> (np.uint8({}) & 7)",
+    "(np.int16({}) * np.int16({}) + {c}) >> {n}",
+    "{} + {c}",
+    "({} & {}) | ({} ^ {c})",
+]
+
+
+def operations(chance: random.Random, words: list[str], count: int) -> list[str]:
+    """Return assignments of so many operations to ``v0``, ``v1`` and so on."""
+    lines = []
+    for k in range(count):
+        pattern = chance.choice(PATTERNS)
+        # Recent words more often, so that chains get long.
+        known = words + words[-3:] * 2
+        values = [f"np.int32({chance.choice(known)})" for _ in range(pattern.count("{}"))]
+        numbers = {"c": chance.randint(-300, 300), "n": chance.randint(0, 9), "d": chance.randint(1, 20)}
+        lines.append(f"    v{k} = {pattern.format(*values, **numbers)}")
+        words = [*words, f"v{k}"]
+    return lines
+
+
+def source(chance: random.Random, fields: list[Field]) -> str:
+    """Return the text of three golden functions over a state of these fields."""
+    names = [f.name for f in fields]
+    state = ", ".join(names)
+
+    def result(field: Field) -> str:
+        return f"np.{field.dtype}({chance.choice([*names, *every])})"
+
+    count = chance.randint(4, 14)
+    every = [f"v{k}" for k in range(count)]
+    step = operations(chance, [*names, "action", "draw"], count)
+    moved = ", ".join(result(f) for f in fields)
+    end = f"np.uint8(({every[-1]} & 3) == 0)"
+    text = [f"def step({state}, action, draw):", *step, f"    return {moved}, np.uint8({every[-1]}), {end}"]
+    every = ["v0", "v1"]
+    fresh = ", ".join(f"np.{f.dtype}({chance.choice(['v0', 'v1', '1'])})" for f in fields)
+    text += ["def initial(draw):", *operations(chance, ["draw"], 2), f"    return {fresh}"]
+    every = ["v0", "v1"]
+    seen = operations(chance, names, 2)
+    text += [f"def observe({state}):", *seen, "    return np.int32(v0), np.int32(v1)"]
+    return "\n".join(text) + "\n"
+
+
+class Plain:
+    """What of NumPy golden functions use, over Python's own integers, which neither wrap nor widen."""
+
+    minimum, maximum = staticmethod(min), staticmethod(max)
+
+    @staticmethod
+    def where(flag: int, a: int, b: int) -> int:
+        return a if flag else b
+
+    def __getattr__(self, name: str) -> Any:
+        bits, signed = int(name.lstrip("uint")), not name.startswith("u")
+        return lambda value: (value + (signed << bits - 1)) % (1 << bits) - (signed << bits - 1)
+
+
+def plain(spec: EnvSpec) -> Golden:
+    """Return the golden functions of a random environment over plain integers."""
+    scope = {**spec.golden.step.__globals__, "np": Plain(), "TABLE": TABLE.tolist()}
+    return Golden(*(types.FunctionType(function.__code__, scope) for function in spec.golden))
+
+
+def random_spec(seed: int | random.Random) -> EnvSpec:
+    """Return an environment of random golden functions; of one seed always the same."""
+    chance = random.Random(seed) if isinstance(seed, int) else seed
+    fields = [
+        Field(f"word_{k}", chance.choice([1, 2, 3, 5, 8, 13, 16]), signed=chance.random() < 0.4)
+        for k in range(chance.randint(1, 4))
+    ]
+    scope: dict[str, Any] = {"np": np, "TABLE": TABLE}
+    text = source(chance, fields)
+    exec(compile(text, "<a random step>", "exec"), scope)
+    number = Field("first", 32, signed=True), Field("second", 32, signed=True)
+    return EnvSpec(
+        name="Random",
+        version=0,
+        summary=text,
+        state=tuple(fields),
+        action=Field("action", 2),
+        observation=number,
+        reward=Field("reward", 8),
+        rewards=None,
+        observation_space=Box(-(2**31), 2**31 - 1, (2,), np.int32),
+        action_space=Discrete(4),
+        golden=Golden(scope["initial"], scope["step"], scope["observe"]),
+        reset_draws=1,
+        step_draws=1,
+    )
