@@ -102,9 +102,10 @@ class _Lowering:
         self.uses = Counter([*(arg for node in order for arg in node.args), *roots])
         self.made: dict[Node, Node] = {}
         for node in order:
-            made = self.made[node] = self._lower(node)
+            made = self._lower(node)
             if made.name is None and not made.is_constant():
                 made.name, made.line = node.name, node.line
+            self.made[node] = self._fitted(made, node)
 
     def _lower(self, node: Node) -> Node:
         graph, args = self.graph, [self.made[a] for a in node.args]
@@ -119,8 +120,19 @@ class _Lowering:
             case "add" | "sub" | "mul":
                 terms: list[Term] = []
                 constant = self._flatten(node, 1, 0, terms, whole=True)
-                return self._total(terms, constant, width(node, self.used), node)
-        return graph.make(node.op, *args, imm=node.imm, like=node)
+                return self._total(terms, constant, width(node, self.used))
+        return graph.make(node.op, *args, imm=node.imm)
+
+    def _fitted(self, made: Node, node: Node) -> Node:
+        """Return what was made for a node modulo the bits that are used, or of its range if all are."""
+        used = width(node, self.used)
+        if used < node.bits:
+            return self.graph.wrap(made, used, False)
+        return (
+            made
+            if node.low <= made.low and made.high <= node.high
+            else self.graph.wrap(made, used, node.low < 0)
+        )
 
     def _flatten(self, node: Node, sign: int, shift: int, terms: list[Term], whole: bool = False) -> int:
         """Add the terms that a node is the sum of; return the constant among them."""
@@ -195,7 +207,7 @@ class _Lowering:
 
     # ---- sums
 
-    def _total(self, terms: list[Term], constant: int, bits: int, node: Node | None = None) -> Node:
+    def _total(self, terms: list[Term], constant: int, bits: int) -> Node:
         """Return a sum, of which so many bits are used, in parts that fit a stage."""
         graph = self.graph
         terms = _side_by_side(graph, [t for t in terms if t.shift < bits])
@@ -207,25 +219,19 @@ class _Lowering:
         low = min(t.shift for t in terms)
         words = sum(t.node.bits > 1 for t in terms)
         if self.target.addition(words + (constant != 0 and words > 1), made - low) <= self.target.budget:
-            return self._sum(terms, constant, node)
+            return self._sum(terms, constant)
         if low and constant % (1 << low) == 0:
             shifted = [t._replace(shift=t.shift - low) for t in terms]
             return graph.left(self._total(shifted, constant >> low, bits - low), low)
         if words > 2:
-            return self._paired(terms, constant, bits, node)
-        return self._halved(terms, constant, bits, made, node)
+            return self._paired(terms, constant, bits)
+        return self._halved(terms, constant, bits, made)
 
-    def _sum(self, terms: Sequence[Term], constant: int, node: Node | None) -> Node:
+    def _sum(self, terms: Sequence[Term], constant: int) -> Node:
         weights = tuple((t.sign, t.shift) for t in terms)
-        return self.graph.make(
-            "sum", *(t.node for t in terms), imm=(constant, weights), like=node and self._like(node)
-        )
+        return self.graph.make("sum", *(t.node for t in terms), imm=(constant, weights))
 
-    def _like(self, node: Node) -> Node | None:
-        """Return the node if its values are not only right modulo what is used of them."""
-        return node if width(node, self.used) >= node.bits else None
-
-    def _paired(self, terms: list[Term], constant: int, bits: int, node: Node | None) -> Node:
+    def _paired(self, terms: list[Term], constant: int, bits: int) -> Node:
         """Add the two neighbours first whose sum is the shortest."""
         terms = sorted(terms, key=lambda t: t.shift)
         pairs = pairwise(terms)
@@ -235,9 +241,9 @@ class _Lowering:
         shift = 0
         while pair.op == "left":
             pair, shift = pair.args[0], shift + pair.imm
-        return self._total([*terms[:i], *terms[i + 2 :], Term(1, shift, pair)], constant - own, bits, node)
+        return self._total([*terms[:i], *terms[i + 2 :], Term(1, shift, pair)], constant - own, bits)
 
-    def _halved(self, terms: list[Term], constant: int, bits: int, made: int, node: Node | None) -> Node:
+    def _halved(self, terms: list[Term], constant: int, bits: int, made: int) -> Node:
         """Add lower halves first, and upper halves with their carry in a later stage."""
         graph = self.graph
         first, *others = sorted(terms, key=lambda t: t.shift)
@@ -250,7 +256,7 @@ class _Lowering:
                 return self._joined(self._total(upper, constant >> cut, bits - cut), first.node, cut)
         cut = (made + 1) // 2
         if cut < 8:
-            return self._sum(terms, constant, node)
+            return self._sum(terms, constant)
         lower = [t._replace(node=graph.wrap(t.node, cut - t.shift, False)) for t in terms if t.shift < cut]
         upper = [
             Term(t.sign, 0, graph.right(t.node, cut - t.shift))

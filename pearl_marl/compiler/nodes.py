@@ -106,18 +106,13 @@ class Nodes:
         if node.axis is not None:
             node.function = Function((node.axis,), self._domains[node.axis])
 
-    def make(self, op: str, *args: Node, imm: Any = None, like: Node | None = None) -> Node:
-        """Return the node of an operation as it stands.
-
-        Where ``like`` is given, its values are known to be among those of that node.
-        """
+    def make(self, op: str, *args: Node, imm: Any = None) -> Node:
+        """Return the node of an operation as it stands."""
         key = (op, args, imm)
         if key in self._nodes:
             return self._nodes[key]
         low, high = RANGES[op](imm, *args)
-        if like is not None:
-            low, high = max(low, like.low), min(high, like.high)
-        ones = _ones(op, imm, args, high) & (-1 if like is None or like.low < 0 else like.ones)
+        ones = _ones(op, imm, args, high)
         function = self._function(op, imm, args, low, high)
         if function is not None:
             low, high = max(low, int(function.values.min())), min(high, int(function.values.max()))
