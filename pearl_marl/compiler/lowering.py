@@ -45,26 +45,9 @@ class Term(NamedTuple):
 
 def lowered(graph: Graph, outputs: Sequence[Output], target: Target) -> list[Output]:
     """Return the outputs of a core in a new graph, of operations that its target has."""
-    nodes = _rounding_joined(graph, _divisions_multiplied(graph, [o.node for o in outputs]))
+    nodes = _rounding_joined(graph, [o.node for o in outputs])
     lowering = _Lowering(nodes, [o.bits for o in outputs], target)
     return [o._replace(node=lowering.made[node]) for o, node in zip(outputs, nodes, strict=True)]
-
-
-def _divisions_multiplied(graph: Graph, roots: Sequence[Node]) -> list[Node]:
-    """Replace divisions by constants by exact multiplications."""
-
-    def change(node: Node, args: Sequence[Node]) -> Node:
-        if node.op != "divide":
-            return graph.again(node, args)
-        by, (a,) = node.imm, args
-        below = -(a.low // by) if a.low < 0 else 0  # so many times the divisor more, and it is not negative
-        a = graph.add(a, graph.constant(below * by))
-        # With so many fraction bits the reciprocal, rounded up, is near enough for every dividend.
-        fraction = a.bits + by.bit_length()
-        quotient = graph.right(graph.mul(a, graph.constant(-(-(1 << fraction) // by))), fraction)
-        return graph.add(quotient, graph.constant(-below))
-
-    return _changed(roots, change)
 
 
 def _rounding_joined(graph: Graph, roots: Sequence[Node]) -> list[Node]:
@@ -74,23 +57,17 @@ def _rounding_joined(graph: Graph, roots: Sequence[Node]) -> list[Node]:
     def multiplied(node: Node) -> bool:
         return node.op == "mul" or (node.op in ("add", "sub", "right") and any(map(multiplied, node.args)))
 
-    def change(node: Node, args: Sequence[Node]) -> Node:
-        if node.op == "add":
-            for i, (x, y) in enumerate((args, args[::-1])):
-                inside = x.args[0] if x.op == "right" else x
-                if inside is not x and uses[node.args[i]] == 1 and multiplied(inside) and not multiplied(y):
-                    return graph.right(graph.add(inside, graph.left(y, x.imm)), x.imm)
-        return graph.again(node, args)
-
-    return _changed(roots, change)
-
-
-def _changed(roots: Sequence[Node], change: object) -> list[Node]:
     made: dict[Node, Node] = {}
     for node in in_order(roots):
-        made[node] = change(node, [made[a] for a in node.args]) if node.args else node  # type: ignore[operator]
-        if made[node].name is None and not made[node].is_constant():
-            made[node].name, made[node].line = node.name, node.line
+        args = [made[a] for a in node.args]
+        made[node] = graph.again(node, args) if args else node
+        for i, (x, y) in enumerate((args, args[::-1]) if node.op == "add" else ()):
+            if x.op != "right" or uses[node.args[i]] > 1 or not multiplied(x) or multiplied(y):
+                continue
+            made[node] = graph.right(graph.add(x.args[0], graph.left(y, x.imm)), x.imm)
+            if made[node].name is None and not made[node].is_constant():
+                made[node].name, made[node].line = node.name, node.line
+            break
     return [made[root] for root in roots]
 
 
@@ -121,7 +98,21 @@ class _Lowering:
                 terms: list[Term] = []
                 constant = self._flatten(node, 1, 0, terms, whole=True)
                 return self._total(terms, constant, width(node, self.used))
+            case "divide":
+                return self._quotient(args[0], node.imm)
         return graph.make(node.op, *args, imm=node.imm)
+
+    def _quotient(self, a: Node, by: int) -> Node:
+        """Return ``a // by`` as an exact multiplication."""
+        below = -(a.low // by) if a.low < 0 else 0  # so many times the divisor more, and it is not negative
+        a = self._total([Term(1, 0, a)], below * by, a.bits + by.bit_length())
+        # With so many fraction bits the reciprocal, rounded up, is near enough for every dividend.
+        fraction = a.bits + by.bit_length()
+        reciprocal = self.graph.constant(-(-(1 << fraction) // by))
+        bits = a.bits + reciprocal.bits
+        product = self._total(self._products(a, reciprocal, bits), 0, bits)
+        quotient = self.graph.right(product, fraction)
+        return self._total([Term(1, 0, quotient)], -below, a.bits + 1)
 
     def _fitted(self, made: Node, node: Node) -> Node:
         """Return what was made for a node modulo the bits that are used, or of its range if all are."""
@@ -146,19 +137,18 @@ class _Lowering:
                 constant = self._flatten(a, sign, shift, terms)
                 return constant + self._flatten(b, -sign if node.op == "sub" else sign, shift, terms)
             if node.op == "mul":
-                terms += (
-                    Term(sign * t.sign, shift + t.shift, t.node)
-                    for t in self._products(node, width(node, self.used))
-                )
+                bits = width(node, self.used)
+                a, b = (self._cut(self.made[arg], bits) for arg in node.args)
+                products = self._products(a, b, bits)
+                terms += (Term(sign * t.sign, shift + t.shift, t.node) for t in products)
                 return 0
         terms.append(Term(sign, shift, self.made[node]))
         return 0
 
     # ---- products
 
-    def _products(self, node: Node, bits: int) -> list[Term]:
+    def _products(self, a: Node, b: Node, bits: int) -> list[Term]:
         """Return the terms of a product, of which so many bits are used."""
-        a, b = (self._cut(self.made[arg], bits) for arg in node.args)
         if b.is_constant():
             digits = signed_digits(b.imm)
             if a.bits <= 2 or (len(digits) > 2 and a.bits <= 4):

@@ -350,6 +350,8 @@ class _Body:
 
     def _named(self, node: Node, low: int, bits: int, stage: int) -> str:
         name, wide = self.at(node, stage), self.width(node)
+        if node.op == "input" and stage == 0:  # a port has all its bits, used or not
+            wide = node.bits
         signed = node.low < 0 and wide == node.bits
         if low >= wide:
             top = f"{name}[{wide - 1}]" if wide > 1 else name
@@ -408,7 +410,9 @@ class _Body:
             case "sum":
                 return self._sum(node)
             case "mul":
-                return " * ".join(self._factor(arg, stage) for arg in args)
+                product = " * ".join(self._factor(arg, stage) for arg in args)
+                # An assignment widens factors to the product, and would have to be told to narrow them.
+                return f"{bits}'({product})" if bits < max(a.bits + (a.low >= 0) for a in args) else product
             case "left_by":
                 return f"({word(args[0])} << {word(args[1], args[1].bits)})"
             case "right_by":

@@ -57,6 +57,10 @@ def spec_of(name: str, options: dict[str, Any]) -> Any:
         from shift_add import SPEC
 
         return SPEC
+    if name == "Random":
+        from random_steps import random_spec
+
+        return random_spec(options["seed"])
     from pearl_marl.registry import get_spec
 
     return get_spec(name).with_options(**options)
