@@ -1,0 +1,139 @@
+"""What a golden function may do, and the sentence that its author gets for what it may not."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pearl_marl.compiler.graph import Graph
+from pearl_marl.compiler.nodes import values
+from pearl_marl.compiler.tracing import trace
+from pearl_marl.errors import ArgumentError
+
+TABLE = np.array([5, 7, 11, 13])
+GRID = [[1, 2, 3, 4], [5, 6, 7, 8]]
+
+
+def run(function: Callable[..., Any], *arguments: int) -> list[int]:
+    """Trace a function of words of two bits and a flag, and return its results for these."""
+    graph = Graph()
+    names = [f"x{k}" for k in range(len(arguments))]
+    nodes = [graph.input(name, 2) for name in names]
+    results = trace(graph, function, nodes)
+    found = values(results, dict(zip(names, arguments, strict=True)))
+    return [found[node] for node in results]
+
+
+def test_loops_helpers_tables_and_tuples_unroll() -> None:
+    def helper(x: Any, k: int) -> Any:
+        return x * k
+
+    def step(a: Any, b: Any) -> Any:
+        total = sum(helper(a, k) for k in range(4))
+        low, high = (a, b) if TABLE[0] == 5 else (b, a)
+        return total, TABLE[a], GRID[1][b], np.clip(low - high, -1, 1), abs(a - b), a**2, (a + 7) // 3 % 2
+
+    for a in range(4):
+        for b in range(4):
+            wanted = [6 * a, TABLE[a], GRID[1][b], np.clip(a - b, -1, 1), abs(a - b), a * a, (a + 7) // 3 % 2]
+            assert run(step, a, b) == wanted
+
+
+def test_a_table_of_tables_takes_two_words() -> None:
+    grid = np.array([[1, 2, 3, 4], [5, 6, 7, 8], [9, 8, 7, 6], [4, 3, 2, 1]])
+
+    def step(a: Any, b: Any) -> Any:
+        return grid[a, b], grid[a][b]
+
+    assert all(run(step, a, b) == [grid[a, b]] * 2 for a in range(4) for b in range(4))
+
+
+def branch(a: Any) -> Any:
+    return 1 if a > 1 else 0
+
+
+def both(a: Any) -> Any:
+    return (a > 1) and (a < 3)
+
+
+def half(a: Any) -> Any:
+    return a / 2
+
+
+def floats(a: Any) -> Any:
+    return a + 0.5
+
+
+def returned_float(a: Any) -> Any:
+    return 1.5
+
+
+def sine(a: Any) -> Any:
+    return np.sin(a)
+
+
+def divided(a: Any) -> Any:
+    return 7 // a
+
+
+def beyond(a: Any) -> Any:
+    return TABLE[a + 1]
+
+
+def drawn(a: Any) -> Any:
+    return a + random.randint(0, 3)
+
+
+def unknown(a: Any) -> Any:
+    return a + heights  # type: ignore[name-defined]  # noqa: F821
+
+
+def counted(a: Any) -> Any:
+    return [k for k in range(a)]  # noqa: C416
+
+
+def two(a: Any, b: Any) -> Any:
+    return a
+
+
+REFUSED = {
+    branch: "a word decides what Python does next",
+    both: "a word decides what Python does next",
+    half: "`/` makes a float; golden functions divide by `//`",
+    floats: "0.5 is a float; golden functions work on integers",
+    returned_float: r"returned_float\(\) returns 1.5 is a float",
+    sine: "golden functions have no np.sin",
+    divided: "`//` and `%` take a constant divisor from 1",
+    beyond: "an index can be 1 to 4, and the table has 4 entries",
+    drawn: "golden functions cannot use random.randint; random draws come as arguments",
+    unknown: "NameError: name 'heights' is not defined",
+    counted: "Python needs a number here",
+    two: r"two\(\) is called with 1 words: missing a required argument: 'b'",
+}
+
+
+@pytest.mark.parametrize("function", REFUSED, ids=lambda function: function.__name__)
+def test_what_no_hardware_can_is_refused_where_it_stands(function: Callable[..., Any]) -> None:
+    first = function.__code__.co_firstlineno
+    with pytest.raises(ArgumentError, match=REFUSED[function]) as found:
+        run(function, 1)
+    where = str(found.value).partition(": ")[0]
+    line = first if function in (two, returned_float) else first + 1
+    assert where == f"compiler/test_tracing.py, line {line}"
+
+
+def test_nodes_have_the_names_and_lines_of_their_author() -> None:
+    graph = Graph()
+
+    def step(a: Any, b: Any) -> Any:
+        total = a + b
+        return total + 1
+
+    first = step.__code__.co_firstlineno
+    (result,) = trace(graph, step, [graph.input("a", 2), graph.input("b", 2)])
+    (total, _) = result.args
+    assert (total.name, total.line, result.line) == ("total", first + 1, first + 2)
