@@ -8,14 +8,18 @@ a table.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 import numpy as np
 
-if TYPE_CHECKING:
-    from pearl_marl.compiler.nodes import Node
-
 Range = tuple[int, int]
+
+
+class Node(Protocol):
+    """What a range is made of."""
+
+    low: int
+    high: int
 
 
 def word_range(bits: int, signed: bool) -> Range:

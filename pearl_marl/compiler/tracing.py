@@ -361,7 +361,7 @@ def _watched(graph: Graph, own: str) -> Iterator[None]:
         return None if frame.f_code.co_filename.startswith(_HERE) else watch
 
     def line() -> int | None:
-        frame: types.FrameType | None = sys._getframe(1)
+        frame = inspect.currentframe()
         while frame is not None:
             if frame.f_code.co_filename == own:
                 return frame.f_lineno
@@ -379,7 +379,7 @@ def _watched(graph: Graph, own: str) -> Iterator[None]:
 
 def _place() -> str:
     """Return the file and line of the golden function that is at work."""
-    frame: types.FrameType | None = sys._getframe(1)
+    frame = inspect.currentframe()
     while frame is not None and frame.f_code.co_filename.startswith(_HERE):
         frame = frame.f_back
     return "a golden function" if frame is None else _where(frame.f_code.co_filename, frame.f_lineno)
