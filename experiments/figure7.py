@@ -65,7 +65,7 @@ TASKS = (
     Task("DQN CliffWalking", "dqn", "CliffWalking", -13.0, 512, 10_240, 600_000),
 )
 
-QUICK_TASK = TASKS[0]._replace(every=16_384, most=50_000)
+QUICK_TASK = TASKS[0]._replace(most=25_000)
 """What a quick report trains, if not to its end."""
 
 OURS, ENVPOOL, GYMNASIUM = "SB3 on PEARL-MARL", "SB3 on EnvPool", "SB3 on Gymnasium"

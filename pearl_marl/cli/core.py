@@ -63,6 +63,7 @@ def command(
 
 def _write(path: Path, text: str) -> None:
     try:
+        path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(text)
     except OSError as error:
         raise ArgumentError(f"{path} cannot be written: {error.strerror}") from None

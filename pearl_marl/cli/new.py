@@ -26,7 +26,7 @@ Where = Annotated[Path, typer.Option("--out", metavar="DIR", help="Where to make
 
 
 def command(name: NewName, out: Where = Path()) -> None:
-    """Write a package with a small environment of that name: golden step, core, tests, all working."""
+    """Write a package with a small environment of that name: golden step, spec, tests, all working."""
     folder = _checked(name, out)
     out_folder(out)
     words = {

@@ -138,7 +138,10 @@ class Word:
 
     def __array_function__(self, function: Any, types_: Any, args: Any, keywords: Any) -> Word:
         if function is np.where and len(args) == 3:
-            return Word(self.graph, self.graph.choose(*(_node(self.graph, x) for x in args)))
+            flag, a, b = (_node(self.graph, x) for x in args)
+            if not flag.is_flag:
+                flag = self.graph.logical_not(self.graph.equal(flag, self.graph.constant(0)))
+            return Word(self.graph, self.graph.choose(flag, a, b))
         if function is np.clip and len(args) == 3:
             value, low, high = (_node(self.graph, x) for x in args)
             return Word(self.graph, self.graph.minimum(self.graph.maximum(value, low), high))

@@ -6,31 +6,71 @@ Simulation, synthesis and lint all elaborate the same design from the same three
 from __future__ import annotations
 
 import ast
-import inspect
+import hashlib
 import operator
+import os
 import re
+import tempfile
 import zlib
 from collections.abc import Callable, Mapping
 from importlib import resources
 from pathlib import Path
 from typing import NamedTuple
 
+from pearl_marl.cache import cache_folder
+from pearl_marl.compiler.cores import generated_core
+from pearl_marl.compiler.loading import fingerprint
+from pearl_marl.compiler.targets import Target
 from pearl_marl.errors import DeviceError
 from pearl_marl.hardware.build import Build
 from pearl_marl.memory_map import MemoryMap
-from pearl_marl.spec import EnvSpec, word_bits
+from pearl_marl.spec import EnvSpec, snake_case, word_bits
 
 _PACKAGES_OF_CORES = ("pearl_pkg", "pearl_fixed_pkg")
 """The packages that a core may use, and that have to be read before it."""
 
 
+TARGET = Target("xc7", 150.0)
+"""What generated cores are made for, unless somebody asks for another one."""
+
+
 def core_path(spec: EnvSpec) -> Path:
-    """Return the core's file: ``<name>_pe.sv`` in the folder ``<name>`` that holds the golden step."""
-    folder = Path(inspect.getfile(spec.golden.step)).parent
+    """Return the core's file: its author's, if there is one beside the golden step, else a generated one.
+
+    An author's is ``<name>_pe.sv`` in the folder ``<name>``.
+
+    Raises
+    ------
+    ArgumentError
+        There is none, and the golden functions do what no hardware can.
+    """
+    return _own_core(spec) or _generated_core(spec)
+
+
+def _own_core(spec: EnvSpec) -> Path | None:
+    folder = Path(spec.golden.step.__code__.co_filename).parent
     path = folder / f"{folder.name}_pe.sv"
-    if not path.is_file():
-        raise DeviceError(f"{spec.name} has no hardware core: there is no file {path}")
-    return path
+    return path if path.is_file() else None
+
+
+def _generated_core(spec: EnvSpec) -> Path:
+    words = spec.state, spec.action, spec.observation, spec.reward, spec.reset_draws, spec.step_draws
+    key = repr((spec.id, spec.options, words, [fingerprint(function) for function in spec.golden]))
+    if key not in _generated:
+        text = generated_core(spec, TARGET).text
+        digest = hashlib.sha256(text.encode()).hexdigest()[:16]
+        _generated[key] = cache_folder("cores") / digest / f"{snake_case(spec.name)}_pe.sv"
+        if not _generated[key].exists():
+            _generated[key].parent.mkdir(exist_ok=True)
+            # Written beside and renamed, so that another process never reads half a file.
+            with tempfile.NamedTemporaryFile("w", dir=cache_folder("cores"), delete=False) as file:
+                file.write(text)
+            os.replace(file.name, _generated[key])
+    return _generated[key]
+
+
+_generated: dict[str, Path] = {}
+"""Files by all that they depend on."""
 
 
 def backbone_paths() -> list[Path]:
@@ -58,8 +98,11 @@ def macros(spec: EnvSpec) -> dict[str, str]:
 def core_parameters(spec: EnvSpec) -> dict[str, str]:
     """Return the core's parameters by name, as SystemVerilog literals.
 
-    They are ``spec.core_parameters``, or the environment's options under their names in capitals.
+    They are ``spec.core_parameters``, or the environment's options under their names in capitals. In a
+    generated core the options are constants.
     """
+    if _own_core(spec) is None:
+        return {}
     given = spec.core_parameters
     if given is None:
         given = {name.upper(): int(value) for name, value in spec.options.items()}

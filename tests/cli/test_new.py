@@ -27,7 +27,7 @@ from ..devices.broken import Flips
 
 ROOT = Path(__file__).parents[2]
 LONG = "AutonomousWarehouseRobot"
-FILES = ["README.md", "pyproject.toml", "{0}/__init__.py", "{0}/spec.py", "{0}/step.py", "{0}/{0}_pe.sv"]
+FILES = ["README.md", "pyproject.toml", "{0}/__init__.py", "{0}/spec.py", "{0}/step.py"]
 
 
 @pytest.fixture
@@ -198,8 +198,6 @@ def test_what_is_written_is_clean(
                     *map(str, elaboration.sources(spec)),
                 ]
             )
-    core = elaboration.core_path(spec)
-    assert toolchain.run(["verible-verilog-format", "--column_limit=110", str(core)]) == core.read_text()
 
 
 class Installed:
@@ -269,13 +267,12 @@ def test_the_new_package_passes_the_contract(installed: Installed) -> None:
 
 @pytest.mark.slow
 def test_types_of_the_new_package(installed: Installed) -> None:
-    command = ["python", "-m", "mypy", "--cache-dir", os.devnull]
+    command = ["python", "-m", "mypy", "--cache-dir", str(ROOT / ".mypy_cache")]
     status, out = installed.run(*command, on_path=False)
     assert status == 0, out
 
 
 BREAKS = {
-    "core": ("two_rooms/two_rooms_pe.sv", "GOAL = 4'd15;", "GOAL = 4'd14;", "lockstep and rtl", "rtl parts"),
     # A word that does not fit its field.
     "width": ("two_rooms/step.py", " & u8(cell < GOAL)", " & u8(cell < 255)", "words_fit", "cell = 16"),
     # A sum that is not cast: 32 bits to NumPy, 64 to Numba.

@@ -1,4 +1,7 @@
-"""What the tests of environments with a transition table ``P`` share."""
+"""What the tests of environments share.
+
+Statistics of an option are taken on the reference: a kernel takes longer to compile than that to step.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +13,7 @@ import numpy.typing as npt
 from pearl_marl import EnvSpec
 from pearl_marl.batch.slot_memory import SlotMemory
 from pearl_marl.batch.step import BatchStep
-from pearl_marl.devices import BatchConfig, Native
+from pearl_marl.devices import BatchConfig, Device, Native
 
 Array = npt.NDArray[Any]
 
@@ -34,41 +37,45 @@ def table_of(oracle: Any) -> Table:
     return Table(probability, state.astype(int), reward, terminated.astype(bool))
 
 
-def native_step(spec: EnvSpec, fields: list[Array], actions: Array, seed: int = 0) -> BatchStep:
-    """Put slots into the states whose fields are given, and step them once on the CPU."""
+def step_from(
+    spec: EnvSpec, fields: list[Array], actions: Array, seed: int = 0, device: type[Device] = Native
+) -> BatchStep:
+    """Put slots into the states whose fields are given, and step them once."""
     n = len(actions)
-    device = Native().open(BatchConfig(spec=spec, n_envs=n))
-    device.reset(seed=seed)
-    snapshot = device.snapshot()
+    opened = device().open(BatchConfig(spec=spec, n_envs=n))
+    opened.reset(seed=seed)
+    snapshot = opened.snapshot()
     columns = SlotMemory(spec, n, snapshot.memory).columns
     for k, values in enumerate(fields):
         columns[spec.state[k].name][:] = values
-    device.restore(snapshot)
-    step = device.step(actions)
-    device.close()
+    opened.restore(snapshot)
+    step = opened.step(actions)
+    opened.close()
     return step
 
 
-def first_observations(spec: EnvSpec, n: int, seed: int) -> Array:
-    device = Native().open(BatchConfig(spec=spec, n_envs=n))
-    observations = device.reset(seed=seed)
-    device.close()
+def first_observations(spec: EnvSpec, n: int, seed: int, device: type[Device] = Native) -> Array:
+    opened = device().open(BatchConfig(spec=spec, n_envs=n))
+    observations = opened.reset(seed=seed)
+    opened.close()
     return observations
 
 
-def first_episodes(spec: EnvSpec, n: int, seed: int, policy: Any) -> tuple[Array, Array]:
+def first_episodes(
+    spec: EnvSpec, n: int, seed: int, policy: Any, device: type[Device] = Native
+) -> tuple[Array, Array]:
     """Return length and return of the first episode of ``n`` slots; ``policy(obs, generator)`` acts."""
-    device = Native().open(BatchConfig(spec=spec, n_envs=n, copy=False))
-    observations = device.reset(seed=seed)
+    opened = device().open(BatchConfig(spec=spec, n_envs=n, copy=False))
+    observations = opened.reset(seed=seed)
     generator = np.random.default_rng(seed + 1)
     lengths, returns, running = np.zeros(n, int), np.zeros(n), np.ones(n, bool)
     while running.any():
-        step = device.step(policy(observations, generator))
+        step = opened.step(policy(observations, generator))
         lengths += running
         returns += np.where(running, step.rewards, 0)
         running &= ~step.ended
         observations = step.obs
-    device.close()
+    opened.close()
     return lengths, returns
 
 

@@ -14,10 +14,11 @@ from scipy import stats
 
 import pearl_marl
 from pearl_marl import rng
+from pearl_marl.devices import Reference
 from pearl_marl.errors import ArgumentError
 from pearl_marl.golden import call_reference, u8, u32
 
-from .tabular import first_episodes, native_step
+from .tabular import first_episodes, step_from
 
 RULES = [{"natural": natural, "sab": sab} for natural in (False, True) for sab in (False, True)]
 DECK = np.array(blackjack.deck)
@@ -104,7 +105,7 @@ def test_native_step(options: dict[str, bool], monkeypatch: pytest.MonkeyPatch) 
     cases = list(itertools.product(hands, range(1, 11), range(1, 11), range(2)))
     states = np.array([(*hand[:2], up, down, hand[2]) for hand, up, down, _ in cases])
     actions = np.array([action for *_, action in cases], np.uint8)
-    step = native_step(spec(**options), list(states.T), actions, seed=4)
+    step = step_from(spec(**options), list(states.T), actions, seed=4)
     high, low = (rng.draws(rng.seed_words(4), np.arange(len(cases)), 0, k).tolist() for k in (1, 2))
     gym, pile = oracle(**options), list[int]()
     monkeypatch.setattr(blackjack, "draw_card", lambda _: pile.pop(0))
@@ -157,7 +158,7 @@ def test_frequencies_of_cards() -> None:
     _, _, showing, hidden, _ = env.state().T.astype(int)
     env.close()
     fields = [np.full(n, 4), np.zeros(n), showing, hidden, np.zeros(n)]
-    taken = native_step(spec(), fields, np.ones(n, np.uint8), seed=1).arrivals()[:, 0] - 4
+    taken = step_from(spec(), fields, np.ones(n, np.uint8), seed=1).arrivals()[:, 0] - 4
     taken[taken == 11] = 1
     cards = {"showing": showing, "hidden": hidden, "taken": taken}
     p_values = {
@@ -188,7 +189,7 @@ def test_episodes_of_a_random_policy(options: dict[str, bool]) -> None:
             _, reward, ended, _, _ = gym.step(int(generator.integers(2)))
             length += 1
         theirs[length, reward] = theirs.get((length, reward), 0) + 1
-    lengths, returns = first_episodes(spec(**options), n, 1, policy)
+    lengths, returns = first_episodes(spec(**options), n, 1, policy, Reference)
     kinds, counts = np.unique(np.array([lengths, returns]), axis=1, return_counts=True)
     ours = {(int(length), value): count for (length, value), count in zip(kinds.T, counts, strict=True)}
     common = [kind for kind in ours if ours[kind] + theirs.get(kind, 0) >= 20]

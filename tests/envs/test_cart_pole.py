@@ -16,7 +16,7 @@ from pearl_marl.errors import ArgumentError
 from pearl_marl.golden import call_reference
 
 from .fixed import Array, values, words, worst
-from .tabular import first_episodes, native_step
+from .tabular import first_episodes, step_from
 
 SPEC = pearl_marl.get_spec("CartPole")
 TRACK, LEAN = 2.4, 12 * 2 * np.pi / 360
@@ -67,7 +67,7 @@ def test_step(sutton_barto: bool) -> None:
     for field, ours, theirs in zip(spec.state, after, expected, strict=True):
         assert worst(field.name, values(ours, field), theirs) < WORST
 
-    step = native_step(spec, state, actions)
+    step = step_from(spec, state, actions)
     obs = np.stack([values(word, f) for word, f in zip(after, spec.state, strict=True)], 1).astype(np.float32)
     np.testing.assert_array_equal(step.arrivals(), obs)
     # Nearer to a threshold than the error, either answer is right.

@@ -17,11 +17,12 @@ from scipy import stats
 
 import pearl_marl
 from pearl_marl import rng
+from pearl_marl.devices import Native, Reference
 from pearl_marl.errors import ArgumentError, SavedStateError
 from pearl_marl.golden import call_reference, u8, u32
 from pearl_marl.rendering import HeatMap
 
-from .tabular import first_episodes, first_observations, native_step, table_of
+from .tabular import first_episodes, first_observations, step_from, table_of
 
 ACTIONS = 4
 THREE_STARTS = ["SFHSFGS", "GHSFFFF", "FSFHFHS"]
@@ -139,7 +140,7 @@ def test_starts_and_observations(options: dict[str, Any]) -> None:
 def test_distribution_of_starts() -> None:
     gym = oracle(desc=THREE_STARTS)
     starts = np.flatnonzero(gym.initial_state_distrib)
-    seen = np.bincount(first_observations(spec(desc=THREE_STARTS), 30_000, seed=3), minlength=21)
+    seen = np.bincount(first_observations(spec(desc=THREE_STARTS), 30_000, 3, Reference), minlength=21)
     assert seen[starts].sum() == 30_000
     p = stats.chisquare(seen[starts], 30_000 * gym.initial_state_distrib[starts]).pvalue
     print(f"starts: p = {p:.3f}")
@@ -159,7 +160,7 @@ def test_native_step(options: dict[str, Any]) -> None:
         assert len(np.unique(outcomes)) == (table.probability[states[0], 0] > 2**-32).sum()
     elif table.probability.shape[2] > 1:
         outcomes[:] = 1
-    step = native_step(ours, list(np.divmod(states, gym.ncol)), actions.astype(np.uint8), seed=5)
+    step = step_from(ours, list(np.divmod(states, gym.ncol)), actions.astype(np.uint8), seed=5)
     np.testing.assert_array_equal(step.arrivals(), table.state[states, actions, outcomes])
     np.testing.assert_array_equal(step.rewards, np.float32(table.reward[states, actions, outcomes]))
     np.testing.assert_array_equal(step.terminations, table.terminated[states, actions, outcomes])
@@ -172,7 +173,8 @@ def test_slip_frequencies(success_rate: float) -> None:
     table, n = table_of(oracle(**options)), 30_000
     for action in range(ACTIONS):
         middle = [np.ones(n, int), np.ones(n, int)]
-        arrived = native_step(spec(**options), middle, np.full(n, action, np.uint8), seed=action).arrivals()
+        actions = np.full(n, action, np.uint8)
+        arrived = step_from(spec(**options), middle, actions, action, Reference).arrivals()
         seen = np.bincount(arrived, minlength=9)[table.state[4, action]]
         assert seen.sum() == n
         p = stats.chisquare(seen, n * table.probability[4, action]).pvalue
@@ -236,7 +238,7 @@ def test_episodes_of_a_random_policy(options: dict[str, Any]) -> None:
     def policy(observations: np.ndarray, generator: np.random.Generator) -> np.ndarray:
         return generator.integers(ACTIONS, size=n, dtype=np.uint8)
 
-    lengths, returns = first_episodes(ours, n, 1, policy)
+    lengths, returns = first_episodes(ours, n, 1, policy, Reference if options else Native)
     seen = np.zeros((limit, 4))
     np.add.at(seen, (lengths - 1, returns.astype(int)), 1)
     assert not seen[reaches == 0].any()
@@ -254,7 +256,7 @@ def test_episodes_of_a_random_policy(options: dict[str, Any]) -> None:
 @pytest.mark.parametrize("mode", ["ansi", "rgb_array"])
 def test_pictures_are_gymnasiums(mode: str, options: dict[str, Any]) -> None:
     pytest.importorskip("pygame", reason="Gymnasium draws with pygame")
-    env = pearl_marl.parallel_env("FrozenLake", 2, render_mode=mode, **options)
+    env = pearl_marl.parallel_env("FrozenLake", 2, render_mode=mode, device="reference", **options)
     gym = gymnasium.make("FrozenLake-v1", render_mode=mode, **options)
     env.reset(seed=0)
     gym.reset(seed=0)
@@ -271,7 +273,8 @@ def test_pictures_are_gymnasiums(mode: str, options: dict[str, Any]) -> None:
 
 
 def test_heat_map_counts_arrivals() -> None:
-    env = pearl_marl.parallel_env("FrozenLake", 100, desc=["SFF", "FFF"], is_slippery=False)
+    desc = ["SFF", "FFF"]
+    env = pearl_marl.parallel_env("FrozenLake", 100, device="reference", desc=desc, is_slippery=False)
     env.reset_batch(seed=0)
     heat = HeatMap(env.spec)
     for action in (2, 2, 1, 1):
@@ -305,15 +308,17 @@ def test_random_maps_of_gymnasium_are_taken() -> None:
 
 def test_saved_states_know_their_map() -> None:
     options = {"desc": tuple(THREE_STARTS), "success_rate": 0.7, "reward_schedule": (5, 4, 3)}
-    env = pearl_marl.parallel_env("FrozenLake", 9, **options)
+    device = {"device": "reference"}
+    env = pearl_marl.parallel_env("FrozenLake", 9, **device, **options)
     env.reset_batch(seed=0)
     for _ in range(5):
         env.step_batch(np.full(9, 2))
     saved = env.save_state()
-    again = pearl_marl.parallel_env("FrozenLake", 9, **json.loads(json.dumps(options)))
+    again = pearl_marl.parallel_env("FrozenLake", 9, **device, **json.loads(json.dumps(options)))
     again.load_state(saved)
     np.testing.assert_array_equal(env.step_batch(np.full(9, 1)).obs, again.step_batch(np.full(9, 1)).obs)
-    other = pearl_marl.parallel_env("FrozenLake", 9, **{**options, "desc": [*THREE_STARTS[:2], "FSFFFHS"]})
+    options["desc"] = [*THREE_STARTS[:2], "FSFFFHS"]
+    other = pearl_marl.parallel_env("FrozenLake", 9, **device, **options)
     with pytest.raises(SavedStateError, match="FSFFFHS"):
         other.load_state(saved)
 

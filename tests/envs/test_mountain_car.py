@@ -17,7 +17,7 @@ from pearl_marl.errors import ArgumentError
 from pearl_marl.golden import call_reference
 
 from .fixed import Array, values, words, worst
-from .tabular import first_episodes, native_step
+from .tabular import first_episodes, step_from
 
 SPEC = pearl_marl.get_spec("MountainCar")
 POSITION, VELOCITY = SPEC.state
@@ -81,7 +81,7 @@ def test_step(n: int, goal_velocity: float) -> None:
     assert np.count_nonzero((theirs_x == -1.2) & (theirs_v == 0)) > n / 100
     assert np.count_nonzero(theirs_v == 0.07) > n / 1000
 
-    step = native_step(spec, [position, velocity], actions)
+    step = step_from(spec, [position, velocity], actions)
     delivered = np.stack([values(x, POSITION), values(v, VELOCITY)], 1).astype(np.float32)
     np.testing.assert_array_equal(step.arrivals(), delivered)
     np.testing.assert_array_equal(step.terminations, ended)

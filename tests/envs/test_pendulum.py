@@ -16,7 +16,7 @@ from pearl_marl.errors import ArgumentError
 from pearl_marl.golden import call_reference
 
 from .fixed import Array, values, words, worst
-from .tabular import first_episodes, native_step
+from .tabular import first_episodes, step_from
 
 SPEC = pearl_marl.get_spec("Pendulum")
 SPEED = SPEC.state[1]
@@ -83,7 +83,7 @@ def test_step(g: float) -> None:
         assert worst(field.name, values(observed[k], field), numbers[:, k]) < worst_state(g) + 3.5e-9
 
     if g == 10:
-        step = native_step(spec, state, values(torque, spec.action)[:, None])
+        step = step_from(spec, state, values(torque, spec.action)[:, None])
         delivered = [values(word, f) for word, f in zip(observed, spec.observation, strict=True)]
         np.testing.assert_array_equal(step.arrivals(), np.stack(delivered, 1).astype(np.float32))
         np.testing.assert_array_equal(step.rewards, values(reward, spec.reward).astype(np.float32))

@@ -11,7 +11,7 @@ from bench import spec_of
 from harness import HERE, Design, whole
 
 from pearl_marl import memory_map
-from pearl_marl.errors import DeviceError
+from pearl_marl.errors import ArgumentError, DeviceError
 from pearl_marl.hardware import elaboration, toolchain
 from pearl_marl.hardware.build import Build
 from pearl_marl.registry import get_spec, names
@@ -145,17 +145,26 @@ def test_package_says_what_the_map_says() -> None:
         assert [name.upper() for name in reversed(listed)] == [flag.name for flag in fields]
 
 
-def test_a_missing_core_is_told(tmp_path: Path) -> None:
-    spec = spec_of("ShiftAdd", {})
+@pytest.mark.usefixtures("toys")
+def test_a_core_that_nobody_wrote_is_generated() -> None:
+    spec = get_spec("Ladder")
     path = elaboration.core_path(spec)
-    moved = path.rename(tmp_path / path.name)
-    try:
-        with pytest.raises(
-            DeviceError, match=r"ShiftAdd has no hardware core: there is no file .*shift_add_pe\.sv"
-        ):
-            elaboration.sources(spec)
-    finally:
-        moved.rename(path)
+    assert path == elaboration.core_path(spec)
+    assert path.name == "ladder_pe.sv"
+    assert elaboration.core_parameters(spec) == {}
+    assert elaboration.core_timing(spec).interval == 1
+    lint(whole(Build.of(spec, 70, 3, 32)))
+
+
+def test_what_no_hardware_can_is_said() -> None:
+    spec = get_spec("CliffWalking")
+
+    def step(row: Any, column: Any, action: Any) -> Any:
+        return (row, column, 0, 0) if action else (column, row, 0, 0)
+
+    spec = dataclasses.replace(spec, golden=spec.golden._replace(step=step))
+    with pytest.raises(ArgumentError, match=r"rtl/test_elaboration.py, line \d+: a word decides"):
+        elaboration.sources(spec)
 
 
 def test_a_missing_program_is_told() -> None:

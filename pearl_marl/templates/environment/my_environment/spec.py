@@ -34,7 +34,6 @@ def configure(slip: int = 1) -> EnvSpec:
         reset_draws=1,
         step_draws=1,
         max_cycles=50,  # steps after which an episode is truncated; None for no limit
-        # The core gets them as parameters, under their names in capitals.
         options={"slip": slip},
         configure=configure,
     )

@@ -7,7 +7,7 @@ somewhere in the middle; on a slippery floor it stays where it is now and then::
     0       4             11      15      P: pit, G: goal, 4 to 11: starts
 
 The same functions run as plain Python (that is the reference), compiled by Numba (the CPU device),
-and as the model that the hardware is compared with bit for bit. For that:
+and as hardware that is generated from them. For that:
 
 - Cast after every operation: ``u8(a + b)``. NumPy and Numba widen a sum in different ways.
 - No ``if`` on data. A comparison is 0 or 1: add it, or make a mask of it. All slots then run the
