@@ -68,7 +68,7 @@ class _Gates:
                         total = sum(cost[a, d] for a, d in zip(n.args, plan, strict=True) if d is not None)
                     except KeyError:  # an argument that does not reach the word
                         continue
-                    if total <= cost[key] - (n.is_constant()):
+                    if total <= cost[key]:
                         cost[key], best[key] = total, plan
         waiting: list[tuple[Node, Demand]] = [(node, word)]
         while waiting:
@@ -146,7 +146,7 @@ def _zero(n: Node) -> Iterator[Plan]:
             yield from (("zero", None), (None, "zero"))
         case "or" | "xor" | "add" | "sub":
             yield "zero", "zero"
-        case "mask" | "left" | "right" | "wrap" | "divide":
+        case "mask" | "left" | "right" | "wrap" | "divide" | "modulo":
             yield ("zero",)
         case "left_by" | "right_by":
             yield "zero", None
@@ -166,7 +166,9 @@ def _ones(n: Node, demand: Literal["one", "ones"]) -> Iterator[Plan]:
             yield from ((demand, None), (None, demand))
         case "and":
             yield demand, demand
-        case "not" | "invert":
+        case "not":
+            yield ("zero",)
+        case "invert" if demand == "ones":
             yield ("zero",)
         case "mask":
             yield ("one",)

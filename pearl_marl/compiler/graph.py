@@ -109,7 +109,7 @@ class Graph(Nodes):
             return self.wrap(a, value.bit_length() - 1, False) if value > 1 else self.constant(0)
         if a.low >= 0 and a.high < value:
             return a
-        return self.sub(a, self.mul(self.floor_divide(a, b), b))
+        return self.constant(a.imm % value) if a.is_constant() else self.make("modulo", a, imm=value)
 
     def left(self, a: Node, by: int) -> Node:
         """Return ``a << by``, by a number."""
@@ -196,10 +196,10 @@ class Graph(Nodes):
         if x is not None and y is not None:
             return self.mask(self.or_(x, y))
         # A choice by masks, of which one is the other's complement.
-        if a.op == b.op == "choose" and a.args[2].is_constant(0) and b.args[2].is_constant(0):
-            p, q = a.args[0], b.args[0]
-            if self.logical_not(p) is q:
-                return self.choose(p, a.args[1], b.args[1])
+        if a.op == b.op == "choose" and a.args[0] is b.args[0]:
+            for x, y in ((a, b), (b, a)):
+                if x.args[2].is_constant(0) and y.args[1].is_constant(0):
+                    return self.choose(a.args[0], x.args[1], y.args[2])
         return self._ordered("or", a, b)
 
     def xor(self, a: Node, b: Node) -> Node:
@@ -313,13 +313,15 @@ class Graph(Nodes):
         return b if a.high <= b.low else a if b.high <= a.low else self.choose(self.less(a, b), b, a)
 
     def table(self, entries: Sequence[int], index: Node) -> Node:
-        """Return the entry of a constant table; the index is never beyond it."""
+        """Return the entry of a constant table; beyond its end is nothing that anybody looks at."""
+        if index.low < 0 or index.high >= len(entries):
+            bits = max(1, (len(entries) - 1).bit_length())
+            index = self.wrap(index, bits, False)
+            entries = (*entries, *[entries[-1]] * ((1 << bits) - len(entries)))
         entries = tuple(entries)[: index.high + 1]
-        return (
-            self.constant(entries[index.imm])
-            if index.is_constant()
-            else self.make("table", index, imm=entries)
-        )
+        if index.is_constant():
+            return self.constant(entries[index.imm])
+        return self.make("table", index, imm=entries)
 
     def _ordered(self, op: str, a: Node, b: Node) -> Node:
         """Return the node of an operation whose arguments may change places, a constant last."""
@@ -332,10 +334,14 @@ class Graph(Nodes):
         match node.op:
             case "left" | "right":
                 result: Node = getattr(self, node.op)(*args, node.imm)
+            case "left_by" | "right_by":  # what is held may have become anything
+                result = getattr(self, node.op)(args[0], self.wrap(args[1], node.args[1].bits, False))
             case "wrap":
                 result = self.wrap(args[0], *node.imm)
             case "divide":
                 result = self.floor_divide(args[0], self.constant(node.imm))
+            case "modulo":
+                result = self.modulo(args[0], self.constant(node.imm))
             case "table":
                 result = self.table(node.imm, args[0])
             case op:

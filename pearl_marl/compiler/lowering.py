@@ -54,19 +54,21 @@ def _rounding_joined(graph: Graph, roots: Sequence[Node]) -> list[Node]:
     """Let what is added to a rounded product join the product's own sum, for one carry chain less."""
     uses = Counter(arg for node in in_order(roots) for arg in node.args)
 
-    def multiplied(node: Node) -> bool:
-        return node.op == "mul" or (node.op in ("add", "sub", "right") and any(map(multiplied, node.args)))
+    products: set[Node] = set()  # what is a product, or a sum of some
 
     made: dict[Node, Node] = {}
     for node in in_order(roots):
         args = [made[a] for a in node.args]
         made[node] = graph.again(node, args) if args else node
+        if node.op == "mul" or (node.op in ("add", "sub", "right") and not products.isdisjoint(args)):
+            products.add(made[node])
         for i, (x, y) in enumerate((args, args[::-1]) if node.op == "add" else ()):
-            if x.op != "right" or uses[node.args[i]] > 1 or not multiplied(x) or multiplied(y):
+            if x.op != "right" or uses[node.args[i]] > 1 or x not in products or y in products:
                 continue
             made[node] = graph.right(graph.add(x.args[0], graph.left(y, x.imm)), x.imm)
             if made[node].name is None and not made[node].is_constant():
                 made[node].name, made[node].line = node.name, node.line
+            products.add(made[node])
             break
     return [made[root] for root in roots]
 
@@ -90,14 +92,19 @@ class _Lowering:
             case "constant":
                 return graph.constant(node.imm)
             case "input":
-                low_bits = (node.bits, node.low < 0)
-                return graph.input(node.imm, *low_bits)
+                return graph.input(node.imm, node.bits, node.low < 0)
             case "right" | "left" | "wrap":
                 return graph.again(node, args)
             case "add" | "sub" | "mul":
                 terms: list[Term] = []
-                constant = self._flatten(node, 1, 0, terms, whole=True)
-                return self._total(terms, constant, width(node, self.used))
+                bits = width(node, self.used)
+                constant = self._flatten(node, 1, 0, terms, bits, whole=True)
+                return self._total(terms, constant, bits)
+            case "modulo":
+                quotient = self._quotient(args[0], node.imm)
+                products = self._products(quotient, graph.constant(node.imm), args[0].bits + 1)
+                terms = [Term(1, 0, args[0]), *(t._replace(sign=-t.sign) for t in products)]
+                return self._total(terms, 0, node.bits)
             case "divide":
                 return self._quotient(args[0], node.imm)
         return graph.make(node.op, *args, imm=node.imm)
@@ -125,25 +132,31 @@ class _Lowering:
             else self.graph.wrap(made, used, node.low < 0)
         )
 
-    def _flatten(self, node: Node, sign: int, shift: int, terms: list[Term], whole: bool = False) -> int:
-        """Add the terms that a node is the sum of; return the constant among them."""
+    def _flatten(
+        self, node: Node, sign: int, shift: int, terms: list[Term], bits: int, whole: bool = False
+    ) -> int:
+        """Add the terms of a sum, right modulo so many bits; return the constant among them."""
         if node.is_constant():
             return sign * (int(node.imm) << shift)
         if node.op == "left":
-            return self._flatten(node.args[0], sign, shift + node.imm, terms)
-        if whole or self.uses[node] == 1:
+            return self._flatten(node.args[0], sign, shift + node.imm, terms, bits)
+        if whole or (self.uses[node] == 1 and self._can_open(node, bits - shift)):
             if node.op in ("add", "sub"):
                 a, b = node.args
-                constant = self._flatten(a, sign, shift, terms)
-                return constant + self._flatten(b, -sign if node.op == "sub" else sign, shift, terms)
+                constant = self._flatten(a, sign, shift, terms, bits)
+                return constant + self._flatten(b, -sign if node.op == "sub" else sign, shift, terms, bits)
             if node.op == "mul":
-                bits = width(node, self.used)
-                a, b = (self._cut(self.made[arg], bits) for arg in node.args)
-                products = self._products(a, b, bits)
+                a, b = (self._cut(self.made[arg], bits - shift) for arg in node.args)
+                products = self._products(a, b, bits - shift)
                 terms += (Term(sign * t.sign, shift + t.shift, t.node) for t in products)
                 return 0
         terms.append(Term(sign, shift, self.made[node]))
         return 0
+
+    def _can_open(self, node: Node, bits: int) -> bool:
+        """Return whether a node's arguments are right in all the bits that a sum around it needs."""
+        exact = all(width(a, self.used) >= a.bits for a in node.args)
+        return bits > 0 and (exact or bits <= width(node, self.used))
 
     # ---- products
 

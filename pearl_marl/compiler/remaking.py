@@ -26,16 +26,14 @@ def remade(
         if not isinstance(old, types.FunctionType):
             return change(old)
         if old not in done:
-            done[old] = old  # one that calls itself does not end
-            scope = {
-                name: value(old.__globals__[name]) for name in _names(old.__code__) if name in old.__globals__
-            }
-            cells = tuple(types.CellType(value(cell.cell_contents)) for cell in old.__closure__ or ())
-            new = types.FunctionType(
-                old.__code__, {**old.__globals__, **scope}, old.__name__, old.__defaults__, cells
-            )
+            scope, cells = dict(old.__globals__), tuple(types.CellType() for _ in old.__closure__ or ())
+            new = types.FunctionType(old.__code__, scope, old.__name__, old.__defaults__, cells)
             new.__kwdefaults__ = old.__kwdefaults__
-            done[old] = finish(new)
+            done[old] = finish(new)  # known to itself, and to functions that call it in turn
+            names = (name for name in _names(old.__code__) if name in old.__globals__)
+            scope.update({name: value(old.__globals__[name]) for name in names})
+            for cell, known in zip(cells, old.__closure__ or (), strict=True):
+                cell.cell_contents = value(known.cell_contents)
         return done[old]
 
     return value(function)

