@@ -52,6 +52,35 @@ def test_a_table_of_tables_takes_two_words() -> None:
     assert all(run(step, a, b) == [grid[a, b]] * 2 for a in range(4) for b in range(4))
 
 
+def test_a_row_that_a_word_chose_is_a_table_itself() -> None:
+    cube = [[[8 * i + 3 * j + k for k in range(4)] for j in range(4)] for i in range(4)]
+
+    def step(a: Any, b: Any) -> Any:
+        return cube[a][b][a], cube[a][1:4][2][b], cube[1][a][b]
+
+    for a in range(4):
+        for b in range(4):
+            assert run(step, a, b) == [cube[a][b][a], cube[a][3][b], cube[1][a][b]]
+
+
+def power(x: Any, n: int) -> Any:
+    return x * power(x, n - 1) if n else 1
+
+
+def test_a_helper_may_call_itself() -> None:
+    def step(a: Any) -> Any:
+        return power(a, 3)
+
+    assert [run(step, a) for a in range(4)] == [[0], [1], [8], [27]]
+
+
+def test_a_remainder_is_below_its_divisor() -> None:
+    def step(a: Any, b: Any) -> Any:
+        return TABLE[:3][(a * 5 - b * 7) % 3]
+
+    assert all(run(step, a, b) == [TABLE[(a * 5 - b * 7) % 3]] for a in range(4) for b in range(4))
+
+
 def branch(a: Any) -> Any:
     return 1 if a > 1 else 0
 
@@ -96,6 +125,14 @@ def counted(a: Any) -> Any:
     return [k for k in range(a)]  # noqa: C416
 
 
+def back(a: Any) -> Any:
+    return a << (1 - a)
+
+
+def endless(a: Any) -> Any:
+    return endless(a + 1)
+
+
 def two(a: Any, b: Any) -> Any:
     return a
 
@@ -112,6 +149,8 @@ REFUSED = {
     drawn: "golden functions cannot use random.randint; random draws come as arguments",
     unknown: "NameError: name 'heights' is not defined",
     counted: "Python needs a number here",
+    back: "a shift can be by -2 to 1; possible are 0 to 63",
+    endless: "RecursionError",
     two: r"two\(\) is called with 1 words: missing a required argument: 'b'",
 }
 
