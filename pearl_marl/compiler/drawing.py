@@ -11,7 +11,7 @@ from pearl_marl.compiler.nodes import Node
 from pearl_marl.compiler.scheduling import Schedule
 from pearl_marl.compiler.widths import WIRES, width
 
-BOX, GAP, ROW, MARGIN = 104, 34, 30, 46
+BOX, GAP, ROW, MARGIN = 120, 34, 30, 46
 COLOURS = {"input": "#d7e8f7", "mul": "#f7d9c4", "sum": "#fbeecb", "table": "#e3dcf3", "choose": "#d9f0dd"}
 SYMBOLS = {
     "sum": "+", "mul": "*", "and": "&", "or": "|", "xor": "^", "equal": "=", "less": "<", "choose": "?:",
@@ -40,7 +40,9 @@ def drawing(title: str, outputs: Sequence[Output], schedule: Schedule) -> str:
     for i, output in enumerate(outputs):
         at = end, MARGIN + i * ROW
         lines += (_line(places[s], at) for s in _sources(output.node, whole=True))
-        boxes.append(_box(at, f"{output.port}.{output.field}", output.bits, "output", output.port))
+        whole = output.port in ("reward_o", "terminated_o")  # of one field
+        label = output.port if whole else f"{output.port}.{output.field}"
+        boxes.append(_box(at, label, output.bits, "output", label))
     height = MARGIN + max([*rows.values(), len(outputs)]) * ROW + 20
     stages = []
     for stage in range(schedule.latency):
@@ -56,7 +58,7 @@ def drawing(title: str, outputs: Sequence[Output], schedule: Schedule) -> str:
             "<style>text{font:11px sans-serif}.title{font-size:14px}.stage{fill:#666}"
             ".edge{stroke:#bbb;stroke-dasharray:4}path{stroke:#999;fill:none;stroke-width:.7}"
             "rect{stroke:#777;stroke-width:.7}</style>",
-            '<rect width="100%" height="100%" fill="white" stroke="none"/>',
+            '<rect width="100%" height="100%" fill="white" style="stroke:none"/>',
             f'<text x="{MARGIN}" y="16" class="title">{escape(title)}</text>',
             *stages,
             *lines,
@@ -95,7 +97,7 @@ def _hint(node: Node) -> str:
 def _box(place: tuple[int, int], label: str, bits: int, op: str, hint: str) -> str:
     x, y = place
     colour = COLOURS.get(op, "#f4f4f4")
-    shown = label if len(label) <= 15 else f"{label[:14]}…"
+    shown = label if len(label) <= 16 else f"{label[:15]}…"
     return (
         f"<g><title>{escape(hint)}</title>"
         f'<rect x="{x}" y="{y}" width="{BOX}" height="20" rx="3" fill="{colour}"/>'
