@@ -16,6 +16,7 @@ import pytest
 from gymnasium.vector import AutoresetMode
 
 from pearl_marl import cache, get_spec
+from pearl_marl.batch.actions import random_actions
 from pearl_marl.devices import BatchConfig, Lockstep, Native, Rtl, make_device
 from pearl_marl.devices.simulator import model_build, pyverilator_mends
 from pearl_marl.errors import ArgumentError, DeviceError, LockstepError
@@ -221,9 +222,12 @@ def test_a_trace_that_cannot_be_written(tmp_path: Path) -> None:
         opened(Rtl(4, 32, trace=tmp_path / "no" / "waves.vcd"))
 
 
-def test_no_core() -> None:
-    with pytest.raises(DeviceError, match="Ladder has no hardware core: there is no file"):
-        opened(Rtl(), spec=LADDER)
+def test_a_core_that_nobody_wrote_is_bit_exact() -> None:
+    device = Lockstep(Rtl(2, 32), "reference").open(BatchConfig(spec=LADDER, n_envs=7))
+    device.reset(seed=3)
+    trajectory(device, random_actions(LADDER, np.random.default_rng(0), 7 * 40).reshape(40, 7))
+    assert device.words_compared
+    device.close()
 
 
 @pytest.mark.parametrize("program", ["g++", "make", "perl"])
