@@ -40,9 +40,10 @@ def command(
     """
     spec = common.spec_of(env_id, option)
     core = generated_core(spec, Target(family, clock))
-    for path, text in ((out, core.text), (graph, core.picture)):
-        if path is not None:
-            _write(path, text)
+    if out is not None:
+        _write(out, core.text)
+    if graph is not None:
+        _write(graph, core.picture())
     figures = {
         "environment": spec.id,
         "family": family,

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 from pearl_marl.compiler.core_graph import core_graph
@@ -14,10 +16,11 @@ from pearl_marl.spec import EnvSpec, snake_case
 
 
 class Core(NamedTuple):
-    """A generated core: its SystemVerilog, its graph as a picture, and what it takes."""
+    """A generated core: its SystemVerilog, and what it takes."""
 
     text: str
-    picture: str
+    picture: Callable[[], str]
+    """Draws its operations, as SVG."""
     latency: int
     """Cycles from an input to its result; an input can follow the other in every cycle."""
     register_bits: int
@@ -48,7 +51,7 @@ def generated_core(spec: EnvSpec, target: Target, name: str | None = None) -> Co
     about = [f"{spec.id}({options}), for {target.name} at {target.mhz:g} MHz."]
     return Core(
         text=system_verilog(spec, name or snake_case(spec.name), outputs, schedule, about),
-        picture=drawing(f"{spec.name}, {target.name} at {target.mhz:g} MHz", outputs, schedule),
+        picture=partial(drawing, f"{spec.name}, {target.name} at {target.mhz:g} MHz", outputs, schedule),
         latency=schedule.latency,
         register_bits=schedule.register_bits,
         multipliers=sum(node.op == "mul" for node in schedule.order),

@@ -78,7 +78,7 @@ def fingerprint(function: GoldenFunction) -> bytes:
                 left += (cell.cell_contents for cell in value.__closure__ or ())
         elif isinstance(value, np.ndarray):
             digest.update(repr((value.dtype, value.shape)).encode() + value.tobytes())
-        elif isinstance(value, (int, float, str, bytes, tuple, np.generic, type(None))):
+        elif isinstance(value, (int, float, str, bytes, tuple, list, np.generic, type(None))):
             digest.update(repr(value).encode())
     return digest.digest()
 

@@ -53,9 +53,7 @@ def lowered(graph: Graph, outputs: Sequence[Output], target: Target) -> list[Out
 def _rounding_joined(graph: Graph, roots: Sequence[Node]) -> list[Node]:
     """Let what is added to a rounded product join the product's own sum, for one carry chain less."""
     uses = Counter(arg for node in in_order(roots) for arg in node.args)
-
     products: set[Node] = set()  # what is a product, or a sum of some
-
     made: dict[Node, Node] = {}
     for node in in_order(roots):
         args = [made[a] for a in node.args]
@@ -169,7 +167,7 @@ class _Lowering:
                 index = self.graph.wrap(a, a.bits, False)
                 signed = [v - (1 << a.bits) if a.low < 0 and v >> (a.bits - 1) else v for v in values]
                 return [Term(1, 0, self.graph.table([v * b.imm for v in signed], index))]
-            if len(digits) <= 3 and (len(digits) == 1 or self._multipliers(a, b, bits) > 2):
+            if len(digits) <= 3 and (len(digits) == 1 or self._multipliers(a, b) > 2):
                 return [Term(sign, shift, a) for sign, shift in digits]
         wide, narrow = self.target.family.multiplier
         pieces = [(self._pieces(a, u), self._pieces(b, v)) for u, v in ((wide, narrow), (narrow, wide))]
@@ -191,7 +189,7 @@ class _Lowering:
                     terms.append(Term(1, low_x + low_y + doubled, product))
         return terms
 
-    def _multipliers(self, a: Node, b: Node, bits: int) -> int:
+    def _multipliers(self, a: Node, b: Node) -> int:
         wide, narrow = self.target.family.multiplier
         return min(
             len(self._pieces(a, u)) * len(self._pieces(b, v)) for u, v in ((wide, narrow), (narrow, wide))

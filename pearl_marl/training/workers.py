@@ -111,8 +111,8 @@ class RayWorkers:
                     gathered.append(cluster.get(asked))
                     break
                 except cluster.lost() as error:
-                    mend = ". With the same --out the run goes on later"
-                    self._give_up(i, attempt, f"in rollout {rollout}", error, mend)
+                    advice = ". With the same --out the run goes on later"
+                    self._give_up(i, attempt, f"in rollout {rollout}", error, advice)
                     cluster.kill(self._actors[i])
                     self._actors[i], _ = self._start(i)
                     asked = self._ask(i, rollout, weights)
@@ -121,13 +121,13 @@ class RayWorkers:
         parts = zip(*(share for share, _ in gathered), strict=True)
         return Experience(*(torch.from_numpy(np.concatenate(part, 1)).to(self.where) for part in parts))
 
-    def _give_up(self, i: int, attempt: int, when: str, error: BaseException, mend: str = "") -> None:
+    def _give_up(self, i: int, attempt: int, when: str, error: BaseException, advice: str = "") -> None:
         """Raise where a worker was lost too often, or can never start."""
         if attempt == ATTEMPTS or getattr(error, "actor_init_failed", False):
             lines = [line.strip() for line in str(error).splitlines() if line.strip()]
             why = " ... ".join(dict.fromkeys((lines[0], lines[-1])))
             raise DeviceError(
-                f"the worker of shard {i} was lost {attempt} times {when}, last by: {why}{mend}"
+                f"the worker of shard {i} was lost {attempt} times {when}, last by: {why}{advice}"
             ) from error
 
     def _ask(self, i: int, rollout: int, weights: Any) -> Any:
