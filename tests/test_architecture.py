@@ -204,6 +204,7 @@ LIBRARIES = {
     "_get_indices": "Stable-Baselines3's, likewise",
     "_setup_learn": "Stable-Baselines3's, likewise",
     "_exit": "of Python's os",
+    "_getvalue": "of Numba's structures, as its own intrinsics use it",
 }
 
 

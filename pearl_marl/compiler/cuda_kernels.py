@@ -15,10 +15,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from pearl_marl.compiler import scalar_words
 from pearl_marl.compiler.cuda_source import cuda_source
 from pearl_marl.compiler.kernels import functions, kernel_name
 from pearl_marl.compiler.loading import load, with_callees
-from pearl_marl.golden import GoldenFunction, call_reference
+from pearl_marl.golden import GoldenFunction
 from pearl_marl.spec import EnvSpec
 
 THREADS = 128
@@ -58,14 +59,15 @@ def compile_cuda_kernels(spec: EnvSpec) -> CudaKernels:
     name = "cuda_" + kernel_name(spec, source, (metadata.version("numba-cuda"), np.__version__))
     key = name, simulated()
     if key not in _loaded:
+        called: dict[str, Any] = {**functions(spec), **scalar_words.operations()}
         if simulated():
-            kernel = cuda.jit
-            called: dict[str, Any] = {name: _wrapping(f) for name, f in functions(spec).items()}
+            kernel, inlined = cuda.jit, _wrapping
+            called = {name: _wrapping(f) for name, f in called.items()}
         else:
-            kernel, jit = cuda.jit(cache=True), partial(cuda.jit, device=True, forceinline=True)
+            kernel, inlined = cuda.jit(cache=True), partial(cuda.jit, device=True, forceinline=True)
             done: dict[types.FunctionType, Any] = {}
-            called = {name: with_callees(f, done, jit) for name, f in functions(spec).items()}
-        module, path = load(name, source, kernel=kernel, cuda=cuda, **called)
+            called = {name: with_callees(f, done, inlined) for name, f in called.items()}
+        module, path = load(name, source, kernel=kernel, inlined=inlined, cuda=cuda, **called)
         _loaded[key] = CudaKernels(module.reset, module.step, module.advance, path)
     return _loaded[key]
 
@@ -79,10 +81,10 @@ def simulated() -> bool:
 
 
 def _wrapping(function: GoldenFunction) -> GoldenFunction:
-    """Return what the simulator calls: on NumPy's scalars, which warn of wrapping around, in a new thread."""
+    """Return what the simulator calls, in a new thread: NumPy's scalars warn where they wrap around."""
 
     def wrapping(*arguments: Any) -> Any:
-        result = call_reference(function, arguments)
-        return result if len(result) > 1 else result[0]
+        with np.errstate(over="ignore"):
+            return function(*arguments)
 
     return wrapping

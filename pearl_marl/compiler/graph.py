@@ -34,7 +34,8 @@ class Graph(Nodes):
             return a.args[0]
         if a.op == "left" and a.imm >= bits:
             return self.constant(0)
-        if a.op in ("add", "sub", "mul", "and", "or", "xor", "invert"):
+        # Not of a product: beside the narrow one that somebody else looks at it would be a second one.
+        if a.op in ("add", "sub", "and", "or", "xor", "invert"):
             args = [x.args[0] if x.op == "wrap" and x.imm[0] >= bits else x for x in a.args]
             if any(x is not y for x, y in zip(args, a.args, strict=True)):
                 return self.wrap(self.again(a, args), bits, signed)

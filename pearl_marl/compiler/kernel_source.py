@@ -2,27 +2,33 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from pearl_marl import rng
 from pearl_marl.batch import slot_memory
 from pearl_marl.compiler import pieces
 from pearl_marl.compiler.kernel_template import TEMPLATE
-from pearl_marl.compiler.pieces import Pieces, assign, call, each, indented, narrowed, start
-from pearl_marl.spec import EnvSpec, Field
+from pearl_marl.compiler.pieces import Pieces, assign, call, cell_dtype, each, indented, narrowed, start
+from pearl_marl.compiler.straight_line import golden_functions
+from pearl_marl.spec import EnvSpec
 
 BLOCK = 2048
 """Slots of a block: what a loop touches then fits a 32 KiB L1 cache. A multiple of 64."""
 
 CROWD = 16
-"""Arrays in the loop over the golden step from which on they are copied into one. Of more than a few arrays
-LLVM does not check whether they overlap, and leaves the loop scalar; parts of one array it can tell apart."""
+"""Fields from which on a block's state is copied into *lanes*, parts of one array, and back. Of more than a
+few arrays LLVM does not check whether they overlap, and leaves the loop scalar; parts of one it can tell."""
 
 CROWDED_BLOCK = 512
 """Slots of a block where there is such a crowd; divides :data:`BLOCK`. Seaquest steps 40 M slots/s like this,
 with its 44 arrays as they are 6 M."""
 
 DRAW = "draw(u32(slot_0 + i), key_a{0}, key_b{0})"
+
+MEMORIES = {"block": "memory", "stored": "stored"}
+"""By the prefix of a block's words, what they are read from."""
 
 
 def kernel_source(spec: EnvSpec) -> str:
@@ -33,24 +39,31 @@ def kernel_source(spec: EnvSpec) -> str:
         "NAME": spec.name,
         "BLOCK": str(p.size),
         "REWARD_DTYPE": str(spec.reward.dtype),
+        "PADDED": p.padded,
+        "ELAPSED": p.column("memory", p.elapsed),
+        "ENDED": p.column("memory", p.ended),
+        "CODES": part("code_words", spec.reward.dtype),
+        "ACTIONS": part("actions", spec.action.dtype),
         "OBSERVED": p.rows("observations"),
         "FINAL": p.rows("final_observations"),
-        "BLOCK_ROWS": p.block_rows,
+        "ALL_OBSERVED": f"{p.dtype}_column(observations, 0, observations.size)",
         "FEW": str(p.few),
         "GIVEN": ", ".join(given),
         "FIRST_GIVEN": given[0],
     }
     parts = {
-        **p.views(),
+        "golden_functions": golden_functions(spec),
+        **(p.lanes() if p.crowded else p.columns()),
         **p.draws(),
         **p.rewards(),
         "golden_step": p.golden_step(),
         "start_over": p.start_over(),
-        "observe": each_slot(*p.observe(p.block)),
+        "observe": each_slot(*p.observe(p.read)),
         "restart": p.restart(),
         "copy_one": p.copy_one,
         "start_one": p.start_one(),
         "observe_one": p.observe(p.new),
+        "given_parts": p.given_parts(),
         "deliver": p.deliver(each("given_{}[i]", p.observation)),
         "deliver_block": p.deliver(each("part_{}[i]", p.observation)),
     }
@@ -67,71 +80,117 @@ def loops(lines: list[str]) -> list[str]:
     return [inner for line in lines for inner in each_slot(line)]
 
 
+def part(array: str, dtype: np.dtype[Any], size: int = 1) -> str:
+    """Return what belongs to the block of an array that has ``size`` elements a slot."""
+    return f"{dtype}_column({array}, {dtype.itemsize * size} * b, {size} * m)"
+
+
 class _BlockPieces(Pieces):
     """The pieces of loops over a block ``b``, of which a slot is ``i``."""
 
     def __init__(self, spec: EnvSpec) -> None:
-        size = spec.observation_size
+        size, item = spec.observation_size, spec.observation_dtype.itemsize
         # A constant stride: LLVM does not vectorise over one that it only knows at run time.
         element = f"O[{size} * i + {{}}]" if size > 1 else "O[i]"
-        super().__init__(spec, element, "O[i]")
+        super().__init__(spec, element, f"{cell_dtype(spec)}_column(O, {item * size} * i, {size})")
         flat = spec.unpack is None
-        self.block_rows = f"[{size} * b : {size} * (b + m)]" if flat and size > 1 else "[b : b + m]"
         kept = each("F" + element[1:], range(len(spec.observation)))
-        copies = assign(kept, each(element, range(len(spec.observation))))
-        self.copy_one = copies if flat else ["F[i, :] = O[i, :]"]
-        # The arrays that the golden step reads, or writes if those are more, as parts of one.
-        others = range(len(spec.state), len(spec.state) + max(1 + spec.step_draws, 2))
-        self.lanes = each("lane_{}", [*self.state, *others])
-        self.crowded = len(self.lanes) > CROWD
-        widest = max(f.dtype.itemsize for f in (*spec.state, spec.action, spec.reward))
-        self.lane = "uint64" if widest == 8 else "uint32"
+        self.copy_one = assign(kept, each(element, range(len(spec.observation))))
+        if not flat:
+            self.copy_one = [f"for k in range({size} * i, {size} * (i + 1)):", "    F[k] = O[k]"]
+        *self.fields, self.elapsed, self.ended = slot_memory.columns(spec)
+        self.crowded = len(spec.state) > CROWD
         self.size = CROWDED_BLOCK if self.crowded else BLOCK
         # From about so many on, fewer where a start takes draws, SIMD code for all slots is faster. Not with
         # large observations, of which all would be made anew.
         self.few = self.size // (4 + 3 * spec.reset_draws) if flat else self.size + 1
-        self.block = each("block_{}[i]", self.state)
-        self.take = assign(self.new, each("stored_{}[b + i]", self.state))
+        self.block, stored = each("block_{}[i]", self.state), each("stored_{}[i]", self.state)
+        self.read, self.write = self.block, self.narrow
+        if self.crowded:
+            self.lane = np.dtype(np.uint64 if any(f.bits > 32 for f in spec.state) else np.uint32)
+            self.read, stored = narrowed(spec.state, self.block), narrowed(spec.state, stored)
+            self.write = each(f"np.{self.lane}({{}})", self.new)
+        self.take = assign(self.new, stored)
 
     def rows(self, array: str) -> str:
-        """Return an array of observations as a flat one, or for ``unpack`` with a row a slot."""
-        rows = array + (".view(np.uint8)" if self.spec.observation_dtype == np.bool_ else "")
-        if self.spec.unpack is None:
-            return f"{rows}.reshape({array}.size)"
-        wide = f".reshape(({array}.shape[0], {self.spec.observation_size}))"
-        return rows + (wide if len(self.spec.observation_shape) > 1 else "")
+        """Return what belongs to the block of an array of observations, as a flat array."""
+        return part(array, self.dtype, self.spec.observation_size)
 
-    def views(self) -> dict[str, list[str]]:
-        def span(memory: str, c: slot_memory.Column) -> str:
-            last = c.bytes_before + c.dtype.itemsize
-            return f"{memory}[p * {c.bytes_before} : p * {last}].view(np.{c.dtype})"
+    def column(self, memory: str, column: slot_memory.Column) -> str:
+        """Return what belongs to the block of a column."""
+        at = f"p * {column.bytes_before} + {column.dtype.itemsize} * b"
+        return f"{column.dtype}_column({memory}, {at}, m)"
 
-        *columns, elapsed, ended = slot_memory.columns(self.spec)
-        state = [f"state_{c.name} = {span('memory', c)}" for c in columns]
-        stored = [f"stored_{c.name} = {span('stored', c)}" for c in columns]
-        others = [f"{c.name} = {span('memory', c)}" for c in (elapsed, ended)]
-        block = each("block_{0} = state_{0}[b : b + m]", self.state)
+    def given_parts(self) -> list[str]:
+        """Return what finds the block's words of observations that a device delivered."""
+        return [f"part_{f.name} = {part(f'given_{f.name}', f.dtype)}" for f in self.spec.observation]
+
+    def columns(self) -> dict[str, list[str]]:
+        """Return what finds a block's state where it lies."""
+        block, stored = (
+            [f"{prefix}_{field.name} = {self.column(memory, field)}" for field in self.fields]
+            for prefix, memory in MEMORIES.items()
+        )
+        none: list[str] = []
         return {
-            "views": [self.padded, *state, *others, *stored],
-            "views_of_stored": [self.padded, *stored],
-            "views_of_state": [self.padded, *state],
-            "block_views": block,
-            "part_views": each("part_{0} = given_{0}[b : b + m]", self.observation),
+            "load_block": block, "load_stored": stored, "store": none,
+            "lane_functions": none, "block_lanes": none, "stored_lanes": none,
+        }  # fmt: skip
+
+    def lanes(self) -> dict[str, list[str]]:
+        """Return what copies a block's state into lanes, and back."""
+        size, item, count = self.size, self.lane.itemsize, len(self.fields)
+        lanes = {
+            prefix: [
+                f"{prefix}s = np.empty({count * size}, np.{self.lane})",
+                *(
+                    f"{prefix}_{field.name} = {self.lane}_column({prefix}s, {k * size * item}, {size})"
+                    for k, field in enumerate(self.fields)
+                ),
+            ]
+            for prefix in MEMORIES
+        }
+        functions = [
+            "@called",
+            "def copied(target, source, m):",
+            *indented(each_slot("target[i] = source[i]")),
+        ]
+        for name in ("load", "store"):
+            functions += ["", "", "@called", f"def {name}(lanes, memory, p, b, m):"]
+            for dtype in sorted({field.dtype for field in self.fields}, key=str):
+                # Where a field's lane begins, and its column.
+                places = tuple(
+                    (k * size * item, field.bytes_before)
+                    for k, field in enumerate(self.fields)
+                    if field.dtype == dtype
+                )
+                pair = [
+                    f"{self.lane}_column(lanes, lane, m)",
+                    f"{dtype}_column(memory, p * before + {dtype.itemsize} * b, m)",
+                ]
+                first, second = pair if name == "load" else pair[::-1]
+                functions.append(f"    for lane, before in {places}:")
+                functions.append(f"        copied({first}, {second}, m)")
+        return {
+            "lane_functions": functions,
+            "block_lanes": lanes["block"],
+            "stored_lanes": lanes["stored"],
+            "load_block": ["load(blocks, memory, p, b, m)"],
+            "load_stored": ["if use_stored:", "    load(storeds, stored, p, b, m)"],
+            "store": ["store(blocks, memory, p, b, m)"],
         }
 
     def draws(self) -> dict[str, list[str]]:
-        size, lanes = self.size, range(len(self.lanes))
-        scratch = f"draw_{{}} = np.empty({size}, np.uint32)"
+        """Return the scratch space of random draws, their keys, and what makes the step's."""
+        scratch = f"draw_{{}} = np.empty({self.size}, np.uint32)"
 
         def keys(draws: range, tick: str) -> list[str]:
             chains = ("a", rng.CHAIN_A), ("b", rng.CHAIN_B)
             return [f"key_{side}{d} = {pieces.key(chain, tick, d)}" for d in draws for side, chain in chains]
 
-        views = assign(self.lanes, (f"lanes[{k * size} : {(k + 1) * size}]" for k in lanes))
-        lane_views = [f"lanes = np.empty({len(lanes) * size}, np.{self.lane})", *views]
         return {
             "reset_scratch": each(scratch, self.reset_draws),
-            "step_scratch": [*each(scratch, self.step_draws), *(lane_views if self.crowded else [])],
+            "step_scratch": each(scratch, self.step_draws),
             "reset_keys_now": keys(self.reset_draws, "tick"),
             "reset_keys": keys(self.reset_draws, "reset_tick"),
             "step_keys": keys(self.step_draws, "tick"),
@@ -152,42 +211,35 @@ class _BlockPieces(Pieces):
 
     def choose(self, *sources: str) -> list[str]:
         """Return what stores new words where a slot is flagged."""
-        if self.crowded:  # a branch for each field takes long to compile, and few slots end
-            return each_slot("if flag[i]:", *indented([*sources, *assign(self.block, self.narrow)]))
-        chosen = (f"{word} if c else {old}" for word, old in zip(self.narrow, self.block, strict=True))
+        if self.crowded:  # so many choices take long to compile, and few slots end
+            return each_slot("if flag[i]:", *indented([*sources, *assign(self.block, self.write)]))
+        # No `if`: LLVM would move the start into its branch, and the loop would stay scalar.
+        chosen = (
+            f"{f.dtype}_choose(c, {new}, {old})"
+            for f, new, old in zip(self.spec.state, self.new, self.block, strict=True)
+        )
         return each_slot("c = flag[i]", *sources, *assign(self.block, chosen))
 
     def restart(self) -> list[str]:
         """Return what starts over the slots that ended, which are listed."""
-        store = [*assign(self.block, self.narrow), "E[i] = np.uint32(0)"]
+        store = [*assign(self.block, self.write), "E[i] = np.uint32(0)"]
         one = [*self.copy_one, *self.start_one(), *store, *self.observe(self.new)]
         each = ["for j in range(count):", *indented(["i = np.int64(ended_slots[j])", *one])]
         if self.spec.unpack is not None:
             return each
         at_once = [*each_slot(*self.copy_one), *self.start_over()]
         at_once += each_slot("E[i] = np.uint32(0) if flag[i] else E[i]")
-        at_once += each_slot(*self.observe(self.block))
+        at_once += each_slot(*self.observe(self.read))
         return [f"if count < {self.few}:", *indented(each), "else:", *indented(at_once)]
 
     def golden_step(self) -> list[str]:
-        draws = each("draw_{}[i]", self.step_draws)
-        sources, targets = [*self.block, "A[i]", *draws], [*self.block, "code[i]", "flag[i]"]
-        results = [*self.new, "r", "t"]
-        if not self.crowded:
-            return each_slot(call("golden_step", sources, results), *assign(targets, results))
-        # By way of one array, into and out of which words go an array at a time.
-        spec, lane, lanes = self.spec, f"np.{self.lane}({{}})", each("{}[i]", self.lanes)
-        inputs, outputs = lanes[: len(sources)], lanes[: len(targets)]
-        read = [*spec.state, spec.action, *[Field("draw", 32)] * len(draws)]
-        written = [*spec.state, spec.reward, Field("terminated", 1)]
-        step = call("golden_step", narrowed(read, inputs), results)
-        return [
-            *loops(assign(inputs, each(lane, sources))),
-            *each_slot(step, *assign(outputs, each(lane, results))),
-            *loops(assign(targets, narrowed(written, outputs))),
-        ]
+        """Return the loop over the golden step."""
+        sources = [*self.read, "A[i]", *each("draw_{}[i]", self.step_draws)]
+        step = call("golden_step", sources, [*self.new, "r", "t"])
+        return each_slot(step, *assign([*self.block, "code[i]", "flag[i]"], [*self.write, "r", "t"]))
 
     def rewards(self) -> dict[str, list[str]]:
+        """Return what makes rewards of their codes."""
         names = each("reward_{}", range(self.categories if self.categories <= 8 else 0))
         lines = [f"R[i] = {self.reward('code[i]', 'code[i]')}"]
         if names:  # a chain of blends; beyond that a gather costs less

@@ -19,6 +19,7 @@ import numba
 import numpy as np
 
 from pearl_marl import rng
+from pearl_marl.compiler import llvm_words
 from pearl_marl.compiler.kernel_source import kernel_source
 from pearl_marl.compiler.loading import fingerprint, load, with_callees
 from pearl_marl.golden import GoldenFunction
@@ -62,7 +63,13 @@ class Kernels(NamedTuple):
 def compile_kernels(spec: EnvSpec) -> Kernels:
     """Return the kernels of an environment; those in the cache are loaded at their first call."""
     source = kernel_source(spec)
-    versions = (numba.__version__, llvmlite.__version__, np.__version__, f"{_FORCE_INLINE=}")
+    versions = (
+        numba.__version__,
+        llvmlite.__version__,
+        np.__version__,
+        f"{_FORCE_INLINE=}",
+        llvm_words.VERSION,
+    )
     name = kernel_name(spec, source, versions)
     if name not in _loaded:
         compiled: dict[types.FunctionType, Any] = {}
@@ -70,6 +77,9 @@ def compile_kernels(spec: EnvSpec) -> Kernels:
             name,
             source,
             kernel=numba.njit(nogil=True, cache=True, error_model="numpy"),
+            **llvm_words.operations(),
+            called=numba.njit(error_model="numpy"),
+            inlined=numba.njit(forceinline=_FORCE_INLINE, error_model="numpy"),
             **{called: _compiled(function, compiled) for called, function in functions(spec).items()},
         )
         _loaded[name] = Kernels(
@@ -84,9 +94,8 @@ _loaded: dict[str, Kernels] = {}
 
 def functions(spec: EnvSpec) -> dict[str, GoldenFunction]:
     """Return the functions that a kernel's source calls, by the names it has for them."""
-    initial, step, observe = spec.golden
     unpack = {} if spec.unpack is None else {"unpack": spec.unpack}
-    return dict(initial=initial, golden_step=step, observe=observe, key=rng.key, draw=rng.draw, **unpack)
+    return dict(key=rng.key, draw=rng.draw, **unpack)
 
 
 def kernel_name(spec: EnvSpec, source: str, versions: Iterable[str]) -> str:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable
+from typing import Any
 
 import numpy as np
 
@@ -15,10 +16,8 @@ from pearl_marl.batch import slot_memory
 from pearl_marl.spec import EnvSpec, Field
 
 PREFIXES = {
-    "state": "the field's column in the memory of the slots",
-    "block": "what of that column belongs to the block of slots at hand",
-    "lane": "those words again, in the one array that the step works on",
-    "stored": "the field's column in the stored starts",
+    "block": "the field's words of the block of slots at hand",
+    "stored": "the same of the stored starts",
     "at": "where the field's column begins",
     "word": "the slot's word of the field",
     "new": "what a golden function returned for the field, not yet narrowed to its dtype",
@@ -31,7 +30,7 @@ and no keyword: a field may be called anything, ``i`` and ``for`` too."""
 
 
 def each(pattern: str, values: Iterable[object]) -> list[str]:
-    """Return what a pattern makes of names or numbers: ``state_row`` and ``state_column`` of ``state_{}``."""
+    """Return what a pattern makes of names or numbers: ``block_row`` and ``block_column`` of ``block_{}``."""
     return [pattern.format(value) for value in values]
 
 
@@ -81,6 +80,11 @@ def filled(template: str, words: dict[str, str], parts: dict[str, list[str]]) ->
     return re.sub(r"\$([A-Z_]+)", lambda match: words[match[1]], text)
 
 
+def cell_dtype(spec: EnvSpec) -> np.dtype[Any]:
+    """Return what an element of an observation is written as: of a bool the byte."""
+    return np.dtype(np.uint8 if spec.observation_dtype == np.bool_ else spec.observation_dtype)
+
+
 class Pieces:
     """The pieces of one environment. ``element``, a pattern, and ``row`` say where an observation goes."""
 
@@ -93,8 +97,7 @@ class Pieces:
         self.reset_draws = range(spec.reset_draws)
         self.step_draws = range(spec.reset_draws, spec.reset_draws + spec.step_draws)
         self.categories = 0 if spec.rewards is None else 1 << spec.reward.bits
-        # Of a bool, kernels write the byte.
-        self.dtype = "uint8" if spec.observation_dtype == np.bool_ else str(spec.observation_dtype)
+        self.dtype = cell_dtype(spec)
         pad = slot_memory.ALIGNMENT
         self.padded = f"p = (n + {pad - 1}) // {pad} * {pad}  # slots of a column, padded"
 
@@ -115,7 +118,7 @@ class Pieces:
         words = narrowed(fields, words)
         if self.spec.unpack is not None:
             return [f"unpack({', '.join(words)}, {self.row})"]
-        values = (f"np.{dtype}({w}){_scale(dtype, f)}" for w, f in zip(words, fields, strict=True))
+        values = (f"np.{dtype}({w}){_scale(str(dtype), f)}" for w, f in zip(words, fields, strict=True))
         return assign(each(self.element, range(len(fields))), values)
 
 

@@ -23,6 +23,7 @@ def remade(
     done: dict[types.FunctionType, Any] = {}
 
     def value(old: Any) -> Any:
+        old = getattr(old, "py_func", old)  # what Numba has compiled already
         if not isinstance(old, types.FunctionType):
             return change(old)
         if old not in done:

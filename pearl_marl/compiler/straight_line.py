@@ -1,0 +1,277 @@
+"""Golden functions as straight-line source for kernels: a line an operation, on words of one width.
+
+An operation has the narrowest type that its users can do with, since the more slots then fit a vector
+register; or a wider one if all of them want it, since conversions cost, too. The operations themselves are
+:mod:`~pearl_marl.compiler.llvm_words` on a CPU and :mod:`~pearl_marl.compiler.scalar_words` on a GPU.
+"""
+
+from __future__ import annotations
+
+import keyword
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from pearl_marl.compiler import scalar_words
+from pearl_marl.compiler.graph import Graph
+from pearl_marl.compiler.nodes import Node, in_order
+from pearl_marl.compiler.operations import bits_of, wrapped
+from pearl_marl.compiler.tracing import trace
+from pearl_marl.compiler.widths import used_bits
+from pearl_marl.errors import ArgumentError
+from pearl_marl.golden import GoldenFunction
+from pearl_marl.spec import EnvSpec, Field
+
+WIDEST = 64
+"""Bits of the widest word that a kernel computes with."""
+
+
+def golden_functions(spec: EnvSpec) -> list[str]:
+    """Return the lines of ``initial()``, ``golden_step()`` and ``observe()``, for ``inlined`` to compile.
+
+    Raises
+    ------
+    ArgumentError
+        A word takes more than 64 bits; the message names the file and the line.
+    """
+    draws = [Field(f"draw_{k}", 32) for k in range(spec.reset_draws + spec.step_draws)]
+    reset, step = draws[: spec.reset_draws], draws[spec.reset_draws :]
+    results = *spec.state, spec.reward, Field("terminated", 1)
+    return [
+        *_function("initial", spec.golden.initial, reset, spec.state),
+        *_function("golden_step", spec.golden.step, [*spec.state, spec.action, *step], results),
+        *_function("observe", spec.golden.observe, spec.state, spec.observation),
+    ]
+
+
+def _function(
+    name: str, function: GoldenFunction, inputs: Sequence[Field], fields: Sequence[Field]
+) -> list[str]:
+    graph = Graph()
+    words = [graph.input(f"{k} {f.name}", f.bits, f.signed) for k, f in enumerate(inputs)]
+    traced = trace(graph, function, words)
+    traced = [graph.wrap(node, f.bits, f.signed) for node, f in zip(traced, fields, strict=True)]
+    results = list(zip(_with_merged_sums(graph, traced), (str(f.dtype) for f in fields), strict=True))
+    types = {word: str(f.dtype) for word, f in zip(words, inputs, strict=True)}
+    writer = _Writer(name, function, types, results)
+    returned = ", ".join(f"np.{type_}({writer.operand(node, type_)})" for node, type_ in results)
+    arguments = ", ".join(writer.names[word] for word in words)
+    body = [*writer.lines, f"return {returned}"]
+    head = [*writer.tables, "", "", "@inlined", f"def {name}({arguments}):"]
+    return [*head, *(f"    {line}" for line in body)]
+
+
+def _with_merged_sums(graph: Graph, results: Sequence[Node]) -> list[Node]:
+    """Return results in which ``(x >> k) + c`` is ``x + (c << k) >> k``.
+
+    Where ``x`` is a sum with a constant, as that of a rounded product is, this spares an addition.
+    """
+    order = in_order(results)
+    users = Counter(arg for node in order for arg in node.args)
+    new: dict[Node, Node] = {}
+    for node in order:
+        new[node] = again = graph.again(node, [new[arg] for arg in node.args])
+        if node.op == again.op == "add" and again.args[1].is_constant() and users[node.args[0]] == 1:
+            shifted, constant = again.args
+            if shifted.op == "right":
+                whole = graph.add(shifted.args[0], graph.left(constant, shifted.imm))
+                if whole.bits <= WIDEST:
+                    new[node] = graph.right(whole, shifted.imm)
+    return [new[node] for node in results]
+
+
+def _size(type_: str) -> int:
+    return int(type_.lstrip("uint"))
+
+
+def _number(value: int, type_: str) -> int:
+    return wrapped(value, _size(type_), not type_.startswith("u"))
+
+
+def _type(low: int, high: int, least: int = 8) -> str:
+    """Return the narrowest type of a range, of so many bits at least.
+
+    SIMD units multiply words of one kind, so those of 32 bits and more are signed if they can be.
+    """
+    bits = bits_of(low, high)
+    size = 1 << (max(bits, least) - 1).bit_length()
+    return f"{'int' if low < 0 or 32 <= size > bits else 'uint'}{size}"
+
+
+def _is_compared(node: Node) -> bool:
+    """Return whether a node is written as one comparison."""
+    return node.op in ("equal", "less") or (node.op == "not" and node.args[0].op in ("equal", "less"))
+
+
+def _is_extreme(node: Node) -> bool:
+    """Return whether a choice is the less or the greater of two."""
+    return node.op == "choose" and node.args[0].op == "less" and set(node.args[1:]) == set(node.args[0].args)
+
+
+class _Writer:
+    """Writes the lines that results are made by, given the types of the words that they are made of."""
+
+    def __init__(
+        self,
+        name: str,
+        function: GoldenFunction,
+        words: Mapping[Node, str],
+        results: Sequence[tuple[Node, str]],
+    ) -> None:
+        self.lines: list[str] = []
+        self.tables: list[str] = []
+        self._name = name
+        self.types = dict(words)
+        self._file = Path(function.__code__.co_filename)
+        self._taken = set(_RESERVED)
+        self.names = {word: self._fresh(word.imm.split()[1]) for word in words}
+        order = in_order(node for node, _ in results)
+        self._used = used_bits(order, [(node, node.bits) for node, _ in results])
+        for node in self._typed(order, results):
+            text = self._expression(node, self.types[node])
+            self.names[node] = self._fresh(node.name or f"_{node.op}")
+            self.lines.append(f"{self.names[node]} = {text}")
+
+    def operand(self, node: Node, type_: str) -> str:
+        """Return a word as an operation in a type is given it."""
+        return str(_number(node.imm, type_)) if node.is_constant() else self.names[node]
+
+    def _fresh(self, name: str) -> str:
+        number, fresh = 1, name
+        while fresh in self._taken:
+            number += 1
+            fresh = f"{name}_{number}"
+        self._taken.add(fresh)
+        return fresh
+
+    def _typed(self, order: Sequence[Node], results: Sequence[tuple[Node, str]]) -> list[Node]:
+        """Choose the type of each operation that somebody needs; return these in order."""
+        wanted: dict[Node, int] = {}
+
+        def want(node: Node, type_: str) -> None:
+            wanted[node] = min(wanted.get(node, WIDEST), _size(type_))
+
+        for node, type_ in results:
+            want(node, type_)
+        needed = []
+        for node in reversed(order):
+            if node in wanted and node.op not in ("input", "constant"):
+                bits = self._bits(node)
+                least = wanted[node]
+                if node.op == "left_by":  # by less than its width: all else is undefined
+                    least = max(least, node.args[1].high + 1)
+                # What lies beyond the bits that somebody looks at may be anything.
+                exact = bits == node.bits
+                self.types[node] = (
+                    _type(node.low, node.high, least) if exact else _type(0, (1 << bits) - 1, least)
+                )
+                needed.append(node)
+                for arg, type_ in self._operands(node):
+                    want(arg, type_)
+        return needed[::-1]
+
+    def _bits(self, node: Node) -> int:
+        return self._possible(node, min(node.bits, max(1, self._used[node].bit_length())))
+
+    def _possible(self, node: Node, bits: int) -> int:
+        if bits > WIDEST:
+            raise ArgumentError(
+                f"{'/'.join(self._file.parts[-2:])}, line {node.line}: {node.name or 'a word'} takes {bits} "
+                f"bits here; a word of a kernel has up to {WIDEST}"
+            )
+        return bits
+
+    def _operands(self, node: Node) -> list[tuple[Node, str]]:
+        """Return the words that an operation is written with, and the type that it takes them in."""
+        args, type_ = node.args, self.types[node]
+        if _is_compared(node) or _is_extreme(node):
+            args = args[0].args if node.op in ("not", "choose") else args
+            type_ = self._holding(node, *args)
+        elif node.op == "right_by":
+            type_ = _type(args[0].low, args[0].high, min(args[1].high, WIDEST - 1) + 1)
+        elif node.op == "right":
+            type_ = _type(args[0].low, args[0].high) if args[0].bits <= WIDEST else "int64"
+        elif node.op in ("divide", "modulo"):
+            type_ = _type(min(args[0].low, 0), max(args[0].high, node.imm))
+        elif node.op == "table":
+            type_ = _packed_type(node) or "int64"
+        return [(arg, type_) for arg in args]
+
+    def _holding(self, node: Node, *words: Node) -> str:
+        low, high = min(w.low for w in words), max(w.high for w in words)
+        self._possible(node, bits_of(low, high))
+        return _type(low, high)
+
+    def _expression(self, node: Node, type_: str) -> str:
+        operands = self._operands(node)
+        own = operands[0][1]
+        texts = [self.operand(*operand) for operand in operands]
+        text = ", ".join(texts)
+        match node.op:
+            case "not" if _is_compared(node):
+                return f"{own}_{_OPPOSITE[node.args[0].op]}({text})"
+            case "not":
+                return f"{type_}_xor({text}, 1)"
+            case "invert":
+                return f"{type_}_xor({text}, {_number(-1, type_)})"
+            case "mask":
+                return f"{type_}_sub(0, {text})"
+            case "left":
+                return f"{type_}_left({text}, {node.imm})"
+            case "left_by":
+                return f"{type_}_left({text})"
+            case "right":
+                return f"np.{type_}({own}_right({text}, {min(node.imm, _size(own) - 1)}))"
+            case "right_by":
+                if node.args[1].high >= WIDEST:
+                    text = f"{texts[0]}, int64_minimum({texts[1]}, {WIDEST - 1})"
+                return f"np.{type_}({own}_right({text}))"
+            case "divide" | "modulo":
+                sign = "//" if node.op == "divide" else "%"
+                return f"np.{type_}(np.{own}({text}) {sign} np.{own}({node.imm}))"
+            case "choose" if _is_extreme(node):
+                which = "minimum" if node.args[1] is node.args[0].args[0] else "maximum"
+                return f"np.{type_}({own}_{which}({text}))"
+            case "table":
+                return self._entry(node, type_, text)
+            case "wrap":
+                return self._wrapped(node, type_, text)
+        return f"{own}_{node.op}({text})"
+
+    def _wrapped(self, node: Node, type_: str, text: str) -> str:
+        bits, signed = node.imm
+        size = _size(type_)
+        if self._bits(node) < node.bits or bits == size:
+            return f"np.{type_}({text})"
+        if not signed:
+            return f"{type_}_and({text}, {(1 << bits) - 1})"
+        return f"{type_}_right({type_}_left({text}, {size - bits}), {size - bits})"
+
+    def _entry(self, node: Node, type_: str, index: str) -> str:
+        """Return the entry of a table, which is a number if all of it fits one."""
+        packed, least, width = _packed_type(node), min(node.imm), _entry_bits(node)
+        if packed is None:
+            table = self._fresh(f"{self._name.upper()}_TABLE")
+            entries = [_number(entry, type_) for entry in node.imm]
+            self.tables.append(f"{table} = np.array({entries}, np.{type_})")
+            return f"{table}[{index}]"
+        number = sum(entry - least << k * width for k, entry in enumerate(node.imm))
+        entry = f"{packed}_right({number}, {packed}_mul({index}, {width}))"
+        entry = f"{packed}_and({entry}, {(1 << width) - 1})"
+        return f"np.{type_}({packed}_add({entry}, {least}))" if least else f"np.{type_}({entry})"
+
+
+def _entry_bits(node: Node) -> int:
+    return bits_of(0, max(node.imm) - min(node.imm))
+
+
+def _packed_type(node: Node) -> str | None:
+    """Return the type of a number that has room for a table, if there is one."""
+    bits = len(node.imm) * _entry_bits(node)
+    fits = bits <= WIDEST and bits_of(min(node.imm), max(node.imm)) < 32
+    return ("uint32" if bits <= 32 else "uint64") if fits else None
+
+
+_RESERVED = {"np", *keyword.kwlist, *scalar_words.operations()}
+
+_OPPOSITE = {"equal": "differ", "less": "at_least"}
