@@ -26,7 +26,6 @@ from rich.progress import track
 
 from pearl_marl.batch.actions import random_actions
 from pearl_marl.devices import BatchConfig, Rtl
-from pearl_marl.hardware import elaboration
 from pearl_marl.registry import get_spec
 
 CONFIGURATIONS = (
@@ -80,20 +79,17 @@ def measure(env_id: str, n_envs: int, pe_num: int, data_wl: int) -> Activity:
             device.step(random_actions(spec, rng, n_envs))
         cycles = device.clock - began
         device.close()
-        core = elaboration.core_path(spec).read_text()
-        # Some cores have registers as ports, which are not named as such.
-        ports = set(re.findall(r"^ +(\w+_o)(?:\.\w+)? <= ", core, re.MULTILINE))
-        registers, toggles = _count(waves, ports, _FIRST + _PERIOD * began)
+        registers, toggles = _count(waves, _FIRST + _PERIOD * began)
     return Activity(env_id, n_envs, pe_num, data_wl, registers, cycles / STEPS, toggles / STEPS)
 
 
-def _count(waves: Path, ports: set[str], after: int) -> tuple[int, int]:
+def _count(waves: Path, after: int) -> tuple[int, int]:
     """Return the bits of all registers in a waveform file, and their changes after a time.
 
-    A register is what is named ``_q``, and of the cores also ``ports``.
+    A register is what is named ``_q``, in a generated core with a stage's number after it.
     """
     with waves.open() as file:
-        widths = dict(_registers(file, ports))
+        widths = dict(_registers(file))
         now = dict.fromkeys(widths, 0)
         time = toggles = 0
         for line in file:
@@ -109,18 +105,12 @@ def _count(waves: Path, ports: set[str], after: int) -> tuple[int, int]:
     return sum(widths.values()), toggles
 
 
-def _registers(header: Iterator[str], ports: set[str]) -> Iterator[tuple[str, int]]:
+def _registers(header: Iterator[str]) -> Iterator[tuple[str, int]]:
     """Yield code and width of every register that the header of a waveform file declares."""
-    scope = [""]
     for line in header:
         match line.split():
-            case ["$scope", _, name, _]:
-                scope.append(name)
-            case ["$upscope", _]:
-                scope.pop()
             case ["$var", _, width, code, name, *_]:
-                stem = name.partition("[")[0]
-                if stem.endswith("_q") or (scope[-1] == "u_core" and stem in ports):
+                if re.fullmatch(r"\w+_q\d*(_\d+)?", name.partition("[")[0]):
                     yield code, int(width)
             case ["$enddefinitions", *_]:
                 return

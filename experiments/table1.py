@@ -16,8 +16,8 @@ TITLE = "Table I: compute time"
 TEXT = (
     "From an action to its result in one core: clock cycles as the core states them and as its bench in "
     "simulation checks, and nanoseconds at the clock rate that nextpnr reaches for a small build on an "
-    "ECP5, the family that has free tools for it. A VC707 has another rate. A core takes a new action every "
-    "II cycles, so throughput does not wait for the latency."
+    "ECP5, the family that has free tools for it and that these cores are generated for. A VC707 has another "
+    "rate. A core takes a new action every II cycles, so throughput does not wait for the latency."
 )
 COLUMNS = {
     "environment": "environment",
@@ -37,7 +37,7 @@ def collect(quick: bool, progress: Progress) -> list[Row]:
     specs = [get_spec(name) for name in names()]
     rows: list[Row] = []
     for spec in progress(specs, len(specs), "place and route"):
-        timing = elaboration.core_timing(spec)
+        timing = elaboration.core_timing(spec, Family.ECP5.target)
         common: Row = {
             "environment": spec.name,
             "latency_cycles": timing.latency,

@@ -1,4 +1,4 @@
-"""Fixed-point arithmetic for golden steps: what ``rtl/`` does in modules of the same names, bit for bit.
+"""Fixed-point arithmetic for golden steps.
 
 A number is an ``i32`` word that stands for ``word * 2**-fraction``. Products have 64 bits and are
 rounded once, by the rule in :func:`multiply`. ``docs/fixed_point.md`` has the formats and the

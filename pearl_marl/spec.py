@@ -8,6 +8,7 @@ import math
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, NamedTuple, SupportsInt
 
 import numpy as np
@@ -141,9 +142,8 @@ class EnvSpec:
         Steps after which an episode is truncated; ``None`` for no limit.
     options, configure
         The keyword arguments that this spec was made with, and the function that takes them.
-    core_parameters
-        The parameters of the hardware core, integers by name. ``None`` where they are the options themselves,
-        each under its name in capitals.
+    core
+        The SystemVerilog file of a hardware core of one's own; ``None`` for one generated from ``golden``.
     oracle
         The Gymnasium id of the environment that this one is held against, if it is one of theirs.
     pose
@@ -171,7 +171,7 @@ class EnvSpec:
     max_cycles: int | None = None
     options: Mapping[str, Any] = field(default_factory=dict)
     configure: Callable[..., EnvSpec] | None = None
-    core_parameters: Mapping[str, int] | None = None
+    core: Path | str | None = None
     oracle: str | None = None
     pose: Callable[[Env[Any, Any], tuple[int, ...]], None] | None = None
     render_modes: tuple[str, ...] = ()

@@ -59,7 +59,6 @@ def configure(natural: bool = False, sab: bool = True) -> EnvSpec:
         step_draws=2,
         options={"natural": natural, "sab": sab},
         configure=configure,
-        core_parameters={"NATURAL_PAYS": int(natural and not sab), "NATURAL_WINS": int(sab)},
         oracle="Blackjack-v1",
         pose=pose,
         render_modes=("human", "rgb_array"),

@@ -51,7 +51,6 @@ def configure(goal_velocity: float = 0) -> EnvSpec:
         max_cycles=200,
         options={"goal_velocity": float(goal_velocity)},
         configure=configure,
-        core_parameters={"GOAL_VELOCITY": goal},
         oracle="MountainCar-v0",
         pose=pose,
         render_modes=("human", "rgb_array"),

@@ -59,7 +59,6 @@ def configure(g: float = 10.0) -> EnvSpec:
         max_cycles=200,
         options={"g": float(g)},
         configure=configure,
-        core_parameters={"FALL": pull},
         oracle="Pendulum-v1",
         pose=pose,
         render_modes=("human", "rgb_array"),

@@ -248,7 +248,6 @@ def configure(sticky_action_prob: float = 0.1, difficulty_ramping: bool = True) 
         step_draws=2,
         options={"sticky_action_prob": sticky_action_prob, "difficulty_ramping": difficulty_ramping},
         configure=configure,
-        core_parameters={"STICKY_BELOW": sticky_below, "DIFFICULTY_RAMPING": int(difficulty_ramping)},
         oracle="pearl_marl.envs.seaquest.oracle:MinAtar/Seaquest-v1",
         pose=pose,
         render_modes=("human", "rgb_array"),

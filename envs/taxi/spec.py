@@ -88,13 +88,6 @@ def configure(
             "fickle_probability": float(fickle_probability),
         },
         configure=configure,
-        core_parameters={
-            "STEP_DRAWS": int(drawn),
-            "IS_RAINY": int(slips),
-            "FORWARD_BELOW": thresholds[0],
-            "LEFT_BELOW": thresholds[1],
-            "FICKLE_BELOW": fickle_below,
-        },
         oracle="Taxi-v4",
         pose=pose,
         render_modes=("human", "rgb_array", "ansi"),

@@ -14,6 +14,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
+from pearl_marl.compiler.targets import Target
 from pearl_marl.errors import ArgumentError, DeviceError
 from pearl_marl.hardware import elaboration, toolchain
 from pearl_marl.hardware.build import Build
@@ -31,13 +32,14 @@ ADDRESS_BITS = 32
 class Board:
     """A board that there is a design for.
 
-    ``name`` is that of its folder, ``data_wl`` the bits of a word of its bus. ``nextpnr`` names the part to
-    nextpnr-ecp5; it is empty where a vendor's tool is needed.
+    ``name`` is that of its folder, ``family`` the one that cores are generated for, ``data_wl`` the bits of a
+    word of its bus. ``nextpnr`` names the part to nextpnr-ecp5; it is empty where a vendor's tool is needed.
     """
 
     name: str
     title: str
     part: str
+    family: str
     data_wl: int
     clock_mhz: float
     nextpnr: tuple[str, ...] = ()
@@ -46,6 +48,11 @@ class Board:
     def top(self) -> str:
         """The name of its top module."""
         return f"pearl_{self.name}"
+
+    @property
+    def target(self) -> Target:
+        """What its cores are generated for."""
+        return Target(self.family, self.clock_mhz)
 
     @property
     def bitstream(self) -> str:
@@ -60,11 +67,12 @@ BOARDS = {
             "ulx3s",
             "Radiona ULX3S 85F",
             "LFE5U-85F-6BG381C",
+            "ecp5",
             data_wl=32,
             clock_mhz=45.0,
             nextpnr=("--85k", "--speed", "6", "--package", "CABGA381"),
         ),
-        Board("vc707", "Xilinx VC707", "xc7vx485tffg1761-2", data_wl=256, clock_mhz=125.0),
+        Board("vc707", "Xilinx VC707", "xc7vx485tffg1761-2", "xc7", data_wl=256, clock_mhz=125.0),
     )
 }
 
@@ -90,7 +98,8 @@ def size(layout: MemoryMap) -> str:
 def sources(board: Board, spec: EnvSpec) -> list[Path]:
     """Return every file of a board's design, in the order in which they have to be read."""
     folder = _folder(board)
-    return [*elaboration.sources(spec), *sorted(folder.parent.glob("*.sv")), *sorted(folder.glob("*.sv"))]
+    design = elaboration.sources(spec, board.target)
+    return [*design, *sorted(folder.parent.glob("*.sv")), *sorted(folder.glob("*.sv"))]
 
 
 def macros(build: Build) -> dict[str, str]:

@@ -5,14 +5,12 @@ Simulation, synthesis and lint all elaborate the same design from the same three
 
 from __future__ import annotations
 
-import ast
 import hashlib
 import operator
 import os
 import re
 import tempfile
 import zlib
-from collections.abc import Callable, Mapping
 from importlib import resources
 from pathlib import Path
 from typing import NamedTuple
@@ -21,46 +19,39 @@ from pearl_marl.cache import cache_folder
 from pearl_marl.compiler.cores import generated_core
 from pearl_marl.compiler.loading import fingerprint
 from pearl_marl.compiler.targets import Target
-from pearl_marl.compiler.verilog import HEADER
-from pearl_marl.errors import DeviceError
+from pearl_marl.errors import ArgumentError
 from pearl_marl.hardware.build import Build
 from pearl_marl.memory_map import MemoryMap
 from pearl_marl.spec import EnvSpec, snake_case, word_bits
 
-_PACKAGES_OF_CORES = ("pearl_pkg", "pearl_fixed_pkg")
-"""The packages that a core may use, and that have to be read before it."""
-
-
 TARGET = Target("xc7", 150.0)
-"""What the cores that devices and tools generate are made for; ``pearl core`` makes them for others too."""
+"""What cores are generated for where there is no FPGA, as in simulation."""
 
 
-def core_path(spec: EnvSpec) -> Path:
-    """Return the core's file: its author's, if there is one beside the golden step, else a generated one.
-
-    An author's is ``<name>_pe.sv`` in the folder ``<name>``.
+def core_path(spec: EnvSpec, target: Target = TARGET) -> Path:
+    """Return the core's file: the one that the spec names, or else one generated for the target.
 
     Raises
     ------
     ArgumentError
-        There is none, and the golden functions do what no hardware can.
+        The file that the spec names is missing or does not state its timing; or the golden functions do what
+        no hardware can.
     """
-    return _own_core(spec) or _generated_core(spec)
-
-
-def _own_core(spec: EnvSpec) -> Path | None:
-    folder = Path(spec.golden.step.__code__.co_filename).parent
-    path = folder / f"{folder.name}_pe.sv"
-    if not path.is_file() or HEADER in path.read_text().partition("\n")[0]:
-        return None  # what `pearl core` wrote would only grow stale there
+    if spec.core is None:
+        return _generated_core(spec, target)
+    path = Path(spec.core)
+    if not path.is_file():
+        raise ArgumentError(f"{spec.id}: its core is to be {path}, and there is no such file")
+    _timing(path)
     return path
 
 
-def _generated_core(spec: EnvSpec) -> Path:
+def _generated_core(spec: EnvSpec, target: Target) -> Path:
     words = spec.state, spec.action, spec.observation, spec.reward, spec.reset_draws, spec.step_draws
-    key = repr((spec.id, spec.options, words, [fingerprint(function) for function in spec.golden]))
+    functions = [fingerprint(function) for function in spec.golden]
+    key = repr((spec.id, spec.options, words, functions, target))
     if key not in _generated:
-        text = generated_core(spec, TARGET).text
+        text = generated_core(spec, target).text
         digest = hashlib.sha256(text.encode()).hexdigest()[:16]
         _generated[key] = cache_folder("cores") / digest / f"{snake_case(spec.name)}_pe.sv"
         if not _generated[key].exists():
@@ -79,37 +70,37 @@ _generated: dict[str, Path] = {}
 def backbone_paths() -> list[Path]:
     """Return the files of the backbone; packages come first, as the tools demand."""
     folder = Path(str(resources.files("pearl_marl.rtl")))
-    packages = [folder / f"{name}.sv" for name in (*_PACKAGES_OF_CORES, "pearl_core_pkg")]
+    packages = [folder / "pearl_pkg.sv", folder / "pearl_core_pkg.sv"]
     return packages + sorted(path for path in folder.glob("*.sv") if path not in packages)
 
 
-def sources(spec: EnvSpec) -> list[Path]:
+def sources(spec: EnvSpec, target: Target = TARGET) -> list[Path]:
     """Return every file of a design, in the order in which they have to be read."""
-    paths = backbone_paths()
-    before = len(_PACKAGES_OF_CORES)
-    return [*paths[:before], core_path(spec), *paths[before:]]
+    package, *rest = backbone_paths()
+    return [package, core_path(spec, target), *rest]
 
 
 def macros(spec: EnvSpec) -> dict[str, str]:
     """Return the macros that name the core and set its parameters."""
-    core = core_path(spec).stem
-    defined = {"PEARL_CORE": core, "PEARL_CORE_PKG": core.removesuffix("_pe") + "_pkg"}
+    name = snake_case(spec.name)
+    defined = {"PEARL_CORE": f"{name}_pe", "PEARL_CORE_PKG": f"{name}_pkg"}
     given = ",".join(f".{name}({literal})" for name, literal in core_parameters(spec).items())
     return {**defined, "PEARL_CORE_OPTIONS": given} if given else defined
 
 
 def core_parameters(spec: EnvSpec) -> dict[str, str]:
-    """Return the core's parameters by name, as SystemVerilog literals.
+    """Return the parameters of a core that the spec names, as SystemVerilog literals.
 
-    They are ``spec.core_parameters``, or the environment's options under their names in capitals. In a
-    generated core the options are constants.
+    They are the environment's options, under their names in capitals. In a generated core they are constants.
     """
-    if _own_core(spec) is None:
+    if spec.core is None:
         return {}
-    given = spec.core_parameters
-    if given is None:
-        given = {name.upper(): int(value) for name, value in spec.options.items()}
-    return {name: _literal(value) for name, value in given.items()}
+    try:
+        return {name.upper(): _literal(operator.index(value)) for name, value in spec.options.items()}
+    except TypeError as error:
+        raise ArgumentError(
+            f"{spec.id}: options are parameters of its core, {spec.core}, and have to be integers: {error}"
+        ) from None
 
 
 def _literal(value: int) -> str:
@@ -129,49 +120,21 @@ class Timing(NamedTuple):
     """From one input to the next: ``II``."""
 
 
-def core_timing(spec: EnvSpec) -> Timing:
-    """Return when a core answers, as its package states it in numbers and constants of packages."""
-    core = core_path(spec)
-    folder = backbone_paths()[0].parent
-    constants: dict[str, str] = {}
-    for path in (*(folder / f"{name}.sv" for name in _PACKAGES_OF_CORES), core):
-        package = path.read_text().partition("endpackage")[0]
-        constants |= re.findall(r"localparam\s+int\s+unsigned\s+(\w+)\s*=\s*([^;]+);", package)
-    try:
-        return Timing(*(_constant(name, constants) for name in ("LATENCY", "II")))
-    except (KeyError, TypeError, RecursionError) as error:
-        raise DeviceError(
-            f"{core} does not state LATENCY and II as `localparam int unsigned`, in whole numbers and "
-            f"constants of packages: {error}"
-        ) from None
+def core_timing(spec: EnvSpec, target: Target = TARGET) -> Timing:
+    """Return when a core answers, as its package states it."""
+    return _timing(core_path(spec, target))
 
 
-_OPERATORS: dict[type[ast.operator], Callable[[int, int], int]] = {
-    ast.Add: operator.add,
-    ast.Sub: operator.sub,
-    ast.Mult: operator.mul,
-    ast.Div: operator.floordiv,
-}
-
-
-def _constant(name: str, constants: Mapping[str, str]) -> int:
-    """Return the value of a constant; its expression is one that Python writes in the same way."""
-
-    def value(node: ast.expr) -> int:
-        match node:
-            case ast.Constant(int(number)):
-                return number
-            case ast.Name(other):
-                return _constant(other, constants)
-            case ast.BinOp(left, sign, right) if type(sign) in _OPERATORS:
-                return _OPERATORS[type(sign)](value(left), value(right))
-        raise TypeError(f"{name} = {constants[name]}")
-
-    try:
-        tree = ast.parse(re.sub(r"\w+::", "", constants[name]).strip(), mode="eval")
-    except SyntaxError:
-        raise TypeError(f"{name} = {constants[name]}") from None
-    return value(tree.body)
+def _timing(core: Path) -> Timing:
+    package = core.read_text().partition("endpackage")[0]
+    stated = dict(re.findall(r"localparam\s+int\s+unsigned\s+(\w+)\s*=\s*(\d+)\s*;", package))
+    for name in ("LATENCY", "II"):
+        if name not in stated:
+            raise ArgumentError(
+                f"{core} does not state {name}: its package needs `localparam int unsigned {name} = 1;` with "
+                "a number of cycles"
+            )
+    return Timing(int(stated["LATENCY"]), int(stated["II"]))
 
 
 def env_hash(spec: EnvSpec) -> int:

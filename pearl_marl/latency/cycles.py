@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+from pearl_marl.compiler.targets import Target
 from pearl_marl.hardware import elaboration
 from pearl_marl.memory_map import MemoryMap
 from pearl_marl.spec import EnvSpec
@@ -20,7 +21,9 @@ RESULTS = ("observations", "rewards", "ters")
 _INPUTS = ("actions", "reset_mask")
 
 
-def step_cycles(spec: EnvSpec, layout: MemoryMap, pipelined: bool = True) -> int:
+def step_cycles(
+    spec: EnvSpec, layout: MemoryMap, pipelined: bool = True, target: Target = elaboration.TARGET
+) -> int:
     """Return the clock cycles of a step in the hardware, from doorbell to last result.
 
     In closed form, from what happens in ``rtl/``: groups are issued one every ``II`` cycles, and not
@@ -29,10 +32,11 @@ def step_cycles(spec: EnvSpec, layout: MemoryMap, pipelined: bool = True) -> int
     processing element the paper's Eq. 2, ``env_num * (c_r + c_c + c_w)``.
     The random draws are there in time; where a link is as short as a simulated one, see :func:`draws_wait`.
 
-    It is what ``Rtl.cycles`` counts. Where words do not divide into rows, nor rows into words, it may be a
+    ``target`` is what the core is generated for; its default is that of the simulated device, and then it is
+    what ``Rtl.cycles`` counts. Where words do not divide into rows, nor rows into words, it may be a
     few per cent too low.
     """
-    timing = elaboration.core_timing(spec)
+    timing = elaboration.core_timing(spec, target)
     groups, word = layout.groups, layout.data_wl
     fetch = _DRAW_LATENCY if spec.reset_draws + spec.step_draws else 1
     to_words = fetch + timing.latency + 1
@@ -74,11 +78,12 @@ class Loop(NamedTuple):
     """:func:`step_cycles`: reading, computing and writing overlap, and so do the three result banks."""
 
 
-def loop_cycles(spec: EnvSpec, layout: MemoryMap) -> Loop:
+def loop_cycles(spec: EnvSpec, layout: MemoryMap, target: Target = elaboration.TARGET) -> Loop:
     """Return the paper's Eq. 2 and Eq. 3 for a build, beside what this hardware takes."""
     moved = layout["actions"].words + sum(layout[name].words for name in RESULTS)
-    compute = elaboration.core_timing(spec).latency
-    return Loop(moved + layout.n_envs * compute, moved + compute, step_cycles(spec, layout))
+    compute = elaboration.core_timing(spec, target).latency
+    ours = step_cycles(spec, layout, target=target)
+    return Loop(moved + layout.n_envs * compute, moved + compute, ours)
 
 
 _BURST_BYTES, _BURST_BEATS = 4096, 256

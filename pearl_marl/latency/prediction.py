@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from typing import Any
 
+from pearl_marl.compiler.targets import Target
 from pearl_marl.errors import ArgumentError
 from pearl_marl.hardware import elaboration
 from pearl_marl.latency.cycles import (
@@ -114,13 +115,14 @@ def predict(
 ) -> Prediction:
     """Predict a step of a build, with the host's times for so many slots and a clock in hertz.
 
+    The core is one for that clock, on the 7 series, as is the XDMA core at the end of the link.
+
     Not pipelined is what the paper calls PEARL without pipeline, with one processing element in ``layout``:
     no group overlaps with another, and the states are not kept in the hardware, but go to it with the
     actions and come back with the results, packed, at no cost to the host.
     """
-    if not clock > 0:
-        raise ArgumentError(f"the clock is {clock} Hz; it must be positive")
-    timing = elaboration.core_timing(spec)
+    target = Target("xc7", clock / 1e6)
+    timing = elaboration.core_timing(spec, target)
     states = 0 if pipelined else -(-layout.n_envs * word_bits(spec.state) // 8)
     # A link can be no faster than the port at its end.
     states_in, states_out = (
@@ -138,7 +140,7 @@ def predict(
         words_in=layout["actions"].words / clock,
         compute=compute / clock,
         words_out=max(layout[name].words for name in RESULTS) / clock,
-        device=step_cycles(spec, layout, pipelined) / clock,
+        device=step_cycles(spec, layout, pipelined, target) / clock,
         read=link.call + read,
         unpack=host.unpack,
     )

@@ -15,7 +15,7 @@ from pearl_marl import devices
 from pearl_marl.batch.actions import random_actions
 from pearl_marl.devices import BatchConfig, BatchStep, Device, Lockstep, Rtl
 from pearl_marl.errors import DeviceError
-from pearl_marl.hardware import elaboration, toolchain
+from pearl_marl.hardware import toolchain
 from pearl_marl.interfaces.parallel import PearlParallelEnv, parallel_env
 from pearl_marl.interfaces.vector import PearlVectorEnv, make_vec
 from pearl_marl.registry import get_spec
@@ -52,7 +52,6 @@ def make_device(name: str, spec: EnvSpec, n: int = SIZE, **options: Any) -> Devi
         return Lockstep("native", "reference", **options)
     if name == "rtl":
         try:
-            elaboration.core_path(spec)
             for program in ("verilator", "g++", "make", "perl"):
                 toolchain.find(program)
         except DeviceError as error:

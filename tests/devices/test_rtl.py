@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -22,7 +23,8 @@ from pearl_marl.devices.simulator import model_build, pyverilator_mends
 from pearl_marl.errors import ArgumentError, DeviceError, LockstepError
 from pearl_marl.hardware import elaboration
 from pearl_marl.hardware.build import Build
-from pearl_marl.spec import Field
+from pearl_marl.registry import names
+from pearl_marl.spec import EnvSpec, Field
 from pearl_marl.testing import Case, assert_same_step, assert_same_trajectory, trajectory
 
 from ..rtl.shift_add import SPEC as SHIFT_ADD
@@ -53,13 +55,14 @@ def own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     cache.cache_folder.cache_clear()
 
 
-def core(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, old: str, new: str) -> None:
-    """Replace the core by one with a change in it."""
-    text = elaboration.core_path(SPEC).read_text()
+def core(tmp_path: Path, old: str, new: str) -> EnvSpec:
+    """Return an environment whose own core has a change in it."""
+    assert SHIFT_ADD.core is not None
+    text = Path(SHIFT_ADD.core).read_text()
     assert text.count(old) == 1
-    path = tmp_path / "cliff_walking_pe.sv"
+    path = tmp_path / "shift_add_pe.sv"
     path.write_text(text.replace(old, new))
-    monkeypatch.setattr(elaboration, "core_path", lambda spec: path)
+    return dataclasses.replace(SHIFT_ADD, core=path)
 
 
 def test_device_by_name() -> None:
@@ -173,20 +176,8 @@ def test_peek_and_cycles() -> None:
     device.close()
 
 
-@pytest.mark.parametrize(
-    ("env", "latency"),
-    [
-        ("Blackjack", 17),
-        ("CartPole", 56),
-        ("CliffWalking", 2),
-        ("FrozenLake", 3),
-        ("MountainCar", 29),
-        ("Pendulum", 43),
-        ("Seaquest", 9),
-        ("Taxi", 5),
-    ],
-)
-def test_a_step_takes_its_bound_and_the_latency(env: str, latency: int) -> None:
+@pytest.mark.parametrize("env", [*names()])
+def test_a_step_takes_its_bound_and_the_latency(env: str) -> None:
     """And no more than a constant, on the model that the contract is tested on: nothing stalls."""
     case = Case(env, "rtl")
     device = case.open(device=case.device(path="axi"))
@@ -195,6 +186,7 @@ def test_a_step_takes_its_bound_and_the_latency(env: str, latency: int) -> None:
     words = [layout[region].words for region in ("actions", "observations", "rewards", "ters")]
     for actions in case.actions(3):
         device.step(actions)
+    latency = elaboration.core_timing(case.spec).latency
     # Doorbell and first words, 2 more for random draws, up to 2 for last words.
     assert 7 <= device.cycles - max(layout.groups, *words) - latency <= 11
     case.close()
@@ -257,35 +249,40 @@ def test_no_verilator(own_cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "says"),
     [
-        ("assign goal =", "assign gaol =", "gaol"),
-        ("STATE_BITS = 6", "STATE_BITS = 7", "the spec has 6 state, 2 action, 6 observation, 1 reward"),
-        ("assign moved.row = from_q.row +", "assign moved.row = from_q.column +", "WIDTH"),
+        ("assign obs_o =", "assign obs_p =", "obs_p"),
+        ("STATE_BITS = 11", "STATE_BITS = 12", "the spec has 11 state, 3 action, 13 observation, 5 reward"),
+        ("count_q  <= hold_i ? from.count", "count_q  <= hold_i ? from.value", "WIDTH"),
     ],
     ids=["syntax", "widths", "lint"],
 )
-def test_cores_that_do_not_fit(
-    old: str, new: str, says: str, own_cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    core(tmp_path, monkeypatch, old, new)
+def test_cores_that_do_not_fit(old: str, new: str, says: str, own_cache: Path, tmp_path: Path) -> None:
+    spec = core(tmp_path, old, new)
     with pytest.raises(DeviceError, match=f"(?s)verilator failed.*{says}"):
-        opened(Rtl(1, 32))
+        opened(Rtl(1, 32), spec=spec)
     left = [path for path in own_cache.glob("rtl/*") if not path.name.startswith("verilated")]
     assert [path.suffix for path in left] == [".lock"], "nothing half built stays"
 
 
-def test_a_core_of_another_latency_than_it_states(
-    own_cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    core(tmp_path, monkeypatch, "LATENCY = 2", "LATENCY = 3")
-    device = opened(Rtl(1, 32))
+def test_a_core_of_another_latency_than_it_states(own_cache: Path, tmp_path: Path) -> None:
+    spec = core(tmp_path, "valid_o = valid_q[LATENCY-1]", "valid_o = valid_q[LATENCY-2]")
+    device = opened(Rtl(1, 32), spec=spec)
     with pytest.raises(DeviceError, match="an assertion in the hardware failed"):
         device.step(ACTIONS[0])
 
 
-def test_a_broken_core_is_caught(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+golden_step = SPEC.golden.step
+
+
+def blocked(row: Any, column: Any, action: Any) -> Any:
+    """A step in which nobody gets to the right of the third column."""
+    return golden_step(row, column - ((column == 2) & (action == 1)), action)
+
+
+def test_a_broken_core_is_caught() -> None:
     """One wrong constant, and lockstep finds where it first shows."""
-    core(tmp_path, monkeypatch, "LAST_COLUMN = 4'd11", "LAST_COLUMN = 4'd2")
-    device = Lockstep(Rtl(), "reference").open(BatchConfig(spec=SPEC, n_envs=7))
+    wrong = dataclasses.replace(SPEC, golden=SPEC.golden._replace(step=blocked))
+    spec = dataclasses.replace(SPEC, core=elaboration.core_path(wrong), options={})
+    device = Lockstep(Rtl(), "reference").open(BatchConfig(spec=spec, n_envs=7))
     device.reset(seed=0)
     right_of_slot_5 = np.array([0, 0, 0, 0, 0, 1, 0], np.uint8)
     device.step(np.zeros(7, np.uint8))
@@ -300,8 +297,8 @@ def test_a_broken_core_is_caught(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 
 
 def test_a_spec_of_other_widths(own_cache: Path) -> None:
-    wider = dataclasses.replace(SPEC, action=Field("action", 3))
-    with pytest.raises(DeviceError, match="the spec has 6 state, 3 action"):
+    wider = dataclasses.replace(SHIFT_ADD, action=Field("action", 4))
+    with pytest.raises(DeviceError, match="the spec has 11 state, 4 action"):
         opened(Rtl(1, 32), spec=wider)
 
 
@@ -379,6 +376,7 @@ def test_the_hash_sees_what_matters(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     with monkeypatch.context() as patch:
         patch.setattr(model_build, "_tools", lambda: ("another",))
         model_build.library(build)
-    core(tmp_path, monkeypatch, "// First stage:", "// 1st stage:")
-    model_build.library(build)
-    assert len(set(entries)) == len(entries) == 7
+    own = Build.of(SHIFT_ADD, 7, 1, 32)
+    model_build.library(own)
+    model_build.library(own._replace(spec=core(tmp_path, "// Nothing is", "// No term is")))
+    assert len(set(entries)) == len(entries) == 8

@@ -173,6 +173,13 @@ def test_commands_run(page, command, output, tmp_path, pearl, monkeypatch):
         assert status == 0, stderr
 
 
+def test_the_core_of_ones_own_is_the_one_that_is_tested():
+    """On the bench of all cores, in simulated devices and in the latency model."""
+    page, files = ROOT / "docs" / "own_core.md", ROOT / "tests" / "rtl" / "shift_add"
+    assert blocks(page, "python") == [(files / "__init__.py").read_text()]
+    assert blocks(page, "systemverilog") == [(files / "shift_add_pe.sv").read_text()]
+
+
 def test_make_targets_exist():
     named = {page: re.findall(r"^make ([\w-]+)", page.read_text(), re.MULTILINE) for page in PAGES}
     assert named[ROOT / "README.md"] == ["demo", "test"]

@@ -40,12 +40,15 @@ def decode(states: np.ndarray) -> list[np.ndarray]:
     return [u8(states // 100), u8(states // 20 % 5), u8(states // 4 % 5), u8(states % 4)]
 
 
+def slip_edges(ours: pearl_marl.EnvSpec) -> list[int]:
+    """Return the least remainder with which a taxi slips to the left, and to the right."""
+    forward = ours.options["rainy_probability"] if ours.options["is_rainy"] else 1.0
+    return [max(1, round(share * 2**32)) for share in (forward, (1 + forward) / 2)]
+
+
 def draw_of(ours: pearl_marl.EnvSpec, outcome: int, third: int) -> tuple[int, int]:
     """Return the least and the greatest draw of a slip (0 none, 1 left, 2 right) and a new destination."""
-    assert ours.core_parameters is not None
-    edges = [0, 2**32, 2**32, 2**32]
-    if ours.core_parameters["IS_RAINY"]:
-        edges[1:3] = ours.core_parameters["FORWARD_BELOW"], ours.core_parameters["LEFT_BELOW"]
+    edges = [0, *slip_edges(ours), 2**32]
     low, after = (third * 2**32 + edge for edge in edges[outcome : outcome + 2])
     return -(-low // 3), (after - 1) // 3
 
@@ -192,10 +195,7 @@ def test_native_step(options: dict[str, Any]) -> None:
     if ours.step_draws:
         tripled = 3 * rng.draws(rng.seed_words(5), np.arange(len(states)), 0, 1).astype(object)
         third, rest = (tripled >> 32).astype(int), (tripled % 2**32).astype(int)
-        assert ours.core_parameters is not None
-        outcomes = sum(
-            (rest >= ours.core_parameters[name]).astype(int) for name in ("FORWARD_BELOW", "LEFT_BELOW")
-        )
+        outcomes = sum((rest >= edge).astype(int) for edge in slip_edges(ours))
         outcomes[actions >= 4] = 0
         new = table.state[states, actions, outcomes]
         changes = (fickle == 1) & (states // 4 % 5 == 4) & (new // 20 != states // 20)

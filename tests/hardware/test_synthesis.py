@@ -178,7 +178,8 @@ def test_a_memory_that_is_not_block_ram_is_named(monkeypatch: pytest.MonkeyPatch
     assert "rdata_o = rdata_q" in text
     broken = tmp_path / ram.name
     broken.write_text(text.replace("rdata_o = rdata_q", "rdata_o = mem[raddr_i]"))
-    monkeypatch.setattr(elaboration, "sources", lambda _: [broken if path == ram else path for path in files])
+    swapped = [broken if path == ram else path for path in files]
+    monkeypatch.setattr(elaboration, "sources", lambda *_: swapped)
     result = CliRunner().invoke(app, ["synth", *DEEP])
     assert result.exit_code == 1
     assert "u_elapsed.gen_column_rams[0].u_ram.mem" in json.loads(result.stdout)["points"][0]["misplaced"][0]
@@ -191,10 +192,17 @@ def test_what_yosys_refuses_is_a_device_error(monkeypatch: pytest.MonkeyPatch, t
     broken = tmp_path / "pearl_top.sv"
     broken.write_text("module pearl_top; no_such_module u (); endmodule\n")
     monkeypatch.setattr(
-        elaboration, "sources", lambda _: [broken if p.name == broken.name else p for p in files]
+        elaboration, "sources", lambda *_: [broken if p.name == broken.name else p for p in files]
     )
     with pytest.raises(DeviceError, match="no_such_module"):
         synthesis.synthesise(Build.of(SPEC, 8, 4, 32))
+
+
+@needs_yosys
+@pytest.mark.parametrize("family", Family)
+def test_a_core_is_made_for_what_is_synthesised(family: Family) -> None:
+    job = synthesis._job(Build.of(SPEC, 8, 4, 32), family, fmax=False)
+    assert f"for {family} at 150 MHz" in job.files["cliff_walking_pe.sv"]
 
 
 def test_a_damaged_cache_is_made_again(tmp_path) -> None:

@@ -12,9 +12,10 @@ import pytest
 
 from pearl_marl import get_spec, plan
 from pearl_marl.batch.actions import random_actions
+from pearl_marl.compiler.targets import Target
 from pearl_marl.devices import BatchConfig, Rtl
-from pearl_marl.errors import ArgumentError, DeviceError
-from pearl_marl.hardware import elaboration
+from pearl_marl.errors import ArgumentError
+from pearl_marl.hardware.elaboration import core_timing
 from pearl_marl.hardware.fitting import PARTS, modelled_bram36
 from pearl_marl.hardware.synthesis import Memory, Usage
 from pearl_marl.latency import (
@@ -89,27 +90,6 @@ def test_the_papers_loops() -> None:
     assert loop.ours == 261, "as measured: docs/hardware.md"
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "says"),
-    [
-        ("LATENCY = 2;", "LATENCY = $clog2(9);", "LATENCY"),
-        ("LATENCY = 2;", "LATENCY = NOWHERE + 1;", "NOWHERE"),
-        ("LATENCY = 2;", "LATENCY = LATENCY;", "recursion"),
-        ("int unsigned II = 1;", "int II = 1;", "II"),
-    ],
-)
-def test_a_core_whose_timing_cannot_be_read(
-    old: str, new: str, says: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    text = elaboration.core_path(SPEC).read_text()
-    assert text.count(old) == 1
-    path = tmp_path / "cliff_walking_pe.sv"
-    path.write_text(text.replace(old, new))
-    monkeypatch.setattr(elaboration, "core_path", lambda spec: path)
-    with pytest.raises(DeviceError, match=rf"does not state LATENCY and II.*{says}"):
-        elaboration.core_timing(SPEC)
-
-
 def test_what_is_measured_of_the_host_has_ends_in_it() -> None:
     device = NoHardware().open(BatchConfig(spec=SPEC, n_envs=1000))
     device.reset(seed=0)
@@ -125,6 +105,9 @@ def test_what_is_measured_of_the_host_has_ends_in_it() -> None:
 
 HOST = HostTimes(pack=10e-6, unpack=40e-6)
 
+TARGET = Target("xc7", 100.0)
+C = core_timing(SPEC, TARGET).latency
+
 
 def test_a_prediction() -> None:
     layout = memory_map(SPEC, 43008, 64, 256)
@@ -132,9 +115,9 @@ def test_a_prediction() -> None:
     # Actions of 10,752 bytes, and a word of doorbell; results of 48,384, and a word of status.
     assert step.write == pytest.approx(20e-6 + 10_784 / 2e9)
     assert step.read == pytest.approx(20e-6 + 48_416 / 1e9)
-    assert step.device == pytest.approx(step_cycles(SPEC, layout) / 100e6)
+    assert step.device == pytest.approx(step_cycles(SPEC, layout, target=TARGET) / 100e6)
     assert (step.words_in, step.words_out) == pytest.approx((336 / 100e6, 1008 / 100e6))
-    assert step.compute == pytest.approx((671 + 2) / 100e6)
+    assert step.compute == pytest.approx((671 + C) / 100e6)
     assert max(step.words_in, step.compute, step.words_out) < step.device
     assert step.total == pytest.approx(step.pack + step.write + step.device + step.read + step.unpack)
     assert step.rate == pytest.approx(43008 / step.total)
@@ -147,10 +130,10 @@ def test_a_prediction_without_the_pipeline() -> None:
     # And states of 32,256 bytes each way.
     assert step.write == pytest.approx(20e-6 + 43_040 / 2e9)
     assert step.read == pytest.approx(20e-6 + 80_672 / 1e9)
-    assert step.compute == pytest.approx(43008 * 2 / 100e6)
-    assert step.device == pytest.approx(step_cycles(SPEC, layout, pipelined=False) / 100e6)
+    assert step.compute == pytest.approx(43008 * C / 100e6)
+    assert step.device == pytest.approx(step_cycles(SPEC, layout, pipelined=False, target=TARGET) / 100e6)
     # c_r, c_c and c_w of a slot, as Eq. 2 has them; and a step's constant cycles.
-    assert 43008 * (1 + 2 + 1) <= step.device * 100e6 <= 43008 * (1 + 2 + 1) + 10
+    assert 43008 * (1 + C + 1) <= step.device * 100e6 <= 43008 * (1 + C + 1) + 10
     # The same on a port that is slower than the link.
     fast = predict(SPEC, layout, Link("fast", 0.0, 1e12, 1e12, ""), HOST, 100e6, pipelined=False)
     assert fast.write == pytest.approx((write_cycles(layout) + 1008 + 8 * 6) / 100e6)
@@ -168,6 +151,16 @@ def test_with_and_without_the_pipeline(monkeypatch: pytest.MonkeyPatch) -> None:
     assert modelled_bram36(memory_map(spec, n + 1024, 16, 1024)) > 1030
     rate = pipeline.simulated_rate(SPEC, 70, 1, 32, 100e6, pipelined=False)
     assert rate == pytest.approx(70 * 100e6 / 287), "docs/latency.md has it measured"
+
+
+def test_a_core_is_predicted_for_its_clock() -> None:
+    spec = get_spec("MountainCar")
+    slow, fast = (
+        predict(spec, memory_map(spec, 1, 1, 32), LINKS["gen2x8"], HOST, mhz * 1e6) for mhz in (20, 200)
+    )
+    cycles = [round(step.compute * mhz * 1e6) for step, mhz in ((slow, 20), (fast, 200))]
+    assert cycles == [core_timing(spec, Target("xc7", mhz)).latency for mhz in (20.0, 200.0)]
+    assert cycles[0] < cycles[1]
 
 
 def test_a_link_is_no_faster_than_the_port_behind_it() -> None:
@@ -275,7 +268,7 @@ def test_pearl_plan(pearl: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
         (["--link", "gen9"], "there is no link 'gen9'; possible are gen2x4, gen2x8, gen3x16"),
         (["--link", "30,0,1"], "write_rate of the link '30,0,1' is 0.0"),
         (["--part", "vc808"], "there is no part 'vc808'; possible are vc707"),
-        (["--clock", "0"], "the clock is 0.0 Hz"),
+        (["--clock", "0"], "the clock is 0 MHz; for xc7 it can be 1 to 476"),
         (["--pe-num", "0"], "pe_num is 0; possible are 1 to n_envs = 43008"),
         (["--data-wl", "48"], "data_wl is 48; possible are 32"),
         (["--n-envs", "0"], "--n-envs"),

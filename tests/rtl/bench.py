@@ -56,7 +56,7 @@ def spec_of(name: str, options: dict[str, Any]) -> Any:
     if name == "ShiftAdd":
         from shift_add import SPEC
 
-        return SPEC
+        return SPEC.with_options(**options)
     if name == "Random":
         from random_steps import random_spec
 

@@ -9,6 +9,8 @@ import numpy as np
 from gymnasium.spaces import Box
 from random_steps import plain
 
+from pearl_marl.compiler.core_graph import core_graph
+from pearl_marl.compiler.nodes import Node
 from pearl_marl.golden import call_reference
 from pearl_marl.spec import EnvSpec, Field, Golden, word_bits
 
@@ -119,8 +121,25 @@ def all_cases(
 
 
 def edge_draws(spec: EnvSpec) -> list[int]:
-    """Return draws at which something may change: thirds, ends, and the core's own thresholds."""
+    """Return draws at which something may change: thirds, ends, and what the graph of the core shows.
+
+    There a draw, or the rest or quotient of its product with a small number, is compared with constants.
+    """
     values = {0, 0x55555555, 0x55555556, 0xAAAAAAAA, 0xAAAAAAAB, 0xFFFFFFFF, 0x12345678}
-    for threshold in (spec.core_parameters or {}).values():
-        values |= {value for value in range(threshold - 1, threshold + 2) if 0 <= value < 1 << 32}
+    factors, thresholds = {1}, {0}
+    waiting, seen = [output.node for output in core_graph(spec).outputs], set[Node]()
+    while waiting:
+        node = waiting.pop()
+        if node in seen:
+            continue
+        seen.add(node)
+        waiting += node.args
+        constants = {arg.imm for arg in node.args if arg.op == "constant"}
+        if node.op == "less":
+            thresholds |= {value + above for value in constants for above in (0, 1)}
+        elif node.op == "mul" and any(str(arg.imm).startswith("rng_i") for arg in node.args):
+            factors |= {factor for factor in constants if 0 < factor <= 16}
+    for factor, threshold in itertools.product(factors, thresholds):
+        firsts = (-(-(whole + threshold) // factor) for whole in range(0, factor << 32, 1 << 32))
+        values |= {draw for first in firsts for draw in (first - 1, first) if 0 <= draw < 1 << 32}
     return sorted(values)

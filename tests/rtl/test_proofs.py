@@ -168,7 +168,7 @@ def test_packers_have_room_in_the_first_cycles(tmp_path: Path) -> None:
 
 OWN = {
     "no room": ("pearl_group_reader.sv", "wait_q == '0 && &room", "wait_q == '0"),
-    "latency": ("cliff_walking_pe.sv", "valid_late_q <= valid_q;", "valid_late_q <= valid_i;"),
+    "latency": ("cliff_walking_pe.sv", "valid_o = valid_q[LATENCY-1]", "valid_o = valid_q[LATENCY-2]"),
 }
 
 

@@ -1,4 +1,4 @@
-// A core that takes several cycles a slot, for tests of the backbone: a shift-and-add multiplier.
+// A core that takes four cycles a slot: a multiplier that shifts and adds.
 
 // verilator lint_off DECLFILENAME
 package shift_add_pkg;
@@ -21,7 +21,9 @@ endpackage
 
 module shift_add_pe
   import shift_add_pkg::*;
-(
+#(
+    parameter int unsigned NOISE = 15
+) (
     input  logic                clk_i,
     input  logic                rst_ni,
     input  logic                valid_i,
@@ -54,7 +56,7 @@ module shift_add_pe
     if (valid_i) begin
       factor_q <= from.value;
       action_q <= hold_i ? '0 : action_i;
-      sum_q    <= hold_i ? from.value : {4'b0, rng_i[2][3:0]};
+      sum_q    <= hold_i ? from.value : 8'(rng_i[2] & NOISE);
       count_q  <= hold_i ? from.count : from.count + 1'b1;
     end else begin
       // Nothing is added after the action's three bits have gone by.
