@@ -11,8 +11,8 @@ from pearl_marl.benchmark.machine import machine
 from pearl_marl.benchmark.measure import duration, rate
 from pearl_marl.cli import common
 from pearl_marl.cli.common import console
-from pearl_marl.compiler.targets import Target
 from pearl_marl.errors import ArgumentError
+from pearl_marl.hardware.elaboration import clocked
 from pearl_marl.hardware.fitting import PARTS
 from pearl_marl.latency import LINKS, Link, loop_cycles
 from pearl_marl.plan import Plan, plan
@@ -74,7 +74,7 @@ def command(
         },
         "bytes_written": layout.step_write[1],
         "bytes_read": layout.step_read[1],
-        "loop_cycles": loop_cycles(spec, layout, Target("xc7", clock))._asdict(),
+        "loop_cycles": loop_cycles(spec, layout, clocked("xc7", clock))._asdict(),
         "chosen": found.chosen.as_json(),
         "overlap": None if found.overlap is None else found.overlap.as_json(),
         "candidates": [candidate.as_json() for candidate in found.candidates],

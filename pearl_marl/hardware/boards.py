@@ -52,7 +52,7 @@ class Board:
     @property
     def target(self) -> Target:
         """What its cores are generated for."""
-        return Target(self.family, self.clock_mhz)
+        return elaboration.clocked(self.family, self.clock_mhz)
 
     @property
     def bitstream(self) -> str:

@@ -28,6 +28,18 @@ TARGET = Target("xc7", 150.0)
 """What cores are generated for where there is no FPGA, as in simulation."""
 
 
+MARGIN = 1.5
+"""How many times as fast as it is clocked a core is to be, because delays before placement are estimates."""
+
+
+def clocked(family: str, mhz: float) -> Target:
+    """Return what a core is generated for that is clocked with so many MHz on a family of FPGAs."""
+    try:
+        return Target(family, MARGIN * mhz)
+    except ArgumentError as error:
+        raise ArgumentError(f"a core at {mhz:g} MHz is made for {MARGIN:g} times that: {error}") from None
+
+
 def core_path(spec: EnvSpec, target: Target = TARGET) -> Path:
     """Return the core's file: the one that the spec names, or else one generated for the target.
 

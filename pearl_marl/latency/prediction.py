@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from pearl_marl.compiler.targets import Target
 from pearl_marl.errors import ArgumentError
 from pearl_marl.hardware import elaboration
 from pearl_marl.latency.cycles import (
@@ -121,7 +120,7 @@ def predict(
     no group overlaps with another, and the states are not kept in the hardware, but go to it with the
     actions and come back with the results, packed, at no cost to the host.
     """
-    target = Target("xc7", clock / 1e6)
+    target = elaboration.clocked("xc7", clock / 1e6)
     timing = elaboration.core_timing(spec, target)
     states = 0 if pipelined else -(-layout.n_envs * word_bits(spec.state) // 8)
     # A link can be no faster than the port at its end.

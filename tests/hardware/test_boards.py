@@ -61,7 +61,7 @@ def test_a_vendors_board_gets_its_script(tmp_path: Path) -> None:
     assert (tmp_path / "vc707.xdc").is_file()
 
 
-@pytest.mark.parametrize(("board", "target"), [("ulx3s", "ecp5 at 45 MHz"), ("vc707", "xc7 at 125 MHz")])
+@pytest.mark.parametrize(("board", "target"), [("ulx3s", "ecp5 at 67.5 MHz"), ("vc707", "xc7 at 187.5 MHz")])
 def test_a_core_is_made_for_its_board(board: str, target: str, tmp_path: Path) -> None:
     boards.write(BOARDS[board], boards.board_build(BOARDS[board], SPEC, 33), tmp_path)
     assert f"for {target}" in (tmp_path / "rtl" / "cliff_walking_pe.sv").read_text()

@@ -12,10 +12,9 @@ import pytest
 
 from pearl_marl import get_spec, plan
 from pearl_marl.batch.actions import random_actions
-from pearl_marl.compiler.targets import Target
 from pearl_marl.devices import BatchConfig, Rtl
 from pearl_marl.errors import ArgumentError
-from pearl_marl.hardware.elaboration import core_timing
+from pearl_marl.hardware.elaboration import clocked, core_timing
 from pearl_marl.hardware.fitting import PARTS, modelled_bram36
 from pearl_marl.hardware.synthesis import Memory, Usage
 from pearl_marl.latency import (
@@ -105,7 +104,7 @@ def test_what_is_measured_of_the_host_has_ends_in_it() -> None:
 
 HOST = HostTimes(pack=10e-6, unpack=40e-6)
 
-TARGET = Target("xc7", 100.0)
+TARGET = clocked("xc7", 100.0)
 C = core_timing(SPEC, TARGET).latency
 
 
@@ -159,7 +158,7 @@ def test_a_core_is_predicted_for_its_clock() -> None:
         predict(spec, memory_map(spec, 1, 1, 32), LINKS["gen2x8"], HOST, mhz * 1e6) for mhz in (20, 200)
     )
     cycles = [round(step.compute * mhz * 1e6) for step, mhz in ((slow, 20), (fast, 200))]
-    assert cycles == [core_timing(spec, Target("xc7", mhz)).latency for mhz in (20.0, 200.0)]
+    assert cycles == [core_timing(spec, clocked("xc7", mhz)).latency for mhz in (20, 200)]
     assert cycles[0] < cycles[1]
 
 
@@ -268,7 +267,10 @@ def test_pearl_plan(pearl: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
         (["--link", "gen9"], "there is no link 'gen9'; possible are gen2x4, gen2x8, gen3x16"),
         (["--link", "30,0,1"], "write_rate of the link '30,0,1' is 0.0"),
         (["--part", "vc808"], "there is no part 'vc808'; possible are vc707"),
-        (["--clock", "0"], "the clock is 0 MHz; for xc7 it can be 1 to 476"),
+        (
+            ["--clock", "0"],
+            "a core at 0 MHz is made for 1.5 times that: the clock is 0 MHz",
+        ),
         (["--pe-num", "0"], "pe_num is 0; possible are 1 to n_envs = 43008"),
         (["--data-wl", "48"], "data_wl is 48; possible are 32"),
         (["--n-envs", "0"], "--n-envs"),
