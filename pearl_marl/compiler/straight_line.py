@@ -8,9 +8,12 @@ register; or a wider one if all of them want it, since conversions cost, too. Th
 from __future__ import annotations
 
 import keyword
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
 
 from pearl_marl.compiler import scalar_words
 from pearl_marl.compiler.graph import Graph
@@ -24,6 +27,9 @@ from pearl_marl.spec import EnvSpec, Field
 
 WIDEST = 64
 """Bits of the widest word that a kernel computes with."""
+
+MOST_NUMBERS = 16
+"""Numbers that a table is packed into at most."""
 
 
 def golden_functions(spec: EnvSpec) -> list[str]:
@@ -88,13 +94,13 @@ def _number(value: int, type_: str) -> int:
     return wrapped(value, _size(type_), not type_.startswith("u"))
 
 
-def _type(low: int, high: int, least: int = 8) -> str:
+def _type(low: int, high: int, least: int = 0) -> str:
     """Return the narrowest type of a range, of so many bits at least.
 
     SIMD units multiply words of one kind, so those of 32 bits and more are signed if they can be.
     """
     bits = bits_of(low, high)
-    size = 1 << (max(bits, least) - 1).bit_length()
+    size = 1 << (max(bits, least, 8) - 1).bit_length()
     return f"{'int' if low < 0 or 32 <= size > bits else 'uint'}{size}"
 
 
@@ -129,12 +135,16 @@ class _Writer:
         self._used = used_bits(order, [(node, node.bits) for node, _ in results])
         for node in self._typed(order, results):
             text = self._expression(node, self.types[node])
-            self.names[node] = self._fresh(node.name or f"_{node.op}")
-            self.lines.append(f"{self.names[node]} = {text}")
+            self.names[node] = self._assign(node.name or f"_{node.op}", text)
 
     def operand(self, node: Node, type_: str) -> str:
         """Return a word as an operation in a type is given it."""
         return str(_number(node.imm, type_)) if node.is_constant() else self.names[node]
+
+    def _assign(self, name: str, text: str) -> str:
+        name = self._fresh(name)
+        self.lines.append(f"{name} = {text}")
+        return name
 
     def _fresh(self, name: str) -> str:
         number, fresh = 1, name
@@ -194,7 +204,7 @@ class _Writer:
         elif node.op in ("divide", "modulo"):
             type_ = _type(min(args[0].low, 0), max(args[0].high, node.imm))
         elif node.op == "table":
-            type_ = _packed_type(node) or "int64"
+            type_ = _type(args[0].low, args[0].high) if _packing(node) else "int64"
         return [(arg, type_) for arg in args]
 
     def _holding(self, node: Node, *words: Node) -> str:
@@ -233,7 +243,7 @@ class _Writer:
                 which = "minimum" if node.args[1] is node.args[0].args[0] else "maximum"
                 return f"np.{type_}({own}_{which}({text}))"
             case "table":
-                return self._entry(node, type_, text)
+                return self._entry(node, type_, text, own)
             case "wrap":
                 return self._wrapped(node, type_, text)
         return f"{own}_{node.op}({text})"
@@ -247,29 +257,54 @@ class _Writer:
             return f"{type_}_and({text}, {(1 << bits) - 1})"
         return f"{type_}_right({type_}_left({text}, {size - bits}), {size - bits})"
 
-    def _entry(self, node: Node, type_: str, index: str) -> str:
-        """Return the entry of a table, which is a number if all of it fits one."""
-        packed, least, width = _packed_type(node), min(node.imm), _entry_bits(node)
-        if packed is None:
+    def _entry(self, node: Node, type_: str, index: str, own: str) -> str:
+        """Return the entry of a table: no loop that reads one from memory becomes SIMD code."""
+        packing = _packing(node)
+        if packing is None:
             table = self._fresh(f"{self._name.upper()}_TABLE")
             entries = [_number(entry, type_) for entry in node.imm]
             self.tables.append(f"{table} = np.array({entries}, np.{type_})")
             return f"{table}[{index}]"
-        number = sum(entry - least << k * width for k, entry in enumerate(node.imm))
-        entry = f"{packed}_right({number}, {packed}_mul({index}, {width}))"
+        size, width = packing
+        least, each, packed = min(node.imm), size // width, f"uint{size}"
+        function = node.args[0].function
+        possible = range(len(node.imm)) if function is None else np.unique(function.values).tolist()
+        numbers: dict[int, int] = defaultdict(int)
+        for k in possible:
+            numbers[k // each] |= node.imm[k] - least << k % each * width
+        (common, _), *others = Counter(numbers.values()).most_common()
+        number = str(common)
+        if others:
+            which = self._assign("_which", f"{own}_right({index}, {each.bit_length() - 1})")
+            for k, other in numbers.items():
+                if other != common:
+                    chosen = f"{packed}_choose({own}_equal({which}, {k}), {other}, {number})"
+                    number = self._assign("_entries", chosen)
+        if len(node.imm) > each:
+            index = f"{own}_and({index}, {each - 1})"
+        entry = f"{packed}_right({number}, {packed}_left({index}, {width.bit_length() - 1}))"
         entry = f"{packed}_and({entry}, {(1 << width) - 1})"
-        return f"np.{type_}({packed}_add({entry}, {least}))" if least else f"np.{type_}({entry})"
+        return (
+            f"np.{type_}({packed}_add({entry}, {_number(least, packed)}))"
+            if least
+            else f"np.{type_}({entry})"
+        )
 
 
-def _entry_bits(node: Node) -> int:
-    return bits_of(0, max(node.imm) - min(node.imm))
+class _Packing(NamedTuple):
+    """How a table is a few numbers: the bits of a number, and of an entry in it."""
+
+    size: int
+    width: int
 
 
-def _packed_type(node: Node) -> str | None:
-    """Return the type of a number that has room for a table, if there is one."""
-    bits = len(node.imm) * _entry_bits(node)
-    fits = bits <= WIDEST and bits_of(min(node.imm), max(node.imm)) < 32
-    return ("uint32" if bits <= 32 else "uint64") if fits else None
+def _packing(node: Node) -> _Packing | None:
+    span = bits_of(0, max(node.imm) - min(node.imm))
+    width = 1 << (span - 1).bit_length()
+    for size in (16, 32, 64):
+        if width < size and width * len(node.imm) <= MOST_NUMBERS * size:
+            return _Packing(size, width)
+    return None
 
 
 _RESERVED = {"np", *keyword.kwlist, *scalar_words.operations()}
