@@ -280,6 +280,16 @@ class Graph(Nodes):
                 return self.equal(b, self.constant(b.high))
             if a.imm == b.low:
                 return self.logical_not(self.equal(b, a))
+        # A clipped word against a constant: no need to wait for the choice.
+        for x, y in ((a, b), (b, a)):
+            if (
+                x.op == "choose"
+                and x.function is None
+                and y.is_constant()
+                and any(arg.is_constant() for arg in x.args[1:])
+            ):
+                flag, *words = x.args
+                return self.choose(flag, *(self.less(w, y) if x is a else self.less(y, w) for w in words))
         return self.make("less", a, b)
 
     def choose(self, flag: Node, a: Node, b: Node) -> Node:

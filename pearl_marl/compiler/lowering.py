@@ -144,7 +144,7 @@ class _Lowering:
                 constant = self._flatten(a, sign, shift, terms, bits)
                 return constant + self._flatten(b, -sign if node.op == "sub" else sign, shift, terms, bits)
             if node.op == "mul":
-                a, b = (self._cut(self.made[arg], bits - shift) for arg in node.args)
+                a, b = (self._factor(self.made[arg], bits - shift) for arg in node.args)
                 products = self._products(a, b, bits - shift)
                 terms += (Term(sign * t.sign, shift + t.shift, t.node) for t in products)
                 return 0
@@ -195,8 +195,13 @@ class _Lowering:
             len(self._pieces(a, u)) * len(self._pieces(b, v)) for u, v in ((wide, narrow), (narrow, wide))
         )
 
-    def _cut(self, node: Node, bits: int) -> Node:
-        return node if node.bits <= bits else self.graph.wrap(node, bits, False)
+    def _factor(self, node: Node, bits: int) -> Node:
+        """Return what a product needs of a word; what is joined is kept as one, as a multiplier's registers are."""
+        node = node if node.bits <= bits else self.graph.wrap(node, bits, False)
+        inner = node
+        while inner.op in ("wrap", "left", "right"):
+            inner = inner.args[0]
+        return self.graph.make("word", node) if inner.op == "join" else node
 
     def _pieces(self, node: Node, bits: int) -> list[tuple[Node, int]]:
         """Cut a word into pieces of so many bits; the last one has the sign."""
@@ -211,7 +216,8 @@ class _Lowering:
     def _total(self, terms: list[Term], constant: int, bits: int) -> Node:
         """Return a sum, of which so many bits are used, in parts that fit a stage."""
         graph = self.graph
-        terms = _side_by_side(graph, [t for t in terms if t.shift < bits])
+        terms, constant = self._accumulated([t for t in terms if t.shift < bits], constant, bits)
+        terms = _side_by_side(graph, terms)
         if not terms:
             return graph.constant(constant)
         if len(terms) == 1 and constant == 0 and terms[0].sign > 0:
@@ -227,6 +233,44 @@ class _Lowering:
         if words > 2:
             return self._paired(terms, constant, bits)
         return self._halved(terms, constant, bits, made)
+
+    def _accumulated(self, terms: list[Term], constant: int, bits: int) -> tuple[list[Term], int]:
+        """Add products, from the lowest on, each by the adder behind its multiplier; return what is left."""
+        graph, most = self.graph, self.target.family.accumulator
+        products = sorted((t for t in terms if t.node.op == "mul" and t.sign > 0), key=lambda t: t.shift)
+        if not most or not products:
+            return terms, constant
+        rest = [t for t in terms if t not in products]
+        shift, total = products[0].shift, products[0].node
+        constant %= 1 << bits
+        if constant and constant % (1 << shift) == 0 and (total.low >= 0 or bits - shift <= most):
+            # Of a longer constant the bits above one that is 0, which takes the carry, need not be added.
+            cut = total.bits if total.low >= 0 else bits - shift
+            while constant >> (shift + cut) & 1:
+                cut += 1
+            if cut < most:
+                own = (constant >> shift) & ((1 << cut) - 1)
+                total = self._sum([Term(1, 0, total)], own) if own else total
+                upper = constant >> (shift + cut)
+                if upper:
+                    total = graph.make(
+                        "join",
+                        graph.constant(upper >> 1),
+                        graph.wrap(total, cut + 1, False),
+                        imm=cut + 1,
+                    )
+                constant = 0
+        lower: list[Term] = []
+        for k, product in enumerate(products[1:], 1):
+            step = product.shift - shift
+            above = graph.right(total, step)
+            if min(bits - product.shift, max(above.bits, product.node.bits) + 1) > most:
+                rest += products[k:]
+                break
+            if step:
+                lower.append(Term(1, shift, graph.wrap(total, step, False)))
+            total, shift = self._sum([Term(1, 0, product.node), Term(1, 0, above)], 0), product.shift
+        return [*rest, *lower, Term(1, shift, total)], constant
 
     def _sum(self, terms: Sequence[Term], constant: int) -> Node:
         weights = tuple((t.sign, t.shift) for t in terms)

@@ -102,6 +102,7 @@ RANGES: dict[str, Callable[..., Range]] = {
     # What lowering makes of the above.
     "sum": _sum,
     "join": lambda bits, a, b: (a.low << bits, (a.high << bits) + (1 << bits) - 1),
+    "word": lambda _, a: (a.low, a.high),
 }
 """The range of a result, of ``imm`` and the arguments."""
 
@@ -137,5 +138,6 @@ VALUES: dict[str, Callable[..., Any]] = {
         (s * (x << k) for (s, k), x in zip(imm[1], args, strict=True)), start=imm[0]
     ),
     "join": lambda bits, a, b: (a << bits) + (b & ((1 << bits) - 1)),
+    "word": lambda _, a: a,
 }
 """The result itself, of Python integers or of arrays of ``int64`` that are small enough."""

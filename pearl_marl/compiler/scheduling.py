@@ -61,7 +61,10 @@ def scheduled(outputs: Sequence[Output], target: Target) -> Schedule:
         early[j] = max([0, *(early[i] for i in below), *(early[i] + 1 for i in apart[j])])
     latency = max((early[i] for i in ends), default=0) + 1
     bits = [used[n].bit_count() for n in order]
-    stage = _fewest_registers(order, arguments, apart, ends, bits, latency)
+    # A multiplier with an adder has registers of its own: two before it, one between them, one behind.
+    before = [2 * (target.family.accumulator > 0 and n.op == "mul") for n in order]
+    behind = [int(b > 0 or target.accumulates(n, width(n, used))) for b, n in zip(before, order, strict=True)]
+    stage = _fewest_registers(order, arguments, apart, ends, bits, latency, before, behind)
     last = list(stage)
     for j, below in enumerate(arguments):
         for i in below:
@@ -105,8 +108,13 @@ def _fewest_registers(
     ends: set[int],
     bits: Sequence[int],
     latency: int,
+    before: Sequence[int],
+    behind: Sequence[int],
 ) -> list[int]:
-    """Return the stage of each operation, of ``latency`` stages and the outputs' registers after them."""
+    """Return the stage of each operation, of ``latency`` stages and the outputs' registers after them.
+
+    So many registers of arguments (``before``) and of the result (``behind``) cost nothing.
+    """
     try:
         from scipy.optimize import linprog
         from scipy.sparse import coo_array
@@ -120,9 +128,9 @@ def _fewest_registers(
     for j, below in enumerate(arguments):
         for i in below:
             rows.append(([(i, 1), (j, -1)], 0))  # after its arguments
-            rows.append(([(j, 1), (count + i, -1)], 0))  # which are kept until then
+            rows.append(([(j, 1), (count + i, -1)], before[j]))  # which are kept until then
         rows += (([(i, 1), (j, -1)], -1) for i in apart[j])
-    rows += (([(i, 1), (count + i, -1)], 0) for i in range(count))
+    rows += (([(i, 1), (count + i, -1)], -behind[i]) for i in range(count))
     cells = defaultdict(list)
     for number, (terms, _) in enumerate(rows):
         for column, value in terms:
@@ -133,7 +141,7 @@ def _fewest_registers(
     # A little for being late, so that of equally good schedules it is always the same one.
     cost = [1e-4 - (b + 1e-2) for b in bits] + [b + 1e-2 for b in bits]
     bounds = [(0, 0 if n.op == "input" else latency - 1) for n in order]
-    bounds += [(latency if i in ends else 0, latency) for i in range(count)]
+    bounds += [(latency if i in ends else 0, latency + 1) for i in range(count)]
     found = linprog(cost, matrix.tocsr(), [limit for _, limit in rows], bounds=bounds, method="highs")
     if found.status != 0:
         raise DeviceError(f"the stages of the core could not be found: {found.message}")

@@ -27,12 +27,27 @@ class Family:
     """To enter and leave one."""
     multiplier: tuple[int, int]
     """Bits of a multiplier's two words, without signs."""
+    product: float
+    """A multiplication."""
+    accumulator: int = 0
+    """Bits of the adder behind a multiplier, whose registers are the multiplier's own; 0 if there is none."""
+    accumulation: float = 0.0
+    """An addition there."""
 
 
 FAMILIES = {
-    "ecp5": Family(register=1.0, level=1.0, carry=0.045, chain=0.9, multiplier=(17, 17)),
-    "xc7": Family(register=0.9, level=0.8, carry=0.03, chain=0.9, multiplier=(24, 17)),
-    "gowin": Family(register=1.0, level=1.1, carry=0.05, chain=1.0, multiplier=(17, 17)),
+    "ecp5": Family(register=1.0, level=1.0, carry=0.045, chain=0.9, multiplier=(17, 17), product=5.5),
+    "xc7": Family(
+        register=0.9,
+        level=0.8,
+        carry=0.03,
+        chain=0.9,
+        multiplier=(24, 17),
+        product=3.2,
+        accumulator=48,
+        accumulation=2.3,
+    ),
+    "gowin": Family(register=1.0, level=1.1, carry=0.05, chain=1.0, multiplier=(17, 17), product=5.5),
 }
 
 
@@ -75,6 +90,16 @@ class Target:
             return tree + 0.45 * bits * self.family.level
         return tree + self.family.chain + self.family.carry * bits
 
+    def accumulates(self, node: Node, bits: int) -> bool:
+        """Return whether a multiplier's own adder does a sum: that of a product and another word."""
+        constant, weights = node.imm if node.op == "sum" else (0, ())
+        return (
+            len(weights) + (constant != 0) == 2
+            and all(weight == (1, 0) for weight in weights)
+            and "mul" in {a.op for a in node.args}
+            and bits <= self.family.accumulator
+        )
+
     def delay(self, node: Node, bits: int) -> float:
         """Return how long an operation takes whose result has so many bits."""
         level = self.family.level
@@ -82,7 +107,7 @@ class Target:
             case "input":
                 return level
             case "mul":
-                return self.budget
+                return min(self.family.product, self.budget)
             case "and" | "or":
                 return 0.5 * level
             case "xor":
@@ -99,6 +124,9 @@ class Target:
                 if wide <= 5:
                     return level * math.log(wide if "constant" in {a.op for a in node.args} else 2 * wide, 4)
                 return self.family.chain + self.family.carry * wide
+            case "sum" if self.accumulates(node, bits):
+                own = 0.5 if node.imm[0] else 1.0  # a constant does not have to come from elsewhere
+                return min(own * self.family.accumulation, self.budget)
             case "sum":
                 constant, weights = node.imm
                 terms = sum(a.bits > 1 for a in node.args)

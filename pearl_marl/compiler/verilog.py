@@ -46,6 +46,7 @@ LINE = 110
 UNNAMED = {
     "sum": "sum", "mul": "product", "choose": "chosen", "and": "both", "or": "either", "xor": "differs",
     "equal": "same", "less": "less", "table": "entry", "left_by": "raised", "right_by": "lowered",
+    "word": "word",
 }  # fmt: skip
 SIGNS = {"and": "&", "or": "|", "xor": "^"}
 
@@ -219,7 +220,7 @@ class _Body:
         for node in self.schedule.order:
             depth[node] = 1 + max((depth[a] for a in node.args if a in self.inlined), default=0)
             if (
-                node.op not in ("input", "mul")
+                node.op not in ("input", "mul", "word")
                 and node.name is None
                 and uses[node] == direct[node] == 1
                 and self.stage[user[node]] == self.stage[node]
@@ -436,6 +437,8 @@ class _Body:
                 if args[0].low < 0:
                     return f"{bits}'(signed'({_bare(value)}) >>> {by})"
                 return f"({value} >> {by})" if bits == args[0].bits else f"{bits}'({value} >> {by})"
+            case "word":
+                return word(args[0])
             case "table":
                 return f"{self._table_name(node.imm, bits)}[{word(args[0], args[0].bits)}]"
         raise AssertionError(node.op)

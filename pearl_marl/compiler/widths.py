@@ -43,7 +43,7 @@ def used_bits(order: Sequence[Node], outputs: Iterable[tuple[Node, int]]) -> dic
             case "or" | "xor":
                 for arg in node.args:
                     ask_signed(arg, bits)
-            case "invert":
+            case "invert" | "word":
                 ask_signed(node.args[0], bits)
             case "choose":
                 ask(node.args[0], 1)
