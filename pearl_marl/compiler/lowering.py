@@ -15,9 +15,14 @@ from typing import NamedTuple
 from pearl_marl.compiler.core_graph import Output
 from pearl_marl.compiler.graph import Graph
 from pearl_marl.compiler.nodes import Node, in_order
-from pearl_marl.compiler.operations import bits_of
+from pearl_marl.compiler.operations import VALUES, bits_of
 from pearl_marl.compiler.targets import Target
 from pearl_marl.compiler.widths import used_bits, width
+
+MOST_DIGITS = 64
+"""Values up to which a quotient is a table."""
+CHEAP = 24
+"""Bits to be added up to which a product takes no multiplier."""
 
 
 class Term(NamedTuple):
@@ -45,9 +50,43 @@ class Term(NamedTuple):
 
 def lowered(graph: Graph, outputs: Sequence[Output], target: Target) -> list[Output]:
     """Return the outputs of a core in a new graph, of operations that its target has."""
-    nodes = _rounding_joined(graph, [o.node for o in outputs])
+    nodes = _digits_joined(graph, [o.node for o in outputs])
+    nodes = _rounding_joined(graph, nodes)
     lowering = _Lowering(nodes, [o.bits for o in outputs], target)
     return [o._replace(node=lowering.made[node]) for o, node in zip(outputs, nodes, strict=True)]
+
+
+def _digits_joined(graph: Graph, roots: Sequence[Node]) -> list[Node]:
+    """Take two digits of a draw, ``x * a >> n`` and ``(x * a % 2**n) * b >> n``, from ``x * a * b >> n``."""
+    order = in_order(roots)
+    pairs: dict[Node, tuple[Node, Node, int]] = {}  # either product: both of them, and n
+    for second in filter(_is_scaled, order):
+        rest = second.args[0]
+        if rest.op != "wrap" or rest.imm[1] or not _is_scaled(rest.args[0]):
+            continue
+        first, (bits, _) = rest.args[0], rest.imm
+        if first.low >= 0 and 0 <= first.high * second.args[1].imm >> bits < MOST_DIGITS:
+            pairs[first] = pairs[second] = first, second, bits
+    made: dict[Node, Node] = {}
+    for node in order:
+        made[node] = graph.again(node, [made[a] for a in node.args]) if node.args else node
+        product = node.args[0] if node.op in ("right", "mul") else None
+        if product is None or product not in pairs:
+            continue
+        first, second, bits = pairs[product]
+        a, b = first.args[1].imm, second.args[1]
+        whole = graph.mul(made[first.args[0]], graph.constant(a * b.imm))
+        if node.op == "mul" and node.args[1] is b:
+            made[node] = whole
+        elif node.op == "right" and node.imm == bits:
+            digit = graph.floor_divide if product is first else graph.modulo
+            made[node] = digit(graph.right(whole, bits), b)
+            made[node].name, made[node].line = node.name, node.line
+    return [made[root] for root in roots]
+
+
+def _is_scaled(node: Node) -> bool:
+    return node.op == "mul" and node.args[1].is_constant()
 
 
 def _rounding_joined(graph: Graph, roots: Sequence[Node]) -> list[Node]:
@@ -98,6 +137,9 @@ class _Lowering:
                 bits = width(node, self.used)
                 constant = self._flatten(node, 1, 0, terms, bits, whole=True)
                 return self._total(terms, constant, bits)
+            case "divide" | "modulo" if args[0].low >= 0 and args[0].high < MOST_DIGITS:
+                entries = [VALUES[node.op](node.imm, i) for i in range(args[0].high + 1)]
+                return graph.table(entries, args[0])
             case "modulo":
                 quotient = self._quotient(args[0], node.imm)
                 products = self._products(quotient, graph.constant(node.imm), args[0].bits + 1)
@@ -167,7 +209,9 @@ class _Lowering:
                 index = self.graph.wrap(a, a.bits, False)
                 signed = [v - (1 << a.bits) if a.low < 0 and v >> (a.bits - 1) else v for v in values]
                 return [Term(1, 0, self.graph.table([v * b.imm for v in signed], index))]
-            if len(digits) <= 3 and (len(digits) == 1 or self._multipliers(a, b) > 2):
+            # A multiplier without registers of its own is slow, and not worth it for three digits.
+            few = len(digits) <= 3 and (self._multipliers(a, b) > 2 or not self.target.family.accumulator)
+            if few or (len(digits) - 1) * a.bits <= CHEAP:
                 return [Term(sign, shift, a) for sign, shift in digits]
         wide, narrow = self.target.family.multiplier
         pieces = [(self._pieces(a, u), self._pieces(b, v)) for u, v in ((wide, narrow), (narrow, wide))]
@@ -196,7 +240,7 @@ class _Lowering:
         )
 
     def _factor(self, node: Node, bits: int) -> Node:
-        """Return what a product needs of a word; what is joined is kept as one, as a multiplier's registers are."""
+        """Return what a product needs of a word; joined parts are one word, as in a multiplier's register."""
         node = node if node.bits <= bits else self.graph.wrap(node, bits, False)
         inner = node
         while inner.op in ("wrap", "left", "right"):

@@ -8,7 +8,7 @@ whole by itself.
 from __future__ import annotations
 
 import heapq
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
@@ -54,6 +54,10 @@ def scheduled(outputs: Sequence[Output], target: Target) -> Schedule:
     number = {n: i for i, n in enumerate(order)}
     arguments = [sorted({number[s] for a in n.args for s in sources[a]}) for n in order]
     delays = [target.delay(n, width(n, used)) for n in order]
+    reach: Counter[int] = Counter()
+    for node, below in zip(order, arguments, strict=True):
+        reach.update(dict.fromkeys((i for i in below if width(order[i], used) == 1), width(node, used)))
+    delays = [delay + target.fan_out(reach[i]) for i, delay in enumerate(delays)]
     ends = {number[s] for o in outputs for s in sources[o.node]}
     apart = _too_far(arguments, delays, target.budget)
     early = [0] * len(order)

@@ -90,6 +90,10 @@ class Target:
             return tree + 0.45 * bits * self.family.level
         return tree + self.family.chain + self.family.carry * bits
 
+    def fan_out(self, bits: int) -> float:
+        """Return how much longer it takes a flag to get where it decides on so many bits."""
+        return 0.3 * self.family.level * math.log2(bits / 4) if bits > 4 else 0.0
+
     def accumulates(self, node: Node, bits: int) -> bool:
         """Return whether a multiplier's own adder does a sum: that of a product and another word."""
         constant, weights = node.imm if node.op == "sum" else (0, ())
@@ -113,7 +117,7 @@ class Target:
             case "xor":
                 return 0.55 * level
             case "choose":
-                return 0.75 * level + (min(0.6, 0.02 * bits) if bits > 4 else 0)
+                return 0.75 * level
             case "equal":
                 wide = max(a.bits for a in node.args)
                 return level * max(0.6, math.log(wide if node.args[1].op == "constant" else 2 * wide, 4))
