@@ -213,6 +213,14 @@ class _Lowering:
             few = len(digits) <= 3 and (self._multipliers(a, b) > 2 or not self.target.family.accumulator)
             if few or (len(digits) - 1) * a.bits <= CHEAP:
                 return [Term(sign, shift, a) for sign, shift in digits]
+            # Without its first digits a long constant may take half the multipliers.
+            low, wide = digits[0][1], self.target.family.multiplier[0]
+            for n in (1, 2) if self.target.family.accumulator and self._multipliers(a, b) > 2 else ():
+                rest = b.imm - sum(sign << shift for sign, shift in digits[-n:]) >> low
+                if rest.bit_length() <= wide < b.bits - low:
+                    products = self._products(a, self.graph.constant(rest), bits - low)
+                    products = [t._replace(shift=t.shift + low) for t in products]
+                    return [*products, *(Term(sign, shift, a) for sign, shift in digits[-n:])]
         wide, narrow = self.target.family.multiplier
         pieces = [(self._pieces(a, u), self._pieces(b, v)) for u, v in ((wide, narrow), (narrow, wide))]
         xs, ys = min(pieces, key=lambda pair: len(pair[0]) * len(pair[1]))
