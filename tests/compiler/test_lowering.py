@@ -1,0 +1,71 @@
+"""Lowered graphs: the same integers, of the multipliers and adders that a family has."""
+
+from __future__ import annotations
+
+import random
+
+import pytest
+
+from pearl_marl.compiler.core_graph import Output
+from pearl_marl.compiler.graph import Graph
+from pearl_marl.compiler.lowering import lowered
+from pearl_marl.compiler.nodes import Node, in_order, values
+from pearl_marl.compiler.targets import Target
+
+XC7, ECP5 = Target("xc7", 150), Target("ecp5", 150)
+
+
+def made(graph: Graph, node: Node, bits: int, target: Target) -> Node:
+    """Return what becomes of a node, and hold it against the node in random cases."""
+    (output,) = lowered(graph, [Output("obs_o", "word", 0, bits, node)], target)
+    chance = random.Random(bits)
+    for _ in range(200):
+        inputs = {
+            n.imm: chance.choice((n.low, n.high, chance.randint(n.low, n.high)))
+            for n in in_order([node])
+            if n.op == "input"
+        }
+        due, found = values([node], inputs)[node], values([output.node], inputs)[output.node]
+        assert (due - found) % (1 << bits) == 0, inputs
+    return output.node
+
+
+def count(node: Node, op: str) -> int:
+    return sum(n.op == op for n in in_order([node]))
+
+
+@pytest.mark.parametrize("target", [XC7, ECP5], ids=str)
+@pytest.mark.parametrize("signed", [False, True])
+@pytest.mark.parametrize("factor", [None, 5, 13, -38523, 0x33333333, 0xCCCCCCC, -0x4CCCCCCD, 2673479])
+@pytest.mark.parametrize("rounding", [0, 1 << 29, (1 << 29) - (7 << 40), (1 << 29) + (0x2A5F << 37)])
+def test_rounded_products(target: Target, signed: bool, factor: int | None, rounding: int) -> None:
+    graph = Graph()
+    a, y = graph.input("a", 32, signed), graph.input("y", 32, True)
+    b = graph.input("b", 31, signed) if factor is None else graph.constant(factor)
+    product = graph.right(graph.add(graph.mul(a, b), graph.constant(rounding)), 30)
+    made(graph, graph.wrap(product, 32, True), 32, target)
+    made(graph, graph.wrap(graph.add(product, y), 32, True), 32, target)
+
+
+def test_a_multiplier_adds_what_comes_from_the_one_before() -> None:
+    graph = Graph()
+    product = graph.mul(graph.input("a", 32), graph.input("b", 32))
+    node = made(graph, graph.right(graph.add(product, graph.constant(1 << 29)), 30), 32, XC7)
+    sums = [n for n in in_order([node]) if n.op == "sum"]
+    assert count(node, "mul") == len(sums) == 4
+    assert all(XC7.accumulates(n, 48) for n in sums)
+
+
+def test_two_digits_of_a_draw_come_from_one_product() -> None:
+    graph = Graph()
+    first = graph.mul(graph.input("draw", 32), graph.constant(5))
+    second = graph.mul(graph.wrap(first, 32, False), graph.constant(7))
+    digits = graph.add(graph.left(graph.right(first, 32), 3), graph.right(second, 32))
+    # 35 times 24 bits, and 35 times the 8 bits above them.
+    assert count(made(graph, digits, 6, XC7), "mul") == 2
+
+
+def test_short_products_are_sums() -> None:
+    graph = Graph()
+    product = graph.mul(graph.input("a", 6), graph.constant(13))
+    assert count(made(graph, product, 10, XC7), "mul") == 0
