@@ -65,19 +65,20 @@ def _digits_joined(graph: Graph, roots: Sequence[Node]) -> list[Node]:
         if rest.op != "wrap" or rest.imm[1] or not _is_scaled(rest.args[0]):
             continue
         first, (bits, _) = rest.args[0], rest.imm
-        if first.low >= 0 and 0 <= first.high * second.args[1].imm >> bits < MOST_DIGITS:
+        most = first.high * second.args[1].imm >> bits
+        if first not in pairs and first.low >= 0 and 0 <= most < MOST_DIGITS:
             pairs[first] = pairs[second] = first, second, bits
     made: dict[Node, Node] = {}
     for node in order:
         made[node] = graph.again(node, [made[a] for a in node.args]) if node.args else node
-        product = node.args[0] if node.op in ("right", "mul") else None
+        product = node.args[0] if node.op in ("right", "wrap") else None
         if product is None or product not in pairs:
             continue
         first, second, bits = pairs[product]
         a, b = first.args[1].imm, second.args[1]
         whole = graph.mul(made[first.args[0]], graph.constant(a * b.imm))
-        if node.op == "mul" and node.args[1] is b:
-            made[node] = whole
+        if node.op == "wrap" and product is second and node.imm[0] <= bits:
+            made[node] = graph.wrap(whole, *node.imm)
         elif node.op == "right" and node.imm == bits:
             digit = graph.floor_divide if product is first else graph.modulo
             made[node] = digit(graph.right(whole, bits), b)
