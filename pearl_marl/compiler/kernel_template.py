@@ -6,7 +6,13 @@ Variables are named after the fields of the spec. For a field x:
 $PREFIXES
 """
 $golden_functions
-$lane_functions
+$functions
+
+
+@called
+def draws(target, slot_0, key_a, key_b, m):
+    for i in range(m):
+        target[i] = draw(u32(slot_0 + i), key_a, key_b)
 
 
 @kernel
@@ -30,7 +36,7 @@ def reset(memory, stored, mask, observations, seed_0, seed_1, tick, first_slot, 
             E[i] = np.uint32(0) if flag[i] else E[i]
             N[i] = np.uint8(0) if flag[i] else N[i]
         $observe
-        $store
+        $store_block
 
 
 @kernel
@@ -43,11 +49,13 @@ def step(
     $stored_lanes
     $reset_scratch
     $step_scratch
-    code = np.empty($BLOCK, np.$REWARD_DTYPE)
-    flag = np.zeros($BLOCK, np.uint8)  # 1 where an episode ends; beyond the last slot 0
+    code = $CODE_SCRATCH
+    flag = uint8_scratch($BLOCK)  # 1 where an episode ends; beyond the last slot 0
     flag_words = uint64_column(flag, 0, $BLOCK // 8)
-    ended_slots = np.empty($BLOCK, np.uint16)
-    resetting = np.zeros($BLOCK, np.uint8)
+    ended_slots = uint16_scratch($BLOCK)
+    resetting = uint8_scratch($BLOCK)
+    for i in range($BLOCK):
+        resetting[i] = 0
     $step_keys
     # SAME_STEP starts the next episode now, at the next tick; NEXT_STEP starts it within this one.
     reset_tick = tick if next_step else tick + 1
@@ -64,8 +72,8 @@ def step(
         A = $ACTIONS
         R = float32_column(rewards, 4 * b, m)
         T = uint8_column(terminations, b, m)
-        if m < $BLOCK:
-            flag[m:] = 0
+        for i in range(m, $BLOCK):
+            flag[i] = 0
         any_resetting = np.uint8(0)
         if next_step:
             for i in range(m):
@@ -120,7 +128,7 @@ def step(
                     if count >= $FEW:
                         break
             $restart
-        $store
+        $store_block
 
 
 @kernel
@@ -138,8 +146,9 @@ def results(
 ):
     """Turn a step's words into its results, as `step` has them."""
     $PADDED
+    $block_lanes
     $stored_lanes
-    flag = np.zeros($BLOCK, np.uint8)  # not 0 where an episode ended; beyond the last slot 0
+    flag = uint8_scratch($BLOCK)  # not 0 where an episode ended; beyond the last slot 0
     flag_words = uint64_column(flag, 0, $BLOCK // 8)
     $reset_keys_now
     $reward_names
@@ -158,8 +167,8 @@ def results(
         for i in range(m):
             $deliver_block
         $rewards
-        if m < $BLOCK:
-            flag[m:] = 0
+        for i in range(m, $BLOCK):
+            flag[i] = 0
         for i in range(m):
             T[i] = ter[i] & np.uint8(1)
             U[i] = ter[i] >> np.uint8(1)
@@ -185,7 +194,7 @@ def advance(memory, actions, table, rewards, terminations, n, lo, hi):
     $step_scratch
     seed_0 = seed_1 = 0
     $step_keys_fixed
-    code = np.empty($BLOCK, np.$REWARD_DTYPE)
+    code = $CODE_SCRATCH
     for b in range(lo, hi, $BLOCK):
         m = min($BLOCK, hi - b)
         slot_0 = b
@@ -196,5 +205,5 @@ def advance(memory, actions, table, rewards, terminations, n, lo, hi):
         $draw_for_step
         $golden_step
         $rewards
-        $store
+        $store_block
 '''

@@ -49,7 +49,7 @@ class Kernels(NamedTuple):
         does the golden step and the rewards alone, for benchmarks.
 
     ``memory`` and ``stored`` are laid out by :mod:`pearl_marl.batch.slot_memory`; flags are ``uint8``;
-    ``lo`` is a multiple of :data:`pearl_marl.compiler.kernel_source.BLOCK`. All release the GIL.
+    ``lo`` is a multiple of :data:`pearl_marl.compiler.block_pieces.BLOCK`. All release the GIL.
     """
 
     reset: Callable[..., None]

@@ -16,7 +16,7 @@ from pearl_marl.batch.config import BatchConfig
 from pearl_marl.batch.results import ResultArrays
 from pearl_marl.batch.slot_memory import SlotMemory
 from pearl_marl.batch.step import Array, BatchStep
-from pearl_marl.compiler.kernel_source import BLOCK
+from pearl_marl.compiler.block_pieces import BLOCK
 from pearl_marl.compiler.kernels import compile_kernels
 from pearl_marl.devices.base import Device, count_or_none
 from pearl_marl.devices.threads import Threads
