@@ -1,4 +1,4 @@
-"""The pieces of the CPU's kernels where a state has many fields: they are copied into *lanes*, block by block.
+"""The pieces of the CPU's kernels where a state has many fields: they are copied into *lanes* by blocks.
 
 Lanes are parts of one array. And since so many fields take long to compile, what does not become SIMD code
 anyway, which is starting and observing a slot, is a function of its own.
@@ -82,7 +82,7 @@ class LanePieces(BlockPieces):
         lines = ["", "", "@called", f"def begin({', '.join(['blocks, storeds, i, use_stored', *draws])}):"]
         lines += indented(begin)
         if self.spec.unpack is not None:
-            lines += ["", "", "@called", "def show(blocks, O, i):"]
+            lines += ["", "", "@inlined", "def show(blocks, O, i):"]
             lines += indented([*self.lanes("block"), *self.observe(self.words)])
         return lines
 
