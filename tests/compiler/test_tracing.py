@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pearl_marl.compiler.graph import Graph
-from pearl_marl.compiler.nodes import values
-from pearl_marl.compiler.tracing import trace
 from pearl_marl.errors import ArgumentError
+from pearl_marl.tracing.graph import Graph
+from pearl_marl.tracing.nodes import values
+from pearl_marl.tracing.trace import trace
 
 TABLE = np.array([5, 7, 11, 13])
 GRID = [[1, 2, 3, 4], [5, 6, 7, 8]]

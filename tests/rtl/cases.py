@@ -10,9 +10,9 @@ from gymnasium.spaces import Box
 from random_steps import plain
 
 from pearl_marl.compiler.core_graph import core_graph
-from pearl_marl.compiler.nodes import Node
 from pearl_marl.golden import call_reference
 from pearl_marl.spec import EnvSpec, Field, Golden, word_bits
+from pearl_marl.tracing.nodes import Node
 
 
 def split(words: list[int], fields: tuple[Field, ...]) -> list[np.ndarray]:

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from pearl_marl.compiler.operations import RANGES, VALUES, bits_of, word_range
+from pearl_marl.tracing.operations import RANGES, VALUES, bits_of, word_range
 
 MOST_CASES = 1 << 13
 """Values up to which a node's function is written out."""

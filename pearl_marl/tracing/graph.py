@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from pearl_marl.compiler.nodes import Node, Nodes
-from pearl_marl.compiler.operations import word_range, wrapped
+from pearl_marl.tracing.nodes import Node, Nodes
+from pearl_marl.tracing.operations import word_range, wrapped
 
 
 class Graph(Nodes):
