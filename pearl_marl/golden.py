@@ -50,14 +50,21 @@ def uniform_below(draw: Word, n: Word) -> Word:
     return u32((u64(draw) * u64(n)) >> u64(32))
 
 
-def call_reference(function: GoldenFunction, arguments: Iterable[Any]) -> tuple[Any, ...]:
-    """Run a golden function itself on numbers or whole arrays; always returns a tuple.
+def reference(function: GoldenFunction) -> Callable[..., tuple[Any, ...]]:
+    """Return what runs a golden function itself on numbers or whole arrays, and always returns a tuple.
 
     Results are NumPy's integers or arrays of 64 bits; where those do not hold one, Python's integers.
     """
-    again = function
-    if isinstance(function, types.FunctionType):
-        again = remade(function, VOCABULARY.meaning)
-    result = again(*map(Integers.of, arguments))
-    words = result if isinstance(result, tuple) else (result,)
-    return tuple(Integers.of(word).values[()] for word in words)
+    again = remade(function, VOCABULARY.meaning) if isinstance(function, types.FunctionType) else function
+
+    def run(*arguments: Any) -> tuple[Any, ...]:
+        result = again(*map(Integers.of, arguments))
+        words = result if isinstance(result, tuple) else (result,)
+        return tuple(Integers.of(word).wide() for word in words)
+
+    return run
+
+
+def call_reference(function: GoldenFunction, arguments: Iterable[Any]) -> tuple[Any, ...]:
+    """Call :func:`reference` of a golden function once."""
+    return reference(function)(*arguments)

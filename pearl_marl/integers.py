@@ -1,12 +1,13 @@
 """Integers that never overflow, one or an array of them: what the reference runs golden functions on.
 
 They share nothing with the compiler's graph, which is tested against them. Beside an array stand bounds of
-its elements. The array is of ``int64``, or ``uint64`` where only that holds the bounds; where those leave 64
-bits its elements are Python's own integers.
+its elements, and the array is of the narrowest type that holds those: where they leave 64 bits, of Python's
+own integers.
 """
 
 from __future__ import annotations
 
+import functools
 import operator
 from collections.abc import Callable, Iterable
 from typing import Any, NoReturn
@@ -16,12 +17,18 @@ import numpy.typing as npt
 
 from pearl_marl.remaking import Vocabulary
 
-_LIMITS = [(np.dtype(t), int(np.iinfo(t).min), int(np.iinfo(t).max)) for t in (np.int64, np.uint64)]
+_LIMITS = [
+    (np.dtype(t), int(np.iinfo(t).min), int(np.iinfo(t).max))
+    for t in (np.int16, np.int32, np.int64, np.uint64)
+]
 _OBJECTS = np.dtype(object)
+_UFUNCS: dict[np.ufunc, Callable[[Any, Any], Integers]] = {}
+"""What NumPy's functions do where an argument is of integers."""
 
 Bounds = tuple[int, int]
 
 
+@functools.lru_cache(1 << 12)
 def _dtype(low: int, high: int) -> np.dtype[Any]:
     for dtype, least, most in _LIMITS:
         if least <= low and high <= most:
@@ -39,10 +46,9 @@ def _operation(ufunc: np.ufunc, bounds: Callable[[Integers, Integers], Bounds]) 
         if dtype is _OBJECTS:  # perhaps by bounds that are too wide
             low, high = bounds(a.tighten(), b.tighten())
             dtype = _dtype(min(low, a.low, b.low), max(high, a.high, b.high))
-        return Integers(
-            ufunc(a.values.astype(dtype, copy=False), b.values.astype(dtype, copy=False)), low, high
-        )
+        return Integers(ufunc(a.as_(dtype), b.as_(dtype)), low, high)
 
+    _UFUNCS[ufunc] = method
     return method, lambda self, other: method(other, self)
 
 
@@ -96,15 +102,15 @@ class Integers:
 
     def __init__(self, values: Any, low: int, high: int) -> None:
         self.low, self.high = low, high
-        self.values: npt.NDArray[Any] = np.asarray(values).astype(_dtype(low, high), copy=False)
+        self.values: npt.NDArray[Any] = np.asarray(values, _dtype(low, high))
 
     @staticmethod
     def of(value: Any) -> Integers:
         """Return what an author's function has at hand as integers."""
-        if isinstance(value, Integers):
+        if type(value) is Integers:
             return value
         if type(value) is int:
-            return Integers(np.array(value, _dtype(value, value)), value, value)
+            return _constant(value)
         array = np.asarray(value)
         if array.dtype == np.bool_:
             return Integers(array, 0, 1)
@@ -113,12 +119,21 @@ class Integers:
         limits = np.iinfo(array.dtype)  # of floats there are none
         return Integers(array, int(limits.min), int(limits.max))
 
+    def as_(self, dtype: np.dtype[Any]) -> npt.NDArray[Any]:
+        """Return the array in a type that holds it."""
+        return self.values if self.values.dtype is dtype else self.values.astype(dtype)
+
     def tighten(self) -> Integers:
         """Take the least and the greatest element for bounds."""
         if self.values.size:
             self.low, self.high = int(self.values.min()), int(self.values.max())
-            self.values = self.values.astype(_dtype(self.low, self.high), copy=False)
+            self.values = self.as_(_dtype(self.low, self.high))
         return self
+
+    def wide(self) -> Any:
+        """Return an array of NumPy's, or a number; of 64 bits, so that whoever goes on computing has room."""
+        dtype = self.values.dtype
+        return self.values.astype(np.int64 if dtype.itemsize < 8 else dtype, copy=False)[()]
 
     __add__, __radd__ = _operation(np.add, lambda a, b: (a.low + b.low, a.high + b.high))
     __sub__, __rsub__ = _operation(np.subtract, lambda a, b: (a.low - b.high, a.high - b.low))
@@ -165,16 +180,20 @@ class Integers:
         return _FUNCTIONS[function](*args) if function in _FUNCTIONS and not keywords else NotImplemented
 
 
+@functools.lru_cache(1 << 12)
+def _constant(value: int) -> Integers:
+    return Integers(value, value, value)
+
+
 def _chosen(flag: Any, a: Any, b: Any) -> Integers:
     flag, a, b = (Integers.of(x) for x in (flag, a, b))
     low, high = min(a.low, b.low), max(a.high, b.high)
     dtype = _dtype(low, high)
-    return Integers(np.where(flag.values != 0, a.values.astype(dtype), b.values.astype(dtype)), low, high)
+    return Integers(np.where(flag.values != 0, a.as_(dtype), b.as_(dtype)), low, high)
 
 
 _minimum, _ = _operation(np.minimum, lambda a, b: (min(a.low, b.low), min(a.high, b.high)))
 _maximum, _ = _operation(np.maximum, lambda a, b: (max(a.low, b.low), max(a.high, b.high)))
-_UFUNCS: dict[np.ufunc, Callable[[Any, Any], Integers]] = {np.minimum: _minimum, np.maximum: _maximum}
 _FUNCTIONS: dict[Any, Callable[..., Integers]] = {
     np.where: _chosen,
     np.clip: lambda x, low, high: _minimum(_maximum(x, low), high),
@@ -225,6 +244,10 @@ def _entry(entries: Iterable[Any], index: Integers) -> Any:
     if all(isinstance(entry, _Table) for entry in entries):
         return _Table(_entry(column, index) for column in zip(*entries, strict=True))
     words = [Integers.of(entry) for entry in entries]
+    if not any(word.values.ndim for word in words):
+        numbers = [int(word.values) for word in words]
+        low, high = min(numbers), max(numbers)
+        return Integers(np.array(numbers, _dtype(low, high))[index.values], low, high)
     result = words[-1]
     for k, word in enumerate(words[:-1]):
         result = _chosen(index == k, word, result)
