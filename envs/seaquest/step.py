@@ -26,7 +26,7 @@ Atari-Inspired Testbed for Thorough and Reproducible Reinforcement Learning Expe
 
 import numpy as np
 
-from pearl_marl.golden import GoldenFunction, Word
+from pearl_marl.golden import GoldenFunction, Word, i16
 
 NOTHING, LEFT, UP, RIGHT, DOWN, FIRE = range(6)
 LAST_COLUMN, DEEPEST = 9, 8  # the sea has rows 1 to 8; 0 is the surface
@@ -275,12 +275,11 @@ def make_step(sticky_below: int, ramping: bool) -> GoldenFunction:
         struck = np.where(bullet_1_alive, first_struck(enemy_alive, enemy_submarine, at_1), 0)
         enemy_alive = enemy_alive ^ struck
         hit_1 = struck != 0
-        bullet_1_alive = bullet_1_alive ^ hit_1
+        bullet_1_alive = bullet_1_alive & (struck == 0)
         struck = np.where(bullet_0_alive, first_struck(enemy_alive, enemy_submarine, at_0), 0)
         enemy_alive = enemy_alive ^ struck
         hit_0 = struck != 0
-        bullet_0_alive = bullet_0_alive ^ hit_0
-        reward = hit_1 + hit_0
+        bullet_0_alive = bullet_0_alive & (struck == 0)
 
         # Divers, the newer first.
         diver_1, aboard_1 = diver_after(diver_1, x, y, divers, divers_move)
@@ -310,10 +309,9 @@ def make_step(sticky_below: int, ramping: bool) -> GoldenFunction:
         struck_0 = np.where(bullet_0_alive, arrives & at_0, 0)
         struck_1 = np.where(bullet_1_alive, arrives & at_1 & ~struck_0, 0)
         enemy_alive = enemy_alive ^ (struck_0 | struck_1)
-        hit_0, hit_1 = struck_0 != 0, struck_1 != 0
-        bullet_0_alive = bullet_0_alive ^ hit_0
-        bullet_1_alive = bullet_1_alive ^ hit_1
-        reward = reward + hit_0 + hit_1
+        hit_0, hit_1 = hit_0 | (struck_0 != 0), hit_1 | (struck_1 != 0)
+        bullet_0_alive = bullet_0_alive & (struck_0 == 0)
+        bullet_1_alive = bullet_1_alive & (struck_1 == 0)
 
         # Submarines fire, the newer first: at most two, `low` the older.
         waits = enemy_fire_0 | enemy_fire_1 | enemy_fire_2 | enemy_fire_3
@@ -355,10 +353,11 @@ def make_step(sticky_below: int, ramping: bool) -> GoldenFunction:
         surfaces = returns & (divers != 0)
         terminated = (met != 0) | (shot != 0) | (oxygen == 0) | (returns & (divers == 0))
         full = surfaces & (divers == MAX_DIVERS)
-        reward = reward + np.where(full, oxygen // OXYGEN_TENTH, 0)
+        reward = hit_0 + hit_1 + np.where(full, oxygen // OXYGEN_TENTH, 0)
         # MinAtar takes one more diver after it took all six, and so do we: -1 is left.
-        divers = np.where(full, 0, divers) - (surfaces & (divers > LEAST_DIVERS))
-        oxygen = np.where(surfaces, MAX_OXYGEN, oxygen - (submerged & (oxygen > 0)))
+        # No more than six get in, which the compiler cannot see: the cast says so.
+        divers = i16(np.where(full, 0, divers) - (surfaces & (divers > LEAST_DIVERS)))
+        oxygen = np.where(surfaces, MAX_OXYGEN, np.maximum(oxygen - submerged, 0))
         surfaced = (surfaced | surfaces) & (submerged == 0)
         ramp = ramp + (surfaces & ramping & (ramp < LAST_RAMP))
 

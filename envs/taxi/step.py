@@ -139,4 +139,5 @@ def _serve(
     illegal = (action >= PICKUP) & ((picks_up | drops_off) == 0)
 
     passenger = np.where(picks_up, ABOARD, np.where(drops_off, stand, passenger))
-    return passenger, illegal * ILLEGAL + delivered * DELIVERED, delivered
+    reward = np.where(delivered, DELIVERED, np.where(illegal, ILLEGAL, ROUTINE))
+    return passenger, reward, delivered
