@@ -207,7 +207,7 @@ class EnvSpec:
             )
         check_max_cycles(self.max_cycles)
         # Those of this package are traced by its tests, so that importing it stays quick.
-        self.check_golden([f for f in self.golden if not f.__module__.startswith("pearl_marl.envs.")])
+        self.check_golden([f for f in self.golden if not str(f.__module__).startswith("pearl_marl.envs.")])
 
     def check_golden(self, functions: Sequence[GoldenFunction]) -> None:
         """Trace some of the golden functions: each takes and returns what the spec says, within its limits.
