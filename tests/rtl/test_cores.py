@@ -84,6 +84,7 @@ def assert_means(spec: EnvSpec, outputs: Iterable[Output], count: int) -> None:
 @pytest.mark.parametrize(("env", "options"), CASES)
 def test_graphs_mean_the_golden_functions(env: str, options: dict[str, Any]) -> None:
     spec = get_spec(env).with_options(**options)
+    spec.check_golden(spec.golden)
     graph, outputs = core_graph(spec)
     assert_means(spec, outputs, 60)
     for target in (Target("ecp5", 150), Target("xc7", 250)):
