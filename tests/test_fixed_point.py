@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pearl_marl import fixed_point
-from pearl_marl.golden import call_reference, i32, i64, u32
+from pearl_marl.golden import call_reference, i32, u32
 
 WORDS = st.integers(-(1 << 31), (1 << 31) - 1)
 SCALE = 2.0**fixed_point.FRACTION
@@ -34,13 +34,6 @@ def test_multiply_is_the_rounding_rule(a: int, b: int, shift: int) -> None:
 def test_saturating_add(a: int, b: int) -> None:
     (found,) = run(fixed_point.saturating_add, i32(a), i32(b))
     assert int(found) == min(max(a + b, -(1 << 31)), (1 << 31) - 1)
-
-
-@given(st.integers(-(1 << 63), (1 << 63) - 1), WORDS, WORDS)
-def test_clip(x: int, one: int, other: int) -> None:
-    low, high = sorted((one, other))
-    (found,) = run(lambda x: fixed_point.clip(x, low, high), i64(x))
-    assert int(found) == min(max(x, low), high)
 
 
 def test_constants() -> None:
