@@ -26,8 +26,10 @@ def make_initial(starts: list[tuple[int, int]]) -> GoldenFunction:
         k = uniform_below(draw, count)
         return rows[k], columns[k]
 
+    row, column = starts[0]
+
     def initial_only() -> tuple[Word, Word]:
-        return starts[0][0], starts[0][1]
+        return row, column
 
     return initial if count > 1 else initial_only
 
@@ -35,7 +37,8 @@ def make_initial(starts: list[tuple[int, int]]) -> GoldenFunction:
 def make_step(n_rows: int, n_columns: int, holes: int, goals: int) -> GoldenFunction:
     """Return the golden step of a map without ice."""
     last_row, last_column = n_rows - 1, n_columns - 1
-    cells = [TO_GOAL if goals >> k & 1 else TO_HOLE if holes >> k & 1 else TO_FROZEN for k in range(SIDE**2)]
+    kinds = (TO_GOAL if goals >> k & 1 else TO_HOLE if holes >> k & 1 else TO_FROZEN for k in range(SIDE**2))
+    cells = tuple(kinds)
 
     def step(row: Word, column: Word, action: Word) -> tuple[Word, Word, Word, Word]:
         left = (action == LEFT) & (column > 0)

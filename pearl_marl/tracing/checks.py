@@ -103,12 +103,14 @@ def _cases(inputs: Mapping[str, Node], constants: Sequence[int], count: int) -> 
         for case in itertools.product(*(range(word.low, word.high + 1) for word in inputs.values())):
             yield dict(zip(inputs, case, strict=True))
         return
-    chance, near = random.Random(0), [c + d for c in (0, *constants) for d in (-1, 0, 1)]
+    chance, near = random.Random(0), [c + d for c in (0, *constants) for d in (0, 1, -1)]
     edges = {
-        name: [word.low, word.high, *(c for c in near if word.low <= c <= word.high)]
+        name: list(dict.fromkeys(c for c in (*near, word.low, word.high) if word.low <= c <= word.high))
         for name, word in inputs.items()
     }
-    for _ in range(count):
+    for case in itertools.islice(itertools.product(*edges.values()), count // 2):
+        yield dict(zip(inputs, case, strict=True))
+    for _ in range(count // 2):
         yield {
             name: chance.choice(edges[name]) if chance.random() < 0.7 else chance.randint(word.low, word.high)
             for name, word in inputs.items()

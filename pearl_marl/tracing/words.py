@@ -228,7 +228,8 @@ class Table(tuple[Any, ...]):
         node = index.node
         if node.low < 0 or node.high >= len(self):
             raise ArgumentError(
-                f"an index can be {node.low} to {node.high}, and the table has {len(self)} entries"
+                f"an index can be {node.low} to {node.high}, and the table has {len(self)} entries; "
+                "np.minimum or np.clip keeps it in"
             )
         return _chosen(index.graph, list(self), node)
 
