@@ -152,10 +152,10 @@ class Integers:
     __gt__, _ = _operation(np.greater, _flag)
     __ge__, _ = _operation(np.greater_equal, _flag)
 
-    def __neg__(self) -> Integers:
+    def __neg__(self) -> Any:
         return 0 - self
 
-    def __invert__(self) -> Integers:
+    def __invert__(self) -> Any:
         return -1 - self
 
     def __pos__(self) -> Integers:
