@@ -7,6 +7,8 @@ Follows https://gymnasium.farama.org/environments/toy_text/frozen_lake/ (FrozenL
 
 from __future__ import annotations
 
+import numpy as np
+
 from pearl_marl.golden import GoldenFunction, Word, uniform_below
 
 SIDE = 8
@@ -37,8 +39,9 @@ def make_initial(starts: list[tuple[int, int]]) -> GoldenFunction:
 def make_step(n_rows: int, n_columns: int, holes: int, goals: int) -> GoldenFunction:
     """Return the golden step of a map without ice."""
     last_row, last_column = n_rows - 1, n_columns - 1
-    kinds = (TO_GOAL if goals >> k & 1 else TO_HOLE if holes >> k & 1 else TO_FROZEN for k in range(SIDE**2))
-    cells = tuple(kinds)
+    hole_rows, goal_rows = (
+        tuple(cells >> SIDE * k & (1 << SIDE) - 1 for k in range(SIDE)) for cells in (holes, goals)
+    )
 
     def step(row: Word, column: Word, action: Word) -> tuple[Word, Word, Word, Word]:
         left = (action == LEFT) & (column > 0)
@@ -47,8 +50,9 @@ def make_step(n_rows: int, n_columns: int, holes: int, goals: int) -> GoldenFunc
         down = (action == DOWN) & (row < last_row)
         row = row + down - up
         column = column + right - left
-        reward = cells[SIDE * row + column]
-        return row, column, reward, reward != TO_FROZEN
+        hole, goal = hole_rows[row] >> column & 1, goal_rows[row] >> column & 1
+        reward = np.where(goal, TO_GOAL, np.where(hole, TO_HOLE, TO_FROZEN))
+        return row, column, reward, hole | goal
 
     return step
 
