@@ -30,8 +30,7 @@ from pearl_marl.golden import GoldenFunction, Word, i16
 
 NOTHING, LEFT, UP, RIGHT, DOWN, FIRE = range(6)
 LAST_COLUMN, DEEPEST = 9, 8  # the sea has rows 1 to 8; 0 is the surface
-MAX_OXYGEN, OXYGEN_TENTH = 200, 20
-MAX_DIVERS, LEAST_DIVERS = 6, -(1 << 15)
+MAX_OXYGEN, MAX_DIVERS, LEAST_DIVERS = 200, 6, -(1 << 15)
 RELOAD_STEPS, FIRE_INTERVAL = 5, 10
 SLOWEST_SPAWN, DIVER_SPAWN = 20, 30
 SLOWEST_MOVE, MOVE_RAMPS = 5, 3
@@ -140,6 +139,11 @@ def enemies_down(plane: Word, places: Word) -> Word:
 def bullets_down(plane: Word, places: Word) -> Word:
     """Move a plane of the hostile bullets down."""
     return (plane >> places) & BULLET_PLACES
+
+
+def tenths(oxygen: Word) -> Word:
+    """Return ``oxygen // 20``, how many tenths are left; this product takes hardware no multiplier."""
+    return (oxygen >> 2) * 13 >> 6
 
 
 def initial() -> tuple[Word, ...]:
@@ -353,7 +357,7 @@ def make_step(sticky_below: int, ramping: bool) -> GoldenFunction:
         surfaces = returns & (divers != 0)
         terminated = (met != 0) | (shot != 0) | (oxygen == 0) | (returns & (divers == 0))
         full = surfaces & (divers == MAX_DIVERS)
-        reward = hit_0 + hit_1 + np.where(full, oxygen // OXYGEN_TENTH, 0)
+        reward = hit_0 + hit_1 + np.where(full, tenths(oxygen), 0)
         # MinAtar takes one more diver after it took all six, and so do we: -1 is left.
         # No more than six get in, which the compiler cannot see: the cast says so.
         divers = i16(np.where(full, 0, divers) - (surfaces & (divers > LEAST_DIVERS)))
@@ -461,7 +465,7 @@ def observe(
         x,
         y,
         facing_right,
-        oxygen // OXYGEN_TENTH,
+        tenths(oxygen),
         np.where(divers < 0, 0, divers) & 7,
         bullet_0,
         bullet_1,
