@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pearl_marl.golden import Word, i32, i64, u32
+from pearl_marl.golden import Word, i32, u32
 
 FRACTION = 30
 """Fraction bits of sines, cosines and reciprocals: their words reach from -2 to just below 2."""
@@ -54,18 +54,12 @@ def multiply(a: Word, b: Word, shift: int) -> Word:
     -------
     ``i32``; a product that does not fit loses its upper bits.
     """
-    product = i64(i64(a) * i64(b))
-    return i32(i64(i64(product + i64(1 << (shift - 1))) >> i64(shift)))
-
-
-def clip(x: Word, low: int, high: int) -> Word:
-    """Return the nearest of ``low .. high``, which are words, to an ``i64``; an ``i32``."""
-    return i32(np.minimum(np.maximum(i64(x), i64(low)), i64(high)))
+    return i32((a * b + (1 << shift - 1)) >> shift)
 
 
 def saturating_add(a: Word, b: Word) -> Word:
     """Return the nearest ``i32`` to the sum of two."""
-    return clip(i64(i64(a) + i64(b)), -(1 << 31), (1 << 31) - 1)
+    return np.clip(a + b, -(1 << 31), (1 << 31) - 1)
 
 
 def sine_cosine(turns: Word) -> tuple[Word, Word]:
@@ -80,25 +74,22 @@ def sine_cosine(turns: Word) -> tuple[Word, Word]:
     -------
     Two ``i32`` of -1 to 1, each within 4e-9 of the truth. Zeros and ones are exact.
     """
-    turned = u32(u32(turns) + u32(1 << 29))  # by an eighth, so that quadrants begin where they are cut
-    quadrant = i32(turned >> u32(30))
-    y = i32(i32(i32(turned & u32(0x3FFFFFFF)) - i32(1 << 29)) << i32(1))  # eighths of a turn, -1 .. 1
+    turned = u32(turns + (1 << 29))  # by an eighth, so that quadrants begin where they are cut
+    quadrant = turned >> 30
+    y = 2 * ((turned & 0x3FFFFFFF) - (1 << 29))  # eighths of a turn, -1 .. 1
     square = multiply(y, y, 30)
-    s = i32(multiply(square, i32(S_7), 30) + i32(S_5))
-    s = i32(multiply(square, s, 30) + i32(S_3))
-    s = i32(multiply(square, s, 30) + i32(S_1))
+    s = multiply(square, S_7, 30) + S_5
+    s = multiply(square, s, 30) + S_3
+    s = multiply(square, s, 30) + S_1
     s = multiply(y, s, 30)
-    c = i32(multiply(square, i32(C_8), 30) + i32(C_6))
-    c = i32(multiply(square, c, 30) + i32(C_4))
-    c = i32(multiply(square, c, 30) + i32(C_2))
-    c = i32(multiply(square, c, 30) + i32(ONE))
+    c = multiply(square, C_8, 30) + C_6
+    c = multiply(square, c, 30) + C_4
+    c = multiply(square, c, 30) + C_2
+    c = multiply(square, c, 30) + ONE
     # In odd quadrants sine and cosine change places; the signs are those of the quadrant.
-    swap = i32(i32(0) - i32(quadrant & i32(1)))
-    swapped = i32(i32(s ^ c) & swap)
-    negative_s = i32(i32(0) - i32(quadrant >> i32(1)))
-    negative_c = i32(negative_s ^ swap)
-    s, c = i32(s ^ swapped), i32(c ^ swapped)
-    return i32(i32(s ^ negative_s) - negative_s), i32(i32(c ^ negative_c) - negative_c)
+    odd, lower = quadrant & 1, quadrant >> 1
+    s, c = np.where(odd, c, s), np.where(odd, s, c)
+    return np.where(lower, -s, s), np.where(lower ^ odd, -c, c)
 
 
 def reciprocal(x: Word) -> Word:
@@ -110,9 +101,9 @@ def reciprocal(x: Word) -> Word:
     -------
     ``i32`` within 1.2e-8 of the truth, relatively.
     """
-    y = i32(x - i32(ONE))
-    r = i32(multiply(y, i32(R_2), 30) + i32(R_1))
-    r = i32(multiply(y, r, 30) + i32(R_0))
+    y = x - ONE
+    r = multiply(y, R_2, 30) + R_1
+    r = multiply(y, r, 30) + R_0
     for _ in range(2):
-        r = i32(r + multiply(r, i32(i32(ONE) - multiply(x, r, 30)), 30))
+        r = r + multiply(r, ONE - multiply(x, r, 30), 30)
     return r

@@ -1,19 +1,21 @@
-"""The vocabulary of a golden step: exact-width integers and branch-free choice.
+"""The vocabulary of golden functions: plain Python over integers that never overflow.
 
-A *golden step* is plain Python over these names. Run as it stands, on NumPy scalars or on whole
-arrays, it is the reference; compiled by Numba it is the CPU device. So whatever stands here has to
-mean the same in both, which leaves one rule: **cast after every operation**. Numba widens ``a + b``
-to 64 bits where NumPy does not, and the cast brings both back to the same value modulo ``2**bits``.
+A word is an integer in the sense of mathematics: ``a + b`` is the sum, however large, and a comparison is 0
+or 1. Calling one of the types below is the one place where a value wraps around, modulo ``2**bits``. Of NumPy
+there are ``where``, ``minimum``, ``maximum`` and ``clip``. ``docs/golden_steps.md`` has the rest.
 """
 
 from __future__ import annotations
 
+import types
 from collections.abc import Callable, Iterable
 from typing import Any, TypeAlias
 
 import numpy as np
 
-# The types of a golden step. Calling one casts, which in Numba truncates to that many bits.
+from pearl_marl.integers import VOCABULARY, Integers
+from pearl_marl.remaking import remade
+
 u8 = np.uint8
 u16 = np.uint16
 u32 = np.uint32
@@ -24,7 +26,7 @@ i32 = np.int32
 i64 = np.int64
 
 Word: TypeAlias = Any
-"""A scalar or an array of one of the types above, or what Numba makes of one."""
+"""An integer of one slot; whoever runs a golden function decides what stands for it."""
 
 GoldenFunction: TypeAlias = Callable[..., Any]
 
@@ -44,15 +46,25 @@ def uniform_below(draw: Word, n: Word) -> Word:
     ``u32`` below ``n``. An outcome's probability is off by at most ``2**-32``, so its relative
     bias is at most ``n / 2**32``: below ``2**-16`` for every ``n <= 65536``.
     """
-    return u32(u64(u64(draw) * u64(n)) >> u64(32))
+    # Outside of golden functions it is called with NumPy's words, which do overflow: hence the casts.
+    return u32((u64(draw) * u64(n)) >> u64(32))
 
 
-def call_reference(function: GoldenFunction, arguments: Iterable[Word]) -> tuple[Word, ...]:
-    """Run a golden function as plain Python over scalars or arrays; always returns a tuple.
+def reference(function: GoldenFunction) -> Callable[..., tuple[Any, ...]]:
+    """Return what runs a golden function itself on numbers or whole arrays, and always returns a tuple.
 
-    NumPy warns where a scalar wraps around. In a golden step wrapping is the meaning, so the
-    warning is switched off here.
+    Results are NumPy's integers or arrays of 64 bits; where those do not hold one, Python's integers.
     """
-    with np.errstate(over="ignore"):
-        result = function(*arguments)
-    return result if isinstance(result, tuple) else (result,)
+    again = remade(function, VOCABULARY.meaning) if isinstance(function, types.FunctionType) else function
+
+    def run(*arguments: Any) -> tuple[Any, ...]:
+        result = again(*map(Integers.of, arguments))
+        words = result if isinstance(result, tuple) else (result,)
+        return tuple(Integers.of(word).wide() for word in words)
+
+    return run
+
+
+def call_reference(function: GoldenFunction, arguments: Iterable[Any]) -> tuple[Any, ...]:
+    """Call :func:`reference` of a golden function once."""
+    return reference(function)(*arguments)

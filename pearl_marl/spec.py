@@ -18,6 +18,8 @@ from gymnasium.spaces import Box, Discrete, Tuple
 
 from pearl_marl.errors import ArgumentError
 from pearl_marl.golden import GoldenFunction
+from pearl_marl.tracing.checks import Argument, Result, check
+from pearl_marl.tracing.operations import word_range
 
 
 @dataclass(frozen=True, slots=True)
@@ -204,6 +206,35 @@ class EnvSpec:
                 f"{self.name}: {len(self.rewards)} rewards do not fit {self.reward.bits} reward bits"
             )
         check_max_cycles(self.max_cycles)
+        # Those of this package are traced by its tests, so that importing it stays quick.
+        self.check_golden([f for f in self.golden if not str(f.__module__).startswith("pearl_marl.envs.")])
+
+    def check_golden(self, functions: Sequence[GoldenFunction]) -> None:
+        """Trace some of the golden functions: each takes and returns what the spec says, within its limits.
+
+        Raises
+        ------
+        ArgumentError
+            Names the line of the author's file, and says what is wrong there.
+        """
+        state = tuple(Argument(f.name, f.bits, f.signed) for f in self.state)
+        action = Argument("action", self.action.bits, self.action.signed)
+        draws = [Argument(f"draw_{k}", 32) for k in range(max(self.reset_draws, self.step_draws))]
+        reward, terminated = _result(self.reward), _result(Field("terminated", 1))
+        if self.rewards is not None and len(self.rewards) <= reward.high:
+            high, fix = len(self.rewards) - 1, "lengthen the table, or mend the category"
+            reward = Result(reward.name, 0, high, "the table of rewards lists", fix)
+        calls = (
+            (tuple(draws[: self.reset_draws]), tuple(map(_result, self.state))),
+            (
+                (*state, action, *draws[: self.step_draws]),
+                (*map(_result, self.state), reward, terminated),
+            ),
+            (state, tuple(map(_result, self.observation))),
+        )
+        for function, (given, due) in zip(self.golden, calls, strict=True):
+            if function in functions:
+                check(function, given, due)
 
     def _check_names(self, word: str, fields: Iterable[Field], taken: Iterable[str] = ()) -> None:
         seen: set[str] = set()
@@ -275,6 +306,14 @@ class EnvSpec:
                 raise ArgumentError(f"unknown argument {name!r}{hint} ({own})")
         assert self.configure is not None
         return self.configure(**{**self.options, **options})
+
+
+def _result(word: Field) -> Result:
+    low, high = word_range(word.bits, word.signed)
+    wraps = f"{'i' if word.signed else 'u'}{word.bits}()" if word.bits in (8, 16, 32, 64) else f"& {high}"
+    fix = "np.clip keeps it in" + (f", and `{wraps}` lets it wrap around" if "(" in wraps or low == 0 else "")
+    limit = f"{word.bits} bits hold" if word.bits > 1 else "1 bit holds"
+    return Result(word.name, low, high, limit, fix)
 
 
 def check_max_cycles(value: object) -> None:

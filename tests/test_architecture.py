@@ -18,11 +18,14 @@ ROOT = Path(__file__).parents[1]
 ROOMS = (
     *(
         "rtl",
-        "golden",
         "errors",
         "cache",
         "files",
         "version",
+        "remaking",
+        "integers",
+        "golden",
+        "tracing",
         "rng",
         "fixed_point",
         "spec",

@@ -20,15 +20,15 @@ from gymnasium.spaces import Box, Discrete, Tuple
 
 import pearl_marl
 from pearl_marl import EnvSpec
-from pearl_marl.golden import Word, i16, i32, u8, u32, u64, uniform_below
+from pearl_marl.golden import Word, uniform_below
 from pearl_marl.spec import Field, Golden
 
 
 def drift_initial(draw_0: Word, draw_1: Word) -> tuple[Word, ...]:
-    position = i16(i16(draw_0 >> u32(21)) - i16(1024))
-    fuel = u8(u8(uniform_below(draw_1, 24)) + u8(2))
-    serial = u32(draw_1 >> u32(12))
-    charge = u64(u64(u64(draw_0) << u64(1)) | u64(draw_1 & u32(1)))
+    position = (draw_0 >> 21) - 1024
+    fuel = uniform_below(draw_1, 24) + 2
+    serial = draw_1 >> 12
+    charge = (draw_0 << 1) | (draw_1 & 1)
     return position, fuel, serial, charge
 
 
@@ -36,23 +36,19 @@ def drift_step(push: int) -> Any:
     def step(
         position: Word, fuel: Word, serial: Word, charge: Word, action: Word, draw: Word
     ) -> tuple[Word, ...]:
-        thrust = i32(i32(i32(action) - i32(2)) * i32(push))
-        kick = i32(i32(draw >> u32(27)) - i32(16))
-        moved = i32(i32(i32(position) + thrust) + kick)
+        moved = position + (action - 2) * push + (draw >> 27) - 16
         # Wraps around at the 12 bits that the field has, as the hardware's adder does.
-        position = i16(i32(i32(i32(moved + i32(2048)) & i32(4095)) - i32(2048)))
-        fuel = u8(u8(fuel - u8(1)) & u8(31))
-        serial = u32(u32(u32(serial * u32(1664525)) + u32(1013904223)) & u32(0xFFFFF))
-        charge = u64(u64(u64(charge * u64(3)) + u64(draw & u32(1))) & u64(0x1FFFFFFFF))
-        reward = i16(i16(position >> i16(2)) - i16(fuel))
-        terminated = u8(u8(fuel == 0) | u8(position > 1000))
-        return position, fuel, serial, charge, reward, terminated
+        position = ((moved + 2048) & 4095) - 2048
+        fuel = (fuel - 1) & 31
+        serial = (serial * 1664525 + 1013904223) & 0xFFFFF
+        charge = (charge * 3 + (draw & 1)) & 0x1FFFFFFFF
+        return position, fuel, serial, charge, (position >> 2) - fuel, (fuel == 0) | (position > 1000)
 
     return step
 
 
 def drift_observe(position: Word, fuel: Word, serial: Word, charge: Word) -> tuple[Word, ...]:
-    return position, fuel, i16(i16(u32(serial & u32(0x3FF))) - i16(512))
+    return position, fuel, (serial & 0x3FF) - 512
 
 
 def configure_drift(push: int = 20, marks: tuple[int, ...] = (1, 2)) -> EnvSpec:
@@ -89,17 +85,16 @@ def configure_drift(push: int = 20, marks: tuple[int, ...] = (1, 2)) -> EnvSpec:
 
 
 def ladder_initial(draw: Word) -> Word:
-    return u8(uniform_below(draw, 4))
+    return uniform_below(draw, 4)
 
 
 def ladder_step(rung: Word, action: Word) -> tuple[Word, ...]:
-    down = u8(u8(action == 0) & u8(rung > 0))
-    rung = u8(u8(rung + u8(action)) - down)
-    return rung, u8(u8(rung * u8(3)) & u8(15)), u8(rung == 9)
+    rung = (rung + action - ((action == 0) & (rung > 0))) & 15
+    return rung, (rung * 3) & 15, rung == 9
 
 
 def ladder_observe(rung: Word) -> tuple[Word, ...]:
-    return rung, u8(rung & u8(1))
+    return rung, rung & 1
 
 
 DRIFT = configure_drift()
@@ -121,17 +116,18 @@ LADDER = EnvSpec(
 
 
 def slide_initial(draw: Word) -> Word:
-    return i16(uniform_below(draw, 256))
+    return uniform_below(draw, 256)
 
 
 def slide_step(place: Word, action: Word) -> tuple[Word, ...]:
     # Three places to either side, which the edges do not stop: 0 to 1023 go round.
-    moved = i16(i16(place + i16(action)) & i16(1023))
-    return moved, i16(moved - place), u8(moved >= 1000)
+    moved = (place + action) & 1023
+    # Steps back from places below 0, where nothing ever is, wrap around at the 11 bits of the reward.
+    return moved, ((moved - place + 1024) & 2047) - 1024, moved >= 1000
 
 
 def slide_observe(place: Word) -> tuple[Word, ...]:
-    return u8(place >> i16(7)), u8(place & i16(127))
+    return place >> 7 & 7, place & 127
 
 
 def slide_unpack(row: Word, column: Word, picture: Word) -> None:

@@ -19,8 +19,10 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from pearl_marl.fixed_point import constant, multiply, reciprocal, saturating_add, sine_cosine
-from pearl_marl.golden import Word, i32, u8
+from pearl_marl.golden import Word, i32
 
 FRACTION = 27
 
@@ -49,30 +51,28 @@ def initial(draw_0: Word, draw_1: Word, draw_2: Word, draw_3: Word) -> tuple[Wor
 
 def start(draw: Word) -> Word:
     """Spread a draw over -0.05 .. 0.05."""
-    return multiply(i32(draw), i32(START), 32)  # as a signed number a draw is from -1/2 to 1/2
+    return multiply(i32(draw), START, 32)  # as a signed number a draw is from -1/2 to 1/2
 
 
 def advance(x: Word, v: Word, angle: Word, w: Word, action: Word) -> tuple[Word, ...]:
     """Take one step of Euler's method; return the four words and whether the episode is over."""
-    sine, cosine = sine_cosine(multiply(angle, i32(TURNS), 28))
-    spin = multiply(multiply(w, i32(SPIN), 32), w, 33)
-    right = i32(i32(0) - i32(action == 1))  # a mask
-    force = i32(i32(i32(2 * PUSH) & right) - i32(PUSH))
-    push = i32(force + multiply(spin, sine, 30))
-    pole = multiply(cosine, i32(SHARE), 31)  # with 34 fraction bits
+    sine, cosine = sine_cosine(multiply(angle, TURNS, 28))
+    spin = multiply(multiply(w, SPIN, 32), w, 33)
+    push = np.where(action == 1, PUSH, -PUSH) + multiply(spin, sine, 30)
+    pole = multiply(cosine, SHARE, 31)  # with 34 fraction bits
     # m cos**2 / M is twice the product, since the half length is 1/2.
-    inertia = i32(i32(FOUR_THIRDS) - multiply(pole, cosine, 33))
-    torque = i32(multiply(sine, i32(WEIGHT), 30) - multiply(cosine, push, 30))
+    inertia = FOUR_THIRDS - multiply(pole, cosine, 33)
+    torque = multiply(sine, WEIGHT, 30) - multiply(cosine, push, 30)
     swing = multiply(torque, reciprocal(inertia), 29)  # divided by the half length, too
-    kick = i32(push - multiply(pole, swing, 34))
+    kick = push - multiply(pole, swing, 34)
 
-    moved = saturating_add(x, multiply(v, i32(TAU), 36))
-    turned = saturating_add(angle, multiply(w, i32(TAU), 36))
-    v = saturating_add(v, i32(i32(kick + i32(4)) >> i32(3)))
-    w = saturating_add(w, i32(i32(swing + i32(4)) >> i32(3)))
-    off_track = u8(u8(moved > TRACK) | u8(moved < -TRACK))
-    fallen = u8(u8(turned > LEAN) | u8(turned < -LEAN))
-    return moved, v, turned, w, u8(off_track | fallen)
+    moved = saturating_add(x, multiply(v, TAU, 36))
+    turned = saturating_add(angle, multiply(w, TAU, 36))
+    v = saturating_add(v, (kick + 4) >> 3)
+    w = saturating_add(w, (swing + 4) >> 3)
+    off_track = (moved > TRACK) | (moved < -TRACK)
+    fallen = (turned > LEAN) | (turned < -LEAN)
+    return moved, v, turned, w, off_track | fallen
 
 
 def step(x: Word, v: Word, angle: Word, w: Word, action: Word) -> tuple[Word, ...]:
@@ -81,7 +81,7 @@ def step(x: Word, v: Word, angle: Word, w: Word, action: Word) -> tuple[Word, ..
     The one category, 0, is that of every step, the last one too.
     """
     x, v, angle, w, terminated = advance(x, v, angle, w, action)
-    return x, v, angle, w, u8(0), terminated
+    return x, v, angle, w, 0, terminated
 
 
 def step_sutton_barto(x: Word, v: Word, angle: Word, w: Word, action: Word) -> tuple[Word, ...]:

@@ -10,8 +10,10 @@ from __future__ import annotations
 
 import math
 
-from pearl_marl.fixed_point import clip, constant, multiply, sine_cosine
-from pearl_marl.golden import GoldenFunction, Word, i32, i64, u8
+import numpy as np
+
+from pearl_marl.fixed_point import constant, multiply, sine_cosine
+from pearl_marl.golden import GoldenFunction, Word, i32
 
 FRACTION = 30
 
@@ -32,7 +34,7 @@ def goal_word(goal_velocity: float) -> int:
 def initial(draw: Word) -> tuple[Word, Word]:
     """Return the state of a new episode: a position uniform between -0.6 and -0.4, at rest."""
     # As a signed number a draw is from -1/2 to 1/2.
-    return i32(i32(MIDDLE) + multiply(i32(draw), i32(START), 32)), i32(0)
+    return MIDDLE + multiply(i32(draw), START, 32), 0
 
 
 def step(goal: int) -> GoldenFunction:
@@ -40,15 +42,13 @@ def step(goal: int) -> GoldenFunction:
 
     def step(position: Word, velocity: Word, action: Word) -> tuple[Word, Word, Word, Word]:
         """Push left (0), not at all (1) or right (2); return state, category (one, 0) and end."""
-        _, cosine = sine_cosine(multiply(position, i32(TURNS), 30))
-        push = i32(i32(i32(action) - i32(1)) * i32(FORCE))
-        change = i64(i64(push) - i64(multiply(cosine, i32(GRAVITY), 39)))
-        velocity = clip(i64(i64(velocity) + change), -MAX_SPEED, MAX_SPEED)
-        position = clip(i64(i64(position) + i64(velocity)), LEFT_END, RIGHT_END)
-        stopped = u8(u8(position == LEFT_END) & u8(velocity < 0))
-        velocity = i32(velocity & i32(i32(stopped) - i32(1)))
-        terminated = u8(u8(position >= GOAL) & u8(velocity >= goal))
-        return position, velocity, u8(0), terminated
+        _, cosine = sine_cosine(multiply(position, TURNS, 30))
+        change = (action - 1) * FORCE - multiply(cosine, GRAVITY, 39)
+        velocity = np.clip(velocity + change, -MAX_SPEED, MAX_SPEED)
+        position = np.clip(position + velocity, LEFT_END, RIGHT_END)
+        velocity = np.where((position == LEFT_END) & (velocity < 0), 0, velocity)
+        terminated = (position >= GOAL) & (velocity >= goal)
+        return position, velocity, 0, terminated
 
     return step
 

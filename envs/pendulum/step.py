@@ -11,8 +11,10 @@ from __future__ import annotations
 
 import math
 
-from pearl_marl.fixed_point import clip, constant, multiply, sine_cosine
-from pearl_marl.golden import GoldenFunction, Word, i32, i64, u8
+import numpy as np
+
+from pearl_marl.fixed_point import constant, multiply, sine_cosine
+from pearl_marl.golden import GoldenFunction, Word, i32
 
 TIME_STEP = 0.05
 SPEED_FRACTION, TORQUE_FRACTION, REWARD_FRACTION = 27, 29, 26
@@ -33,7 +35,7 @@ def fall(g: float) -> int:
 
 def initial(draw_0: Word, draw_1: Word) -> tuple[Word, Word]:
     """Return the state of a new episode: any angle, and a speed uniform from -1 to just below 1."""
-    return i32(draw_0), i32(i32(draw_1) >> i32(4))
+    return i32(draw_0), i32(draw_1) >> 4
 
 
 def step(fall: int) -> GoldenFunction:
@@ -41,18 +43,19 @@ def step(fall: int) -> GoldenFunction:
 
     def step(angle: Word, speed: Word, action: Word) -> tuple[Word, Word, Word, Word]:
         """Apply a torque; return ``(angle, speed, reward, terminated)``, the last always 0."""
-        torque = clip(i64(action), -TORQUE, TORQUE)
-        radians = multiply(angle, i32(RADIANS), 31)  # with 29 fraction bits
+        torque = np.clip(action, -TORQUE, TORQUE)
+        radians = multiply(angle, RADIANS, 31)  # with 29 fraction bits
         angle_cost = multiply(radians, radians, 32)
-        speed_cost = multiply(multiply(speed, i32(SPEED_COST), 31), speed, 31)
-        torque_cost = multiply(multiply(torque, i32(TORQUE_COST), 31), torque, 41)
-        reward = i32(i32(0) - i32(i32(angle_cost + speed_cost) + torque_cost))
+        speed_cost = multiply(multiply(speed, SPEED_COST, 31), speed, 31)
+        torque_cost = multiply(multiply(torque, TORQUE_COST, 31), torque, 41)
+        # Speeds beyond SPEED, which nothing reaches, would cost more than the reward can say.
+        reward = i32(-(angle_cost + speed_cost + torque_cost))
 
         sine, _ = sine_cosine(angle)
-        change = i64(i64(multiply(sine, i32(fall), 30)) + i64(multiply(torque, i32(KICK), 35)))
-        speed = clip(i64(i64(speed) + change), -SPEED, SPEED)
-        angle = i32(angle + multiply(speed, i32(TURN), 32))
-        return angle, speed, reward, u8(0)
+        change = multiply(sine, fall, 30) + multiply(torque, KICK, 35)
+        speed = np.clip(speed + change, -SPEED, SPEED)
+        angle = i32(angle + multiply(speed, TURN, 32))
+        return angle, speed, reward, 0
 
     return step
 

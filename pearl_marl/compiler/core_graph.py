@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from pearl_marl.compiler.gating import held
-from pearl_marl.compiler.graph import Graph
-from pearl_marl.compiler.nodes import Node
-from pearl_marl.compiler.tracing import trace
 from pearl_marl.spec import EnvSpec, Field
+from pearl_marl.tracing.graph import Graph
+from pearl_marl.tracing.nodes import Node
+from pearl_marl.tracing.trace import trace
 
 
 class Output(NamedTuple):

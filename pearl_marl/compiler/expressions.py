@@ -11,11 +11,11 @@ from collections import Counter
 from collections.abc import Sequence
 
 from pearl_marl.compiler.core_graph import Output
-from pearl_marl.compiler.nodes import Node
-from pearl_marl.compiler.operations import VALUES
 from pearl_marl.compiler.scheduling import Schedule
 from pearl_marl.compiler.targets import is_small
 from pearl_marl.compiler.widths import WIRES, width
+from pearl_marl.tracing.nodes import Node
+from pearl_marl.tracing.operations import VALUES
 
 RESERVED = frozenset(
     """

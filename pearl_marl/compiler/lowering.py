@@ -13,11 +13,11 @@ from itertools import pairwise
 from typing import NamedTuple
 
 from pearl_marl.compiler.core_graph import Output
-from pearl_marl.compiler.graph import Graph
-from pearl_marl.compiler.nodes import Node, in_order
-from pearl_marl.compiler.operations import VALUES, bits_of
 from pearl_marl.compiler.targets import Target
 from pearl_marl.compiler.widths import used_bits, width
+from pearl_marl.tracing.graph import Graph
+from pearl_marl.tracing.nodes import Node, in_order
+from pearl_marl.tracing.operations import VALUES, bits_of
 
 MOST_DIGITS = 64
 """Values up to which a quotient is a table."""

@@ -13,10 +13,10 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 from pearl_marl.compiler.core_graph import Output
-from pearl_marl.compiler.nodes import Node, in_order
 from pearl_marl.compiler.targets import Target
 from pearl_marl.compiler.widths import WIRES, used_bits, width
 from pearl_marl.errors import DeviceError
+from pearl_marl.tracing.nodes import Node, in_order
 
 
 class Schedule(NamedTuple):

@@ -16,14 +16,14 @@ from typing import NamedTuple
 import numpy as np
 
 from pearl_marl.compiler import scalar_words
-from pearl_marl.compiler.graph import Graph
-from pearl_marl.compiler.nodes import Node, in_order
-from pearl_marl.compiler.operations import bits_of, wrapped
-from pearl_marl.compiler.tracing import trace
 from pearl_marl.compiler.widths import used_bits
 from pearl_marl.errors import ArgumentError
 from pearl_marl.golden import GoldenFunction
 from pearl_marl.spec import EnvSpec, Field
+from pearl_marl.tracing.graph import Graph
+from pearl_marl.tracing.nodes import Node, in_order
+from pearl_marl.tracing.operations import bits_of, wrapped
+from pearl_marl.tracing.trace import trace
 
 WIDEST = 64
 """Bits of the widest word that a kernel computes with."""

@@ -9,8 +9,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from pearl_marl.compiler.nodes import Node
 from pearl_marl.errors import ArgumentError
+from pearl_marl.tracing.nodes import Node
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,6 +7,7 @@ begin again stands here a second time, and neither a generated kernel nor Numba 
 
 from __future__ import annotations
 
+import functools
 from typing import Any
 
 import numpy as np
@@ -20,7 +21,7 @@ from pearl_marl.batch.step import Array, BatchStep
 from pearl_marl.compiler.kernels import compile_kernels
 from pearl_marl.devices.base import Device
 from pearl_marl.errors import DeviceError
-from pearl_marl.golden import GoldenFunction, call_reference
+from pearl_marl.golden import GoldenFunction, reference
 from pearl_marl.spec import Field
 
 _TERMINATED = Field("terminated", 1)
@@ -36,6 +37,7 @@ class Reference(Device):
     name = "reference"
 
     def _open(self, config: BatchConfig) -> None:
+        self._call = functools.cache(reference)
         self._next_step = config.autoreset_mode is AutoresetMode.NEXT_STEP
         self._slots = np.arange(config.first_slot, config.first_slot + config.n_envs)
         self._results = ResultArrays(config)
@@ -127,7 +129,7 @@ class Reference(Device):
     ) -> list[Array]:
         """Call a golden function; return a row a slot of each word, in its field's dtype."""
         words = []
-        for word, field in zip(call_reference(function, arguments), fields, strict=True):
+        for word, field in zip(self._call(function)(*arguments), fields, strict=True):
             word = np.asarray(word)
             low = -(1 << field.bits - 1) if field.signed else 0
             high = (1 << field.bits - field.signed) - 1

@@ -27,7 +27,7 @@ from pearl_marl.compiler.cuda_source import cuda_source
 from pearl_marl.compiler.kernel_source import kernel_source
 from pearl_marl.compiler.pieces import PREFIXES
 from pearl_marl.devices import BatchConfig, Native
-from pearl_marl.golden import u8, u32
+from pearl_marl.golden import u32
 from pearl_marl.spec import EnvSpec, Golden
 
 from ..toy import DRIFT, LADDER, SLIDE
@@ -195,32 +195,32 @@ def with_step(step: Callable[..., Any]) -> EnvSpec:
 
 def by_closure(k: int) -> Callable[..., Any]:
     def step(row: Any, column: Any, action: Any) -> Any:
-        return u8(row + u8(k)), column, u8(0), u8(0)
+        return (row + k) & 3, column, 0, 0
 
     return step
 
 
 def by_default(k: int) -> Callable[..., Any]:
     def step(row: Any, column: Any, action: Any, more: int = k) -> Any:
-        return u8(row + u8(more)), column, u8(0), u8(0)
+        return (row + more) & 3, column, 0, 0
 
     return step
 
 
 def using_global(row: Any, column: Any, action: Any) -> Any:
-    return u8(row + u8(AMOUNT)), column, u8(0), u8(0)
+    return (row + AMOUNT) & 3, column, 0, 0
 
 
 def using_table(row: Any, column: Any, action: Any) -> Any:
-    return u8(AMOUNTS[row]), column, u8(0), u8(0)
+    return AMOUNTS[row] & 3, column, 0, 0
 
 
 def using_helper(row: Any, column: Any, action: Any) -> Any:
-    return u8(row + add(row)), column, u8(0), u8(0)
+    return (row + add(row)) & 3, column, 0, 0
 
 
 def using_module(row: Any, column: Any, action: Any) -> Any:
-    return u8(row + u8(numbers.AMOUNT)), column, u8(0), u8(0)
+    return (row + numbers.AMOUNT) & 3, column, 0, 0
 
 
 def in_globals(function: Any, **names: Any) -> Callable[..., Any]:
@@ -236,7 +236,7 @@ numbers = types.ModuleType("numbers_of_a_test")
 
 def helper(k: int) -> Callable[..., Any]:
     def add(row: Any) -> Any:
-        return u8(row + u8(k))
+        return row + k
 
     return add
 
@@ -282,7 +282,7 @@ def test_other_changes_make_another_kernel(cache: Path) -> None:
             SPEC,
             SPEC.with_options(is_slippery=True),
             dataclasses.replace(SPEC, rewards=(-1.0, -100.0, 3.0), reward=DRIFT.state[1]),
-            dataclasses.replace(SPEC, golden=Golden(lambda: (u8(0), u8(0)), *SPEC.golden[1:])),
+            dataclasses.replace(SPEC, golden=Golden(lambda: (0, 0), *SPEC.golden[1:])),
             dataclasses.replace(SPEC, golden=Golden(*SPEC.golden[:2], lambda row, column: column)),
         )
     }

@@ -7,10 +7,10 @@ import random
 import pytest
 
 from pearl_marl.compiler.core_graph import Output
-from pearl_marl.compiler.graph import Graph
 from pearl_marl.compiler.lowering import lowered
-from pearl_marl.compiler.nodes import Node, in_order, values
 from pearl_marl.compiler.targets import Target
+from pearl_marl.tracing.graph import Graph
+from pearl_marl.tracing.nodes import Node, in_order, values
 
 XC7, ECP5 = Target("xc7", 150), Target("ecp5", 150)
 

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pearl_marl.compiler.graph import Graph
-from pearl_marl.compiler.nodes import values
-from pearl_marl.compiler.tracing import trace
 from pearl_marl.errors import ArgumentError
+from pearl_marl.tracing.graph import Graph
+from pearl_marl.tracing.nodes import values
+from pearl_marl.tracing.trace import trace
 
 TABLE = np.array([5, 7, 11, 13])
 GRID = [[1, 2, 3, 4], [5, 6, 7, 8]]
@@ -61,6 +61,61 @@ def test_a_row_that_a_word_chose_is_a_table_itself() -> None:
     for a in range(4):
         for b in range(4):
             assert run(step, a, b) == [cube[a][b][a], cube[a][3][b], cube[1][a][b]]
+
+
+HALF = np.uint8(200)
+
+
+def test_numbers_of_numpys_are_integers() -> None:
+    def step(a: Any) -> Any:
+        return HALF + HALF + a
+
+    assert run(step, 3) == [403]
+
+
+def wide(function: Callable[..., Any]) -> list[tuple[int, int]]:
+    """Return the ranges of what a function makes of a signed word of 20 bits and another one of 12."""
+    graph = Graph()
+    nodes = trace(graph, function, [graph.input("a", 20, signed=True), graph.input("b", 12)])
+    cases = [(a, b) for a in (-(1 << 19), -1, 0, 1, 99, (1 << 19) - 1) for b in (0, 4, 5, 6, 99, 100, 4095)]
+    for a, b in cases:
+        found = values(nodes, {"a": a, "b": b})
+        assert all(node.low <= found[node] <= node.high for node in nodes)
+    return [(node.low, node.high) for node in nodes]
+
+
+def test_a_choice_by_a_comparison_narrows_a_range_down() -> None:
+    def step(a: Any, b: Any) -> Any:
+        return (
+            np.minimum(a, b),
+            np.maximum(a, b),
+            np.clip(a, -3, b),
+            np.where(b == 0, 9, b) - 1,
+            np.where(b == 4095, 0, b),
+            np.where(b < 100, b, 7),
+            np.where(b > 100, 7, b),
+            np.where(b < 5, 50, b),
+            np.where(b > 5, b, 50),
+            np.where(a > b, b, a),
+            np.where(a >= 0, b, 4095 + a),
+            np.maximum(b - 1, 0),
+        )
+
+    least, most = -(1 << 19), (1 << 19) - 1
+    assert wide(step) == [
+        (least, 4095),
+        (0, most),
+        (-3, 4095),
+        (0, 4094),
+        (0, 4094),
+        (0, 99),
+        (0, 100),
+        (5, 4095),
+        (6, 4095),
+        (least, 4095),
+        (4095 + least, 4095 + most),
+        (0, 4094),
+    ]
 
 
 def power(x: Any, n: int) -> Any:

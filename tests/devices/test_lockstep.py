@@ -17,7 +17,6 @@ from pearl_marl.batch.slot_memory import SlotMemory
 from pearl_marl.comparison.replay import Replay
 from pearl_marl.devices import BatchConfig, Device, Lockstep, Native, Reference
 from pearl_marl.errors import ArgumentError, DeviceError, LockstepError, OrderError
-from pearl_marl.golden import u8
 from pearl_marl.testing import Case, assert_same_trajectory, trajectory
 
 from ..toy import DRIFT
@@ -165,18 +164,12 @@ def test_a_wrong_constant() -> None:
 
 
 def wrong_step(row: Any, column: Any, action: Any) -> tuple[Any, ...]:
-    # Numba compiles this one, so it is the golden step with 10 where LAST_COLUMN was.
-    up = u8(u8(action == 0) & u8(row > 0))
-    down = u8(u8(action == 2) & u8(row < 3))
-    left = u8(u8(action == 3) & u8(column > 0))
-    right = u8(u8(action == 1) & u8(column < 10))
-    row = u8(u8(row + down) - up)
-    column = u8(u8(column + right) - left)
-    bottom = u8(row == 3)
-    terminated = u8(bottom & u8(column == 11))
-    fell = u8(bottom & u8(u8(column > 0) & u8(column < 11)))
-    column = u8(column & u8(fell - u8(1)))
-    return row, column, fell, terminated
+    # The golden step with 10 where LAST_COLUMN was.
+    row = row + ((action == 2) & (row < 3)) - ((action == 0) & (row > 0))
+    column = column + ((action == 1) & (column < 10)) - ((action == 3) & (column > 0))
+    terminated = (row == 3) & (column == 11)
+    fell = (row == 3) & (column > 0) & (column < 11)
+    return row, np.where(fell, 0, column), fell, terminated
 
 
 def test_resets() -> None:

@@ -7,12 +7,11 @@ from typing import Any
 
 import numpy as np
 from gymnasium.spaces import Box
-from random_steps import plain
 
 from pearl_marl.compiler.core_graph import core_graph
-from pearl_marl.compiler.nodes import Node
 from pearl_marl.golden import call_reference
-from pearl_marl.spec import EnvSpec, Field, Golden, word_bits
+from pearl_marl.spec import EnvSpec, Field, word_bits
+from pearl_marl.tracing.nodes import Node
 
 
 def split(words: list[int], fields: tuple[Field, ...]) -> list[np.ndarray]:
@@ -50,11 +49,6 @@ def golden(
     draws: np.ndarray,
 ) -> dict[str, list[int]]:
     """Return what every case has to give, by port."""
-    if spec.name == "Random":  # its author did not cast after every operation, as NumPy's words demand
-        functions, columns = plain(spec), [column.tolist() for column in split(states, spec.state)]
-        rows = zip(zip(*columns, strict=True), actions.tolist(), first, hold, draws.tolist(), strict=True)
-        cases = [golden_one(spec, functions, *row) for row in rows]
-        return {port: [case[port] for case in cases] for port in cases[0]}
     n = len(states)
     words = [np.ascontiguousarray(draws[:, d]) for d in range(spec.reset_draws + spec.step_draws)]
     drawn = call_reference(spec.golden.initial, words[: spec.reset_draws])
@@ -75,29 +69,6 @@ def golden(
         "reward_o": join([reward], (spec.reward,), n),
         "terminated_o": join([terminated], (Field("terminated", 1),), n),
     }
-
-
-def golden_one(
-    spec: EnvSpec, functions: Golden, state: Any, action: int, first: bool, hold: bool, draws: list[int]
-) -> dict[str, int]:
-    """Return what one case has to give, by golden functions over Python's integers."""
-
-    def narrowed(values: Any, fields: tuple[Field, ...]) -> list[int]:
-        values = values if isinstance(values, tuple) else (values,)
-        pairs = zip(values, fields, strict=True)
-        return [
-            (int(v) + (f.signed << f.bits - 1)) % (1 << f.bits) - (f.signed << f.bits - 1) for v, f in pairs
-        ]
-
-    if first:
-        state = narrowed(functions.initial(*draws[: spec.reset_draws]), spec.state)
-    results = functions.step(*state, action, *draws[spec.reset_draws :])
-    *moved, reward, terminated = narrowed(results, (*spec.state, spec.reward, Field("terminated", 1)))
-    after = state if hold else moved
-    observed = narrowed(functions.observe(*after), spec.observation)
-    words = {"state_o": (after, spec.state), "obs_o": (observed, spec.observation)}
-    joined = {port: join(columns, fields, 1)[0] for port, (columns, fields) in words.items()}
-    return {**joined, "reward_o": reward % (1 << spec.reward.bits), "terminated_o": terminated}
 
 
 def all_cases(

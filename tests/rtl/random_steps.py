@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import random
-import types
 from typing import Any
 
 import numpy as np
@@ -72,7 +71,8 @@ def source(chance: random.Random, fields: list[Field]) -> str:
     state = ", ".join(names)
 
     def result(field: Field) -> str:
-        return f"np.{field.dtype}({chance.choice([*names, *every])})"
+        word, half = chance.choice([*names, *every]), int(field.signed) << field.bits - 1
+        return f"(({word} + {half}) & {(1 << field.bits) - 1}) - {half}"
 
     count = chance.randint(4, 14)
     every = [f"v{k}" for k in range(count)]
@@ -81,32 +81,12 @@ def source(chance: random.Random, fields: list[Field]) -> str:
     end = f"np.uint8(({every[-1]} & 3) == 0)"
     text = [f"def step({state}, action, draw):", *step, f"    return {moved}, np.uint8({every[-1]}), {end}"]
     every = ["v0", "v1"]
-    fresh = ", ".join(f"np.{f.dtype}({chance.choice(['v0', 'v1', '1'])})" for f in fields)
+    names = []
+    fresh = ", ".join(result(f) for f in fields)
     text += ["def initial(draw):", *operations(chance, ["draw"], 2), f"    return {fresh}"]
-    every = ["v0", "v1"]
-    seen = operations(chance, names, 2)
+    seen = operations(chance, [f.name for f in fields], 2)
     text += [f"def observe({state}):", *seen, "    return np.int32(v0), np.int32(v1)"]
     return "\n".join(text) + "\n"
-
-
-class Plain:
-    """What of NumPy golden functions use, over Python's own integers, which neither wrap nor widen."""
-
-    minimum, maximum = staticmethod(min), staticmethod(max)
-
-    @staticmethod
-    def where(flag: int, a: int, b: int) -> int:
-        return a if flag else b
-
-    def __getattr__(self, name: str) -> Any:
-        bits, signed = int(name.lstrip("uint")), not name.startswith("u")
-        return lambda value: (value + (signed << bits - 1)) % (1 << bits) - (signed << bits - 1)
-
-
-def plain(spec: EnvSpec) -> Golden:
-    """Return the golden functions of a random environment over plain integers."""
-    scope = {**spec.golden.step.__globals__, "np": Plain(), "TABLE": TABLE.tolist()}
-    return Golden(*(types.FunctionType(function.__code__, scope) for function in spec.golden))
 
 
 def random_spec(seed: int | random.Random) -> EnvSpec:

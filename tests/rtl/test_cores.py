@@ -21,13 +21,13 @@ from random_steps import random_spec
 from pearl_marl.compiler.core_graph import Output, core_graph
 from pearl_marl.compiler.cores import generated_core
 from pearl_marl.compiler.lowering import lowered
-from pearl_marl.compiler.nodes import values
 from pearl_marl.compiler.scheduling import scheduled
 from pearl_marl.compiler.targets import FAMILIES, Target
 from pearl_marl.compiler.widths import width
 from pearl_marl.hardware import elaboration, toolchain
 from pearl_marl.registry import get_spec
 from pearl_marl.spec import EnvSpec
+from pearl_marl.tracing.nodes import values
 
 TARGETS = [Target(name, mhz) for name in FAMILIES for mhz in (40, 150, 300)]
 
@@ -84,6 +84,7 @@ def assert_means(spec: EnvSpec, outputs: Iterable[Output], count: int) -> None:
 @pytest.mark.parametrize(("env", "options"), CASES)
 def test_graphs_mean_the_golden_functions(env: str, options: dict[str, Any]) -> None:
     spec = get_spec(env).with_options(**options)
+    spec.check_golden(spec.golden)
     graph, outputs = core_graph(spec)
     assert_means(spec, outputs, 60)
     for target in (Target("ecp5", 150), Target("xc7", 250)):

@@ -196,9 +196,8 @@ def test_what_no_hardware_can_is_said() -> None:
     def step(row: Any, column: Any, action: Any) -> Any:
         return (row, column, 0, 0) if action else (column, row, 0, 0)
 
-    spec = dataclasses.replace(spec, golden=spec.golden._replace(step=step))
     with pytest.raises(ArgumentError, match=r"rtl/test_elaboration.py, line \d+: a word decides"):
-        elaboration.sources(spec)
+        dataclasses.replace(spec, golden=spec.golden._replace(step=step))
 
 
 def test_a_missing_program_is_told() -> None:

@@ -7,25 +7,24 @@ from pathlib import Path
 import numpy as np
 from gymnasium.spaces import Box, Discrete
 
-from pearl_marl.golden import Word, u8, u32, uniform_below
+from pearl_marl.golden import Word, u8, uniform_below
 from pearl_marl.spec import EnvSpec, Field, Golden
 
 
 def initial(value_draw: Word, count_draw: Word) -> tuple[Word, Word]:
-    return u8(value_draw & u32(0xFF)), u8(uniform_below(count_draw, 8))
+    return value_draw & 0xFF, uniform_below(count_draw, 8)
 
 
 def observe(value: Word, count: Word) -> tuple[Word, Word]:
-    return value, u8(u8(value >> u8(4)) ^ count)
+    return value, (value >> 4) ^ count
 
 
 def configure(noise: int = 15) -> EnvSpec:
     """``noise`` are the bits that a random draw adds."""
 
     def step(value: Word, count: Word, action: Word, draw: Word) -> tuple[Word, Word, Word, Word]:
-        value = u8(u8(value * action) + u8(draw & u32(noise)))
-        count = u8(u8(count + 1) & u8(7))
-        return value, count, u8(value >> u8(3)), u8(u8(value & u8(7)) == 0)
+        value = u8(value * action + (draw & noise))
+        return value, (count + 1) & 7, value >> 3, (value & 7) == 0
 
     return EnvSpec(
         name="ShiftAdd",

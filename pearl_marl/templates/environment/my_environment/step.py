@@ -6,16 +6,18 @@ somewhere in the middle; on a slippery floor it stays where it is now and then::
     P . . . . . . . . . . . . . . G
     0       4             11      15      P: pit, G: goal, 4 to 11: starts
 
-The same functions run as plain Python (that is the reference), compiled by Numba (the CPU device),
-and as hardware that is generated from them. For that:
+It is plain Python, and the kernels for CPU and GPU and the hardware are made of it. Four things to know:
 
-- Cast after every operation: ``u8(a + b)``. NumPy and Numba widen a sum in different ways.
-- No ``if`` on data. A comparison is 0 or 1: add it, or make a mask of it. All slots then run the
-  same instructions, which is what lets a CPU do 64 at a time and hardware one in a cycle.
-- No floats. Numbers with a fraction are integers whose field in the spec has ``fraction`` bits.
+- A word is an integer, which never overflows. Whatever the state and the action, the next state has to fit
+  the fields of the spec; if it may not, building the spec says so, with an example.
+- There is no ``if`` on a word. A comparison is 0 or 1: combine such flags by ``&`` and ``|`` (with
+  parentheses around each), and choose by ``np.where``.
+- There are no floats. Numbers with a fraction are integers whose field in the spec has ``fraction`` bits.
+- Random numbers come as arguments, uniform in 32 bits; the spec says how many.
 """
 
-from pearl_marl.golden import GoldenFunction, Word, u8, uniform_below
+import numpy as np
+from pearl_marl.golden import GoldenFunction, Word, uniform_below
 
 LEFT, RIGHT = 0, 1
 PIT, GOAL = 0, 15
@@ -24,8 +26,7 @@ FIRST_START, STARTS = 4, 8
 
 def initial(draw: Word) -> Word:
     """Return the state of a new episode; takes as many draws as ``reset_draws`` in the spec."""
-    # A draw is a uniform u32. uniform_below(draw, n) makes 0 .. n - 1 of it.
-    return u8(u8(uniform_below(draw, STARTS)) + u8(FIRST_START))
+    return FIRST_START + uniform_below(draw, STARTS)
 
 
 def make_step(slip: int) -> GoldenFunction:
@@ -33,17 +34,14 @@ def make_step(slip: int) -> GoldenFunction:
 
     def step(cell: Word, action: Word, draw: Word) -> tuple[Word, Word, Word]:
         """Take the state, the action and ``step_draws`` draws; return state, reward and terminated."""
-        moves = u8(uniform_below(draw, 8) >= slip)
-        # Steps from an ended state are computed too, though nobody sees them. Whatever the state,
-        # the next one has to fit its field.
-        left = u8(u8(moves & u8(action == LEFT)) & u8(cell > PIT))
-        right = u8(u8(moves & u8(action == RIGHT)) & u8(cell < GOAL))
-        cell = u8(u8(cell + right) - left)
+        slips = uniform_below(draw, 8) < slip
+        move = np.where(slips, 0, np.where(action == RIGHT, 1, -1))
+        cell = np.clip(cell + move, PIT, GOAL)
 
-        goal, pit = u8(cell == GOAL), u8(cell == PIT)
+        goal, pit = cell == GOAL, cell == PIT
         # A category of the spec's table of rewards: 0 for a step, 1 for the goal, 2 for the pit.
-        reward = u8(goal + u8(pit << u8(1)))
-        return cell, reward, u8(goal | pit)
+        reward = goal + 2 * pit
+        return cell, reward, goal | pit
 
     return step
 

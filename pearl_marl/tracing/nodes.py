@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from pearl_marl.compiler.operations import RANGES, VALUES, bits_of, word_range
+from pearl_marl.tracing.operations import RANGES, VALUES, bits_of, word_range
 
 MOST_CASES = 1 << 13
 """Values up to which a node's function is written out."""
@@ -105,6 +105,13 @@ class Nodes:
         self._make_axis(node)
         if node.axis is not None:
             node.function = Function((node.axis,), self._domains[node.axis])
+
+    def within(self, node: Node, low: int, high: int) -> Node:
+        """Note that a node's values are within a range, which what it is made of does not tell."""
+        if node.op != "constant":
+            node.low, node.high = max(node.low, low), min(node.high, high)
+            node.ones &= (1 << max(node.high, 0).bit_length()) - 1
+        return node
 
     def make(self, op: str, *args: Node, imm: Any = None) -> Node:
         """Return the node of an operation as it stands."""

@@ -18,6 +18,8 @@ Range = tuple[int, int]
 class Node(Protocol):
     """What a range is made of."""
 
+    op: str
+    args: tuple[Any, ...]
     low: int
     high: int
 
@@ -78,6 +80,21 @@ def _right(_: Any, a: Node, by: Node) -> Range:
     return min(a.low >> by.low, a.low >> by.high), max(a.high >> by.low, a.high >> by.high)
 
 
+def _choose(_: Any, flag: Node, a: Node, b: Node) -> Range:
+    """Return the range of a choice; if the flag compares what it chooses, that narrows it down."""
+    if flag.op == "less":
+        p, q = flag.args
+        lows = max(a.low, p.low + 1) if a is q else a.low, max(b.low, q.low) if b is p else b.low
+        highs = min(a.high, q.high - 1) if a is p else a.high, min(b.high, p.high) if b is q else b.high
+    elif flag.op == "equal" and b is flag.args[0]:
+        p, q = flag.args
+        lows = a.low, b.low + (q.low == q.high == b.low)
+        highs = a.high, b.high - (q.low == q.high == b.high)
+    else:
+        lows, highs = (a.low, b.low), (a.high, b.high)
+    return min(lows), max(highs)
+
+
 RANGES: dict[str, Callable[..., Range]] = {
     "add": lambda _, a, b: (a.low + b.low, a.high + b.high),
     "sub": lambda _, a, b: (a.low - b.high, a.high - b.low),
@@ -96,7 +113,7 @@ RANGES: dict[str, Callable[..., Range]] = {
     "right_by": _right,
     "equal": lambda _, a, b: (0, 1),
     "less": lambda _, a, b: (0, 1),
-    "choose": lambda _, c, a, b: (min(a.low, b.low), max(a.high, b.high)),
+    "choose": _choose,
     "table": lambda entries, i: (min(entries), max(entries)),
     "wrap": lambda imm, a: word_range(*imm),
     # What lowering makes of the above.

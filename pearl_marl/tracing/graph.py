@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from pearl_marl.compiler.nodes import Node, Nodes
-from pearl_marl.compiler.operations import word_range, wrapped
+from pearl_marl.tracing.nodes import Node, Nodes
+from pearl_marl.tracing.operations import word_range, wrapped
 
 
 class Graph(Nodes):
@@ -317,11 +317,17 @@ class Graph(Nodes):
 
     def minimum(self, a: Node, b: Node) -> Node:
         """Return the less of two."""
-        return a if a.high <= b.low else b if b.high <= a.low else self.choose(self.less(a, b), a, b)
+        if a.high <= b.low or b.high <= a.low:
+            return a if a.high <= b.low else b
+        node = self.choose(self.less(a, b), a, b)
+        return self.within(node, min(a.low, b.low), min(a.high, b.high))
 
     def maximum(self, a: Node, b: Node) -> Node:
         """Return the greater of two."""
-        return b if a.high <= b.low else a if b.high <= a.low else self.choose(self.less(a, b), b, a)
+        if a.high <= b.low or b.high <= a.low:
+            return b if a.high <= b.low else a
+        node = self.choose(self.less(a, b), b, a)
+        return self.within(node, max(a.low, b.low), max(a.high, b.high))
 
     def table(self, entries: Sequence[int], index: Node) -> Node:
         """Return the entry of a constant table; beyond its end is nothing that anybody looks at."""

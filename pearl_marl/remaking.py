@@ -1,0 +1,114 @@
+"""Making a function again over other names, and with it every function that it calls.
+
+A golden function names NumPy's types, tables and helpers. Whoever runs it over something else than NumPy's
+words, or compiles it, makes it again in a scope where those names stand for something else.
+"""
+
+from __future__ import annotations
+
+import random
+import types
+from collections.abc import Callable, Iterator
+from typing import Any, NamedTuple, NoReturn
+
+import numpy as np
+
+from pearl_marl.errors import ArgumentError
+
+CHOICES = (np.where, np.minimum, np.maximum, np.clip)
+"""What of NumPy golden functions have, besides the types of integers."""
+
+
+def remade(
+    function: types.FunctionType,
+    change: Callable[[Any], Any],
+    finish: Callable[[types.FunctionType], Any] = lambda function: function,
+) -> Any:
+    """Return a function like this one in whose scope every other value is what ``change`` makes of it.
+
+    Functions in its scope are made again likewise. ``finish`` is applied to every function that was.
+    """
+    done: dict[types.FunctionType, Any] = {}
+
+    def value(old: Any) -> Any:
+        old = getattr(old, "py_func", old)  # what Numba has compiled already
+        if not isinstance(old, types.FunctionType):
+            return change(old)
+        if old not in done:
+            scope, cells = dict(old.__globals__), tuple(types.CellType() for _ in old.__closure__ or ())
+            new = types.FunctionType(old.__code__, scope, old.__name__, old.__defaults__, cells)
+            new.__kwdefaults__ = old.__kwdefaults__
+            done[old] = finish(new)  # known to itself, and to functions that call it in turn
+            names = (name for name in _names(old.__code__) if name in old.__globals__)
+            scope.update({name: value(old.__globals__[name]) for name in names})
+            for cell, known in zip(cells, old.__closure__ or (), strict=True):
+                cell.cell_contents = value(known.cell_contents)
+        return done[old]
+
+    return value(function)
+
+
+def _names(code: types.CodeType) -> Iterator[str]:
+    """Yield the names that a function uses, and those that functions inside it do."""
+    yield from code.co_names
+    for constant in code.co_consts:
+        if isinstance(constant, types.CodeType):
+            yield from _names(constant)
+
+
+class Vocabulary(NamedTuple):
+    """What the names of a golden function stand for, where casts and tables are not NumPy's: ``meaning``."""
+
+    cast: Callable[[type[np.integer[Any]]], Any]
+    table: Callable[[Any], Any]
+    """Takes a list or tuple, of which some may be inside others."""
+
+    def meaning(self, value: Any) -> Any:
+        """Return what takes the place of a value in a golden function's scope."""
+        if isinstance(value, types.ModuleType):
+            return _Module(self, value)
+        if isinstance(value, type) and issubclass(value, np.integer):
+            return self.cast(value)
+        if isinstance(value, np.ndarray):
+            return self.meaning(value.tolist())
+        if isinstance(value, (np.integer, np.bool_)):
+            return int(value)
+        if type(value) in (list, tuple):
+            return self.table(value)
+        if isinstance(getattr(value, "__self__", value), _DICE):
+            return _refused(getattr(value, "__name__", "random numbers"), "; random draws come as arguments")
+        return value
+
+
+_DICE = random.Random, np.random.Generator, np.random.RandomState
+
+
+class _Module:
+    """A module of which a golden function names functions and constants."""
+
+    def __init__(self, vocabulary: Vocabulary, module: types.ModuleType) -> None:
+        self._vocabulary, self._module = vocabulary, module
+
+    def __getattr__(self, name: str) -> Any:
+        module, value = self._module, getattr(self._module, name)
+        if module is np:
+            if value in CHOICES or isinstance(value, int):
+                return value
+            if not isinstance(value, type) or not issubclass(value, np.integer):
+                raise ArgumentError(
+                    f"golden functions have no np.{name}; of NumPy they have where, minimum, maximum and clip"
+                )
+        random_one = module.__name__ in ("random", "secrets")
+        if isinstance(value, types.FunctionType) and not random_one:
+            return remade(value, self._vocabulary.meaning)
+        if callable(value) and not isinstance(value, type):
+            hint = "; random draws come as arguments" if random_one else ""
+            return _refused(f"{module.__name__}.{name}", hint)
+        return self._vocabulary.meaning(value)
+
+
+def _refused(name: str, hint: str) -> Callable[..., NoReturn]:
+    def refuse(*_: Any, **__: Any) -> NoReturn:
+        raise ArgumentError(f"golden functions cannot use {name}{hint}")
+
+    return refuse

@@ -1,0 +1,118 @@
+"""Running a golden function once over symbolic words, which leaves the graph of what it does.
+
+Loops and helpers unroll by themselves. What depends on a word where Python wants a value, such as an ``if``,
+is found here, and said in one sentence with the line of the author's file.
+"""
+
+from __future__ import annotations
+
+import inspect
+import os
+import sys
+import types
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+from pearl_marl.errors import ArgumentError
+from pearl_marl.remaking import Vocabulary, remade
+from pearl_marl.tracing.graph import Graph
+from pearl_marl.tracing.nodes import Node
+from pearl_marl.tracing.words import Cast, Word, node_of, table
+
+
+def trace(graph: Graph, function: Callable[..., Any], arguments: Sequence[Node]) -> list[Node]:
+    """Run a golden function over nodes of a graph; return the nodes of its results.
+
+    Nodes get the names of the variables that they are assigned to, the author's before those of helpers, and
+    the lines they are made in.
+
+    Raises
+    ------
+    ArgumentError
+        The function does what no hardware can, or fails; the message names the file and the line.
+    """
+    if not isinstance(function, types.FunctionType):
+        raise ArgumentError(f"{function!r} is no plain Python function, and a golden function is one")
+    words = [Word(graph, node) for node in arguments]
+    try:
+        inspect.signature(function).bind(*words)
+    except TypeError as error:
+        raise ArgumentError(
+            f"{place(function)}: {function.__name__}() is called with {len(words)} words: {error}"
+        ) from None
+    with _watched(graph, function.__code__.co_filename):
+        try:
+            result = remade(function, Vocabulary(Cast, table).meaning)(*words)
+        except Exception as error:
+            kind = "" if isinstance(error, ArgumentError) else f"{type(error).__name__}: "
+            raise ArgumentError(f"{_place_of(error, function)}: {kind}{error}") from error
+    try:
+        return [node_of(graph, value) for value in (result if isinstance(result, tuple) else (result,))]
+    except ArgumentError as error:
+        raise ArgumentError(f"{place(function)}: {function.__name__}() returns {error}") from None
+
+
+def place(function: Callable[..., Any], line: int | None = None) -> str:
+    """Return the file of a golden function and a line in it, by default its first."""
+    code = function.__code__
+    return _where(code.co_filename, line or code.co_firstlineno)
+
+
+def _where(file: str, line: int) -> str:
+    return f"{os.sep.join(file.split(os.sep)[-2:])}, line {line}"
+
+
+def _place_of(error: BaseException, function: Callable[..., Any]) -> str:
+    """Return where an author's code was at work: neither this package's vocabulary nor NumPy."""
+    found, trace_back = place(function), error.__traceback__
+    while trace_back is not None:
+        if not _is_ours(trace_back.tb_frame):
+            found = _where(trace_back.tb_frame.f_code.co_filename, trace_back.tb_lineno)
+        trace_back = trace_back.tb_next
+    return found
+
+
+def _is_ours(frame: types.FrameType) -> bool:
+    module = frame.f_globals.get("__name__", "")
+    own = module.startswith("pearl_marl.") and not module.startswith("pearl_marl.envs.")
+    return own or module.partition(".")[0] == "numpy"
+
+
+@contextmanager
+def _watched(graph: Graph, own: str) -> Iterator[None]:
+    """Name nodes after the variables they are assigned to, and note lines of the file ``own``."""
+    named: dict[Node, bool] = {}
+
+    def watch(frame: types.FrameType, event: str, _: Any) -> Any:
+        if event in ("line", "return"):
+            authors = frame.f_code.co_filename == own
+            for name, value in frame.f_locals.items():
+                if isinstance(value, Word) and not name.startswith("_"):
+                    node = value.node
+                    if node.op not in ("constant", "input") and (
+                        node not in named or (authors and not named[node])
+                    ):
+                        node.name, named[node] = name, authors
+        return watch
+
+    def enter(frame: types.FrameType, event: str, _: Any) -> Any:
+        # The names inside of words and of NumPy's functions are nobody's.
+        module = frame.f_globals.get("__name__", "")
+        return None if module.startswith(("pearl_marl.tracing.", "pearl_marl.remaking", "numpy")) else watch
+
+    def line() -> int | None:
+        frame = inspect.currentframe()
+        while frame is not None:
+            if frame.f_code.co_filename == own:
+                return frame.f_lineno
+            frame = frame.f_back
+        return None
+
+    before, graph.line, old_line = sys.gettrace(), line, graph.line
+    sys.settrace(enter)
+    try:
+        yield
+    finally:
+        sys.settrace(before)
+        graph.line = old_line
