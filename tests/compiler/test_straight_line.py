@@ -1,0 +1,63 @@
+"""The operations that kernels are made of, run as plain Python against the golden functions themselves."""
+
+from __future__ import annotations
+
+import random
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pearl_marl.compiler import scalar_words
+from pearl_marl.compiler.straight_line import golden_functions
+from pearl_marl.golden import call_reference
+from pearl_marl.registry import get_spec, names
+from pearl_marl.spec import EnvSpec, Field
+
+from ..rtl.random_steps import random_spec
+
+CASES = 25
+
+
+def functions(spec: EnvSpec) -> dict[str, Any]:
+    scope: dict[str, Any] = {"np": np, "inlined": lambda function: function, **scalar_words.operations()}
+    exec("\n".join(golden_functions(spec)), scope)
+    return scope
+
+
+def word(chance: random.Random, field: Field) -> Any:
+    """Return a word, one of the least and greatest more often than others."""
+    low, high = int(field.low), int(field.high)
+    return field.dtype.type(chance.choice([low, high, chance.randint(low, high), chance.randint(low, high)]))
+
+
+def assert_means_the_golden_functions(spec: EnvSpec, chance: random.Random) -> None:
+    found = functions(spec)
+    draws = [Field(f"draw_{k}", 32) for k in range(spec.reset_draws + spec.step_draws)]
+    plain = [
+        Field(f.name, f.bits, f.signed) for f in (*spec.state, spec.action)
+    ]  # words, whatever they stand for
+    given = {
+        "initial": draws[: spec.reset_draws],
+        "golden_step": [*plain, *draws[spec.reset_draws :]],
+        "observe": plain[:-1],
+    }
+    golden = {"initial": spec.golden.initial, "golden_step": spec.golden.step, "observe": spec.golden.observe}
+    for name, fields in given.items():
+        for _ in range(CASES):
+            words = [word(chance, field) for field in fields]
+            with np.errstate(over="ignore"):
+                result = found[name](*words)
+            results = result if isinstance(result, tuple) else (result,)
+            due = call_reference(golden[name], words)
+            assert [int(x) for x in results] == [int(x) for x in due], f"{name}{tuple(words)}"
+
+
+@pytest.mark.parametrize("env", names())
+def test_environments(env: str) -> None:
+    assert_means_the_golden_functions(get_spec(env), random.Random(0))
+
+
+@pytest.mark.parametrize("seed", range(60))
+def test_random_golden_functions(seed: int) -> None:
+    assert_means_the_golden_functions(random_spec(seed), random.Random(seed))
