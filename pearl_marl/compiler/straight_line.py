@@ -10,7 +10,6 @@ from __future__ import annotations
 import keyword
 from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -23,7 +22,7 @@ from pearl_marl.spec import EnvSpec, Field
 from pearl_marl.tracing.graph import Graph
 from pearl_marl.tracing.nodes import Node, in_order
 from pearl_marl.tracing.operations import bits_of, wrapped
-from pearl_marl.tracing.trace import trace
+from pearl_marl.tracing.trace import place, trace
 
 WIDEST = 64
 """Bits of the widest word that a kernel computes with."""
@@ -128,7 +127,7 @@ class _Writer:
         self.tables: list[str] = []
         self._name = name
         self.types = dict(words)
-        self._file = Path(function.__code__.co_filename)
+        self._function = function
         self._taken = set(_RESERVED)
         self.names = {word: self._fresh(word.imm.split()[1]) for word in words}
         order = in_order(node for node, _ in results)
@@ -186,8 +185,8 @@ class _Writer:
     def _possible(self, node: Node, bits: int) -> int:
         if bits > WIDEST:
             raise ArgumentError(
-                f"{'/'.join(self._file.parts[-2:])}, line {node.line}: {node.name or 'a word'} takes {bits} "
-                f"bits here; a word of a kernel has up to {WIDEST}"
+                f"{place(self._function, node.line)}: {node.name or 'a word'} takes {bits} bits here; a word "
+                f"of a kernel has up to {WIDEST}"
             )
         return bits
 
@@ -226,6 +225,8 @@ class _Writer:
                 return f"{type_}_xor({text}, {_number(-1, type_)})"
             case "mask":
                 return f"{type_}_sub(0, {text})"
+            case "left" if node.imm >= _size(type_):  # nobody looks at the bits above
+                return f"np.{type_}(0)"
             case "left":
                 return f"{type_}_left({text}, {node.imm})"
             case "left_by":
@@ -233,9 +234,11 @@ class _Writer:
             case "right":
                 return f"np.{type_}({own}_right({text}, {min(node.imm, _size(own) - 1)}))"
             case "right_by":
-                if node.args[1].high >= WIDEST:
-                    text = f"{texts[0]}, int64_minimum({texts[1]}, {WIDEST - 1})"
-                return f"np.{type_}({own}_right({text}))"
+                if node.args[1].high < WIDEST:
+                    return f"np.{type_}({own}_right({text}))"
+                # A shift is by less than the width, so one by more takes two.
+                most = f"{own}_right({texts[0]}, int64_minimum({texts[1]}, {WIDEST - 1}))"
+                return f"np.{type_}({own}_right({most}, int64_less({WIDEST - 1}, {texts[1]})))"
             case "divide" | "modulo":
                 sign = "//" if node.op == "divide" else "%"
                 return f"np.{type_}(np.{own}({text}) {sign} np.{own}({node.imm}))"

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import random
+from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -10,17 +12,31 @@ import pytest
 
 from pearl_marl.compiler import scalar_words
 from pearl_marl.compiler.straight_line import golden_functions
+from pearl_marl.errors import ArgumentError
 from pearl_marl.golden import call_reference
 from pearl_marl.registry import get_spec, names
-from pearl_marl.spec import EnvSpec, Field
+from pearl_marl.spec import EnvSpec, Field, Golden
 
 from ..rtl.random_steps import random_spec
 
 CASES = 25
 
 
+def within_the_width(name: str, shift: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
+    """Return a shift that refuses what is undefined to LLVM."""
+    bits = int(name.partition("_")[0].lstrip("uint"))
+
+    def checked(a: Any, by: Any) -> Any:
+        assert 0 <= by < bits, f"{name}({a}, {by})"
+        return shift(a, by)
+
+    return checked
+
+
 def functions(spec: EnvSpec) -> dict[str, Any]:
     scope: dict[str, Any] = {"np": np, "inlined": lambda function: function, **scalar_words.operations()}
+    shifts = {name: f for name, f in scope.items() if name.endswith(("_left", "_right"))}
+    scope |= {name: within_the_width(name, shift) for name, shift in shifts.items()}
     exec("\n".join(golden_functions(spec)), scope)
     return scope
 
@@ -34,9 +50,8 @@ def word(chance: random.Random, field: Field) -> Any:
 def assert_means_the_golden_functions(spec: EnvSpec, chance: random.Random) -> None:
     found = functions(spec)
     draws = [Field(f"draw_{k}", 32) for k in range(spec.reset_draws + spec.step_draws)]
-    plain = [
-        Field(f.name, f.bits, f.signed) for f in (*spec.state, spec.action)
-    ]  # words, whatever they stand for
+    # Words, whatever they stand for.
+    plain = [Field(f.name, f.bits, f.signed) for f in (*spec.state, spec.action)]
     given = {
         "initial": draws[: spec.reset_draws],
         "golden_step": [*plain, *draws[spec.reset_draws :]],
@@ -61,3 +76,25 @@ def test_environments(env: str) -> None:
 @pytest.mark.parametrize("seed", range(60))
 def test_random_golden_functions(seed: int) -> None:
     assert_means_the_golden_functions(random_spec(seed), random.Random(seed))
+
+
+def wide(observe: Callable[[Any, Any], Any]) -> EnvSpec:
+    """Return an environment of a word of 64 bits and one of 7, observed as two numbers."""
+    golden = Golden(lambda draw: (0, 0), lambda word, by, action, draw: (word, by, 0, 0), observe)
+    return replace(random_spec(0), state=(Field("word", 64), Field("by", 7)), golden=golden)
+
+
+def test_shifts_by_more_than_the_width() -> None:
+    def observe(word: Any, by: Any) -> Any:
+        return (word >> by) & 0xFFFFFF, ((word << (by & 15)) & 0xFF) < 200
+
+    assert_means_the_golden_functions(wide(observe), random.Random(0))
+
+
+def test_a_word_that_no_kernel_can_hold() -> None:
+    def observe(word: Any, by: Any) -> Any:
+        square = word * word
+        return (square >> 100) & 1, by
+
+    with pytest.raises(ArgumentError, match=r"test_straight_line\.py, line \d+: square takes 101 bits here"):
+        golden_functions(wide(observe))
