@@ -222,7 +222,7 @@ class EnvSpec:
         draws = [Argument(f"draw_{k}", 32) for k in range(max(self.reset_draws, self.step_draws))]
         reward, terminated = _result(self.reward), _result(Field("terminated", 1))
         if self.rewards is not None and len(self.rewards) <= reward.high:
-            high, fix = len(self.rewards) - 1, "lengthen the table, or mend the category"
+            high, fix = len(self.rewards) - 1, "add a reward, or change the category"
             reward = Result(reward.name, 0, high, "the table of rewards lists", fix)
         calls = (
             (tuple(draws[: self.reset_draws]), tuple(map(_result, self.state))),

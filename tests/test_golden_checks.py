@@ -139,7 +139,7 @@ WRONG: dict[Callable[..., Any], str] = {
     rare: "for example 16, where level is 15 and draw is 123456789;",
     never: "never() returns 0 to 16 for level, and 4 bits hold 0 to 15; trying found no example",
     beyond_the_table: "beyond_the_table() returns 0 to 3 for points, and the table of rewards lists 0 to 2; "
-    "for example 3, where action is 3; lengthen the table, or mend the category",
+    "for example 3, where action is 3; add a reward, or change the category",
     ended_twice: "ended_twice() returns 0 to 2 for terminated, and 1 bit holds 0 to 1; "
     "for example 2, where level is 0 and debt is 0",
 }

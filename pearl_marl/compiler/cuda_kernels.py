@@ -7,6 +7,7 @@ the same source runs as plain Python.
 
 from __future__ import annotations
 
+import inspect
 import types
 from functools import partial
 from importlib import import_module, metadata
@@ -56,7 +57,8 @@ def compile_cuda_kernels(spec: EnvSpec) -> CudaKernels:
     """
     cuda: Any = import_module("numba.cuda")
     source = cuda_source(spec)
-    name = "cuda_" + kernel_name(spec, source, (metadata.version("numba-cuda"), np.__version__))
+    versions = metadata.version("numba-cuda"), np.__version__, inspect.getsource(scalar_words)
+    name = "cuda_" + kernel_name(spec, source, versions)
     key = name, simulated()
     if key not in _loaded:
         called: dict[str, Any] = {**functions(spec), **scalar_words.operations()}

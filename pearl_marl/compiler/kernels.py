@@ -8,6 +8,7 @@ golden step is a new file, and a warm start compiles nothing.
 from __future__ import annotations
 
 import hashlib
+import inspect
 import types
 from collections.abc import Callable, Iterable
 from functools import partial
@@ -68,7 +69,7 @@ def compile_kernels(spec: EnvSpec) -> Kernels:
         llvmlite.__version__,
         np.__version__,
         f"{_FORCE_INLINE=}",
-        llvm_words.VERSION,
+        inspect.getsource(llvm_words),
     )
     name = kernel_name(spec, source, versions)
     if name not in _loaded:

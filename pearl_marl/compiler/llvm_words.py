@@ -9,15 +9,13 @@ what a slice with a ``view``, and ``np.empty``, do.
 
 from __future__ import annotations
 
-import inspect
-import sys
 from collections.abc import Callable
+from importlib import import_module
 from typing import Any
 
 from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
-from numba.np import arrayobj
 
 LINE = 64
 """Bytes of a cache line, where scratch space begins."""
@@ -91,21 +89,27 @@ def _choice(word: Any) -> Any:
     return choose
 
 
+def _arrays() -> Any:
+    """Return Numba's module about arrays, which nobody who only imports this package should wait for."""
+    return import_module("numba.np.arrayobj")
+
+
 def _column(element: Any) -> Any:
     made = types.Array(element, 1, "C")
 
     @intrinsic
     def column(_: Any, array: Any, start: Any, count: Any) -> Any:
         def generate(context: Any, builder: Any, signature: Any, operands: Any) -> Any:
+            arrayobj = _arrays()
             whole, *numbers = operands
             given = zip(numbers, signature.args[1:], strict=True)
             first, length = (context.cast(builder, x, t, types.intp) for x, t in given)
-            data = arrayobj.make_array(array)(context, builder, whole).data  # type: ignore[no-untyped-call]
+            data = arrayobj.make_array(array)(context, builder, whole).data
             at = builder.gep(builder.bitcast(data, ir.IntType(8).as_pointer()), [first])
-            view = arrayobj.make_array(made)(context, builder)  # type: ignore[no-untyped-call]
+            view = arrayobj.make_array(made)(context, builder)
             size = context.get_constant(types.intp, element.bitwidth // 8)
             # It owns nothing: whoever calls the kernel holds the array.
-            arrayobj.populate_array(  # type: ignore[no-untyped-call]
+            arrayobj.populate_array(
                 view,
                 data=builder.bitcast(at, view.data.type),
                 shape=[length],
@@ -126,13 +130,14 @@ def _scratch(element: Any) -> Any:
     @intrinsic
     def scratch(_: Any, count: Any) -> Any:
         def generate(context: Any, builder: Any, signature: Any, operands: Any) -> Any:
+            arrayobj = _arrays()
             length = context.cast(builder, operands[0], count, types.intp)
             size = context.get_constant(types.intp, element.bitwidth // 8)
             info = context.nrt.meminfo_alloc_aligned(
                 builder, builder.mul(length, size), context.get_constant(types.uint32, LINE)
             )
-            view = arrayobj.make_array(made)(context, builder)  # type: ignore[no-untyped-call]
-            arrayobj.populate_array(  # type: ignore[no-untyped-call]
+            view = arrayobj.make_array(made)(context, builder)
+            arrayobj.populate_array(
                 view,
                 data=builder.bitcast(context.nrt.meminfo_data(builder, info), view.data.type),
                 shape=[length],
@@ -158,7 +163,3 @@ def operations() -> dict[str, Any]:
         named |= {f"{word}_choose": _choice(word), f"{word}_column": _column(word)}
         named[f"{word}_scratch"] = _scratch(word)
     return named
-
-
-VERSION = inspect.getsource(sys.modules[__name__])
-"""What these operations are, on which compiled kernels depend."""

@@ -28,7 +28,7 @@ def load(name: str, source: str, **names: Any) -> tuple[Any, Path]:
         with tempfile.NamedTemporaryFile("w", dir=path.parent, suffix=".tmp", delete=False) as file:
             file.write(source)
         os.replace(file.name, path)
-        # Seaquest's take most of a minute: nobody should wonder whether it hangs.
+        # Seaquest's take ten seconds: nobody should wonder whether it hangs.
         text = f"pearl: compiling {name} at its first calls; kept in {path.parent}"
         print(text, file=sys.stderr, flush=True)
     # Numba's cache finds a function again by its module's name, so the module has to be a real one.
@@ -46,7 +46,7 @@ def with_callees(
     """Give a plain function to Numba, and with it every plain function that it calls.
 
     Numba compiles a callee only if that is one of its own. So the function is made again by ``jit`` over
-    names that stand for compiled callees, and golden functions need to know nothing of Numba. ``done`` keeps
+    names that stand for compiled callees, and its author need know nothing of Numba. ``done`` keeps
     what has been made already. What is no plain function is returned as it is.
     """
     if not isinstance(function, types.FunctionType):

@@ -111,7 +111,7 @@ def test_a_second_process_compiles_nothing(tmp_path: Path) -> None:
 
 
 def test_a_new_kernel_is_announced_once(cache: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Compiling takes seconds, for Seaquest most of a minute."""
+    """Compiling takes seconds."""
     path = kernels.compile_kernels(SPEC).path
     text = f"pearl: compiling {path.stem} at its first calls; kept in {path.parent}\n"
     assert capsys.readouterr().err == text
