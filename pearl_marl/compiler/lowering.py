@@ -50,14 +50,19 @@ class Term(NamedTuple):
 
 def lowered(graph: Graph, outputs: Sequence[Output], target: Target) -> list[Output]:
     """Return the outputs of a core in a new graph, of operations that its target has."""
-    nodes = _digits_joined(graph, [o.node for o in outputs])
-    nodes = _rounding_joined(graph, nodes)
-    lowering = _Lowering(nodes, [o.bits for o in outputs], target)
+    nodes = [o.node for o in outputs]
+    for joined in (digits_joined, rounding_joined):
+        made = joined(graph, nodes)
+        nodes = [made[node] for node in nodes]
+    lowering = Lowering(nodes, [o.bits for o in outputs], target)
     return [o._replace(node=lowering.made[node]) for o, node in zip(outputs, nodes, strict=True)]
 
 
-def _digits_joined(graph: Graph, roots: Sequence[Node]) -> list[Node]:
-    """Take two digits of a draw, ``x * a >> n`` and ``(x * a % 2**n) * b >> n``, from ``x * a * b >> n``."""
+def digits_joined(graph: Graph, roots: Sequence[Node]) -> dict[Node, Node]:
+    """Take two digits of a draw, ``x * a >> n`` and ``(x * a % 2**n) * b >> n``, from ``x * a * b >> n``.
+
+    Returns what each node has become: an equal one.
+    """
     order = in_order(roots)
     pairs: dict[Node, tuple[Node, Node, int]] = {}  # either product: both of them, and n
     for second in filter(_is_scaled, order):
@@ -83,15 +88,18 @@ def _digits_joined(graph: Graph, roots: Sequence[Node]) -> list[Node]:
             digit = graph.floor_divide if product is first else graph.modulo
             made[node] = digit(graph.right(whole, bits), b)
             made[node].name, made[node].line = node.name, node.line
-    return [made[root] for root in roots]
+    return made
 
 
 def _is_scaled(node: Node) -> bool:
     return node.op == "mul" and node.args[1].is_constant()
 
 
-def _rounding_joined(graph: Graph, roots: Sequence[Node]) -> list[Node]:
-    """Let what is added to a rounded product join the product's own sum, for one carry chain less."""
+def rounding_joined(graph: Graph, roots: Sequence[Node]) -> dict[Node, Node]:
+    """Let what is added to a rounded product join the product's own sum, for one carry chain less.
+
+    Returns what each node has become: an equal one.
+    """
     uses = Counter(arg for node in in_order(roots) for arg in node.args)
     products: set[Node] = set()  # what is a product, or a sum of some
     made: dict[Node, Node] = {}
@@ -108,10 +116,16 @@ def _rounding_joined(graph: Graph, roots: Sequence[Node]) -> list[Node]:
                 made[node].name, made[node].line = node.name, node.line
             products.add(made[node])
             break
-    return [made[root] for root in roots]
+    return made
 
 
-class _Lowering:
+class Lowering:
+    """Makes nodes of a target's operations.
+
+    ``made`` has what each node has become, equal to it modulo the bits that are used of it; ``used`` says
+    which these are.
+    """
+
     def __init__(self, roots: Sequence[Node], bits: Sequence[int], target: Target) -> None:
         self.target, self.graph = target, Graph(exact=False)
         order = in_order(roots)
