@@ -1,9 +1,8 @@
-"""Proofs that cores do what the graphs of golden functions say, for all words; and that they refute faults."""
+"""Proofs that cores do what the graphs of golden functions say, for all words."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -71,12 +70,15 @@ def test_lowering_changes_nothing(env: str) -> None:
             assert not unequal(nodes, lowering.made, widths), target
 
 
-@pytest.mark.parametrize("target", TARGETS, ids=str)
-@pytest.mark.parametrize("env", names())
+CASES = [(env, TARGETS[k]) for i, env in enumerate(names()) for k in (0, 1 + i % 2)]
+"""As simulated devices have them, and for another family."""
+
+
+@pytest.mark.parametrize(("env", "target"), CASES, ids=str)
 def test_texts_of_environments(env: str, target: Target, tmp_path: Path) -> None:
     assert not unproved_text(get_spec(env), target, tmp_path)
 
 
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", range(6))
 def test_texts_of_random_golden_functions(seed: int, tmp_path: Path) -> None:
     assert not unproved_text(random_spec(seed), TARGETS[seed % len(TARGETS)], tmp_path)

@@ -30,7 +30,7 @@ ORDERS = [(TERMS, WIRES), (WIRES, TERMS)]
 def unequal(
     roots: Iterable[Node], made: Mapping[Node, Node], widths: Mapping[Node, int] | None = None
 ) -> list[Node]:
-    """Return the nodes that what became of them is not proved to be equal to, modulo bits of these widths."""
+    """Return the nodes that are not proved equal to what became of them, modulo bits of these widths."""
     return _Pass(in_order(roots), made, widths).unequal()
 
 
@@ -39,7 +39,6 @@ class _Pass:
         self, order: Sequence[Node], made: Mapping[Node, Node], widths: Mapping[Node, int] | None
     ) -> None:
         self.order, self.made, self.widths = order, made, widths
-        self.numbers = {node: i for i, node in enumerate(order)}
         self.origins: dict[Node, dict[Node, int | None]] = defaultdict(dict)
         """The nodes that a new one is known to be equal to, and modulo how many bits."""
 
@@ -77,7 +76,7 @@ class _Pass:
             try:
                 if by(node, opened, used):
                     return True
-            except polynomials.TooLong:
+            except polynomials.TooLongError:
                 return False
             waiting = used - opened
             opened |= next(

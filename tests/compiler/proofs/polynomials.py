@@ -1,7 +1,7 @@
 """Nodes as polynomials of integers, which shows that products made of parts are products.
 
-A word cut at bit k is ``2**k * right + (word - 2**k * right)``, so that its parts put together again cancel out,
-whatever was multiplied in between; that is what z3 does not find among bits.
+A word cut at bit k is ``2**k * right + (word - 2**k * right)``, so that its parts, put together again, cancel
+out, whatever was multiplied in between; that is what z3 does not find among bits.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ LONGEST = 64
 """Terms of a polynomial; what takes more was looked into too deeply."""
 
 
-class TooLong(Exception):
+class TooLongError(Exception):
     """A polynomial of too many terms."""
 
 
@@ -61,7 +61,7 @@ def times(a: Polynomial, b: Polynomial) -> Polynomial:
             term = tuple(sorted((*x, *y), key=repr))
             result[term] = result.get(term, 0) + m * n
     if len(result) > LONGEST:
-        raise TooLong
+        raise TooLongError
     return {term: value for term, value in result.items() if value}
 
 

@@ -138,7 +138,7 @@ class _Proof:
     def _proved(self, node: Node, name: str, stage: int, opened: set[Node]) -> bool:
         """Return whether a signal is proved of what is not opened; if not, open what it is made of."""
         facts: list[Any] = []
-        known = {key: word for key, word in self.signals.items()}
+        known = dict(self.signals)
         for n in opened:
             del known[self.made[n]]
         integer = self._integer(node, facts, opened)
