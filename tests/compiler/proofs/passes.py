@@ -6,7 +6,7 @@ Each is proved by those before it, in the order in which they are made: as polyn
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Mapping, Sequence, Set
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence, Set
 from typing import Any
 
 import z3
@@ -29,9 +29,9 @@ ORDERS = [(TERMS, WIRES), (WIRES, TERMS)]
 
 def unequal(
     roots: Iterable[Node], made: Mapping[Node, Node], widths: Mapping[Node, int] | None = None
-) -> list[Node]:
-    """Return the nodes that are not proved equal to what became of them, modulo bits of these widths."""
-    return _Pass(in_order(roots), made, widths).unequal()
+) -> Iterator[Node]:
+    """Yield the nodes that are not proved equal to what became of them, modulo bits of these widths."""
+    yield from _Pass(in_order(roots), made, widths).unequal()
 
 
 class _Pass:
@@ -42,24 +42,23 @@ class _Pass:
         self.origins: dict[Node, dict[Node, int | None]] = defaultdict(dict)
         """The nodes that a new one is known to be equal to, and modulo how many bits."""
 
-    def unequal(self) -> list[Node]:
-        wrong = []
+    def unequal(self) -> Iterator[Node]:
         for node in self.order:
             if (
                 node.op not in ("constant", "input")
                 and self.made[node] is not node
                 and not self._is_equal(node)
             ):
-                wrong.append(node)
+                yield node
             new, width = self.made[node], self._width(node)
             self.origins[new][node] = width
             if new.op == "wrap":
                 self.origins[new.args[0]].setdefault(node, min(new.imm[0], width or new.imm[0]))
-        return wrong
 
     def _width(self, node: Node) -> int | None:
         """Return how many bits are equal; ``None`` is for the whole integer."""
-        return None if self.widths is None or self.widths[node] >= node.bits else self.widths[node]
+        whole = self.widths is None or node.op == "input" or self.widths[node] >= node.bits
+        return None if whole else self.widths[node]
 
     def _is_equal(self, node: Node) -> bool:
         ways = [
@@ -114,7 +113,7 @@ class _Pass:
         def after(n: Node) -> Polynomial | None:
             origin = self._origin(n, opened, looked_at)
             if origin is None:
-                return None
+                return polynomials.atom(n.number) if n.op == "input" else None
             old, width = origin
             known = before(old)
             if known is None or width is None:
@@ -144,7 +143,9 @@ class _Pass:
         def after(n: Node) -> Any:
             if n not in new:
                 origin = self._origin(n, opened, words)
-                if origin is None:
+                if origin is None and n.op == "input":
+                    new[n] = before(n)
+                elif origin is None:
                     new[n] = operation(n, [after(a) for a in n.args])
                 elif origin[1] is None:
                     new[n] = fitted(before(origin[0]), size(n))

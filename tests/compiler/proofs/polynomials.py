@@ -147,7 +147,10 @@ def _index(table: Node) -> Node:
 def _line(table: Node, index: Polynomial) -> Polynomial | None:
     """Return a table as a product, if it is one of few cases: ``first + step * index``."""
     word, bits = _index(table), table.args[0].bits
-    entries = [table.imm[value & (1 << bits) - 1] for value in range(word.low, word.high + 1)]
+    at = [value & (1 << bits) - 1 for value in range(word.low, word.high + 1)]
+    if max(at) >= len(table.imm):
+        return None
+    entries = [table.imm[k] for k in at]
     step = entries[1] - entries[0]
     if any(b - a != step for a, b in pairwise(entries)):
         return None

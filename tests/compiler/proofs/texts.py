@@ -28,9 +28,9 @@ DEPTH = 3
 
 def unproved_signals(
     path: Path, top: str, spec: EnvSpec, outputs: Sequence[Output], schedule: Schedule
-) -> list[str]:
-    """Return the signals and ports of a core's text that are not proved."""
-    return list(_Proof(Netlist(path, top), spec, outputs, schedule).unproved())
+) -> Iterator[str]:
+    """Yield the signals and ports of a core's text that are not proved."""
+    yield from _Proof(Netlist(path, top), spec, outputs, schedule).unproved()
 
 
 def _vector(word: Any) -> Any:
