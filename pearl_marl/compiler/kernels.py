@@ -30,6 +30,10 @@ from pearl_marl.spec import EnvSpec
 # golden step as one: CartPole ran at 40 M steps/s without this, at 230 M with it.
 _FORCE_INLINE = True
 
+# Of what is called from compiled code alone, Numba need not compile the versions that Python and C can call.
+_NOT_FOR_C: dict[str, Any] = {"no_cfunc_wrapper": True}
+_FOR_KERNELS: dict[str, Any] = {"no_cpython_wrapper": True, **_NOT_FOR_C}
+
 
 class Kernels(NamedTuple):
     """The compiled functions of one environment, and the file where their source can be read.
@@ -77,10 +81,10 @@ def compile_kernels(spec: EnvSpec) -> Kernels:
         module, path = load(
             name,
             source,
-            kernel=numba.njit(nogil=True, cache=True, error_model="numpy"),
+            kernel=numba.njit(nogil=True, cache=True, error_model="numpy", **_NOT_FOR_C),
             **llvm_words.operations(),
-            called=numba.njit(error_model="numpy"),
-            inlined=numba.njit(forceinline=_FORCE_INLINE, error_model="numpy"),
+            called=numba.njit(error_model="numpy", **_FOR_KERNELS),
+            inlined=numba.njit(forceinline=_FORCE_INLINE, error_model="numpy", **_FOR_KERNELS),
             **{called: _compiled(function, compiled) for called, function in functions(spec).items()},
         )
         _loaded[name] = Kernels(
@@ -110,4 +114,4 @@ def kernel_name(spec: EnvSpec, source: str, versions: Iterable[str]) -> str:
 
 
 def _compiled(function: Any, done: dict[types.FunctionType, Any]) -> Any:
-    return with_callees(function, done, partial(numba.njit, forceinline=_FORCE_INLINE))
+    return with_callees(function, done, partial(numba.njit, forceinline=_FORCE_INLINE, **_FOR_KERNELS))

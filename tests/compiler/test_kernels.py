@@ -340,7 +340,12 @@ def test_the_step_is_simd_code(tmp_path: Path) -> None:
 
 def test_u32_of_a_draw_is_what_numpy_has() -> None:
     """The generator's twin in a kernel: one draw a slot, at both ends of the slot numbers."""
-    compiled = kernels._compiled(rng.draw, {})
+    draw = kernels._compiled(rng.draw, {})  # which only compiled functions can call
+
+    @numba.njit  # type: ignore[untyped-decorator]
+    def compiled(slot: Any, key_a: Any, key_b: Any) -> Any:
+        return draw(slot, key_a, key_b)
+
     with np.errstate(over="ignore"):
         for slot in (0, 1, 2**31, 2**32 - 1):
             keys = u32(0x80000001), u32(0xFFFFFFFF)
