@@ -29,7 +29,7 @@ def each_slot(*lines: str) -> list[str]:
 
 def part(array: str, dtype: np.dtype[Any], size: int = 1) -> str:
     """Return what belongs to the block of an array that has ``size`` elements a slot."""
-    return f"{dtype}_column({array}, {dtype.itemsize * size} * b, {size} * m)"
+    return f"{dtype}_column({array}, 0, {f'{size} * b' if size > 1 else 'b'})"
 
 
 class BlockPieces(Pieces):
@@ -38,10 +38,10 @@ class BlockPieces(Pieces):
     size = BLOCK
 
     def __init__(self, spec: EnvSpec) -> None:
-        size, item = spec.observation_size, spec.observation_dtype.itemsize
+        size = spec.observation_size
         # A constant stride: LLVM does not vectorise over one that it only knows at run time.
         element = f"O[{size} * i + {{}}]" if size > 1 else "O[i]"
-        super().__init__(spec, element, f"{cell_dtype(spec)}_column(O, {item * size} * i, {size})")
+        super().__init__(spec, element, f"{cell_dtype(spec)}_row(O, {size} * i, {size})")
         flat = spec.unpack is None
         kept = each("F" + element[1:], range(len(spec.observation)))
         self.copy_one = assign(kept, each(element, range(len(spec.observation))))
@@ -52,6 +52,7 @@ class BlockPieces(Pieces):
         # large observations, of which all would be made anew.
         self.few = self.size // (4 + 3 * spec.reset_draws) if flat else self.size + 1
         self.block = each("block_{}[i]", self.state)
+        self.taken = 0
         self.take = assign(self.new, each("stored_{}[i]", self.state))
 
     def rows(self, array: str) -> str:
@@ -60,8 +61,13 @@ class BlockPieces(Pieces):
 
     def column(self, memory: str, column: slot_memory.Column) -> str:
         """Return what belongs to the block of a column."""
-        at = f"p * {column.bytes_before} + {column.dtype.itemsize} * b"
-        return f"{column.dtype}_column({memory}, {at}, m)"
+        return f"{column.dtype}_column({memory}, p * {column.bytes_before}, b)"
+
+    def space(self, name: str, dtype: np.dtype[Any] | str, words: int = 1) -> str:
+        """Return what finds so many words a slot in the scratch space, where nothing else is kept."""
+        start, bytes_each = self.taken, np.dtype(dtype).itemsize
+        self.taken += slot_memory.padded(self.size * words * bytes_each)
+        return f"{name} = {dtype}_column(space, {start}, 0)"
 
     def given_parts(self) -> list[str]:
         """Return what finds the block's words of observations that a device delivered."""
@@ -81,15 +87,14 @@ class BlockPieces(Pieces):
 
     def draws(self) -> dict[str, list[str]]:
         """Return the scratch space of random draws, their keys, and what makes the step's."""
-        scratch = f"draw_{{}} = uint32_scratch({self.size})"
 
         def keys(draws: range, tick: str) -> list[str]:
             chains = ("a", rng.CHAIN_A), ("b", rng.CHAIN_B)
             return [f"key_{side}{d} = {pieces.key(chain, tick, d)}" for d in draws for side, chain in chains]
 
         return {
-            "reset_scratch": each(scratch, self.reset_draws),
-            "step_scratch": each(scratch, self.step_draws),
+            "reset_scratch": [self.space(f"draw_{d}", "uint32") for d in self.reset_draws],
+            "step_scratch": [self.space(f"draw_{d}", "uint32") for d in self.step_draws],
             "reset_keys_now": keys(self.reset_draws, "tick"),
             "reset_keys": keys(self.reset_draws, "reset_tick"),
             "step_keys": keys(self.step_draws, "tick"),

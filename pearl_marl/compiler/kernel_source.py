@@ -6,6 +6,7 @@ from pearl_marl.compiler import pieces
 from pearl_marl.compiler.block_pieces import BlockPieces, each_slot, part
 from pearl_marl.compiler.kernel_template import TEMPLATE
 from pearl_marl.compiler.lane_pieces import LanePieces
+from pearl_marl.compiler.llvm_words import LINE
 from pearl_marl.compiler.pieces import each
 from pearl_marl.compiler.straight_line import golden_functions
 from pearl_marl.spec import EnvSpec
@@ -22,7 +23,6 @@ def kernel_source(spec: EnvSpec) -> str:
     words = {
         "NAME": spec.name,
         "BLOCK": str(p.size),
-        "CODE_SCRATCH": f"{spec.reward.dtype}_scratch({p.size})",
         "PADDED": p.padded,
         "ELAPSED": p.column("memory", p.elapsed),
         "ENDED": p.column("memory", p.ended),
@@ -30,7 +30,7 @@ def kernel_source(spec: EnvSpec) -> str:
         "ACTIONS": part("actions", spec.action.dtype),
         "OBSERVED": p.rows("observations"),
         "FINAL": p.rows("final_observations"),
-        "ALL_OBSERVED": f"{p.dtype}_column(observations, 0, observations.size)",
+        "ALL_OBSERVED": f"{p.dtype}_column(observations, 0, 0)",
         "FEW": str(p.few),
         "GIVEN": ", ".join(given),
         "FIRST_GIVEN": given[0],
@@ -40,6 +40,10 @@ def kernel_source(spec: EnvSpec) -> str:
         **p.columns(),
         **p.draws(),
         **p.rewards(),
+        "code": [p.space("code", spec.reward.dtype)],
+        "flag": [p.space("flag", "uint8"), "flag_words = uint64_column(flag, 0, 0)"],
+        "ended_slots": [p.space("ended_slots", "uint16")],
+        "resetting": [p.space("resetting", "uint8")],
         "golden_step": p.golden_step(),
         "start_over": p.start_over(),
         "observe": each_slot(*p.observed()),
@@ -51,4 +55,6 @@ def kernel_source(spec: EnvSpec) -> str:
         "deliver": p.deliver(each("given_{}[i]", p.observation)),
         "deliver_block": p.deliver(each("part_{}[i]", p.observation)),
     }
+    words["SPACE"] = str(p.taken + LINE)
+    words["FLAG_WORDS"] = str(p.size // 8)
     return pieces.filled(TEMPLATE, words, parts)

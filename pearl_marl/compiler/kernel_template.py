@@ -18,6 +18,8 @@ def draws(target, slot_0, key_a, key_b, m):
 @kernel
 def reset(memory, stored, mask, observations, seed_0, seed_1, tick, first_slot, use_stored, n, lo, hi):
     $PADDED
+    whole = allocate($SPACE)
+    space = line(whole)
     $block_lanes
     $stored_lanes
     $reset_scratch
@@ -30,13 +32,14 @@ def reset(memory, stored, mask, observations, seed_0, seed_1, tick, first_slot, 
         E = $ELAPSED
         N = $ENDED
         O = $OBSERVED
-        flag = uint8_column(mask, b, m)
+        flag = uint8_column(mask, 0, b)
         $start_over
         for i in range(m):
             E[i] = np.uint32(0) if flag[i] else E[i]
             N[i] = np.uint8(0) if flag[i] else N[i]
         $observe
         $store_block
+    release(whole)
 
 
 @kernel
@@ -45,15 +48,17 @@ def step(
     seed_0, seed_1, tick, first_slot, limit, next_step, use_stored, n, lo, hi,
 ):
     $PADDED
+    whole = allocate($SPACE)
+    space = line(whole)
     $block_lanes
     $stored_lanes
     $reset_scratch
     $step_scratch
-    code = $CODE_SCRATCH
-    flag = uint8_scratch($BLOCK)  # 1 where an episode ends; beyond the last slot 0
-    flag_words = uint64_column(flag, 0, $BLOCK // 8)
-    ended_slots = uint16_scratch($BLOCK)
-    resetting = uint8_scratch($BLOCK)
+    $code
+    # 1 where an episode ends; beyond the last slot 0
+    $flag
+    $ended_slots
+    $resetting
     for i in range($BLOCK):
         resetting[i] = 0
     $step_keys
@@ -70,8 +75,8 @@ def step(
         N = $ENDED
         O = $OBSERVED
         A = $ACTIONS
-        R = float32_column(rewards, 4 * b, m)
-        T = uint8_column(terminations, b, m)
+        R = float32_column(rewards, 0, b)
+        T = uint8_column(terminations, 0, b)
         for i in range(m, $BLOCK):
             flag[i] = 0
         any_resetting = np.uint8(0)
@@ -93,7 +98,7 @@ def step(
         else:
             for i in range(m):
                 T[i] = flag[i]
-        U = uint8_column(truncations, b, m)
+        U = uint8_column(truncations, 0, b)
         if limit:
             for i in range(m):
                 e = np.uint32(0) if resetting[i] else np.uint32(E[i] + np.uint32(1))
@@ -114,13 +119,13 @@ def step(
                     R[i] = np.float32(0) if resetting[i] else R[i]
 
         any_ended = np.uint64(0)
-        for i in range(flag_words.size):
+        for i in range($FLAG_WORDS):
             any_ended |= flag_words[i]
         if any_ended and not next_step:
             F = $FINAL
             # Listed, since most often few ended; but no further than their number matters.
             count = 0
-            for w in range(flag_words.size):
+            for w in range($FLAG_WORDS):
                 if flag_words[w]:
                     for i in range(8 * w, 8 * w + 8):
                         ended_slots[count] = i
@@ -129,6 +134,7 @@ def step(
                         break
             $restart
         $store_block
+    release(whole)
 
 
 @kernel
@@ -146,10 +152,12 @@ def results(
 ):
     """Turn a step's words into its results, as `step` has them."""
     $PADDED
+    whole = allocate($SPACE)
+    space = line(whole)
     $block_lanes
     $stored_lanes
-    flag = uint8_scratch($BLOCK)  # not 0 where an episode ended; beyond the last slot 0
-    flag_words = uint64_column(flag, 0, $BLOCK // 8)
+    # not 0 where an episode ended; beyond the last slot 0
+    $flag
     $reset_keys_now
     $reward_names
     for b in range(lo, hi, $BLOCK):
@@ -157,11 +165,11 @@ def results(
         slot_0 = first_slot + b
         $load_stored
         $given_parts
-        ter = uint8_column(ter_words, b, m)
+        ter = uint8_column(ter_words, 0, b)
         code = $CODES
-        R = float32_column(rewards, 4 * b, m)
-        T = uint8_column(terminations, b, m)
-        U = uint8_column(truncations, b, m)
+        R = float32_column(rewards, 0, b)
+        T = uint8_column(terminations, 0, b)
+        U = uint8_column(truncations, 0, b)
         O = $OBSERVED
         F = $FINAL
         for i in range(m):
@@ -176,34 +184,38 @@ def results(
         if next_step:
             continue
         # Few slots end in most steps: eight that did not are one comparison.
-        for w in range(flag_words.size):
+        for w in range($FLAG_WORDS):
             if flag_words[w]:
                 for i in range(8 * w, 8 * w + 8):
                     if flag[i]:
                         $copy_one
                         $start_one
                         $observe_one
+    release(whole)
 
 
 @kernel
 def advance(memory, actions, table, rewards, terminations, n, lo, hi):
     """The golden step and its rewards, and nothing else: what a benchmark calls kernel only."""
     $PADDED
+    whole = allocate($SPACE)
+    space = line(whole)
     $block_lanes
     $reward_names
     $step_scratch
     seed_0 = seed_1 = 0
     $step_keys_fixed
-    code = $CODE_SCRATCH
+    $code
     for b in range(lo, hi, $BLOCK):
         m = min($BLOCK, hi - b)
         slot_0 = b
         $load_block
         A = $ACTIONS
-        R = float32_column(rewards, 4 * b, m)
-        flag = uint8_column(terminations, b, m)
+        R = float32_column(rewards, 0, b)
+        flag = uint8_column(terminations, 0, b)
         $draw_for_step
         $golden_step
         $rewards
         $store_block
+    release(whole)
 '''

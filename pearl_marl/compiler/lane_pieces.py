@@ -27,9 +27,7 @@ class LanePieces(BlockPieces):
 
     def columns(self) -> dict[str, list[str]]:
         """Return what copies a block's state into lanes and back."""
-        block, stored = (
-            f"{prefix}s = {self.lane}_scratch({len(self.fields) * self.size})" for prefix in MEMORIES
-        )
+        block, stored = (self.space(f"{prefix}s", self.lane, len(self.fields)) for prefix in MEMORIES)
         return {
             "functions": [*self.copies(), *self.of_a_slot()],
             "block_lanes": [block, *self.lanes("block")],
@@ -41,15 +39,13 @@ class LanePieces(BlockPieces):
 
     def lanes(self, prefix: str) -> list[str]:
         """Return what finds the lane of each field in an array of them."""
-        step = self.size * self.lane.itemsize
         return [
-            f"{prefix}_{field.name} = {self.lane}_column({prefix}s, {k * step}, {self.size})"
+            f"{prefix}_{field.name} = {self.lane}_column({prefix}s, 0, {k * self.size})"
             for k, field in enumerate(self.fields)
         ]
 
     def copies(self) -> list[str]:
         """Return the functions that copy a block's columns into lanes, and back."""
-        step = self.size * self.lane.itemsize
         lines = [
             "",
             "",
@@ -60,10 +56,12 @@ class LanePieces(BlockPieces):
         for name in ("load", "store"):
             lines += ["", "", "@called", f"def {name}(lanes, memory, p, b, m):"]
             for dtype in sorted({field.dtype for field in self.fields}, key=str):
-                places = [(k * step, f.bytes_before) for k, f in enumerate(self.fields) if f.dtype == dtype]
+                places = [
+                    (k * self.size, f.bytes_before) for k, f in enumerate(self.fields) if f.dtype == dtype
+                ]
                 pair = [
-                    f"{self.lane}_column(lanes, lane, m)",
-                    f"{dtype}_column(memory, p * before + {dtype.itemsize} * b, m)",
+                    f"{self.lane}_column(lanes, 0, lane)",
+                    f"{dtype}_column(memory, p * before, b)",
                 ]
                 to, of = pair if name == "load" else pair[::-1]
                 lines += [f"    for lane, before in {tuple(places)}:", f"        copied({to}, {of}, m)"]

@@ -2,9 +2,12 @@
 
 Numba computes with 64 bits, and leaves it to LLVM to find out that 8 would do. It does not always, and a loop
 with 64-bit words in it steps an eighth of the slots at a time. So these compute in their own width, to which
-they cast what they are given. ``uint8_column(array, start, count)`` is a view of an array's bytes from
-``start`` on, and ``uint8_scratch(count)`` an array that holds anything: compiling them costs a tenth of
-what a slice with a ``view``, and ``np.empty``, do.
+they cast what they are given.
+
+What a loop reads and writes are addresses rather than arrays, whose owners Numba would count: such loops
+compile in less time. ``uint8_column(array, start, index)`` is the address of a word, ``index`` words behind
+byte ``start`` of an array; ``uint8_row(column, index, count)`` makes an array of some words again. Scratch
+space is had by ``allocate(count)``, begins at ``line(space)``, and is given back by ``release(space)``.
 """
 
 from __future__ import annotations
@@ -19,6 +22,10 @@ from numba.extending import intrinsic
 
 LINE = 64
 """Bytes of a cache line, where scratch space begins."""
+
+BYTES = ir.IntType(8).as_pointer()
+
+_Address: Any = types.CPointer
 
 Maker = Callable[..., Any]
 
@@ -94,24 +101,45 @@ def _arrays() -> Any:
     return import_module("numba.np.arrayobj")
 
 
+def _first(context: Any, builder: Any, of: Any, whole: Any) -> Any:
+    """Return the address of an array's first byte, or of what an address points to."""
+    data = whole if isinstance(of, types.CPointer) else _arrays().make_array(of)(context, builder, whole).data
+    return builder.bitcast(data, BYTES)
+
+
 def _column(element: Any) -> Any:
+    made = _Address(element)
+
+    @intrinsic
+    def column(_: Any, array: Any, start: Any, index: Any) -> Any:
+        def generate(context: Any, builder: Any, signature: Any, operands: Any) -> Any:
+            whole, *numbers = operands
+            given = zip(numbers, signature.args[1:], strict=True)
+            byte, word = (context.cast(builder, x, t, types.intp) for x, t in given)
+            at = builder.gep(_first(context, builder, array, whole), [byte])
+            return builder.gep(builder.bitcast(at, context.get_value_type(made)), [word])
+
+        return made(array, start, index), generate
+
+    return column
+
+
+def _row(element: Any) -> Any:
     made = types.Array(element, 1, "C")
 
     @intrinsic
-    def column(_: Any, array: Any, start: Any, count: Any) -> Any:
+    def row(_: Any, first: Any, index: Any, count: Any) -> Any:
         def generate(context: Any, builder: Any, signature: Any, operands: Any) -> Any:
-            arrayobj = _arrays()
-            whole, *numbers = operands
+            pointer, *numbers = operands
             given = zip(numbers, signature.args[1:], strict=True)
-            first, length = (context.cast(builder, x, t, types.intp) for x, t in given)
-            data = arrayobj.make_array(array)(context, builder, whole).data
-            at = builder.gep(builder.bitcast(data, ir.IntType(8).as_pointer()), [first])
+            word, length = (context.cast(builder, x, t, types.intp) for x, t in given)
+            arrayobj = _arrays()
             view = arrayobj.make_array(made)(context, builder)
             size = context.get_constant(types.intp, element.bitwidth // 8)
             # It owns nothing: whoever calls the kernel holds the array.
             arrayobj.populate_array(
                 view,
-                data=builder.bitcast(at, view.data.type),
+                data=builder.gep(pointer, [word]),
                 shape=[length],
                 strides=[size],
                 itemsize=size,
@@ -119,47 +147,48 @@ def _column(element: Any) -> Any:
             )
             return view._getvalue()
 
-        return made(array, start, count), generate
+        return made(first, index, count), generate
 
-    return column
+    return row
 
 
-def _scratch(element: Any) -> Any:
-    made = types.Array(element, 1, "C")
+@intrinsic
+def _allocate(_: Any, count: Any) -> Any:
+    def generate(context: Any, builder: Any, signature: Any, operands: Any) -> Any:
+        return context.nrt.allocate(builder, context.cast(builder, operands[0], count, types.intp))
 
-    @intrinsic
-    def scratch(_: Any, count: Any) -> Any:
-        def generate(context: Any, builder: Any, signature: Any, operands: Any) -> Any:
-            arrayobj = _arrays()
-            length = context.cast(builder, operands[0], count, types.intp)
-            size = context.get_constant(types.intp, element.bitwidth // 8)
-            info = context.nrt.meminfo_alloc_aligned(
-                builder, builder.mul(length, size), context.get_constant(types.uint32, LINE)
-            )
-            view = arrayobj.make_array(made)(context, builder)
-            arrayobj.populate_array(
-                view,
-                data=builder.bitcast(context.nrt.meminfo_data(builder, info), view.data.type),
-                shape=[length],
-                strides=[size],
-                itemsize=size,
-                meminfo=info,
-            )
-            return view._getvalue()
+    return _Address(types.uint8)(count), generate
 
-        return made(count), generate
 
-    return scratch
+@intrinsic
+def _line(_: Any, whole: Any) -> Any:
+    def generate(context: Any, builder: Any, signature: Any, operands: Any) -> Any:
+        word = context.get_value_type(types.intp)
+        at = builder.ptrtoint(operands[0], word)
+        # An offset rather than a rounded address, which LLVM could no longer tell from others.
+        return builder.gep(operands[0], [builder.and_(builder.neg(at), word(LINE - 1))])
+
+    return whole(whole), generate
+
+
+@intrinsic
+def _release(_: Any, whole: Any) -> Any:
+    def generate(context: Any, builder: Any, signature: Any, operands: Any) -> Any:
+        context.nrt.free(builder, operands[0])
+        return context.get_dummy_value()
+
+    return types.none(whole), generate
 
 
 def operations() -> dict[str, Any]:
     """Return all operations by their names, for a kernel's source to call."""
-    named = {f"{element}_column": _column(element) for element in (types.float32, types.float64)}
+    named = {"allocate": _allocate, "line": _line, "release": _release}
+    for element in (types.float32, types.float64):
+        named |= {f"{element}_column": _column(element), f"{element}_row": _row(element)}
     for word in (
         types.Integer.from_bitwidth(bits, signed) for bits in (8, 16, 32, 64) for signed in (False, True)
     ):
         named |= {f"{word}_{name}": _operation(make, word, word) for name, make in ARITHMETIC.items()}
         named |= {f"{word}_{name}": _operation(make, word, types.uint8) for name, make in COMPARISONS.items()}
-        named |= {f"{word}_choose": _choice(word), f"{word}_column": _column(word)}
-        named[f"{word}_scratch"] = _scratch(word)
+        named |= {f"{word}_choose": _choice(word), f"{word}_column": _column(word), f"{word}_row": _row(word)}
     return named
