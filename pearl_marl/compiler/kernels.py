@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import hashlib
 import inspect
-import types
 from collections.abc import Callable, Iterable
 from functools import partial
 from pathlib import Path
@@ -33,6 +32,9 @@ _FORCE_INLINE = True
 # Of what is called from compiled code alone, Numba need not compile the versions that Python and C can call.
 _NOT_FOR_C: dict[str, Any] = {"no_cfunc_wrapper": True}
 _FOR_KERNELS: dict[str, Any] = {"no_cpython_wrapper": True, **_NOT_FOR_C}
+
+DRAWING: dict[str, GoldenFunction] = {"key": rng.key, "draw": rng.draw}
+"""What makes random draws."""
 
 
 class Kernels(NamedTuple):
@@ -77,15 +79,18 @@ def compile_kernels(spec: EnvSpec) -> Kernels:
     )
     name = kernel_name(spec, source, versions)
     if name not in _loaded:
-        compiled: dict[types.FunctionType, Any] = {}
+        calling: dict[str, Any] = {name: llvm_words.inlined(function) for name, function in DRAWING.items()}
+        if spec.unpack is not None:
+            calling["unpack"] = _compiled(spec.unpack)
         module, path = load(
             name,
             source,
             kernel=numba.njit(nogil=True, cache=True, error_model="numpy", **_NOT_FOR_C),
-            **llvm_words.operations(),
             called=numba.njit(error_model="numpy", **_FOR_KERNELS),
-            inlined=numba.njit(forceinline=_FORCE_INLINE, error_model="numpy", **_FOR_KERNELS),
-            **{called: _compiled(function, compiled) for called, function in functions(spec).items()},
+            called_inline=numba.njit(forceinline=_FORCE_INLINE, error_model="numpy", **_FOR_KERNELS),
+            inlined=llvm_words.inlined,
+            **llvm_words.operations(),
+            **calling,
         )
         _loaded[name] = Kernels(
             module.reset, module.step, module.deliver, module.results, module.advance, path
@@ -100,7 +105,7 @@ _loaded: dict[str, Kernels] = {}
 def functions(spec: EnvSpec) -> dict[str, GoldenFunction]:
     """Return the functions that a kernel's source calls, by the names it has for them."""
     unpack = {} if spec.unpack is None else {"unpack": spec.unpack}
-    return dict(key=rng.key, draw=rng.draw, **unpack)
+    return DRAWING | unpack
 
 
 def kernel_name(spec: EnvSpec, source: str, versions: Iterable[str]) -> str:
@@ -113,5 +118,5 @@ def kernel_name(spec: EnvSpec, source: str, versions: Iterable[str]) -> str:
     return f"{spec.name}_{digest.hexdigest()[:16]}"
 
 
-def _compiled(function: Any, done: dict[types.FunctionType, Any]) -> Any:
-    return with_callees(function, done, partial(numba.njit, forceinline=_FORCE_INLINE, **_FOR_KERNELS))
+def _compiled(function: GoldenFunction) -> Any:
+    return with_callees(function, {}, partial(numba.njit, forceinline=_FORCE_INLINE, **_FOR_KERNELS))

@@ -80,7 +80,7 @@ class LanePieces(BlockPieces):
         lines = ["", "", "@called", f"def begin({', '.join(['blocks, storeds, i, use_stored', *draws])}):"]
         lines += indented(begin)
         if self.spec.unpack is not None:
-            lines += ["", "", "@inlined", "def show(blocks, O, i):"]
+            lines += ["", "", "@called_inline", "def show(blocks, O, i):"]
             lines += indented([*self.lanes("block"), *self.observe(self.words)])
         return lines
 
