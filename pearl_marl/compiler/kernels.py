@@ -19,14 +19,14 @@ import numba
 import numpy as np
 
 from pearl_marl import rng
-from pearl_marl.compiler import llvm_words
+from pearl_marl.compiler import llvm_functions, llvm_words
 from pearl_marl.compiler.kernel_source import kernel_source
 from pearl_marl.compiler.loading import fingerprint, load, with_callees
 from pearl_marl.golden import GoldenFunction
 from pearl_marl.spec import EnvSpec
 
 # LLVM turns no loop that still has a call in it into SIMD code, and left to itself it keeps a long
-# golden step as one: CartPole ran at 40 M steps/s without this, at 230 M with it.
+# function as one.
 _FORCE_INLINE = True
 
 # Of what is called from compiled code alone, Numba need not compile the versions that Python and C can call.
@@ -76,10 +76,13 @@ def compile_kernels(spec: EnvSpec) -> Kernels:
         np.__version__,
         f"{_FORCE_INLINE=}",
         inspect.getsource(llvm_words),
+        inspect.getsource(llvm_functions),
     )
     name = kernel_name(spec, source, versions)
     if name not in _loaded:
-        calling: dict[str, Any] = {name: llvm_words.inlined(function) for name, function in DRAWING.items()}
+        calling: dict[str, Any] = {
+            name: llvm_functions.inlined(function) for name, function in DRAWING.items()
+        }
         if spec.unpack is not None:
             calling["unpack"] = _compiled(spec.unpack)
         module, path = load(
@@ -88,7 +91,7 @@ def compile_kernels(spec: EnvSpec) -> Kernels:
             kernel=numba.njit(nogil=True, cache=True, error_model="numpy", **_NOT_FOR_C),
             called=numba.njit(error_model="numpy", **_FOR_KERNELS),
             called_inline=numba.njit(forceinline=_FORCE_INLINE, error_model="numpy", **_FOR_KERNELS),
-            inlined=llvm_words.inlined,
+            inlined=llvm_functions.inlined,
             **llvm_words.operations(),
             **calling,
         )

@@ -12,19 +12,14 @@ space is had by ``allocate(count)``, begins at ``line(space)``, and is given bac
 
 from __future__ import annotations
 
-import inspect
-from collections.abc import Callable, Iterable
-from functools import partial
+from collections.abc import Callable
 from importlib import import_module
 from types import SimpleNamespace
 from typing import Any
 
-import numpy as np
 from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
-
-from pearl_marl.remaking import remade
 
 LINE = 64
 """Bytes of a cache line, where scratch space begins."""
@@ -32,7 +27,6 @@ LINE = 64
 BYTES = ir.IntType(8).as_pointer()
 
 _Address: Any = types.CPointer
-_Tuple: Any = types.Tuple
 
 Maker = Callable[..., Any]
 
@@ -92,147 +86,9 @@ ARITHMETIC: dict[str, Maker] = {
 }
 """Operations on two words whose result is one."""
 
-TYPES = [types.Integer.from_bitwidth(bits, signed) for bits in (8, 16, 32, 64) for signed in (False, True)]
-
-
-class Word:
-    """A word of a function that is being written: LLVM's value, and Numba's type."""
-
-    def __init__(self, builder: Any, value: Any, type_: Any) -> None:
-        self.builder, self.value, self.type = builder, value, type_
-
-    def to(self, type_: Any) -> Word:
-        """Return the word in another type."""
-        value, bits = self.value, type_.bitwidth
-        if bits < self.type.bitwidth:
-            value = self.builder.trunc(value, ir.IntType(bits))
-        elif bits > self.type.bitwidth:
-            extended = self.builder.sext if self.type.signed else self.builder.zext
-            value = extended(value, ir.IntType(bits))
-        return Word(self.builder, value, type_)
-
-    def _with(self, make: Maker, other: Word) -> Word:
-        assert self.type == other.type, "whoever uses operators casts both words"
-        return Word(self.builder, make(self.builder, self.type.signed, self.value, other.value), self.type)
-
-    def __mul__(self, other: Word) -> Word:
-        return self._with(ARITHMETIC["mul"], other)
-
-    def __and__(self, other: Word) -> Word:
-        return self._with(ARITHMETIC["and"], other)
-
-    def __xor__(self, other: Word) -> Word:
-        return self._with(ARITHMETIC["xor"], other)
-
-    def __rshift__(self, other: Word) -> Word:
-        return self._with(ARITHMETIC["right"], other)
-
-    def __floordiv__(self, other: Word) -> Word:
-        return self._with(_divide, other)
-
-    def __mod__(self, other: Word) -> Word:
-        return self._with(_modulo, other)
-
-
-class _Table:
-    """A table of a function that is being written, in memory."""
-
-    def __init__(self, builder: Any, entries: Any) -> None:
-        self._builder, self._type = builder, getattr(types, str(entries.dtype))
-        word = ir.IntType(self._type.bitwidth)
-        constant = ir.Constant(ir.ArrayType(word, len(entries)), [word(int(entry)) for entry in entries])
-        name = builder.module.get_unique_name("table")
-        self._place = ir.GlobalVariable(builder.module, constant.type, name)
-        self._place.global_constant, self._place.linkage = True, "internal"
-        self._place.initializer = constant
-
-    def __getitem__(self, index: Word) -> Word:
-        at = self._builder.gep(self._place, [index.value.type(0), index.value])
-        return Word(self._builder, self._builder.load(at), self._type)
-
-
-def _vocabulary(builder: Any) -> dict[str, Any]:
-    """Return what the names of types and operations stand for in a function that is being written."""
-
-    def cast(type_: Any, word: Word | int) -> Word:
-        if isinstance(word, Word):
-            return word.to(type_)
-        return Word(builder, ir.IntType(type_.bitwidth)(word), type_)
-
-    def operation(make: Maker, type_: Any, result: Any, a: Word | int, b: Word | int) -> Word:
-        value = make(builder, type_.signed, cast(type_, a).value, cast(type_, b).value)
-        return Word(builder, value, result)
-
-    def choose(type_: Any, flag: Word, a: Word | int, b: Word | int) -> Word:
-        chosen = builder.trunc(flag.value, ir.IntType(1))
-        return Word(builder, builder.select(chosen, cast(type_, a).value, cast(type_, b).value), type_)
-
-    named: dict[str, Any] = {str(t): partial(cast, t) for t in TYPES}
-    named["numpy"] = SimpleNamespace(**named)
-    for t in TYPES:
-        named |= {f"{t}_{name}": partial(operation, make, t, t) for name, make in ARITHMETIC.items()}
-        named |= {
-            f"{t}_{name}": partial(operation, make, t, types.uint8) for name, make in COMPARISONS.items()
-        }
-        named[f"{t}_choose"] = partial(choose, t)
-    return named
-
-
-def _written(function: Any, builder: Any, words: Iterable[tuple[Any, Any]]) -> tuple[Word, ...]:
-    """Write a function's operations, given the values and types of its arguments; return its results."""
-    vocabulary = _vocabulary(builder)
-
-    def meaning(value: Any) -> Any:
-        if isinstance(value, np.ndarray):
-            return _Table(builder, value)
-        return vocabulary.get(getattr(value, "__name__", ""), value)
-
-    results = remade(function, meaning)(*(Word(builder, value, type_) for value, type_ in words))
-    return results if isinstance(results, tuple) else (results,)
-
-
-def inlined(function: Callable[..., Any]) -> Any:
-    """Return a function of operations on words for kernels to call, in which there are no branches.
-
-    It is run once, on words that write down what is done to them. Numba takes many times as long for it,
-    and would have LLVM optimize it once by itself and once more where it is called.
-    """
-
-    def define(_: Any, *given: Any) -> Any:
-        nowhere = ir.Function(ir.Module(), ir.FunctionType(ir.VoidType(), []), "nowhere")
-        anything = [(ir.IntType(type_.bitwidth)(0), type_) for type_ in given]
-        results = _written(function, ir.IRBuilder(nowhere.append_basic_block()), anything)
-        returned = [word.type for word in results]
-
-        def generate(context: Any, builder: Any, signature: Any, operands: Any) -> Any:
-            words = _written(function, builder, zip(operands, signature.args, strict=True))
-            values = [word.value for word in words]
-            if len(values) == 1:
-                return values[0]
-            return context.make_tuple(builder, signature.return_type, values)
-
-        return (returned[0] if len(returned) == 1 else _Tuple(returned))(*given), generate
-
-    # Numba asks for the names of the arguments.
-    own = inspect.signature(function).parameters.values()
-    whole = [inspect.Parameter("_", inspect.Parameter.POSITIONAL_OR_KEYWORD), *own]
-    define.__signature__ = inspect.Signature(whole)  # type: ignore[attr-defined]
-    define.__name__ = function.__name__
-    return intrinsic(define)
-
-
-def _named(name: str) -> Any:
-    return SimpleNamespace(__name__=name)
-
-
-def _choice(name: str) -> Any:
-    operation = _named(name)
-
-    def choose(flag: Any, a: Any, b: Any) -> Any:
-        return operation(flag, a, b)
-
-    choose.__name__ = name
-    return inlined(choose)
+INTEGERS = [types.Integer.from_bitwidth(bits, signed) for bits in (8, 16, 32, 64) for signed in (False, True)]
+FLOATS = [types.float32, types.float64]
+NUMBERS: list[Any] = [*INTEGERS, *FLOATS]
 
 
 def _arrays() -> Any:
@@ -249,7 +105,6 @@ def _first(context: Any, builder: Any, of: Any, whole: Any) -> Any:
 def _column(element: Any) -> Any:
     made = _Address(element)
 
-    @intrinsic
     def column(_: Any, array: Any, start: Any, index: Any) -> Any:
         def generate(context: Any, builder: Any, signature: Any, operands: Any) -> Any:
             whole, *numbers = operands
@@ -260,7 +115,8 @@ def _column(element: Any) -> Any:
 
         return made(array, start, index), generate
 
-    return column
+    column.__name__ = f"{element}_column"  # by which functions that are inlined know it
+    return intrinsic(column)
 
 
 def _row(element: Any) -> Any:
@@ -322,10 +178,13 @@ def _release(_: Any, whole: Any) -> Any:
 def operations() -> dict[str, Any]:
     """Return all operations by their names, for a kernel's source to call."""
     named = {"allocate": _allocate, "line": _line, "release": _release}
-    for element in (types.float32, types.float64, *TYPES):
-        named |= {f"{element}_column": _column(element), f"{element}_row": _row(element)}
-    for t in TYPES:
-        # Names are all that functions need which are ``inlined``.
+    for t in NUMBERS:
+        named |= {f"{t}_column": _column(t), f"{t}_row": _row(t), f"{t}_choose": _named(f"{t}_choose")}
+    for t in INTEGERS:
         named |= {f"{t}_{name}": _named(f"{t}_{name}") for name in (*ARITHMETIC, *COMPARISONS)}
-        named[f"{t}_choose"] = _choice(f"{t}_choose")
     return named
+
+
+def _named(name: str) -> Any:
+    """Return what only functions that are inlined call: they have the operation for its name."""
+    return SimpleNamespace(__name__=name)

@@ -22,7 +22,7 @@ import pytest
 import pearl_marl
 from pearl_marl import rng
 from pearl_marl.cache import cache_folder
-from pearl_marl.compiler import kernels, llvm_words
+from pearl_marl.compiler import kernels, llvm_functions
 from pearl_marl.compiler.cuda_source import cuda_source
 from pearl_marl.compiler.kernel_source import kernel_source
 from pearl_marl.compiler.pieces import PREFIXES
@@ -294,7 +294,7 @@ def test_nested_functions_hash_alike_in_every_process(tmp_path: Path) -> None:
     """The code of an inner function must not be told apart by where it lies in memory."""
     script = """
 import json, dataclasses, pearl_marl
-from pearl_marl.compiler import kernels, llvm_words
+from pearl_marl.compiler import kernels, llvm_functions
 from pearl_marl.spec import Golden
 spec = pearl_marl.get_spec("CliffWalking")
 waste = [object() for _ in range(%d)]
@@ -340,7 +340,7 @@ def test_the_step_is_simd_code(tmp_path: Path) -> None:
 
 def test_u32_of_a_draw_is_what_numpy_has() -> None:
     """The generator's twin in a kernel: one draw a slot, at both ends of the slot numbers."""
-    draw = llvm_words.inlined(rng.draw)
+    draw = llvm_functions.inlined(rng.draw)
 
     @numba.njit  # type: ignore[untyped-decorator]
     def compiled(slot: Any, key_a: Any, key_b: Any) -> Any:

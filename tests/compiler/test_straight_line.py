@@ -12,7 +12,7 @@ import numba
 import numpy as np
 import pytest
 
-from pearl_marl.compiler import llvm_words, scalar_words
+from pearl_marl.compiler import llvm_functions, llvm_words, scalar_words
 from pearl_marl.compiler.straight_line import golden_functions
 from pearl_marl.errors import ArgumentError
 from pearl_marl.golden import call_reference
@@ -51,7 +51,7 @@ def word(chance: random.Random, field: Field) -> Any:
 
 def compiled(spec: EnvSpec) -> dict[str, Any]:
     """Return the functions as LLVM has them, which is how kernels of a CPU call them."""
-    scope: dict[str, Any] = {"np": np, "inlined": llvm_words.inlined, **llvm_words.operations()}
+    scope: dict[str, Any] = {"np": np, "inlined": llvm_functions.inlined, **llvm_words.operations()}
     exec("\n".join(golden_functions(spec)), scope)
     result = {}
     for name in ("initial", "golden_step", "observe"):
