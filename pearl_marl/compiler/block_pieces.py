@@ -64,7 +64,7 @@ class BlockPieces(Pieces):
         self.block = each("block_{}[i]", self.state)
         self.take = assign(self.new, each("stored_{}[i]", self.state))
         self.functions: dict[str, list[str]] = {}
-        self._taken = 0
+        self._taken, draws = 0, self.step_draws.stop
         self.places = {
             "E": self.column("memory", self.elapsed),
             "N": self.column("memory", self.ended),
@@ -75,9 +75,9 @@ class BlockPieces(Pieces):
             "T": part("terminations", "uint8"),
             "U": part("truncations", "uint8"),
             "rates": "float32_column(table, 0, 0)",
-            "keys": self.space("uint32", 2 * self.step_draws.stop),
-            "draws": self.space("uint32", self.size * self.step_draws.stop),
-            **{f"draw_{d}": f"uint32_column(draws, 0, {self.size * d})" for d in range(self.step_draws.stop)},
+            "keys": self.space("uint32", 2 * draws),
+            **{f"draw_{d}": f"uint32_column(draws, 0, {self.size * d})" for d in range(draws)},
+            "all_draws": "uint32_column(draws, 0, 0)",
             **self.words(),
             **{f"part_{f.name}": part(f"given_{f.name}", f.dtype) for f in spec.observation},
         }
@@ -101,10 +101,14 @@ class BlockPieces(Pieces):
         self._taken += slot_memory.padded(words * np.dtype(dtype).itemsize)
         return f"{dtype}_column(space, {begin}, 0)"
 
-    @property
-    def space_taken(self) -> int:
-        """Bytes of the scratch space, wherever it begins."""
-        return self._taken + slot_memory.ALIGNMENT
+    def spaces(self) -> dict[str, int]:
+        """Return the bytes of each scratch space.
+
+        Words that one loop works on, and that are not of one width, are in spaces of their own: LLVM does not
+        find out by itself that they are apart, and gives up a loop of too many words that might not be.
+        """
+        draws = {"draws": 4 * self.size * self.step_draws.stop} if self.step_draws.stop else {}
+        return {"space": self._taken} | draws
 
     def apart(self, name: str, lines: Sequence[str], results: Sequence[str] = ()) -> list[str]:
         """Return the call of a function that does what some lines do, and gives the results that are named.
@@ -141,7 +145,7 @@ class BlockPieces(Pieces):
 
     def columns(self) -> dict[str, list[str]]:
         """Return what finds a block's state, and stores it."""
-        return {"block_lanes": [], "load_block": [], "load_stored": [], "store_block": []}
+        return {"load_block": [], "load_stored": [], "store_block": []}
 
     def keys(self, name: str, draws: range, tick: str) -> list[str]:
         """Return what makes the keys of some draws, which are the same for all slots."""
@@ -160,7 +164,7 @@ class BlockPieces(Pieces):
             "    key_a = keys[2 * d]",
             "    key_b = keys[2 * d + 1]",
             "    for i in range(m):",
-            f"        draws[{self.size} * d + i] = draw(u32(slot_0 + i), key_a, key_b)",
+            f"        all_draws[{self.size} * d + i] = draw(u32(slot_0 + i), key_a, key_b)",
         ]
         return self.apart(name, lines)
 

@@ -66,12 +66,14 @@ def kernel_source(spec: EnvSpec) -> str:
         "deliver_block": p.delivered("deliver_block", "part_{}[i]"),
         "compiled": p.compiled(),
     }
+    spaces = p.spaces()
+    parts["allocate"] = [f"{name} = allocate({count})" for name, count in spaces.items()]
+    parts["release"] = [f"release({name})" for name in spaces]
     parts["functions"] = [line for lines in p.functions.values() for line in lines]
     words = {
         "NAME": spec.name,
         "BLOCK": str(size),
         "FLAG_WORDS": str(size // 8),
-        "SPACE": str(p.space_taken),
         "PADDED": p.padded,
         "CODES": part("code_words", spec.reward.dtype),
         "FEW": str(p.few),

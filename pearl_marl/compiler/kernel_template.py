@@ -24,9 +24,7 @@ $compiled
 @kernel
 def reset(memory, stored, mask, observations, seed_0, seed_1, tick, first_slot, use_stored, n, lo, hi):
     $PADDED
-    whole = allocate($SPACE)
-    space = line(whole)
-    $block_lanes
+    $allocate
     $reset_keys
     for b in range(lo, hi, $BLOCK):
         m = least($BLOCK, hi - b)
@@ -38,7 +36,7 @@ def reset(memory, stored, mask, observations, seed_0, seed_1, tick, first_slot, 
         $begun
         $observe
         $store_block
-    release(whole)
+    $release
 
 
 @kernel
@@ -47,9 +45,7 @@ def step(
     seed_0, seed_1, tick, first_slot, limit, next_step, use_stored, n, lo, hi,
 ):
     $PADDED
-    whole = allocate($SPACE)
-    space = line(whole)
-    $block_lanes
+    $allocate
     $code
     # 1 where an episode ends; beyond the last slot 0
     $flag
@@ -109,7 +105,7 @@ def step(
                         break
             $restart
         $store_block
-    release(whole)
+    $release
 
 
 @kernel
@@ -127,9 +123,7 @@ def results(
 ):
     """Turn a step's words into its results, as `step` has them."""
     $PADDED
-    whole = allocate($SPACE)
-    space = line(whole)
-    $block_lanes
+    $allocate
     # not 0 where an episode ended; beyond the last slot 0
     $flag
     $reset_keys
@@ -151,16 +145,14 @@ def results(
                 for i in range(8 * w, 8 * w + 8):
                     if flag[i]:
                         $start_delivered
-    release(whole)
+    $release
 
 
 @kernel
 def advance(memory, actions, table, rewards, terminations, n, lo, hi):
     """The golden step and its rewards, and nothing else: what a benchmark calls kernel only."""
     $PADDED
-    whole = allocate($SPACE)
-    space = line(whole)
-    $block_lanes
+    $allocate
     seed_0 = seed_1 = tick = 0
     $step_keys
     $code
@@ -173,5 +165,5 @@ def advance(memory, actions, table, rewards, terminations, n, lo, hi):
         $golden_step
         $rewards
         $store_block
-    release(whole)
+    $release
 '''

@@ -35,13 +35,16 @@ class LanePieces(BlockPieces):
 
     def columns(self) -> dict[str, list[str]]:
         """Return what copies a block's state into lanes and back."""
-        lanes = {name: self.space(self.lane, self.size * len(self.fields)) for name in ("blocks", "storeds")}
         return {
-            "block_lanes": [f"{name} = {where}" for name, where in lanes.items()],
             "load_block": ["load(blocks, memory, p, b, m)"],
             "load_stored": ["if use_stored:", "    load(storeds, stored, p, b, m)"],
             "store_block": ["store(blocks, memory, p, b, m)"],
         }
+
+    def spaces(self) -> dict[str, int]:
+        """Return the bytes of each scratch space."""
+        lanes = self.lane.itemsize * self.size * len(self.fields)
+        return super().spaces() | {"blocks": lanes, "storeds": lanes}
 
     def compiled(self) -> list[str]:
         """Return the functions that copy, start and observe slots."""

@@ -7,7 +7,7 @@ they cast what they are given.
 What a loop reads and writes are addresses rather than arrays, whose owners Numba would count: such loops
 compile in less time. ``uint8_column(array, start, index)`` is the address of a word, ``index`` words behind
 byte ``start`` of an array; ``uint8_row(column, index, count)`` makes an array of some words again. Scratch
-space is had by ``allocate(count)``, begins at ``line(space)``, and is given back by ``release(space)``.
+space, which begins a cache line, is had by ``allocate(count)`` and given back by ``release(space)``.
 """
 
 from __future__ import annotations
@@ -150,34 +150,35 @@ def _row(element: Any) -> Any:
 @intrinsic
 def _allocate(_: Any, count: Any) -> Any:
     def generate(context: Any, builder: Any, signature: Any, operands: Any) -> Any:
-        return context.nrt.allocate(builder, context.cast(builder, operands[0], count, types.intp))
+        word = context.get_value_type(types.intp)
+        length = builder.add(context.cast(builder, operands[0], count, types.intp), word(LINE))
+        whole = context.nrt.allocate(builder, length)
+        # As an offset and not as a rounded address, it is still known to be apart from all other words.
+        offset = builder.sub(word(LINE), builder.and_(builder.ptrtoint(whole, word), word(LINE - 1)))
+        first = builder.gep(whole, [offset])
+        builder.store(whole, _kept(builder, first))
+        return first
 
     return _Address(types.uint8)(count), generate
 
 
 @intrinsic
-def _line(_: Any, whole: Any) -> Any:
+def _release(_: Any, first: Any) -> Any:
     def generate(context: Any, builder: Any, signature: Any, operands: Any) -> Any:
-        word = context.get_value_type(types.intp)
-        at = builder.ptrtoint(operands[0], word)
-        # An offset rather than a rounded address, which LLVM could no longer tell from others.
-        return builder.gep(operands[0], [builder.and_(builder.neg(at), word(LINE - 1))])
-
-    return whole(whole), generate
-
-
-@intrinsic
-def _release(_: Any, whole: Any) -> Any:
-    def generate(context: Any, builder: Any, signature: Any, operands: Any) -> Any:
-        context.nrt.free(builder, operands[0])
+        context.nrt.free(builder, builder.load(_kept(builder, *operands)))
         return context.get_dummy_value()
 
-    return types.none(whole), generate
+    return types.none(first), generate
+
+
+def _kept(builder: Any, first: Any) -> Any:
+    """Return where the address is kept that was allocated: before the first line, of which some is left."""
+    return builder.gep(builder.bitcast(first, BYTES.as_pointer()), [ir.IntType(32)(-1)])
 
 
 def operations() -> dict[str, Any]:
     """Return all operations by their names, for a kernel's source to call."""
-    named = {"allocate": _allocate, "line": _line, "release": _release}
+    named = {"allocate": _allocate, "release": _release}
     for t in NUMBERS:
         named |= {f"{t}_column": _column(t), f"{t}_row": _row(t), f"{t}_choose": _named(f"{t}_choose")}
     for t in INTEGERS:
