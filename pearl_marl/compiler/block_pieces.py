@@ -1,7 +1,14 @@
-"""The pieces of the CPU's kernels: loops over blocks of slots, whose state is worked on where it lies."""
+"""The pieces of the CPU's kernels: loops over blocks of slots, whose state is worked on where it lies.
+
+All that has no branches is in functions of its own, which :mod:`~pearl_marl.compiler.llvm_functions` inlines.
+Numba is left with what is between them.
+"""
 
 from __future__ import annotations
 
+import ast
+import re
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -15,11 +22,13 @@ from pearl_marl.spec import EnvSpec
 BLOCK = 2048
 """Slots of a block: what a loop touches then fits a 32 KiB L1 cache. A multiple of 64."""
 
-DRAW = "draw(u32(slot_0 + i), key_a{0}, key_b{0})"
-DRAWS = "draws(draw_{0}, slot_0, key_a{0}, key_b{0}, m)"
+KNOWN = re.compile(
+    r"np|u32|range|draw|key|initial|golden_step|observe|u?int\d+_[a-z_]+|float\d+_[a-z_]+|[A-Z]+_\w+"
+)
+"""Names in the lines of a function that are no variables of the kernel."""
 
-MEMORIES = {"block": "memory", "stored": "stored"}
-"""By the prefix of a block's words, what they are read from."""
+COMPILED = {"unpack", "begin", "show"}
+"""Functions that Numba compiles. What calls one stays with Numba, too."""
 
 
 def each_slot(*lines: str) -> list[str]:
@@ -27,9 +36,9 @@ def each_slot(*lines: str) -> list[str]:
     return ["for i in range(m):", *indented(lines)]
 
 
-def part(array: str, dtype: np.dtype[Any], size: int = 1) -> str:
+def part(array: str, dtype: np.dtype[Any] | str, size: int = 1) -> str:
     """Return what belongs to the block of an array that has ``size`` elements a slot."""
-    return f"{dtype}_column({array}, {dtype.itemsize * size} * b, {size} * m)"
+    return f"{dtype}_column({array}, 0, {f'{size} * b' if size > 1 else 'b'})"
 
 
 class BlockPieces(Pieces):
@@ -38,123 +47,201 @@ class BlockPieces(Pieces):
     size = BLOCK
 
     def __init__(self, spec: EnvSpec) -> None:
-        size, item = spec.observation_size, spec.observation_dtype.itemsize
+        size = spec.observation_size
         # A constant stride: LLVM does not vectorise over one that it only knows at run time.
         element = f"O[{size} * i + {{}}]" if size > 1 else "O[i]"
-        super().__init__(spec, element, f"{cell_dtype(spec)}_column(O, {item * size} * i, {size})")
-        flat = spec.unpack is None
+        super().__init__(spec, element, f"{cell_dtype(spec)}_row(O, {size} * i, {size})")
+        self.table = "rates"
+        self.flat = spec.unpack is None
         kept = each("F" + element[1:], range(len(spec.observation)))
         self.copy_one = assign(kept, each(element, range(len(spec.observation))))
-        if not flat:
-            self.copy_one = [f"for k in range({size} * i, {size} * (i + 1)):", "    F[k] = O[k]"]
+        if not self.flat:
+            self.copy_one = [f"for k in range({size}):", f"    F[{size} * i + k] = O[{size} * i + k]"]
         *self.fields, self.elapsed, self.ended = slot_memory.columns(spec)
         # From about so many on, fewer where a start takes draws, SIMD code for all slots is faster. Not with
         # large observations, of which all would be made anew.
-        self.few = self.size // (4 + 3 * spec.reset_draws) if flat else self.size + 1
+        self.few = self.size // (4 + 3 * spec.reset_draws) if self.flat else self.size + 1
         self.block = each("block_{}[i]", self.state)
         self.take = assign(self.new, each("stored_{}[i]", self.state))
+        self.functions: dict[str, list[str]] = {}
+        self._taken, draws = 0, self.step_draws.stop
+        self.places = {
+            "E": self.column("memory", self.elapsed),
+            "N": self.column("memory", self.ended),
+            "O": part("observations", self.dtype, size),
+            "F": part("final_observations", self.dtype, size),
+            "A": part("actions", spec.action.dtype),
+            "R": part("rewards", "float32"),
+            "T": part("terminations", "uint8"),
+            "U": part("truncations", "uint8"),
+            "rates": "float32_column(table, 0, 0)",
+            "keys": self.space("uint32", 2 * draws),
+            **{f"draw_{d}": f"uint32_column(draws, 0, {self.size * d})" for d in range(draws)},
+            "all_draws": "uint32_column(draws, 0, 0)",
+            **self.words(),
+            **{f"part_{f.name}": part(f"given_{f.name}", f.dtype) for f in spec.observation},
+        }
+        """Where words lie, by name; a function is given what that takes."""
 
-    def rows(self, array: str) -> str:
-        """Return what belongs to the block of an array of observations, as a flat array."""
-        return part(array, self.dtype, self.spec.observation_size)
+    def words(self) -> dict[str, str]:
+        """Return where the words of the state lie."""
+        return {
+            f"{prefix}_{field.name}": self.column(memory, field)
+            for prefix, memory in (("block", "memory"), ("stored", "stored"))
+            for field in self.fields
+        }
 
     def column(self, memory: str, column: slot_memory.Column) -> str:
         """Return what belongs to the block of a column."""
-        at = f"p * {column.bytes_before} + {column.dtype.itemsize} * b"
-        return f"{column.dtype}_column({memory}, {at}, m)"
+        return f"{column.dtype}_column({memory}, p * {column.bytes_before}, b)"
 
-    def given_parts(self) -> list[str]:
-        """Return what finds the block's words of observations that a device delivered."""
-        return [f"part_{f.name} = {part(f'given_{f.name}', f.dtype)}" for f in self.spec.observation]
+    def space(self, dtype: np.dtype[Any] | str, words: int) -> str:
+        """Return where so many words lie in the scratch space; nothing else does."""
+        begin = self._taken
+        self._taken += slot_memory.padded(words * np.dtype(dtype).itemsize)
+        return f"{dtype}_column(space, {begin}, 0)"
+
+    def spaces(self) -> dict[str, int]:
+        """Return the bytes of each scratch space.
+
+        Words that one loop works on, and that are not of one width, are in spaces of their own: LLVM does not
+        find out by itself that they are apart, and gives up a loop of too many words that might not be.
+        """
+        draws = {"draws": 4 * self.size * self.step_draws.stop} if self.step_draws.stop else {}
+        return {"space": self._taken} | draws
+
+    def apart(self, name: str, lines: Sequence[str], results: Sequence[str] = ()) -> list[str]:
+        """Return the call of a function that does what some lines do, and gives the results that are named.
+
+        It begins with where the words lie that the lines name, and takes what else they name.
+        """
+        nodes = [node for node in ast.walk(ast.parse("\n".join(lines))) if isinstance(node, ast.Name)]
+        names = {node.id for node in nodes if isinstance(node.ctx, ast.Load)}
+        found = []
+        for place, where in reversed(self.places.items()):
+            if place in names:
+                found.append(f"{place} = {where}")
+                names |= set(re.findall(r"[A-Za-z_]\w*", where))
+        whole = [*reversed(found), *lines]
+        if names & COMPILED:
+            return whole
+        own = {node.id for node in nodes if isinstance(node.ctx, ast.Store)} | set(self.places)
+        given = ", ".join(sorted(name for name in names - own if not KNOWN.fullmatch(name)))
+        if results:
+            whole.append(f"return {', '.join(results)}")
+        function = ["", "", "@inlined", f"def {name}({given}):", *indented(whole)]
+        if self.functions.setdefault(name, function) != function:
+            raise ValueError(f"two functions are called {name}")
+        assigned = f"{', '.join(results)} = " if results else ""
+        return [f"{assigned}{name}({given})"]
+
+    def over_slots(self, name: str, *lines: str) -> list[str]:
+        """Return the call of a function that is a loop over the slots of a block."""
+        return self.apart(name, each_slot(*lines))
+
+    def compiled(self) -> list[str]:
+        """Return the functions that are not loops over slots."""
+        return []
 
     def columns(self) -> dict[str, list[str]]:
-        """Return what finds a block's state."""
-        block, stored = (
-            [f"{prefix}_{field.name} = {self.column(memory, field)}" for field in self.fields]
-            for prefix, memory in MEMORIES.items()
-        )
-        none: list[str] = []
-        return {
-            "functions": none, "block_lanes": none, "stored_lanes": none,
-            "load_block": block, "load_stored": stored, "store_block": none,
-        }  # fmt: skip
+        """Return what finds a block's state, and stores it."""
+        return {"load_block": [], "load_stored": [], "store_block": []}
 
-    def draws(self) -> dict[str, list[str]]:
-        """Return the scratch space of random draws, their keys, and what makes the step's."""
-        scratch = f"draw_{{}} = uint32_scratch({self.size})"
+    def keys(self, name: str, draws: range, tick: str) -> list[str]:
+        """Return what makes the keys of some draws, which are the same for all slots."""
+        if not draws:
+            return []
+        chains = enumerate((rng.CHAIN_A, rng.CHAIN_B))
+        made = (f"keys[2 * d + {k}] = {pieces.key(chain, tick, 'd')}" for k, chain in chains)
+        return self.apart(name, [f"for d in range({draws.start}, {draws.stop}):", *indented(made)])
 
-        def keys(draws: range, tick: str) -> list[str]:
-            chains = ("a", rng.CHAIN_A), ("b", rng.CHAIN_B)
-            return [f"key_{side}{d} = {pieces.key(chain, tick, d)}" for d in draws for side, chain in chains]
+    def draws(self, name: str, draws: range) -> list[str]:
+        """Return what makes some draws of all slots of a block."""
+        if not draws:
+            return []
+        lines = [
+            f"for d in range({draws.start}, {draws.stop}):",
+            "    key_a = keys[2 * d]",
+            "    key_b = keys[2 * d + 1]",
+            "    for i in range(m):",
+            f"        all_draws[{self.size} * d + i] = draw(u32(slot_0 + i), key_a, key_b)",
+        ]
+        return self.apart(name, lines)
 
-        return {
-            "reset_scratch": each(scratch, self.reset_draws),
-            "step_scratch": each(scratch, self.step_draws),
-            "reset_keys_now": keys(self.reset_draws, "tick"),
-            "reset_keys": keys(self.reset_draws, "reset_tick"),
-            "step_keys": keys(self.step_draws, "tick"),
-            "step_keys_fixed": keys(self.step_draws, "0"),
-            "draw_for_step": each(DRAWS, self.step_draws),
-        }
+    def draw_one(self) -> list[str]:
+        """Return what makes the draws that start a single slot."""
+        keys = ((d, f"keys[{2 * d}], keys[{2 * d + 1}]") for d in self.reset_draws)
+        return [f"d{d} = draw(u32(slot_0 + i), {pair})" for d, pair in keys]
 
     def start_over(self) -> list[str]:
         """Return what starts an episode in the slots of the block that are flagged."""
         initial = call("initial", each("draw_{}[i]", self.reset_draws), self.new)
-        draws = each(DRAWS, self.reset_draws)
-        return start(self.choose(*self.take), [*draws, *self.choose(initial)])
+        stored = self.over_slots("start_stored", *self.chosen(*self.take))
+        fresh = self.over_slots("start_fresh", *self.chosen(initial))
+        return start(stored, [*self.draws("draw_for_start", self.reset_draws), *fresh])
 
-    def start_one(self) -> list[str]:
-        """Return what starts one in a single slot, and does not store it."""
-        initial = call("initial", each("d{}", self.reset_draws), self.new)
-        return start(self.take, [*each("d{0} = " + DRAW, self.reset_draws), initial])
-
-    def choose(self, *sources: str) -> list[str]:
+    def chosen(self, *sources: str) -> list[str]:
         """Return what stores new words where a slot is flagged."""
         # No `if`: LLVM would move the start into its branch, and the loop would stay scalar.
         chosen = (
             f"{f.dtype}_choose(c, {new}, {old})"
             for f, new, old in zip(self.spec.state, self.new, self.block, strict=True)
         )
-        return each_slot("c = flag[i]", *sources, *assign(self.block, chosen))
+        return ["c = flag[i]", *sources, *assign(self.block, chosen)]
 
-    def observed(self) -> list[str]:
-        """Return what observes a slot of the block."""
-        return self.observe(self.block)
-
-    def observed_start(self) -> list[str]:
-        """Return what observes a slot that has just started."""
-        return self.observe(self.new)
+    def start_one(self) -> list[str]:
+        """Return what starts an episode in a single slot, and stores nothing."""
+        lines = [*self.draw_one(), call("initial", each("d{}", self.reset_draws), self.new)]
+        return start(self.apart("take_start", self.take, self.new), self.apart("make_start", lines, self.new))
 
     def store_one(self) -> list[str]:
         """Return what stores the start of a single slot."""
-        return assign(self.block, self.narrow)
+        return self.apart("store_start", [*assign(self.block, self.narrow), "E[i] = np.uint32(0)"])
+
+    def observed(self) -> list[str]:
+        """Return what observes all slots of a block."""
+        return self.over_slots("observe_all", *self.observe(self.block))
+
+    def observed_start(self) -> list[str]:
+        """Return what observes a slot that has just started."""
+        return self.apart("observe_start", self.observe(self.new))
 
     def restart(self) -> list[str]:
         """Return what starts over the slots that ended, which are listed."""
-        store = [*self.store_one(), "E[i] = np.uint32(0)"]
-        one = [*self.copy_one, *self.start_one(), *store, *self.observed_start()]
-        each = ["for j in range(count):", *indented(["i = np.int64(ended_slots[j])", *one])]
-        if self.spec.unpack is not None:
-            return each
-        at_once = [*each_slot(*self.copy_one), *self.start_over()]
-        at_once += each_slot("E[i] = np.uint32(0) if flag[i] else E[i]")
-        at_once += each_slot(*self.observed())
-        return [f"if count < {self.few}:", *indented(each), "else:", *indented(at_once)]
+        keep = self.apart("keep_last", self.copy_one)
+        one = [*keep, *self.start_one(), *self.store_one(), *self.observed_start()]
+        listed = ["for j in range(count):", *indented(["i = np.int64(ended_slots[j])", *one])]
+        if not self.flat:
+            return listed
+        at_once = [
+            *self.over_slots("keep_all_last", *self.copy_one),
+            *self.start_over(),
+            *self.over_slots("reset_elapsed", "E[i] = uint32_choose(flag[i], 0, E[i])"),
+            *self.observed(),
+        ]
+        return [f"if count < {self.few}:", *indented(listed), "else:", *indented(at_once)]
+
+    def start_delivered(self) -> list[str]:
+        """Return what starts a single slot and observes it, after another device has ended it."""
+        return [*self.apart("keep_last", self.copy_one), *self.start_one(), *self.observed_start()]
+
+    def delivered(self, name: str, words: str) -> list[str]:
+        """Return what turns the words of observations, of a name each, into the observations themselves."""
+        return self.over_slots(name, *self.deliver(each(words, self.observation)))
 
     def golden_step(self) -> list[str]:
         """Return the loop over the golden step."""
         sources = [*self.block, "A[i]", *each("draw_{}[i]", self.step_draws)]
         results = [*self.new, "r", "t"]
-        return each_slot(
-            call("golden_step", sources, results), *assign([*self.block, "code[i]", "flag[i]"], results)
-        )
+        step = call("golden_step", sources, results)
+        return self.over_slots("step_all", step, *assign([*self.block, "code[i]", "flag[i]"], results))
 
-    def rewards(self) -> dict[str, list[str]]:
+    def rewards(self) -> list[str]:
         """Return what makes rewards of their codes."""
-        names = each("reward_{}", range(self.categories if self.categories <= 8 else 0))
-        lines = [f"R[i] = {self.reward('code[i]', 'code[i]')}"]
-        if names:  # a chain of blends; beyond that a gather costs less
-            chain = (f"r = {name} if code[i] == {k} else r" for k, name in enumerate(names) if k)
-            lines = [f"r = {names[0]}", *chain, "R[i] = r"]
-        lookups = each("reward_{0} = table[{0}]", range(len(names)))
-        return {"reward_names": lookups, "rewards": each_slot(*lines)}
+        if self.categories > 8 or not self.categories:
+            return self.over_slots("reward_all", f"R[i] = {self.reward('code[i]', 'code[i]')}")
+        # A chain of blends; beyond that a gather costs less.
+        dtype, others = self.spec.reward.dtype, range(1, self.categories)
+        chain = (f"r = float32_choose({dtype}_equal(code[i], {k}), reward_{k}, r)" for k in others)
+        lookups = (f"reward_{k} = rates[{k}]" for k in range(self.categories))
+        return self.apart("reward_all", [*lookups, *each_slot("r = reward_0", *chain, "R[i] = r")])

@@ -6,37 +6,37 @@ Variables are named after the fields of the spec. For a field x:
 $PREFIXES
 """
 $golden_functions
+
+
+@inlined
+def least(a, b):
+    return int64_minimum(a, b)
+
+
+@inlined
+def clear(words, first, end):
+    for i in range(first, end):
+        words[i] = 0
 $functions
-
-
-@called
-def draws(target, slot_0, key_a, key_b, m):
-    for i in range(m):
-        target[i] = draw(u32(slot_0 + i), key_a, key_b)
+$compiled
 
 
 @kernel
 def reset(memory, stored, mask, observations, seed_0, seed_1, tick, first_slot, use_stored, n, lo, hi):
     $PADDED
-    $block_lanes
-    $stored_lanes
-    $reset_scratch
-    $reset_keys_now
+    $allocate
+    $reset_keys
     for b in range(lo, hi, $BLOCK):
-        m = min($BLOCK, hi - b)
+        m = least($BLOCK, hi - b)
         slot_0 = first_slot + b
         $load_block
         $load_stored
-        E = $ELAPSED
-        N = $ENDED
-        O = $OBSERVED
-        flag = uint8_column(mask, b, m)
+        flag = uint8_column(mask, 0, b)
         $start_over
-        for i in range(m):
-            E[i] = np.uint32(0) if flag[i] else E[i]
-            N[i] = np.uint8(0) if flag[i] else N[i]
+        $begun
         $observe
         $store_block
+    $release
 
 
 @kernel
@@ -45,37 +45,27 @@ def step(
     seed_0, seed_1, tick, first_slot, limit, next_step, use_stored, n, lo, hi,
 ):
     $PADDED
-    $block_lanes
-    $stored_lanes
-    $reset_scratch
-    $step_scratch
-    code = $CODE_SCRATCH
-    flag = uint8_scratch($BLOCK)  # 1 where an episode ends; beyond the last slot 0
-    flag_words = uint64_column(flag, 0, $BLOCK // 8)
-    ended_slots = uint16_scratch($BLOCK)
-    resetting = uint8_scratch($BLOCK)
-    for i in range($BLOCK):
-        resetting[i] = 0
+    $allocate
+    $code
+    # 1 where an episode ends; beyond the last slot 0
+    $flag
+    $ended_slots
+    $resetting
+    clear(resetting, 0, $BLOCK)
     $step_keys
     # SAME_STEP starts the next episode now, at the next tick; NEXT_STEP starts it within this one.
-    reset_tick = tick if next_step else tick + 1
+    if not next_step:
+        tick += 1
     $reset_keys
-    $reward_names
     for b in range(lo, hi, $BLOCK):
-        m = min($BLOCK, hi - b)
+        m = least($BLOCK, hi - b)
         slot_0 = first_slot + b
         $load_block
         $load_stored
-        E = $ELAPSED
-        N = $ENDED
-        O = $OBSERVED
-        A = $ACTIONS
-        R = float32_column(rewards, 4 * b, m)
-        T = uint8_column(terminations, b, m)
-        for i in range(m, $BLOCK):
-            flag[i] = 0
+        clear(flag, m, $BLOCK)
         any_resetting = np.uint8(0)
         if next_step:
+            $ended
             for i in range(m):
                 resetting[i] = N[i]
                 any_resetting |= N[i]
@@ -84,43 +74,29 @@ def step(
         $golden_step
         if any_resetting:
             # These slots have run on unseen; what they did gives way to the start of a new episode.
-            for i in range(m):
-                T[i] = np.uint8(0) if resetting[i] else flag[i]
-                flag[i] = resetting[i]
+            $hide
             $start_over
-            for i in range(m):
-                flag[i] = T[i]
+            $flag_terminated
         else:
-            for i in range(m):
-                T[i] = flag[i]
-        U = uint8_column(truncations, b, m)
+            $terminated
         if limit:
-            for i in range(m):
-                e = np.uint32(0) if resetting[i] else np.uint32(E[i] + np.uint32(1))
-                late = np.uint8(e >= np.uint32(limit))
-                E[i] = e
-                U[i] = late
-                flag[i] |= late
+            $truncated
         else:
-            for i in range(m):
-                U[i] = np.uint8(0)
+            $not_truncated
         $rewards
         $observe
         if next_step:
-            for i in range(m):
-                N[i] = flag[i]
+            $ending
             if any_resetting:
-                for i in range(m):
-                    R[i] = np.float32(0) if resetting[i] else R[i]
+                $no_reward
 
         any_ended = np.uint64(0)
-        for i in range(flag_words.size):
+        for i in range($FLAG_WORDS):
             any_ended |= flag_words[i]
         if any_ended and not next_step:
-            F = $FINAL
             # Listed, since most often few ended; but no further than their number matters.
             count = 0
-            for w in range(flag_words.size):
+            for w in range($FLAG_WORDS):
                 if flag_words[w]:
                     for i in range(8 * w, 8 * w + 8):
                         ended_slots[count] = i
@@ -129,14 +105,15 @@ def step(
                         break
             $restart
         $store_block
+    $release
 
 
 @kernel
 def deliver($GIVEN, observations):
     """Turn words of observations into the observations themselves."""
-    O = $ALL_OBSERVED
-    for i in range(len($FIRST_GIVEN)):
-        $deliver
+    b = 0
+    m = len($FIRST_GIVEN)
+    $deliver
 
 
 @kernel
@@ -146,64 +123,47 @@ def results(
 ):
     """Turn a step's words into its results, as `step` has them."""
     $PADDED
-    $block_lanes
-    $stored_lanes
-    flag = uint8_scratch($BLOCK)  # not 0 where an episode ended; beyond the last slot 0
-    flag_words = uint64_column(flag, 0, $BLOCK // 8)
-    $reset_keys_now
-    $reward_names
+    $allocate
+    # not 0 where an episode ended; beyond the last slot 0
+    $flag
+    $reset_keys
     for b in range(lo, hi, $BLOCK):
-        m = min($BLOCK, hi - b)
+        m = least($BLOCK, hi - b)
         slot_0 = first_slot + b
         $load_stored
-        $given_parts
-        ter = uint8_column(ter_words, b, m)
+        ter = uint8_column(ter_words, 0, b)
         code = $CODES
-        R = float32_column(rewards, 4 * b, m)
-        T = uint8_column(terminations, b, m)
-        U = uint8_column(truncations, b, m)
-        O = $OBSERVED
-        F = $FINAL
-        for i in range(m):
-            $deliver_block
+        $deliver_block
         $rewards
-        for i in range(m, $BLOCK):
-            flag[i] = 0
-        for i in range(m):
-            T[i] = ter[i] & np.uint8(1)
-            U[i] = ter[i] >> np.uint8(1)
-            flag[i] = ter[i]
+        clear(flag, m, $BLOCK)
+        $delivered_ends
         if next_step:
             continue
         # Few slots end in most steps: eight that did not are one comparison.
-        for w in range(flag_words.size):
+        for w in range($FLAG_WORDS):
             if flag_words[w]:
                 for i in range(8 * w, 8 * w + 8):
                     if flag[i]:
-                        $copy_one
-                        $start_one
-                        $observe_one
+                        $start_delivered
+    $release
 
 
 @kernel
 def advance(memory, actions, table, rewards, terminations, n, lo, hi):
     """The golden step and its rewards, and nothing else: what a benchmark calls kernel only."""
     $PADDED
-    $block_lanes
-    $reward_names
-    $step_scratch
-    seed_0 = seed_1 = 0
-    $step_keys_fixed
-    code = $CODE_SCRATCH
+    $allocate
+    seed_0 = seed_1 = tick = 0
+    $step_keys
+    $code
     for b in range(lo, hi, $BLOCK):
-        m = min($BLOCK, hi - b)
+        m = least($BLOCK, hi - b)
         slot_0 = b
         $load_block
-        A = $ACTIONS
-        R = float32_column(rewards, 4 * b, m)
-        flag = uint8_column(terminations, b, m)
+        flag = uint8_column(terminations, 0, b)
         $draw_for_step
         $golden_step
         $rewards
         $store_block
+    $release
 '''

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import hashlib
 import inspect
-import types
 from collections.abc import Callable, Iterable
 from functools import partial
 from pathlib import Path
@@ -20,15 +19,22 @@ import numba
 import numpy as np
 
 from pearl_marl import rng
-from pearl_marl.compiler import llvm_words
+from pearl_marl.compiler import llvm_functions, llvm_words
 from pearl_marl.compiler.kernel_source import kernel_source
 from pearl_marl.compiler.loading import fingerprint, load, with_callees
 from pearl_marl.golden import GoldenFunction
 from pearl_marl.spec import EnvSpec
 
 # LLVM turns no loop that still has a call in it into SIMD code, and left to itself it keeps a long
-# golden step as one: CartPole ran at 40 M steps/s without this, at 230 M with it.
+# function as one.
 _FORCE_INLINE = True
+
+# Of what is called from compiled code alone, Numba need not compile the versions that Python and C can call.
+_NOT_FOR_C: dict[str, Any] = {"no_cfunc_wrapper": True}
+_FOR_KERNELS: dict[str, Any] = {"no_cpython_wrapper": True, **_NOT_FOR_C}
+
+DRAWING: dict[str, GoldenFunction] = {"key": rng.key, "draw": rng.draw}
+"""What makes random draws."""
 
 
 class Kernels(NamedTuple):
@@ -70,18 +76,24 @@ def compile_kernels(spec: EnvSpec) -> Kernels:
         np.__version__,
         f"{_FORCE_INLINE=}",
         inspect.getsource(llvm_words),
+        inspect.getsource(llvm_functions),
     )
     name = kernel_name(spec, source, versions)
     if name not in _loaded:
-        compiled: dict[types.FunctionType, Any] = {}
+        calling: dict[str, Any] = {
+            name: llvm_functions.inlined(function) for name, function in DRAWING.items()
+        }
+        if spec.unpack is not None:
+            calling["unpack"] = _compiled(spec.unpack)
         module, path = load(
             name,
             source,
-            kernel=numba.njit(nogil=True, cache=True, error_model="numpy"),
+            kernel=numba.njit(nogil=True, cache=True, error_model="numpy", **_NOT_FOR_C),
+            called=numba.njit(error_model="numpy", **_FOR_KERNELS),
+            called_inline=numba.njit(forceinline=_FORCE_INLINE, error_model="numpy", **_FOR_KERNELS),
+            inlined=llvm_functions.inlined,
             **llvm_words.operations(),
-            called=numba.njit(error_model="numpy"),
-            inlined=numba.njit(forceinline=_FORCE_INLINE, error_model="numpy"),
-            **{called: _compiled(function, compiled) for called, function in functions(spec).items()},
+            **calling,
         )
         _loaded[name] = Kernels(
             module.reset, module.step, module.deliver, module.results, module.advance, path
@@ -96,7 +108,7 @@ _loaded: dict[str, Kernels] = {}
 def functions(spec: EnvSpec) -> dict[str, GoldenFunction]:
     """Return the functions that a kernel's source calls, by the names it has for them."""
     unpack = {} if spec.unpack is None else {"unpack": spec.unpack}
-    return dict(key=rng.key, draw=rng.draw, **unpack)
+    return DRAWING | unpack
 
 
 def kernel_name(spec: EnvSpec, source: str, versions: Iterable[str]) -> str:
@@ -109,5 +121,5 @@ def kernel_name(spec: EnvSpec, source: str, versions: Iterable[str]) -> str:
     return f"{spec.name}_{digest.hexdigest()[:16]}"
 
 
-def _compiled(function: Any, done: dict[types.FunctionType, Any]) -> Any:
-    return with_callees(function, done, partial(numba.njit, forceinline=_FORCE_INLINE))
+def _compiled(function: GoldenFunction) -> Any:
+    return with_callees(function, {}, partial(numba.njit, forceinline=_FORCE_INLINE, **_FOR_KERNELS))

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pearl_marl.compiler.block_pieces import DRAW, DRAWS, MEMORIES, BlockPieces, each_slot
+from pearl_marl.compiler.block_pieces import BlockPieces, each_slot
 from pearl_marl.compiler.pieces import assign, call, each, indented, narrowed, start
 from pearl_marl.spec import EnvSpec
 
@@ -20,99 +20,98 @@ class LanePieces(BlockPieces):
     """Seaquest steps 40 M slots/s like this, with the arrays of its 41 fields as they are 6 M."""
 
     def __init__(self, spec: EnvSpec) -> None:
-        super().__init__(spec)
         self.lane = np.dtype(np.uint64 if any(f.bits > 32 for f in spec.state) else np.uint32)
-        self.words = narrowed(spec.state, self.block)
+        super().__init__(spec)
+        self.loaded = narrowed(spec.state, self.block)
         self.written = each(f"np.{self.lane}({{}})", self.new)
+
+    def words(self) -> dict[str, str]:
+        """Return where the words of the state lie: in lanes."""
+        return {
+            f"{prefix}_{field.name}": f"{self.lane}_column({prefix}s, 0, {k * self.size})"
+            for prefix in ("block", "stored")
+            for k, field in enumerate(self.fields)
+        }
 
     def columns(self) -> dict[str, list[str]]:
         """Return what copies a block's state into lanes and back."""
-        block, stored = (
-            f"{prefix}s = {self.lane}_scratch({len(self.fields) * self.size})" for prefix in MEMORIES
-        )
         return {
-            "functions": [*self.copies(), *self.of_a_slot()],
-            "block_lanes": [block, *self.lanes("block")],
-            "stored_lanes": [stored],
             "load_block": ["load(blocks, memory, p, b, m)"],
             "load_stored": ["if use_stored:", "    load(storeds, stored, p, b, m)"],
             "store_block": ["store(blocks, memory, p, b, m)"],
         }
 
-    def lanes(self, prefix: str) -> list[str]:
-        """Return what finds the lane of each field in an array of them."""
-        step = self.size * self.lane.itemsize
-        return [
-            f"{prefix}_{field.name} = {self.lane}_column({prefix}s, {k * step}, {self.size})"
-            for k, field in enumerate(self.fields)
-        ]
+    def spaces(self) -> dict[str, int]:
+        """Return the bytes of each scratch space."""
+        lanes = self.lane.itemsize * self.size * len(self.fields)
+        return super().spaces() | {"blocks": lanes, "storeds": lanes}
 
-    def copies(self) -> list[str]:
-        """Return the functions that copy a block's columns into lanes, and back."""
-        step = self.size * self.lane.itemsize
-        lines = [
-            "",
-            "",
-            "@called",
-            "def copied(target, source, m):",
-            *indented(each_slot("target[i] = source[i]")),
-        ]
-        for name in ("load", "store"):
-            lines += ["", "", "@called", f"def {name}(lanes, memory, p, b, m):"]
-            for dtype in sorted({field.dtype for field in self.fields}, key=str):
-                places = [(k * step, f.bytes_before) for k, f in enumerate(self.fields) if f.dtype == dtype]
-                pair = [
-                    f"{self.lane}_column(lanes, lane, m)",
-                    f"{dtype}_column(memory, p * before + {dtype.itemsize} * b, m)",
-                ]
-                to, of = pair if name == "load" else pair[::-1]
-                lines += [f"    for lane, before in {tuple(places)}:", f"        copied({to}, {of}, m)"]
+    def compiled(self) -> list[str]:
+        """Return the functions that copy, start and observe slots."""
+        lines = [*self.copies("load"), *self.copies("store")]
+        lines += ["", "", "@called", f"def {self.begin}:", *indented(self.begun())]
+        if not self.flat:
+            lines += ["", "", "@called_inline", "def show(blocks, O, i):", *indented(self.shown())]
         return lines
 
-    def of_a_slot(self) -> list[str]:
-        """Return the functions that start a slot, and that observe it if it takes ``unpack``."""
-        draws = each("d{}", self.reset_draws)
-        take = assign(self.new, narrowed(self.spec.state, each("stored_{}[i]", self.state)))
-        begin = [
-            *self.lanes("block"),
-            *self.lanes("stored"),
-            *start(take, [call("initial", draws, self.new)]),
-            *assign(self.block, self.written),
-        ]
-        lines = ["", "", "@called", f"def begin({', '.join(['blocks, storeds, i, use_stored', *draws])}):"]
-        lines += indented(begin)
-        if self.spec.unpack is not None:
-            lines += ["", "", "@inlined", "def show(blocks, O, i):"]
-            lines += indented([*self.lanes("block"), *self.observe(self.words)])
-        return lines
+    def copies(self, name: str) -> list[str]:
+        """Return the function that copies a block's columns into lanes, or back."""
+        lines, loops = [], []
+        for dtype in sorted({field.dtype for field in self.fields}, key=str):
+            fields = [(k * self.size, f.bytes_before) for k, f in enumerate(self.fields) if f.dtype == dtype]
+            lanes, before = (f"{table}_{dtype}" for table in ("LANES", "BEFORE"))
+            if name == "load":
+                lines += [f"{lanes} = np.array({[lane for lane, _ in fields]}, np.int64)"]
+                lines += [f"{before} = np.array({[before for _, before in fields]}, np.int64)"]
+            lane = f"{self.lane}_column(lanes, 0, {lanes}[k])"
+            column = f"{dtype}_column(memory, p * {before}[k], b)"
+            to, of = (lane, column) if name == "load" else (column, lane)
+            inside = [f"to = {to}", f"of = {of}", *each_slot("to[i] = of[i]")]
+            loops += [f"for k in range({len(fields)}):", *indented(inside)]
+        return [*lines, "", "", "@inlined", f"def {name}(lanes, memory, p, b, m):", *indented(loops)]
 
-    def begin(self, draws: list[str]) -> str:
-        """Return the call that starts a slot."""
-        return f"begin({', '.join(['blocks, storeds, i, use_stored', *draws])})"
+    begin = "begin(blocks, storeds, space, slot_0, i, use_stored)"
+
+    def begun(self) -> list[str]:
+        """Return what starts a slot, and stores it."""
+        fresh = [*self.draw_one(), call("initial", each("d{}", self.reset_draws), self.new)]
+        stored = assign(self.new, narrowed(self.spec.state, each("stored_{}[i]", self.state)))
+        store = assign(self.block, self.written)
+        return start(
+            self.apart("start_stored", [*stored, *store]), self.apart("start_fresh", [*fresh, *store])
+        )
+
+    def shown(self) -> list[str]:
+        """Return what observes a slot by ``unpack``."""
+        observed = each("observed_{}", self.observation)
+        see = self.apart("see", [call("observe", self.loaded, observed)], observed)
+        return [*see, *self.deliver(observed)]
 
     def start_over(self) -> list[str]:
         """Return what starts an episode in the slots of the block that are flagged."""
-        begin = self.begin(each("draw_{}[i]", self.reset_draws))
-        return [*each(DRAWS, self.reset_draws), *each_slot("if flag[i]:", *indented([begin]))]
+        return each_slot("if flag[i]:", f"    {self.begin}")
 
     def start_one(self) -> list[str]:
         """Return what starts one in a single slot, and stores it."""
-        return [*each("d{0} = " + DRAW, self.reset_draws), self.begin(each("d{}", self.reset_draws))]
+        return [self.begin]
 
     def store_one(self) -> list[str]:
-        """Return nothing, since a slot that starts is stored."""
-        return []
+        """Return what a slot that started has yet to store."""
+        return self.apart("reset_one", ["E[i] = np.uint32(0)"])
 
     def observed(self) -> list[str]:
-        """Return what observes a slot of the block."""
-        return self.observe(self.words) if self.spec.unpack is None else ["show(blocks, O, i)"]
+        """Return what observes all slots of a block."""
+        lines = self.observe(self.loaded) if self.flat else ["show(blocks, O, i)"]
+        return self.over_slots("observe_all", *lines)
 
     def observed_start(self) -> list[str]:
         """Return what observes a slot that has just started."""
-        return self.observed()
+        lines = self.observe(self.loaded) if self.flat else ["show(blocks, O, i)"]
+        return self.apart("observe_start", lines)
 
     def golden_step(self) -> list[str]:
         """Return the loop over the golden step."""
-        sources = [*self.words, "A[i]", *each("draw_{}[i]", self.step_draws)]
+        sources = [*self.loaded, "A[i]", *each("draw_{}[i]", self.step_draws)]
         step = call("golden_step", sources, [*self.new, "r", "t"])
-        return each_slot(step, *assign([*self.block, "code[i]", "flag[i]"], [*self.written, "r", "t"]))
+        stored = assign([*self.block, "code[i]", "flag[i]"], [*self.written, "r", "t"])
+        return self.over_slots("step_all", step, *stored)

@@ -2,15 +2,19 @@
 
 Numba computes with 64 bits, and leaves it to LLVM to find out that 8 would do. It does not always, and a loop
 with 64-bit words in it steps an eighth of the slots at a time. So these compute in their own width, to which
-they cast what they are given. ``uint8_column(array, start, count)`` is a view of an array's bytes from
-``start`` on, and ``uint8_scratch(count)`` an array that holds anything: compiling them costs a tenth of
-what a slice with a ``view``, and ``np.empty``, do.
+they cast what they are given.
+
+What a loop reads and writes are addresses rather than arrays, whose owners Numba would count: such loops
+compile in less time. ``uint8_column(array, start, index)`` is the address of a word, ``index`` words behind
+byte ``start`` of an array; ``uint8_row(column, index, count)`` makes an array of some words again. Scratch
+space, which begins a cache line, is had by ``allocate(count)`` and given back by ``release(space)``.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from importlib import import_module
+from types import SimpleNamespace
 from typing import Any
 
 from llvmlite import ir
@@ -19,6 +23,10 @@ from numba.extending import intrinsic
 
 LINE = 64
 """Bytes of a cache line, where scratch space begins."""
+
+BYTES = ir.IntType(8).as_pointer()
+
+_Address: Any = types.CPointer
 
 Maker = Callable[..., Any]
 
@@ -37,6 +45,21 @@ def _extreme(sign: str) -> Maker:
 def _order(builder: Any, signed: bool) -> Maker:
     order: Maker = builder.icmp_signed if signed else builder.icmp_unsigned
     return order
+
+
+def _divide(builder: Any, signed: bool, a: Any, b: Any) -> Any:
+    if not signed:
+        return builder.udiv(a, b)
+    # Rounded down; what is divided by is positive.
+    below = builder.icmp_signed("<", builder.srem(a, b), a.type(0))
+    return builder.sub(builder.sdiv(a, b), builder.zext(below, a.type))
+
+
+def _modulo(builder: Any, signed: bool, a: Any, b: Any) -> Any:
+    if not signed:
+        return builder.urem(a, b)
+    rest = builder.srem(a, b)
+    return builder.select(builder.icmp_signed("<", rest, a.type(0)), builder.add(rest, b), rest)
 
 
 COMPARISONS: dict[str, Maker] = {
@@ -58,35 +81,14 @@ ARITHMETIC: dict[str, Maker] = {
     "right": lambda builder, signed, a, b: (builder.ashr if signed else builder.lshr)(a, b),
     "minimum": _extreme("<"),
     "maximum": _extreme(">"),
+    "divide": _divide,
+    "modulo": _modulo,
 }
 """Operations on two words whose result is one."""
 
-
-def _operation(make: Maker, word: Any, result: Any) -> Any:
-    @intrinsic
-    def operation(_: Any, a: Any, b: Any) -> Any:
-        def generate(context: Any, builder: Any, signature: Any, operands: Any) -> Any:
-            words = (context.cast(builder, x, t, word) for x, t in zip(operands, signature.args, strict=True))
-            return make(builder, word.signed, *words)
-
-        return result(a, b), generate
-
-    return operation
-
-
-def _choice(word: Any) -> Any:
-    @intrinsic
-    def choose(_: Any, flag: Any, a: Any, b: Any) -> Any:
-        def generate(context: Any, builder: Any, signature: Any, operands: Any) -> Any:
-            flag, *values = operands
-            given = zip(values, signature.args[1:], strict=True)
-            return builder.select(
-                builder.trunc(flag, ir.IntType(1)), *(context.cast(builder, x, t, word) for x, t in given)
-            )
-
-        return word(flag, a, b), generate
-
-    return choose
+INTEGERS = [types.Integer.from_bitwidth(bits, signed) for bits in (8, 16, 32, 64) for signed in (False, True)]
+FLOATS = [types.float32, types.float64]
+NUMBERS: list[Any] = [*INTEGERS, *FLOATS]
 
 
 def _arrays() -> Any:
@@ -94,24 +96,45 @@ def _arrays() -> Any:
     return import_module("numba.np.arrayobj")
 
 
+def _first(context: Any, builder: Any, of: Any, whole: Any) -> Any:
+    """Return the address of an array's first byte, or of what an address points to."""
+    data = whole if isinstance(of, types.CPointer) else _arrays().make_array(of)(context, builder, whole).data
+    return builder.bitcast(data, BYTES)
+
+
 def _column(element: Any) -> Any:
+    made = _Address(element)
+
+    def column(_: Any, array: Any, start: Any, index: Any) -> Any:
+        def generate(context: Any, builder: Any, signature: Any, operands: Any) -> Any:
+            whole, *numbers = operands
+            given = zip(numbers, signature.args[1:], strict=True)
+            byte, word = (context.cast(builder, x, t, types.intp) for x, t in given)
+            at = builder.gep(_first(context, builder, array, whole), [byte])
+            return builder.gep(builder.bitcast(at, context.get_value_type(made)), [word])
+
+        return made(array, start, index), generate
+
+    column.__name__ = f"{element}_column"  # by which functions that are inlined know it
+    return intrinsic(column)
+
+
+def _row(element: Any) -> Any:
     made = types.Array(element, 1, "C")
 
     @intrinsic
-    def column(_: Any, array: Any, start: Any, count: Any) -> Any:
+    def row(_: Any, first: Any, index: Any, count: Any) -> Any:
         def generate(context: Any, builder: Any, signature: Any, operands: Any) -> Any:
-            arrayobj = _arrays()
-            whole, *numbers = operands
+            pointer, *numbers = operands
             given = zip(numbers, signature.args[1:], strict=True)
-            first, length = (context.cast(builder, x, t, types.intp) for x, t in given)
-            data = arrayobj.make_array(array)(context, builder, whole).data
-            at = builder.gep(builder.bitcast(data, ir.IntType(8).as_pointer()), [first])
+            word, length = (context.cast(builder, x, t, types.intp) for x, t in given)
+            arrayobj = _arrays()
             view = arrayobj.make_array(made)(context, builder)
             size = context.get_constant(types.intp, element.bitwidth // 8)
             # It owns nothing: whoever calls the kernel holds the array.
             arrayobj.populate_array(
                 view,
-                data=builder.bitcast(at, view.data.type),
+                data=builder.gep(pointer, [word]),
                 shape=[length],
                 strides=[size],
                 itemsize=size,
@@ -119,47 +142,50 @@ def _column(element: Any) -> Any:
             )
             return view._getvalue()
 
-        return made(array, start, count), generate
+        return made(first, index, count), generate
 
-    return column
+    return row
 
 
-def _scratch(element: Any) -> Any:
-    made = types.Array(element, 1, "C")
+@intrinsic
+def _allocate(_: Any, count: Any) -> Any:
+    def generate(context: Any, builder: Any, signature: Any, operands: Any) -> Any:
+        word = context.get_value_type(types.intp)
+        length = builder.add(context.cast(builder, operands[0], count, types.intp), word(LINE))
+        whole = context.nrt.allocate(builder, length)
+        # As an offset and not as a rounded address, it is still known to be apart from all other words.
+        offset = builder.sub(word(LINE), builder.and_(builder.ptrtoint(whole, word), word(LINE - 1)))
+        first = builder.gep(whole, [offset])
+        builder.store(whole, _kept(builder, first))
+        return first
 
-    @intrinsic
-    def scratch(_: Any, count: Any) -> Any:
-        def generate(context: Any, builder: Any, signature: Any, operands: Any) -> Any:
-            arrayobj = _arrays()
-            length = context.cast(builder, operands[0], count, types.intp)
-            size = context.get_constant(types.intp, element.bitwidth // 8)
-            info = context.nrt.meminfo_alloc_aligned(
-                builder, builder.mul(length, size), context.get_constant(types.uint32, LINE)
-            )
-            view = arrayobj.make_array(made)(context, builder)
-            arrayobj.populate_array(
-                view,
-                data=builder.bitcast(context.nrt.meminfo_data(builder, info), view.data.type),
-                shape=[length],
-                strides=[size],
-                itemsize=size,
-                meminfo=info,
-            )
-            return view._getvalue()
+    return _Address(types.uint8)(count), generate
 
-        return made(count), generate
 
-    return scratch
+@intrinsic
+def _release(_: Any, first: Any) -> Any:
+    def generate(context: Any, builder: Any, signature: Any, operands: Any) -> Any:
+        context.nrt.free(builder, builder.load(_kept(builder, *operands)))
+        return context.get_dummy_value()
+
+    return types.none(first), generate
+
+
+def _kept(builder: Any, first: Any) -> Any:
+    """Return where the address is kept that was allocated: before the first line, of which some is left."""
+    return builder.gep(builder.bitcast(first, BYTES.as_pointer()), [ir.IntType(32)(-1)])
 
 
 def operations() -> dict[str, Any]:
     """Return all operations by their names, for a kernel's source to call."""
-    named = {f"{element}_column": _column(element) for element in (types.float32, types.float64)}
-    for word in (
-        types.Integer.from_bitwidth(bits, signed) for bits in (8, 16, 32, 64) for signed in (False, True)
-    ):
-        named |= {f"{word}_{name}": _operation(make, word, word) for name, make in ARITHMETIC.items()}
-        named |= {f"{word}_{name}": _operation(make, word, types.uint8) for name, make in COMPARISONS.items()}
-        named |= {f"{word}_choose": _choice(word), f"{word}_column": _column(word)}
-        named[f"{word}_scratch"] = _scratch(word)
+    named = {"allocate": _allocate, "release": _release}
+    for t in NUMBERS:
+        named |= {f"{t}_column": _column(t), f"{t}_row": _row(t), f"{t}_choose": _named(f"{t}_choose")}
+    for t in INTEGERS:
+        named |= {f"{t}_{name}": _named(f"{t}_{name}") for name in (*ARITHMETIC, *COMPARISONS)}
     return named
+
+
+def _named(name: str) -> Any:
+    """Return what only functions that are inlined call: they have the operation for its name."""
+    return SimpleNamespace(__name__=name)

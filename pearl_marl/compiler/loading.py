@@ -28,7 +28,7 @@ def load(name: str, source: str, **names: Any) -> tuple[Any, Path]:
         with tempfile.NamedTemporaryFile("w", dir=path.parent, suffix=".tmp", delete=False) as file:
             file.write(source)
         os.replace(file.name, path)
-        # Seaquest's take ten seconds: nobody should wonder whether it hangs.
+        # It takes seconds: nobody should wonder whether it hangs.
         text = f"pearl: compiling {name} at its first calls; kept in {path.parent}"
         print(text, file=sys.stderr, flush=True)
     # Numba's cache finds a function again by its module's name, so the module has to be a real one.

@@ -96,6 +96,7 @@ class Pieces:
         self.narrow = narrowed(spec.state, self.new)
         self.reset_draws = range(spec.reset_draws)
         self.step_draws = range(spec.reset_draws, spec.reset_draws + spec.step_draws)
+        self.table = "table"
         self.categories = 0 if spec.rewards is None else 1 << spec.reward.bits
         self.dtype = cell_dtype(spec)
         pad = slot_memory.ALIGNMENT
@@ -104,7 +105,7 @@ class Pieces:
     def reward(self, code: str, index: str) -> str:
         """Return the reward of a code, which is ``index`` where rewards are looked up."""
         if self.categories:
-            return f"table[{index} & {self.categories - 1}]"
+            return f"{self.table}[{index} & {self.categories - 1}]"
         return f"np.float32({code})" + _scale("float32", self.spec.reward)
 
     def observe(self, state: Iterable[str]) -> list[str]:

@@ -22,7 +22,7 @@ import pytest
 import pearl_marl
 from pearl_marl import rng
 from pearl_marl.cache import cache_folder
-from pearl_marl.compiler import kernels
+from pearl_marl.compiler import kernels, llvm_functions
 from pearl_marl.compiler.cuda_source import cuda_source
 from pearl_marl.compiler.kernel_source import kernel_source
 from pearl_marl.compiler.pieces import PREFIXES
@@ -71,6 +71,19 @@ found = compile_kernels(spec)
 found.advance(SlotMemory(spec, n).bytes, np.zeros(n, np.uint8), np.zeros(2, np.float32),
               np.zeros(n, np.float32), np.zeros(n, np.uint8), n, 0, n)
 print(json.dumps([list(f.inspect_asm().values()) for f in (found.step, found.advance)]))
+"""
+
+LANES = """
+import json
+import numpy as np
+import pearl_marl
+from pearl_marl.batch.slot_memory import SlotMemory
+from pearl_marl.compiler.kernels import compile_kernels
+spec, n = pearl_marl.get_spec("Seaquest"), 64
+advance = compile_kernels(spec).advance
+advance(SlotMemory(spec, n).bytes, np.zeros(n, np.uint8), np.zeros(256, np.float32),
+        np.zeros(n, np.float32), np.zeros(n, np.uint8), n, 0, n)
+print(json.dumps(list(advance.inspect_asm().values())))
 """
 
 
@@ -294,7 +307,7 @@ def test_nested_functions_hash_alike_in_every_process(tmp_path: Path) -> None:
     """The code of an inner function must not be told apart by where it lies in memory."""
     script = """
 import json, dataclasses, pearl_marl
-from pearl_marl.compiler import kernels
+from pearl_marl.compiler import kernels, llvm_functions
 from pearl_marl.spec import Golden
 spec = pearl_marl.get_spec("CliffWalking")
 waste = [object() for _ in range(%d)]
@@ -338,9 +351,22 @@ def test_the_step_is_simd_code(tmp_path: Path) -> None:
             assert re.search(r"\bvpcmp\w*b\s[^\n]*%[yz]mm", text), f"{name} compares bytes one by one"
 
 
+@pytest.mark.skipif(not has_avx2(), reason="looks for AVX2 instructions, which this CPU has not")
+def test_a_step_of_many_fields_is_simd_code(tmp_path: Path) -> None:
+    """Where it has too many words to check for overlaps, LLVM leaves the loop scalar: a fifth as fast."""
+    (text,) = process(LANES, tmp_path)
+    # With a scalar step 173 were left, in the loops that copy fields.
+    assert len(re.findall(r"\bvp\w+\s[^\n]*%[xyz]mm", text)) > 400
+
+
 def test_u32_of_a_draw_is_what_numpy_has() -> None:
     """The generator's twin in a kernel: one draw a slot, at both ends of the slot numbers."""
-    compiled = kernels._compiled(rng.draw, {})
+    draw = llvm_functions.inlined(rng.draw)
+
+    @numba.njit  # type: ignore[untyped-decorator]
+    def compiled(slot: Any, key_a: Any, key_b: Any) -> Any:
+        return draw(slot, key_a, key_b)
+
     with np.errstate(over="ignore"):
         for slot in (0, 1, 2**31, 2**32 - 1):
             keys = u32(0x80000001), u32(0xFFFFFFFF)

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import inspect
 import random
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
+import numba
 import numpy as np
 import pytest
 
-from pearl_marl.compiler import scalar_words
+from pearl_marl.compiler import llvm_functions, llvm_words, scalar_words
 from pearl_marl.compiler.straight_line import golden_functions
 from pearl_marl.errors import ArgumentError
 from pearl_marl.golden import call_reference
@@ -47,7 +49,22 @@ def word(chance: random.Random, field: Field) -> Any:
     return field.dtype.type(chance.choice([low, high, chance.randint(low, high), chance.randint(low, high)]))
 
 
-def assert_means_the_golden_functions(spec: EnvSpec, chance: random.Random) -> None:
+def compiled(spec: EnvSpec) -> dict[str, Any]:
+    """Return the functions as LLVM has them, which is how kernels of a CPU call them."""
+    scope: dict[str, Any] = {"np": np, "inlined": llvm_functions.inlined, **llvm_words.operations()}
+    exec("\n".join(golden_functions(spec)), scope)
+    result = {}
+    for name in ("initial", "golden_step", "observe"):
+        _, *parameters = inspect.signature(scope[name]).parameters
+        arguments = ", ".join(parameters)
+        exec(f"def call({arguments}): return {name}({arguments})", scope)
+        result[name] = numba.njit(scope["call"])
+    return result
+
+
+def assert_means_the_golden_functions(
+    spec: EnvSpec, chance: random.Random, functions: Callable[[EnvSpec], dict[str, Any]] = functions
+) -> None:
     found = functions(spec)
     draws = [Field(f"draw_{k}", 32) for k in range(spec.reset_draws + spec.step_draws)]
     # Words, whatever they stand for.
@@ -76,6 +93,27 @@ def test_environments(env: str) -> None:
 @pytest.mark.parametrize("seed", range(60))
 def test_random_golden_functions(seed: int) -> None:
     assert_means_the_golden_functions(random_spec(seed), random.Random(seed))
+
+
+@pytest.mark.parametrize("env", names())
+def test_environments_in_llvm(env: str) -> None:
+    assert_means_the_golden_functions(get_spec(env), random.Random(0), compiled)
+
+
+@pytest.mark.parametrize("seed", range(15))
+def test_random_golden_functions_in_llvm(seed: int) -> None:
+    assert_means_the_golden_functions(random_spec(seed), random.Random(seed), compiled)
+
+
+def test_divisions_and_tables_in_llvm() -> None:
+    """Rounded down, below 0 too; a large table is read from memory."""
+    table = np.random.default_rng(0).integers(-(2**30), 2**30, 256)
+
+    def observe(word: Any, by: Any) -> Any:
+        less = (word & 0xFFFF) - 0x8000
+        return (less // 7) & 0xFFFFFF, (table[word & 255] + less % 100 + by // 5 + by % 3) & 0x7F
+
+    assert_means_the_golden_functions(wide(observe), random.Random(0), compiled)
 
 
 def wide(observe: Callable[[Any, Any], Any]) -> EnvSpec:

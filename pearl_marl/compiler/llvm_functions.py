@@ -1,0 +1,234 @@
+"""Functions of kernels that are written straight into the kernel that calls them, as LLVM's instructions.
+
+A function has no branches, so it can be run once on words that write down what is done to them. Its loops are
+written once, too: ``range`` gives the index as a word, and what lasts from turn to turn is in memory.
+Numba takes many times as long for such a function, since it finds out types, owners and errors for each
+line, and has LLVM optimize it by itself before it does so where it is called.
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Iterable, Iterator
+from functools import partial
+from importlib import import_module
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+from llvmlite import ir
+from numba import types
+from numba.core.cgutils import for_range
+from numba.extending import intrinsic
+
+from pearl_marl.compiler.llvm_words import ARITHMETIC, COMPARISONS, FLOATS, INTEGERS, NUMBERS, Maker
+from pearl_marl.remaking import remade
+
+_Tuple: Any = types.Tuple
+
+
+class Word:
+    """A word of a function that is being written: LLVM's value, and Numba's type."""
+
+    def __init__(self, builder: Any, value: Any, type_: Any) -> None:
+        self.builder, self.value, self.type = builder, value, type_
+
+    def __bool__(self) -> bool:
+        raise TypeError("there are no branches in functions that are inlined")
+
+    def to(self, type_: Any) -> Word:
+        """Return the word in another type."""
+        own, value = self.type, self.value
+        if type_ != own:
+            bits, to = type_.bitwidth, _llvm(type_)
+            if type_ in FLOATS:
+                value = (self.builder.sitofp if own.signed else self.builder.uitofp)(value, to)
+            elif bits < own.bitwidth:
+                value = self.builder.trunc(value, to)
+            elif bits > own.bitwidth:
+                value = (self.builder.sext if own.signed else self.builder.zext)(value, to)
+        return Word(self.builder, value, type_)
+
+    def _with(self, name: str, other: Word | int) -> Word:
+        if isinstance(other, int):
+            other = Word(self.builder, _llvm(self.type)(other), self.type)
+        assert self.type == other.type, "whoever uses operators casts both words"
+        if self.type in FLOATS:
+            assert name == "mul"
+            return Word(self.builder, self.builder.fmul(self.value, other.value), self.type)
+        value = ARITHMETIC[name](self.builder, self.type.signed, self.value, other.value)
+        return Word(self.builder, value, self.type)
+
+    def __add__(self, other: Word | int) -> Word:
+        return self._with("add", other)
+
+    def __mul__(self, other: Word | int) -> Word:
+        return self._with("mul", other)
+
+    __rmul__ = __mul__
+
+    def __and__(self, other: Word | int) -> Word:
+        return self._with("and", other)
+
+    def __xor__(self, other: Word | int) -> Word:
+        return self._with("xor", other)
+
+    def __rshift__(self, other: Word | int) -> Word:
+        return self._with("right", other)
+
+    def __floordiv__(self, other: Word | int) -> Word:
+        return self._with("divide", other)
+
+    def __mod__(self, other: Word | int) -> Word:
+        return self._with("modulo", other)
+
+
+class Column:
+    """Words side by side in memory, of a function that is being written: LLVM's address of the first."""
+
+    def __init__(self, builder: Any, first: Any, type_: Any) -> None:
+        self.builder, self.first, self.type = builder, first, type_
+
+    @classmethod
+    def of(cls, builder: Any, table: Any) -> Column:
+        """Return a table of constants."""
+        type_ = getattr(types, str(table.dtype))
+        word = _llvm(type_)
+        constant = ir.Constant(ir.ArrayType(word, len(table)), [word(int(entry)) for entry in table])
+        place = ir.GlobalVariable(builder.module, constant.type, builder.module.get_unique_name("table"))
+        place.global_constant, place.linkage, place.initializer = True, "internal", constant
+        return cls(builder, builder.bitcast(place, word.as_pointer()), type_)
+
+    def __getitem__(self, index: Word | int) -> Word:
+        return Word(self.builder, self.builder.load(self.at(index)), self.type)
+
+    def __setitem__(self, index: Word | int, word: Word | int) -> None:
+        value = word.to(self.type).value if isinstance(word, Word) else _llvm(self.type)(word)
+        self.builder.store(value, self.at(index))
+
+    def at(self, index: Word | int) -> Any:
+        """Return the address of a word."""
+        return self.builder.gep(self.first, [_number(index)])
+
+    def from_byte(self, type_: Any, start: Word | int, index: Word | int) -> Column:
+        """Return words of a type, from the one that is ``index`` words behind byte ``start``."""
+        byte = self.builder.gep(self.builder.bitcast(self.first, BYTES), [_number(start)])
+        first = self.builder.bitcast(byte, _llvm(type_).as_pointer())
+        return Column(self.builder, self.builder.gep(first, [_number(index)]), type_)
+
+
+BYTES = ir.IntType(8).as_pointer()
+
+
+def _llvm(type_: Any) -> Any:
+    if type_ in FLOATS:
+        return ir.FloatType() if type_ == types.float32 else ir.DoubleType()
+    return ir.IntType(1 if type_ == types.boolean else type_.bitwidth)
+
+
+def _number(word: Word | int) -> Any:
+    return word.to(types.int64).value if isinstance(word, Word) else ir.IntType(64)(word)
+
+
+def _vocabulary(builder: Any) -> dict[str, Any]:
+    """Return what the names of types and operations stand for in a function that is being written."""
+
+    def cast(type_: Any, word: Word | float) -> Word:
+        return word.to(type_) if isinstance(word, Word) else Word(builder, _llvm(type_)(word), type_)
+
+    def operation(make: Maker, type_: Any, result: Any, a: Word | int, b: Word | int) -> Word:
+        value = make(builder, type_.signed, cast(type_, a).value, cast(type_, b).value)
+        return Word(builder, value, result)
+
+    def choose(type_: Any, flag: Word, a: Word | int, b: Word | int) -> Word:
+        chosen = builder.trunc(flag.value, ir.IntType(1))
+        return Word(builder, builder.select(chosen, cast(type_, a).value, cast(type_, b).value), type_)
+
+    def column(type_: Any, of: Column, start: Word | int, index: Word | int) -> Column:
+        return of.from_byte(type_, start, index)
+
+    def turns(*bounds: Word | int) -> Iterator[Word]:
+        *start, stop = map(_number, bounds)
+        if isinstance(bounds[-1], int):
+            # LLVM would write out every turn of a loop around others; so it is not told how many there are.
+            stop = builder.asm(ir.FunctionType(stop.type, [stop.type]), "", "=r,0", [stop], False)
+        with for_range(builder, stop, *start) as loop:
+            yield Word(builder, loop.index, types.int64)
+
+    named: dict[str, Any] = {str(t): partial(cast, t) for t in NUMBERS}
+    named |= {"numpy": SimpleNamespace(**named), "range": turns}
+    for t in INTEGERS:
+        named |= {f"{t}_{name}": partial(operation, make, t, t) for name, make in ARITHMETIC.items()}
+        named |= {
+            f"{t}_{name}": partial(operation, make, t, types.uint8) for name, make in COMPARISONS.items()
+        }
+    for t in NUMBERS:
+        named |= {f"{t}_choose": partial(choose, t), f"{t}_column": partial(column, t)}
+    return named
+
+
+def _given(builder: Any, value: Any, type_: Any) -> Word | Column:
+    """Return what an argument is in a function that is being written: of an array, its words."""
+    if isinstance(type_, (types.CPointer, types.Array)):
+        assert getattr(type_, "layout", "C") == "C", "words are side by side"
+        return Column(builder, value, type_.dtype)
+    if type_ == types.boolean:
+        return Word(builder, builder.zext(value, ir.IntType(8)), types.uint8)
+    return Word(builder, value, type_)
+
+
+def _written(function: Any, builder: Any, arguments: Iterable[Word | Column]) -> tuple[Word, ...]:
+    """Write a function's instructions, and return its results."""
+    vocabulary = _vocabulary(builder)
+
+    def meaning(value: Any) -> Any:
+        if isinstance(value, np.ndarray):
+            return Column.of(builder, value)
+        return vocabulary.get(getattr(value, "__name__", ""), value)
+
+    def with_range(function: Any) -> Any:
+        function.__globals__["range"] = vocabulary["range"]
+        return function
+
+    results = remade(function, meaning, with_range)(*arguments)
+    return results if isinstance(results, tuple) else () if results is None else (results,)
+
+
+def inlined(function: Callable[..., Any]) -> Any:
+    """Return a function for kernels to call, and for other functions that are inlined."""
+
+    def define(_: Any, *given: Any) -> Any:
+        # Written nowhere first, to find out the types of its results.
+        plain = [_llvm(t.dtype).as_pointer() if hasattr(t, "dtype") else _llvm(t) for t in given]
+        nowhere = ir.Function(ir.Module(), ir.FunctionType(ir.VoidType(), plain), "nowhere")
+        builder = ir.IRBuilder(nowhere.append_basic_block())
+        results = _written(function, builder, map(partial(_given, builder), nowhere.args, given))
+        returned = [word.type for word in results]
+
+        def generate(context: Any, builder: Any, signature: Any, operands: Any) -> Any:
+            arguments = []
+            for value, type_ in zip(operands, signature.args, strict=True):
+                if isinstance(type_, types.Array):
+                    array = import_module("numba.np.arrayobj").make_array(type_)(context, builder, value)
+                    arguments.append(_given(builder, array.data, type_))
+                else:
+                    arguments.append(_given(builder, value, type_))
+            values = [word.value for word in _written(function, builder, arguments)]
+            if len(values) == 1:
+                return values[0]
+            if not values:
+                return context.get_dummy_value()
+            return context.make_tuple(builder, signature.return_type, values)
+
+        if not returned:
+            return types.none(*given), generate
+        return (returned[0] if len(returned) == 1 else _Tuple(returned))(*given), generate
+
+    # Numba asks for the names of the arguments.
+    own = inspect.signature(function).parameters.values()
+    whole = [inspect.Parameter("_", inspect.Parameter.POSITIONAL_OR_KEYWORD), *own]
+    define.__signature__ = inspect.Signature(whole)  # type: ignore[attr-defined]
+    define.__name__ = function.__name__
+    result: Any = intrinsic(define)
+    result.py_func = function  # what it is made again from, in functions that call it
+    return result

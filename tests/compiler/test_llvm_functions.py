@@ -1,0 +1,96 @@
+"""Functions that are written straight into kernels, against what they do as plain Python."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numba
+import numpy as np
+import pytest
+
+from pearl_marl.compiler.llvm_functions import inlined
+from pearl_marl.compiler.llvm_words import operations
+
+N = 37
+
+
+def scale(words: Any, numbers: Any, m: Any) -> None:
+    for i in range(m):
+        numbers[2 * i + 1] = np.float32(np.int32(words[i])) * np.float32(0.25)
+
+
+def shear(words: Any, numbers: Any, m: Any) -> None:
+    """A loop around another one, and one whose turns LLVM could write out."""
+    for d in range(1, 3):
+        first = words[d]
+        for i in range(m):
+            words[i] = np.int16(words[i] + first)
+    for i in range(3):
+        numbers[i] = np.float32(words[i + 1])
+
+
+def look_up(words: Any, numbers: Any, m: Any) -> None:
+    for i in range(m):
+        words[i] = TABLE[i] // np.int16(7)
+
+
+TABLE = np.arange(-N, N, dtype=np.int16) * np.int16(300)
+
+
+@pytest.mark.parametrize("function", [scale, shear, look_up])
+def test_what_it_does(function: Any) -> None:
+    written = inlined(function)
+
+    @numba.njit  # type: ignore[untyped-decorator]
+    def compiled(words: Any, numbers: Any, m: Any) -> None:
+        written(words, numbers, m)
+
+    words = np.random.default_rng(0).integers(-(2**15), 2**15, N).astype(np.int16)
+    expected, found = ((words.copy(), np.zeros(2 * N, np.float32)) for _ in range(2))
+    with np.errstate(over="ignore"):
+        function(*expected, N)
+    compiled(*found, N)
+    for one, other in zip(expected, found, strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+def test_one_calls_another() -> None:
+    add = operations()["uint8_add"]
+
+    @inlined
+    def twice(word: Any) -> Any:
+        return add(word, word)
+
+    @inlined
+    def fourfold(word: Any) -> Any:
+        return twice(twice(word)), add(word, 1)
+
+    @numba.njit  # type: ignore[untyped-decorator]
+    def compiled(word: Any) -> Any:
+        return fourfold(word)
+
+    assert compiled(np.uint8(100)) == (400 & 255, 101)
+
+
+def test_branches_are_refused() -> None:
+    @inlined
+    def branch(word: Any) -> Any:
+        return word if word else np.uint8(1)
+
+    @numba.njit  # type: ignore[untyped-decorator]
+    def compiled(word: Any) -> Any:
+        return branch(word)
+
+    with pytest.raises(TypeError, match="no branches"):
+        compiled(np.uint8(1))
+
+
+def test_words_that_lie_apart_are_refused() -> None:
+    written = inlined(scale)
+
+    @numba.njit  # type: ignore[untyped-decorator]
+    def compiled(words: Any, numbers: Any, m: Any) -> None:
+        written(words, numbers, m)
+
+    with pytest.raises(AssertionError, match="side by side"):
+        compiled(np.zeros(2 * N, np.int16)[::2], np.zeros(2 * N, np.float32), N)
