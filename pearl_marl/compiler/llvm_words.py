@@ -31,8 +31,22 @@ _Address: Any = types.CPointer
 Maker = Callable[..., Any]
 
 
+def _borrow(builder: Any, a: Any, b: Any, sign: str) -> Any:
+    """Return whether ``a < b``, or not, as the borrow of their difference.
+
+    SIMD units compare into a bit a word; to make a byte of each, where eight bits are beside each other, takes
+    longer than this.
+    """
+    less = builder.and_(builder.not_(a), b)
+    less = builder.or_(less, builder.and_(builder.or_(builder.not_(a), b), builder.sub(a, b)))
+    less = builder.trunc(builder.lshr(less, less.type(31)), ir.IntType(8))
+    return less if sign == "<" else builder.xor(less, less.type(1))
+
+
 def _compared(sign: str) -> Maker:
     def flag(builder: Any, signed: bool, a: Any, b: Any) -> Any:
+        if not signed and a.type.width == 32 and sign in ("<", ">="):
+            return _borrow(builder, a, b, sign)
         return builder.zext(_order(builder, signed)(sign, a, b), ir.IntType(8))
 
     return flag

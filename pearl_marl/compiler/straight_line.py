@@ -27,6 +27,8 @@ from pearl_marl.tracing.trace import place, trace
 WIDEST = 64
 """Bits of the widest word that a kernel computes with."""
 
+MOST_CHOICES = 4
+"""Entries unlike the most common one up to which a table is as many choices."""
 MOST_NUMBERS = 16
 """Numbers that a table is packed into at most."""
 
@@ -113,6 +115,14 @@ def _is_extreme(node: Node) -> bool:
     return node.op == "choose" and node.args[0].op == "less" and set(node.args[1:]) == set(node.args[0].args)
 
 
+def _is_bit(node: Node) -> bool:
+    """Return whether a node is one bit of a byte, at a place that is not known."""
+    if node.op != "wrap" or node.imm != (1, False) or node.args[0].op != "right_by":
+        return False
+    byte, by = node.args[0].args
+    return byte.low >= 0 and byte.bits <= 8 and by.low >= 0 and by.high < 8
+
+
 class _Writer:
     """Writes the lines that results are made by, given the types of the words that they are made of."""
 
@@ -125,6 +135,8 @@ class _Writer:
     ) -> None:
         self.lines: list[str] = []
         self.tables: list[str] = []
+        self._masks: dict[tuple[Node, int], str] = {}
+        """The byte with one bit set, by its place, if it is one of so many."""
         self._name = name
         self.types = dict(words)
         self._function = function
@@ -196,6 +208,8 @@ class _Writer:
         if _is_compared(node) or _is_extreme(node):
             args = args[0].args if node.op in ("not", "choose") else args
             type_ = self._holding(node, *args)
+        elif _is_bit(node):
+            args, type_ = args[0].args, "uint8"
         elif node.op == "right_by":
             type_ = _type(args[0].low, args[0].high, min(args[1].high, WIDEST - 1) + 1)
         elif node.op == "right":
@@ -247,6 +261,8 @@ class _Writer:
                 return f"np.{type_}({own}_{which}({text}))"
             case "table":
                 return self._entry(node, type_, text, own)
+            case "wrap" if _is_bit(node):
+                return self._bit(node)
             case "wrap":
                 return self._wrapped(node, type_, text)
         return f"{own}_{node.op}({text})"
@@ -260,8 +276,31 @@ class _Writer:
             return f"{type_}_and({text}, {(1 << bits) - 1})"
         return f"{type_}_right({type_}_left({text}, {size - bits}), {size - bits})"
 
+    def _bit(self, node: Node) -> str:
+        """Return a bit of a byte: a shift by a number that is not known takes more than a mask."""
+        byte, by = node.args[0].args
+        known = by, byte.bits
+        if known not in self._masks:
+            bits = {k: 1 << k for k in range(min(by.high + 1, byte.bits))}
+            self._masks[known] = self._chosen(self.operand(by, "uint8"), "uint8", "uint8", bits, 0)
+        return f"uint8_differ(uint8_and({self.operand(byte, 'uint8')}, {self._masks[known]}), 0)"
+
+    def _chosen(self, index: str, own: str, type_: str, entries: Mapping[int, int], other: int) -> str:
+        """Return one of few numbers: what none of them is for is another one."""
+        text = f"np.{type_}({_number(other, type_)})"
+        for k, entry in entries.items():
+            chosen = f"{type_}_choose({own}_equal({index}, {k}), {_number(entry, type_)}, {text})"
+            text = self._assign("_entry", chosen)
+        return text
+
     def _entry(self, node: Node, type_: str, index: str, own: str) -> str:
         """Return the entry of a table: no loop that reads one from memory becomes SIMD code."""
+        function = node.args[0].function
+        possible = range(len(node.imm)) if function is None else np.unique(function.values).tolist()
+        (common, _), *_ = Counter(node.imm[k] for k in possible).most_common()
+        others = [k for k in possible if node.imm[k] != common]
+        if len(others) <= MOST_CHOICES:
+            return self._chosen(index, own, type_, {k: node.imm[k] for k in others}, common)
         packing = _packing(node)
         if packing is None:
             table = self._fresh(f"{self._name.upper()}_TABLE")
@@ -270,8 +309,6 @@ class _Writer:
             return f"{table}[{index}]"
         size, width = packing
         least, each, packed = min(node.imm), size // width, f"uint{size}"
-        function = node.args[0].function
-        possible = range(len(node.imm)) if function is None else np.unique(function.values).tolist()
         numbers: dict[int, int] = defaultdict(int)
         for k in possible:
             numbers[k // each] |= node.imm[k] - least << k % each * width
