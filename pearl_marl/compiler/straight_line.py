@@ -54,7 +54,7 @@ def golden_functions(spec: EnvSpec) -> list[str]:
 def _function(
     name: str, function: GoldenFunction, inputs: Sequence[Field], fields: Sequence[Field]
 ) -> list[str]:
-    graph = Graph()
+    graph = Graph(early=False)
     words = [graph.input(f"{k} {f.name}", f.bits, f.signed) for k, f in enumerate(inputs)]
     traced = trace(graph, function, words)
     traced = [graph.wrap(node, f.bits, f.signed) for node, f in zip(traced, fields, strict=True)]

@@ -9,7 +9,14 @@ from pearl_marl.tracing.operations import word_range, wrapped
 
 
 class Graph(Nodes):
-    """Nodes, and the operations that make others of them."""
+    """Nodes, and the operations that make others of them.
+
+    ``early`` ones compare what a choice is made of beside the choice, as hardware should, instead of after it.
+    """
+
+    def __init__(self, exact: bool = True, early: bool = True) -> None:
+        super().__init__(exact)
+        self.early = early
 
     def flag_of_mask(self, a: Node) -> Node | None:
         """Return the flag that ``a`` is 0 or -1 by, if it is."""
@@ -281,7 +288,7 @@ class Graph(Nodes):
             if a.imm == b.low:
                 return self.logical_not(self.equal(b, a))
         # A clipped word against a constant: no need to wait for the choice.
-        for x, y in ((a, b), (b, a)):
+        for x, y in ((a, b), (b, a)) if self.early else ():
             if (
                 x.op == "choose"
                 and x.function is None
