@@ -253,6 +253,13 @@ class _Writer:
                 # A shift is by less than the width, so one by more takes two.
                 most = f"{own}_right({texts[0]}, int64_minimum({texts[1]}, {WIDEST - 1}))"
                 return f"np.{type_}({own}_right({most}, int64_less({WIDEST - 1}, {texts[1]})))"
+            case "mul" if own == "int64":
+                # LLVM does not see that they are short, and of short ones SIMD units multiply more at a time.
+                short = (
+                    f"np.int64(np.int32({x}))" if a.bits <= 32 - (a.low >= 0) and a.args else x
+                    for a, x in zip(node.args, texts, strict=True)
+                )
+                return f"int64_mul({', '.join(short)})"
             case "divide" | "modulo":
                 sign = "//" if node.op == "divide" else "%"
                 return f"np.{type_}(np.{own}({text}) {sign} np.{own}({node.imm}))"
