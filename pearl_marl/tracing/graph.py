@@ -11,7 +11,7 @@ from pearl_marl.tracing.operations import word_range, wrapped
 class Graph(Nodes):
     """Nodes, and the operations that make others of them.
 
-    ``early`` ones compare what a choice is made of beside the choice, as hardware should, instead of after it.
+    ``early`` graphs compare what a choice is made of beside the choice, as hardware should, not after it.
     """
 
     def __init__(self, exact: bool = True, early: bool = True) -> None:
