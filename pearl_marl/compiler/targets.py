@@ -33,6 +33,8 @@ class Family:
     """Bits of the adder behind a multiplier, whose registers are the multiplier's own; 0 if there is none."""
     accumulation: float = 0.0
     """An addition there."""
+    compared: int = 0
+    """Bits of a word that a place of a carry chain compares with a constant; 0 if no more than one."""
     shift_register: int = 0
     """Registers that are worth a bit of a shift register of any length; 0 if tools make none."""
 
@@ -48,6 +50,7 @@ FAMILIES = {
         product=3.2,
         accumulator=48,
         accumulation=2.3,
+        compared=6,
         shift_register=4,
     ),
     "gowin": Family(register=1.0, level=1.1, carry=0.05, chain=1.0, multiplier=(17, 17), product=5.5),
