@@ -12,7 +12,6 @@ from collections.abc import Sequence
 
 from pearl_marl.compiler.core_graph import Output
 from pearl_marl.compiler.scheduling import Schedule
-from pearl_marl.compiler.targets import is_small
 from pearl_marl.compiler.widths import WIRES, width
 from pearl_marl.tracing.nodes import Node
 from pearl_marl.tracing.operations import VALUES
@@ -242,7 +241,7 @@ class Expressions:
                 return f"({word(args[0])} {SIGNS[node.op]} {word(args[1])})"
             case "choose":
                 return f"({word(args[0], 1)} ? {word(args[1])} : {word(args[2])})"
-            case "sum" | "less" if is_small(node, bits):
+            case "sum" | "less" if self.schedule.target.is_small(node, bits):
                 return self._small(node)
             case "equal" | "less":
                 return self._compared(node)

@@ -39,6 +39,7 @@ class Schedule(NamedTuple):
     latency: int
     longest: float
     """What the slowest stage's operations take together, in ns."""
+    target: Target
 
     @property
     def register_bits(self) -> int:
@@ -95,7 +96,7 @@ def scheduled(outputs: Sequence[Output], target: Target) -> Schedule:
     for j, below in enumerate(arguments):
         arrival[j] += max((arrival[i] for i in below if stage[i] == stage[j]), default=0)
     stages, ends_at = (dict(zip(order, numbers, strict=True)) for numbers in (stage, last))
-    return Schedule(order, used, stages, ends_at, latency, max(arrival, default=0.0))
+    return Schedule(order, used, stages, ends_at, latency, max(arrival, default=0.0), target)
 
 
 def _too_far(arguments: Sequence[Sequence[int]], delays: Sequence[float], budget: float) -> list[list[int]]:
