@@ -3,12 +3,13 @@
 Two operations that are too long for one stage together are a stage apart. Of all the schedules of the least
 latency it is the one with the fewest register bits: a linear programme of differences, whose solution is
 whole by itself. Where tools make shift registers of long delays, which cost the same at any length, it also
-decides by integers which ones are long.
+decides by integers which ones are long, and is content with nearly the least.
 """
 
 from __future__ import annotations
 
 import heapq
+import math
 from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
@@ -137,7 +138,7 @@ def _fewest_registers(
 
     The stage is within the operation's ``window``. So many of the registers of arguments (``before``) and of
     the result (``behind``) cost nothing. Up to where all but the last of its users look at it, a result is in
-    registers; from there on it may be in a shift register, which costs as many registers as that says.
+    registers; from there on it may be in a shift register, of which a bit costs ``shift_register`` registers.
     """
     try:
         from scipy.optimize import Bounds, LinearConstraint, milp
@@ -202,4 +203,5 @@ def _fewest_registers(
     )
     if found.x is None:
         raise DeviceError(f"the stages of the core could not be found: {found.message}")
-    return [round(value) for value in found.x[:count]]
+    # Whichever solution it is, so rounded its stages are still as far apart as they have to be.
+    return [math.floor(value + 0.5) for value in found.x[:count]]
