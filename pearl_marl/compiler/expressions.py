@@ -12,7 +12,6 @@ from collections.abc import Sequence
 
 from pearl_marl.compiler.core_graph import Output
 from pearl_marl.compiler.scheduling import Schedule
-from pearl_marl.compiler.targets import is_small
 from pearl_marl.compiler.widths import WIRES, width
 from pearl_marl.tracing.nodes import Node
 from pearl_marl.tracing.operations import VALUES
@@ -116,7 +115,10 @@ class Expressions:
         def count(node: Node) -> None:
             for arg in node.args:
                 uses[arg] += 1
-                if node.op not in WIRES and node.op not in ("mul", "table", "left_by", "right_by"):
+                parted = node.op in ("mul", "table", "left_by", "right_by") or (
+                    node.op == "less" and node.imm
+                )
+                if node.op not in WIRES and not parted:
                     direct[arg] += 1
                     user[arg] = node
                 if arg.op in WIRES and arg not in seen:
@@ -239,7 +241,7 @@ class Expressions:
                 return f"({word(args[0])} {SIGNS[node.op]} {word(args[1])})"
             case "choose":
                 return f"({word(args[0], 1)} ? {word(args[1])} : {word(args[2])})"
-            case "sum" | "less" if is_small(node, bits):
+            case "sum" | "less" if self.schedule.target.is_small(node, bits):
                 return self._small(node)
             case "equal" | "less":
                 return self._compared(node)
@@ -276,11 +278,31 @@ class Expressions:
         a, b = (self.part(arg, 0, wide, self.stage[node]) for arg in node.args)
         if node.op == "equal":
             return f"({a} == {b})"
+        if node.imm:
+            return self._entered(node, wide)
         if signed:
             return f"(signed'({bare(a)}) < signed'({bare(b)}))"
         # A size cast keeps a sign, and two signed words would be compared as such.
         a, b = (f"unsigned'({bare(x)})" if "signed'(" in x else x for x in (a, b))
         return f"({a} < {b})"
+
+    def _entered(self, node: Node, wide: int) -> str:
+        """Return a comparison with a constant whose lowest bits come first, as the carry into the others.
+
+        Where the others are equal, a 1 in their place makes it not less: the bit that goes in is that.
+        """
+        stage, low = self.stage[node], node.imm
+        (word, constant), turned = node.args, node.args[0].is_constant()
+        if turned:
+            word, constant = constant, word
+        limit = constant.imm + turned
+        bits = wide - low
+        entering = f"{self.part(word, 0, low, stage)} < {literal(limit, low)}"
+        value = f"{{{bare(self.part(word, low, bits, stage))}, !({entering})}}"
+        most = literal((limit >> low) * 2, bits + 1)
+        if any(a.low < 0 for a in node.args):
+            value, most = f"signed'({value})", f"signed'({most})"
+        return f"({most} < {value})" if turned else f"({value} <= {most})"
 
     def _sum(self, node: Node) -> str:
         constant, weights = node.imm

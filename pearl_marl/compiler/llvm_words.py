@@ -34,7 +34,7 @@ Maker = Callable[..., Any]
 def _borrow(builder: Any, a: Any, b: Any, sign: str) -> Any:
     """Return whether ``a < b``, or not, as the borrow of their difference.
 
-    SIMD units compare into a bit a word, and to make a byte of each, beside those of other words, takes longer.
+    SIMD units compare into a bit a word, and to make a byte of each takes longer.
     """
     less = builder.and_(builder.not_(a), b)
     less = builder.or_(less, builder.and_(builder.or_(builder.not_(a), b), builder.sub(a, b)))

@@ -162,7 +162,28 @@ class Lowering:
                 return self._total(terms, 0, node.bits)
             case "divide":
                 return self._quotient(args[0], node.imm)
+            case "right_by" if args[0].op == "table" and self._is_short(args[0], args[1], node):
+                row, shifts = args[0].args[0], range(1 << args[1].bits)
+                entries = [entry >> k for entry in args[0].imm for k in shifts]
+                return graph.table(entries, graph.make("join", row, args[1], imm=args[1].bits))
+            case "less" if args[1].is_constant():
+                return graph.make("less", *args, imm=self._entering(args[0], args[1].imm))
+            case "less" if args[0].is_constant():
+                return graph.make("less", *args, imm=self._entering(args[1], args[0].imm + 1))
         return graph.make(node.op, *args, imm=node.imm)
+
+    def _entering(self, a: Node, limit: int) -> int | None:
+        """Return how many lowest bits of ``a < limit`` are better a carry that enters the chain, if any are.
+
+        A place of the chain takes two tables, if it is less and if it is equal, and these bits take one.
+        """
+        most = self.target.family.compared
+        bits = a.bits % most or most if 0 < 2 * most <= a.bits else 0
+        return bits if limit & ((1 << bits) - 1) else None
+
+    def _is_short(self, table: Node, by: Node, shifted: Node) -> bool:
+        """Return whether a bit of a table's entries, a row each, is a table of few entries itself."""
+        return width(shifted, self.used) == 1 and len(table.imm) << by.bits <= MOST_DIGITS
 
     def _quotient(self, a: Node, by: int) -> Node:
         """Return ``a // by`` as an exact multiplication."""

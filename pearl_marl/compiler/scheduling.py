@@ -2,12 +2,14 @@
 
 Two operations that are too long for one stage together are a stage apart. Of all the schedules of the least
 latency it is the one with the fewest register bits: a linear programme of differences, whose solution is
-whole by itself.
+whole by itself. Where tools make shift registers of long delays, which cost the same at any length, it also
+decides by integers which ones are long, and is content with nearly the least.
 """
 
 from __future__ import annotations
 
 import heapq
+import math
 from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
@@ -17,6 +19,12 @@ from pearl_marl.compiler.targets import Target
 from pearl_marl.compiler.widths import WIRES, used_bits, width
 from pearl_marl.errors import DeviceError
 from pearl_marl.tracing.nodes import Node, in_order
+
+SHORT = 2
+"""Registers in a row that never become a shift register."""
+NEAR, MOST_NODES = 0.05, 50
+"""How much more than the least a schedule may cost, and after how many steps the search ends anyway: most of
+the time would go into the proof that there is none better."""
 
 
 class Schedule(NamedTuple):
@@ -32,6 +40,7 @@ class Schedule(NamedTuple):
     latency: int
     longest: float
     """What the slowest stage's operations take together, in ns."""
+    target: Target
 
     @property
     def register_bits(self) -> int:
@@ -68,7 +77,16 @@ def scheduled(outputs: Sequence[Output], target: Target) -> Schedule:
     # A multiplier with an adder has registers of its own: two before it, one between them, one behind.
     before = [2 * (target.family.accumulator > 0 and n.op == "mul") for n in order]
     behind = [int(b > 0 or target.accumulates(n, width(n, used))) for b, n in zip(before, order, strict=True)]
-    stage = _fewest_registers(order, arguments, apart, ends, bits, latency, before, behind)
+    late = [0 if n.op == "input" else latency - 1 for n in order]
+    for j in reversed(range(len(order))):
+        for i in arguments[j]:
+            late[i] = min(late[i], late[j])
+        for i in apart[j]:
+            late[i] = min(late[i], late[j] - 1)
+    window = list(zip(early, late, strict=True))
+    stage = _fewest_registers(
+        arguments, apart, ends, bits, latency, window, before, behind, target.family.shift_register
+    )
     last = list(stage)
     for j, below in enumerate(arguments):
         for i in below:
@@ -79,7 +97,7 @@ def scheduled(outputs: Sequence[Output], target: Target) -> Schedule:
     for j, below in enumerate(arguments):
         arrival[j] += max((arrival[i] for i in below if stage[i] == stage[j]), default=0)
     stages, ends_at = (dict(zip(order, numbers, strict=True)) for numbers in (stage, last))
-    return Schedule(order, used, stages, ends_at, latency, max(arrival, default=0.0))
+    return Schedule(order, used, stages, ends_at, latency, max(arrival, default=0.0), target)
 
 
 def _too_far(arguments: Sequence[Sequence[int]], delays: Sequence[float], budget: float) -> list[list[int]]:
@@ -106,47 +124,84 @@ def _too_far(arguments: Sequence[Sequence[int]], delays: Sequence[float], budget
 
 
 def _fewest_registers(
-    order: Sequence[Node],
     arguments: Sequence[Sequence[int]],
     apart: Sequence[Sequence[int]],
     ends: set[int],
     bits: Sequence[int],
     latency: int,
+    window: Sequence[tuple[int, int]],
     before: Sequence[int],
     behind: Sequence[int],
+    shift_register: int,
 ) -> list[int]:
     """Return the stage of each operation, of ``latency`` stages and the outputs' registers after them.
 
-    So many registers of arguments (``before``) and of the result (``behind``) cost nothing.
+    The stage is within the operation's ``window``. So many of the registers of arguments (``before``) and of
+    the result (``behind``) cost nothing. Up to where all but the last of its users look at it, a result is in
+    registers; from there on it may be in a shift register, of which a bit costs ``shift_register`` registers.
     """
     try:
-        from scipy.optimize import linprog
+        from scipy.optimize import Bounds, LinearConstraint, milp
         from scipy.sparse import coo_array
     except ModuleNotFoundError as error:
         raise DeviceError(
             f"generating a core needs the Python package {error.name}; "
             "install it with: pip install 'pearl-marl[rtl]'"
         ) from None
-    count = len(order)
-    rows: list[tuple[list[tuple[int, float]], float]] = []
+    count = len(arguments)
+    users: list[list[int]] = [[] for _ in arguments]
     for j, below in enumerate(arguments):
         for i in below:
-            rows.append(([(i, 1), (j, -1)], 0))  # after its arguments
-            rows.append(([(j, 1), (count + i, -1)], before[j]))  # which are kept until then
-        rows += (([(i, 1), (j, -1)], -1) for i in apart[j])
-    rows += (([(i, 1), (count + i, -1)], -behind[i]) for i in range(count))
+            users[i].append(j)
+    # Of each operation its stage, the end of its first registers, that of its last ones, how many these are,
+    # and whether they are a shift register.
+    stage, first, last, kept, shifted = (range(k * count, (k + 1) * count) for k in range(5))
+    rows: list[tuple[list[tuple[int, float]], float]] = []
+    for j, below in enumerate(arguments):
+        rows += (([(stage[i], 1), (stage[j], -1)], 0) for i in below)
+        rows += (([(stage[i], 1), (stage[j], -1)], -1) for i in apart[j])
+    for i in range(count):
+        others = sorted(users[i], key=lambda j: window[j])
+        if others and i not in ends:
+            latest = others.pop()
+            rows.append(([(stage[latest], 1), (last[i], -1)], before[latest]))
+        rows += (([(stage[j], 1), (first[i], -1)], before[j]) for j in others)
+        rows.append(([(stage[i], 1), (first[i], -1)], -behind[i]))
+        if not others:
+            rows.append(([(first[i], 1), (stage[i], -1)], behind[i]))
+        rows.append(([(first[i], 1), (last[i], -1)], 0))
+        rows.append(([(last[i], 1), (first[i], -1), (kept[i], -1), (shifted[i], -latency)], 0))
     cells = defaultdict(list)
     for number, (terms, _) in enumerate(rows):
         for column, value in terms:
             cells["value"].append(value)
             cells["row"].append(number)
             cells["column"].append(column)
-    matrix = coo_array((cells["value"], (cells["row"], cells["column"])), shape=(len(rows), 2 * count))
+    matrix = coo_array((cells["value"], (cells["row"], cells["column"])), shape=(len(rows), 5 * count))
+    weights = [b + 1e-2 for b in bits]
     # A little for being late, so that of equally good schedules it is always the same one.
-    cost = [1e-4 - (b + 1e-2) for b in bits] + [b + 1e-2 for b in bits]
-    bounds = [(0, 0 if n.op == "input" else latency - 1) for n in order]
-    bounds += [(latency if i in ends else 0, latency + 1) for i in range(count)]
-    found = linprog(cost, matrix.tocsr(), [limit for _, limit in rows], bounds=bounds, method="highs")
-    if found.status != 0:
+    cost = (
+        [1e-4 - w for w in weights]
+        + weights
+        + [0.0] * count
+        + weights
+        + [shift_register * w for w in weights]
+    )
+    bounds = [
+        *window,
+        *[(0, latency + 1)] * count,
+        *((latency * (i in ends), latency + 1) for i in range(count)),
+    ]
+    bounds += [(0, SHORT if shift_register else latency)] * count
+    bounds += [(0, int(shift_register > 0))] * count
+    found = milp(
+        cost,
+        constraints=LinearConstraint(matrix.tocsr(), ub=[limit for _, limit in rows]),
+        bounds=Bounds(*zip(*bounds, strict=True)),
+        integrality=[int(column in shifted) for column in range(5 * count)],
+        options={"mip_rel_gap": NEAR, "node_limit": MOST_NODES},
+    )
+    if found.x is None:
         raise DeviceError(f"the stages of the core could not be found: {found.message}")
-    return [round(value) for value in found.x[:count]]
+    # Whichever solution it is, so rounded its stages are still as far apart as they have to be.
+    return [math.floor(value + 0.5) for value in found.x[:count]]

@@ -304,10 +304,10 @@ class _Writer:
         """Return the entry of a table: no loop that reads one from memory becomes SIMD code."""
         function = node.args[0].function
         possible = range(len(node.imm)) if function is None else np.unique(function.values).tolist()
-        (common, _), *_ = Counter(node.imm[k] for k in possible).most_common()
-        others = [k for k in possible if node.imm[k] != common]
-        if len(others) <= MOST_CHOICES:
-            return self._chosen(index, own, type_, {k: node.imm[k] for k in others}, common)
+        (usual, _), *_ = Counter(node.imm[k] for k in possible).most_common()
+        unusual = {k: node.imm[k] for k in possible if node.imm[k] != usual}
+        if len(unusual) <= MOST_CHOICES:
+            return self._chosen(index, own, type_, unusual, usual)
         packing = _packing(node)
         if packing is None:
             table = self._fresh(f"{self._name.upper()}_TABLE")

@@ -33,10 +33,18 @@ class Family:
     """Bits of the adder behind a multiplier, whose registers are the multiplier's own; 0 if there is none."""
     accumulation: float = 0.0
     """An addition there."""
+    small: int = 4
+    """Bits that a sum or comparison is of at most if it is better a table than a carry chain."""
+    compared: int = 0
+    """Bits of a word that a place of a carry chain compares with a constant; 0 if no more than one."""
+    shift_register: int = 0
+    """Registers that are worth a bit of a shift register of any length; 0 if tools make none."""
 
 
 FAMILIES = {
-    "ecp5": Family(register=1.0, level=1.0, carry=0.045, chain=0.9, multiplier=(17, 17), product=5.5),
+    "ecp5": Family(
+        register=1.0, level=1.0, carry=0.045, chain=0.9, multiplier=(17, 17), product=5.5, small=5
+    ),
     "xc7": Family(
         register=0.9,
         level=0.8,
@@ -46,6 +54,8 @@ FAMILIES = {
         product=3.2,
         accumulator=48,
         accumulation=2.3,
+        compared=6,
+        shift_register=4,
     ),
     "gowin": Family(register=1.0, level=1.1, carry=0.05, chain=1.0, multiplier=(17, 17), product=5.5),
 }
@@ -104,6 +114,11 @@ class Target:
             and bits <= self.family.accumulator
         )
 
+    def is_small(self, node: Node, bits: int) -> bool:
+        """Return whether a sum or comparison is so small that a table is better than a carry chain."""
+        inputs = sum(a.bits for a in set(node.args) if a.op != "constant")
+        return inputs <= self.family.small and bits <= 6 and (node.op == "less" or bits > 1)
+
     def delay(self, node: Node, bits: int) -> float:
         """Return how long an operation takes whose result has so many bits."""
         level = self.family.level
@@ -121,7 +136,7 @@ class Target:
             case "equal":
                 wide = max(a.bits for a in node.args)
                 return level * max(0.6, math.log(wide if node.args[1].op == "constant" else 2 * wide, 4))
-            case "less" | "sum" if is_small(node, bits):
+            case "less" | "sum" if self.is_small(node, bits):
                 return 1.1 * level
             case "less":
                 wide = max(a.bits for a in node.args)
@@ -141,9 +156,3 @@ class Target:
             case "table":
                 return level * max(1, math.log(len(node.imm), 6))
         return 0.0
-
-
-def is_small(node: Node, bits: int) -> bool:
-    """Return whether a sum or comparison is so small that a table is better than a carry chain."""
-    inputs = {a for a in node.args if a.op != "constant"}
-    return sum(a.bits for a in inputs) <= 4 and bits <= 6 and (node.op == "less" or bits > 1)

@@ -1,4 +1,4 @@
-"""Lowered graphs: the same integers, of the multipliers and adders that a family has."""
+"""Lowered graphs: the same integers, of the multipliers and adders that a family has; and their stages."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import pytest
 
 from pearl_marl.compiler.core_graph import Output
 from pearl_marl.compiler.lowering import lowered
+from pearl_marl.compiler.scheduling import scheduled
 from pearl_marl.compiler.targets import Target
 from pearl_marl.tracing.graph import Graph
 from pearl_marl.tracing.nodes import Node, in_order, values
@@ -69,3 +70,40 @@ def test_short_products_are_sums() -> None:
     graph = Graph()
     product = graph.mul(graph.input("a", 6), graph.constant(13))
     assert count(made(graph, product, 10, XC7), "mul") == 0
+
+
+def test_a_bit_of_a_tables_row_is_a_table() -> None:
+    graph = Graph()
+    row = graph.table([3, 9, 12, 5], graph.input("row", 2))
+    bit = graph.wrap(graph.right_by(row, graph.input("column", 3)), 1, False)
+    node = made(graph, bit, 1, XC7)
+    assert count(node, "right_by") == 0
+    assert count(node, "table") == 1
+
+
+@pytest.mark.parametrize("limit", [5, 0xAAAAAAAB, 0xAAAAAA80])
+@pytest.mark.parametrize("signed", [False, True])
+def test_long_comparisons_with_a_constant(limit: int, signed: bool) -> None:
+    graph = Graph()
+    a, b = graph.input("a", 32, signed), graph.constant(limit - (signed << 31))
+    # Two bits beside five places of six; if they are 0 in the constant, nothing enters the chain.
+    for node, bound in ((graph.less(a, b), limit), (graph.less(b, a), limit + 1)):
+        assert made(graph, node, 1, XC7).imm == (2 if bound % 4 else None)
+        assert made(graph, node, 1, ECP5).imm is None
+
+
+@pytest.mark.parametrize(("target", "delayed"), [(XC7, 1), (ECP5, 2)])
+def test_one_long_delay_is_better_than_two_where_there_are_shift_registers(
+    target: Target, delayed: int
+) -> None:
+    graph = Graph()
+    numbers = [graph.input("draw", 32)]
+    for _ in range(6):
+        numbers.append(graph.wrap(graph.mul(numbers[-1], numbers[-1]), 32, False))
+    flag = graph.less(numbers[3], graph.constant(12345))
+    # Once the flag is known the sum is a bit less to keep than what it is made of.
+    word = graph.wrap(graph.add(graph.input("word", 30), flag), 30, False)
+    outputs = [Output("obs_o", "word", 0, 30, word), Output("state_o", "last", 0, 32, numbers[-1])]
+    schedule = scheduled(lowered(graph, outputs, target), target)
+    long = [n for n in schedule.order if schedule.last[n] - schedule.stage[n] > 2]
+    assert sum(schedule.used[n].bit_count() == 30 for n in long) == delayed
