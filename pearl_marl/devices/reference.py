@@ -43,6 +43,8 @@ class Reference(Device):
         self._results = ResultArrays(config)
         self._memory = SlotMemory(config.spec, config.n_envs)
         self._stored: SlotMemory | None = None
+        if config.spec.unpack is not None:
+            self._deliver = compile_kernels(config.spec).deliver
         if config.initial_states == "stored":
             self._stored = SlotMemory(config.spec, config.n_envs)
 
@@ -150,7 +152,7 @@ class Reference(Device):
         words = self._words(spec.golden.observe, state, spec.observation)
         if spec.unpack is not None:  # a loop over single elements, which only Numba can run
             obs = np.empty((len(self._slots), *spec.observation_shape), dtype)
-            compile_kernels(spec).deliver(*words, obs)
+            self._deliver(*words, obs)
             return obs
         values = [
             word.astype(dtype) * dtype.type(2.0**-f.fraction) if f.fraction else word.astype(dtype)
