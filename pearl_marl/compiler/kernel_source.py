@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import functools
+from typing import NamedTuple
+
 from pearl_marl.compiler import pieces
 from pearl_marl.compiler.block_pieces import BlockPieces, part
 from pearl_marl.compiler.kernel_template import TEMPLATE
@@ -15,8 +18,26 @@ CROWD = 16
 whether they overlap, and leaves the loop scalar; parts of one array it can tell apart."""
 
 
+class _Itself(NamedTuple):
+    """A spec that is the same as itself only, since not all that it has can be hashed."""
+
+    spec: EnvSpec
+
+    def __hash__(self) -> int:
+        return id(self.spec)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Itself) and self.spec is other.spec
+
+
 def kernel_source(spec: EnvSpec) -> str:
     """Return the source of the kernels of ``spec``, for :mod:`pearl_marl.compiler.kernels` to load."""
+    return _source(_Itself(spec))
+
+
+@functools.lru_cache(maxsize=64)
+def _source(itself: _Itself) -> str:
+    spec = itself.spec
     p = LanePieces(spec) if len(spec.state) > CROWD else BlockPieces(spec)
     given = each("given_{}", p.observation)
     size = p.size
