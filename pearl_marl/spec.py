@@ -201,6 +201,10 @@ class EnvSpec:
             raise ArgumentError(f"name {self.name!r}: it takes letters and digits, a letter first")
         if self.rewards is not None and self.reward.bits > 16:
             raise ArgumentError(f"{self.name}: a category of {self.reward.bits} bits; a table takes up to 16")
+        if self.rewards is not None and self.reward.signed:
+            raise ArgumentError(
+                f"{self.name}: a signed reward field is no category; leave out signed=True, or the rewards"
+            )
         if self.rewards is not None and len(self.rewards) > 1 << self.reward.bits:
             raise ArgumentError(
                 f"{self.name}: {len(self.rewards)} rewards do not fit {self.reward.bits} reward bits"

@@ -57,7 +57,12 @@ def compile_cuda_kernels(spec: EnvSpec) -> CudaKernels:
     """
     cuda: Any = import_module("numba.cuda")
     source = cuda_source(spec)
-    versions = metadata.version("numba-cuda"), np.__version__, inspect.getsource(scalar_words)
+    versions = (
+        metadata.version("numba"),
+        metadata.version("numba-cuda"),
+        np.__version__,
+        inspect.getsource(scalar_words),
+    )
     name = "cuda_" + kernel_name(spec, source, versions)
     key = name, simulated()
     if key not in _loaded:

@@ -18,7 +18,7 @@ import llvmlite
 import numba
 import numpy as np
 
-from pearl_marl import rng
+from pearl_marl import remaking, rng
 from pearl_marl.compiler import llvm_functions, llvm_words
 from pearl_marl.compiler.kernel_source import kernel_source
 from pearl_marl.compiler.loading import fingerprint, load, with_callees
@@ -29,7 +29,7 @@ from pearl_marl.spec import EnvSpec
 # function as one.
 _FORCE_INLINE = True
 
-# Of what is called from compiled code alone, Numba need not compile the versions that Python and C can call.
+# C calls none of it, and Python the kernels only: Numba need not compile versions for others.
 _NOT_FOR_C: dict[str, Any] = {"no_cfunc_wrapper": True}
 _FOR_KERNELS: dict[str, Any] = {"no_cpython_wrapper": True, **_NOT_FOR_C}
 
@@ -77,6 +77,7 @@ def compile_kernels(spec: EnvSpec) -> Kernels:
         f"{_FORCE_INLINE=}",
         inspect.getsource(llvm_words),
         inspect.getsource(llvm_functions),
+        inspect.getsource(remaking),
     )
     name = kernel_name(spec, source, versions)
     if name not in _loaded:

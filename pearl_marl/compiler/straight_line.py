@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pearl_marl.compiler import scalar_words
-from pearl_marl.compiler.widths import used_bits
+from pearl_marl.compiler.kernel_bits import kernel_bits
 from pearl_marl.errors import ArgumentError
 from pearl_marl.golden import GoldenFunction
 from pearl_marl.spec import EnvSpec, Field
@@ -28,7 +28,7 @@ WIDEST = 64
 """Bits of the widest word that a kernel computes with."""
 
 MOST_CHOICES = 4
-"""Entries unlike the most common one up to which a table is as many choices."""
+"""A table in which at most so many entries differ from the most common one is as many choices."""
 MOST_NUMBERS = 16
 """Numbers that a table is packed into at most."""
 
@@ -136,14 +136,15 @@ class _Writer:
         self.lines: list[str] = []
         self.tables: list[str] = []
         self._masks: dict[tuple[Node, int], str] = {}
-        """The byte with one bit set, by its place, if it is one of so many."""
+        """The byte in which only the bit at this place is set, if it is one of so many."""
         self._name = name
         self.types = dict(words)
         self._function = function
         self._taken = set(_RESERVED)
         self.names = {word: self._fresh(word.imm.split()[1]) for word in words}
-        order = in_order(node for node, _ in results)
-        self._used = used_bits(order, [(node, node.bits) for node, _ in results])
+        # As the author has it: LLVM keeps the order, and sums right behind their flags are slower.
+        order = sorted(in_order(node for node, _ in results), key=lambda node: node.number)
+        self._used = kernel_bits(order, [(node, node.bits) for node, _ in results])
         for node in self._typed(order, results):
             text = self._expression(node, self.types[node])
             self.names[node] = self._assign(node.name or f"_{node.op}", text)
@@ -251,8 +252,8 @@ class _Writer:
                 if node.args[1].high < WIDEST:
                     return f"np.{type_}({own}_right({text}))"
                 # A shift is by less than the width, so one by more takes two.
-                most = f"{own}_right({texts[0]}, int64_minimum({texts[1]}, {WIDEST - 1}))"
-                return f"np.{type_}({own}_right({most}, int64_less({WIDEST - 1}, {texts[1]})))"
+                most = f"{own}_right({texts[0]}, uint64_minimum({texts[1]}, {WIDEST - 1}))"
+                return f"np.{type_}({own}_right({most}, uint64_less({WIDEST - 1}, {texts[1]})))"
             case "mul" if own == "int64":
                 # LLVM does not see that they are short, and of short ones SIMD units multiply more at a time.
                 short = (
@@ -332,9 +333,7 @@ class _Writer:
         entry = f"{packed}_right({number}, {packed}_left({index}, {width.bit_length() - 1}))"
         entry = f"{packed}_and({entry}, {(1 << width) - 1})"
         return (
-            f"np.{type_}({packed}_add({entry}, {_number(least, packed)}))"
-            if least
-            else f"np.{type_}({entry})"
+            f"{type_}_add(np.{type_}({entry}), {_number(least, type_)})" if least else f"np.{type_}({entry})"
         )
 
 

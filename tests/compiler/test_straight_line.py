@@ -122,6 +122,22 @@ def wide(observe: Callable[[Any, Any], Any]) -> EnvSpec:
     return replace(random_spec(0), state=(Field("word", 64), Field("by", 7)), golden=golden)
 
 
+def test_bits_beyond_a_words_range() -> None:
+    def observe(word: Any, by: Any) -> Any:
+        small, other = word & 31, by & 127
+        chosen = np.where((other & 1) == 0, small, other) >> 5
+        return (small & 40) + ((small ^ other) >> 5), ((small + (other << 5)) & 0xE7) + chosen
+
+    assert_means_the_golden_functions(wide(observe), random.Random(0))
+
+
+@pytest.mark.parametrize("by", [0, 7, 63, 64, 1 << 63, (1 << 64) - 1])
+def test_shifts_by_any_number(by: int) -> None:
+    spec = wide(lambda word, _: (((word | 1) >> word) & 255, 0))
+    found = functions(spec)["observe"](np.uint64(by), np.uint8(0))
+    assert int(found[0]) == ((by | 1) >> by) & 255
+
+
 def test_shifts_by_more_than_the_width() -> None:
     def observe(word: Any, by: Any) -> Any:
         return (word >> by) & 0xFFFFFF, ((word << (by & 15)) & 0xFF) < 200

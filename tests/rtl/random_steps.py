@@ -11,6 +11,8 @@ from gymnasium.spaces import Box, Discrete
 from pearl_marl.spec import EnvSpec, Field, Golden
 
 TABLE = np.array([3, 1, 4, 1, 5, 9, 2, 6])
+FAR = np.array([-3, 1, -7, 9, 4, -8, 2, 6])
+HIGH = np.array([70000, 70003, 70001, 70007, 70002, 70006, 70004, 70005])
 PATTERNS = [
     "{} + {}",
     "{} - {}",
@@ -48,6 +50,10 @@ PATTERNS = [
     "TABLE[np.uint8({}) % 7]",
     "-1 * (3 - ({} & 3)) + {}",
     "(np.int16({}) * np.int16({}) + {c}) >> {n}",
+    "FAR[{} & 7]",
+    "HIGH[{} & 7] - {}",
+    "({} & 31) & {c}",
+    "(({} & 31) ^ {}) >> {n}",
     "{} + {c}",
     "({} & {}) | ({} ^ {c})",
 ]
@@ -98,7 +104,7 @@ def random_spec(seed: int | random.Random) -> EnvSpec:
         Field(f"word_{k}", chance.choice([1, 2, 3, 5, 8, 13, 16]), signed=chance.random() < 0.4)
         for k in range(chance.randint(1, 4))
     ]
-    scope: dict[str, Any] = {"np": np, "TABLE": TABLE}
+    scope: dict[str, Any] = {"np": np, "TABLE": TABLE, "FAR": FAR, "HIGH": HIGH}
     text = source(chance, fields)
     exec(compile(text, "<a random step>", "exec"), scope)
     number = Field("first", 32, signed=True), Field("second", 32, signed=True)

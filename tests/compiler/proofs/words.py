@@ -13,7 +13,7 @@ EFFORT = 3_000_000
 """What z3 may spend on one question, by its own count, which is the same on every machine."""
 
 
-WIDEST = 128
+WIDEST = 192
 """Bits that hold every word of an environment."""
 
 
@@ -49,6 +49,7 @@ def always(goal: Any, facts: Iterable[Any]) -> bool:
 
 def unknown_product(a: Any, b: Any) -> Any:
     """Return a product of which nothing is known but that the same factors have the same one."""
+    assert a.size() + b.size() <= WIDEST
     wide = z3.BitVecSort(WIDEST)
     return z3.Function("times", wide, wide, wide)(fitted(a, WIDEST), fitted(b, WIDEST))
 
