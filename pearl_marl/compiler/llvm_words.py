@@ -7,7 +7,7 @@ they cast what they are given.
 What a loop reads and writes are addresses rather than arrays, whose owners Numba would count: such loops
 compile in less time. ``uint8_column(array, start, index)`` is the address of a word, ``index`` words behind
 byte ``start`` of an array; ``uint8_row(column, index, count)`` makes an array of some words again. Scratch
-space, which begins a cache line, is had by ``allocate(count)`` and given back by ``release(space)``.
+space, which begins a cache line, comes from ``allocate(count)`` and goes back by ``release(space)``.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 """In which stage of the pipeline each operation is done.
 
-Two operations that are too long for one stage together are a stage apart. Of all the schedules of the least
-latency it is the one with the fewest register bits: a linear programme of differences, whose solution is
-whole by itself. Where tools make shift registers of long delays, which cost the same at any length, it also
-decides by integers which ones are long, and is content with nearly the least.
+Two operations that are too long for one stage together are a stage apart. Of the schedules of the least
+latency it is one with the fewest register bits: a linear programme of differences, whose solution is whole by
+itself. Where tools make shift registers of long delays, which cost the same at any length, it also decides by
+integers which ones are long, and is content with nearly the least.
 """
 
 from __future__ import annotations
@@ -204,4 +204,10 @@ def _fewest_registers(
     if found.x is None:
         raise DeviceError(f"the stages of the core could not be found: {found.message}")
     # Whichever solution it is, so rounded its stages are still as far apart as they have to be.
-    return [math.floor(value + 0.5) for value in found.x[:count]]
+    stages = [math.floor(value + 0.5) for value in found.x[:count]]
+    for j, below in enumerate(arguments):
+        if any(stages[i] > stages[j] for i in below) or any(stages[i] >= stages[j] for i in apart[j]):
+            raise DeviceError(
+                "the stages of the core that were found are not in order; ask for another clock"
+            )
+    return stages

@@ -307,7 +307,7 @@ def test_nested_functions_hash_alike_in_every_process(tmp_path: Path) -> None:
     """The code of an inner function must not be told apart by where it lies in memory."""
     script = """
 import json, dataclasses, pearl_marl
-from pearl_marl.compiler import kernels, llvm_functions
+from pearl_marl.compiler import kernels
 from pearl_marl.spec import Golden
 spec = pearl_marl.get_spec("CliffWalking")
 waste = [object() for _ in range(%d)]

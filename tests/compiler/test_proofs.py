@@ -76,11 +76,8 @@ def test_lowering_changes_nothing(env: str) -> None:
     assert not list(unproved_lowering(get_spec(env), targets))
 
 
-CASES = [(env, TARGETS[k]) for i, env in enumerate(names()) for k in (0, 1 + i % 2)]
-"""As simulated devices have them, and for another family."""
-
-
-@pytest.mark.parametrize(("env", "target"), CASES, ids=str)
+@pytest.mark.parametrize("target", TARGETS, ids=str)
+@pytest.mark.parametrize("env", names())
 def test_texts_of_environments(env: str, target: Target, tmp_path: Path) -> None:
     assert not list(unproved_text(get_spec(env), target, tmp_path))
 

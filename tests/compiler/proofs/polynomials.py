@@ -135,7 +135,8 @@ def _operation(node: Node, args: list[Polynomial]) -> Polynomial:
             found = _line(node, args[0])
             if found is not None:
                 return found
-    return atom((node.op, repr(imm), *(_terms(arg) for arg in args)))
+    bits = tuple(a.bits for a in node.args)
+    return atom((node.op, repr(imm), bits, *(_terms(arg) for arg in args)))
 
 
 def _index(table: Node) -> Node:
