@@ -11,7 +11,6 @@ from __future__ import annotations
 import inspect
 from collections.abc import Callable, Iterable, Iterator
 from functools import partial
-from importlib import import_module
 from types import SimpleNamespace
 from typing import Any
 
@@ -21,7 +20,16 @@ from numba import types
 from numba.core.cgutils import for_range
 from numba.extending import intrinsic
 
-from pearl_marl.compiler.llvm_words import ARITHMETIC, COMPARISONS, FLOATS, INTEGERS, NUMBERS, Maker
+from pearl_marl.compiler.llvm_words import (
+    ARITHMETIC,
+    BYTES,
+    COMPARISONS,
+    FLOATS,
+    INTEGERS,
+    NUMBERS,
+    Maker,
+    arrays,
+)
 from pearl_marl.remaking import remade
 
 _Tuple: Any = types.Tuple
@@ -117,9 +125,6 @@ class Column:
         return Column(self.builder, self.builder.gep(first, [_number(index)]), type_)
 
 
-BYTES = ir.IntType(8).as_pointer()
-
-
 def _llvm(type_: Any) -> Any:
     if type_ in FLOATS:
         return ir.FloatType() if type_ == types.float32 else ir.DoubleType()
@@ -209,7 +214,7 @@ def inlined(function: Callable[..., Any]) -> Any:
             arguments = []
             for value, type_ in zip(operands, signature.args, strict=True):
                 if isinstance(type_, types.Array):
-                    array = import_module("numba.np.arrayobj").make_array(type_)(context, builder, value)
+                    array = arrays().make_array(type_)(context, builder, value)
                     arguments.append(_given(builder, array.data, type_))
                 else:
                     arguments.append(_given(builder, value, type_))

@@ -104,14 +104,14 @@ FLOATS = [types.float32, types.float64]
 NUMBERS: list[Any] = [*INTEGERS, *FLOATS]
 
 
-def _arrays() -> Any:
+def arrays() -> Any:
     """Return Numba's module about arrays, which nobody who only imports this package should wait for."""
     return import_module("numba.np.arrayobj")
 
 
 def _first(context: Any, builder: Any, of: Any, whole: Any) -> Any:
     """Return the address of an array's first byte, or of what an address points to."""
-    data = whole if isinstance(of, types.CPointer) else _arrays().make_array(of)(context, builder, whole).data
+    data = whole if isinstance(of, types.CPointer) else arrays().make_array(of)(context, builder, whole).data
     return builder.bitcast(data, BYTES)
 
 
@@ -141,7 +141,7 @@ def _row(element: Any) -> Any:
             pointer, *numbers = operands
             given = zip(numbers, signature.args[1:], strict=True)
             word, length = (context.cast(builder, x, t, types.intp) for x, t in given)
-            arrayobj = _arrays()
+            arrayobj = arrays()
             view = arrayobj.make_array(made)(context, builder)
             size = context.get_constant(types.intp, element.bitwidth // 8)
             # It owns nothing: whoever calls the kernel holds the array.

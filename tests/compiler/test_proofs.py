@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from pearl_marl.compiler import core_graph as core_graphs
-from pearl_marl.compiler import lowering, scheduling, verilog
+from pearl_marl.compiler import joining, lowering, scheduling, verilog
 from pearl_marl.compiler.targets import Target
 from pearl_marl.compiler.widths import width
 from pearl_marl.registry import get_spec, names
@@ -39,7 +39,7 @@ def unproved_text(spec: EnvSpec, target: Target, folder: Path) -> Iterator[str]:
 def unproved_lowering(spec: EnvSpec, targets: Iterable[Target]) -> Iterator[Node]:
     graph, outputs = core_graphs.core_graph(spec)
     nodes = [output.node for output in outputs]
-    for joined in (lowering.digits_joined, lowering.rounding_joined):
+    for joined in (joining.digits_joined, joining.rounding_joined):
         made = joined(graph, nodes)
         yield from unequal(nodes, made)
         nodes = [made[node] for node in nodes]
