@@ -427,7 +427,10 @@ def test_fields(bits: int) -> None:
         ({"action_space": Discrete(3, start=1)}, "not a Discrete from 0"),
         ({"observation_space": MultiBinary(3)}, "no Discrete, Tuple of them or Box"),
         ({"rewards": (0.0,) * 9, "reward": Field("reward", 3)}, "9 rewards do not fit 3"),
-        ({"reward": Field("reward", 3, signed=True)}, "a signed reward field is no category"),
+        (
+            {"rewards": (0.0,) * 4, "reward": Field("reward", 3, signed=True)},
+            "a signed reward field is no category",
+        ),
         ({"max_cycles": -2}, "max_cycles is -2"),
         ({"state": (Field("two words", 3),)}, "Drift: state field 'two words': a name takes letters, digits"),
         ({"state": (Field("0", 3),)}, "Drift: state field '0': .* and no digit first"),

@@ -371,3 +371,8 @@ def test_u32_of_a_draw_is_what_numpy_has() -> None:
         for slot in (0, 1, 2**31, 2**32 - 1):
             keys = u32(0x80000001), u32(0xFFFFFFFF)
             assert compiled(u32(slot), *keys) == rng.draw(u32(slot), *keys)
+
+
+def test_the_source_of_a_spec_is_made_once() -> None:
+    spec = SPEC.with_options(is_slippery=True)
+    assert kernel_source(spec) is kernel_source(spec)

@@ -136,3 +136,10 @@ def test_it_is_fast_enough_to_be_asked() -> None:
     for row in actions:
         device.step(row)
     assert time.thread_time() - began < 6
+
+
+def test_a_step_makes_no_source_of_kernels() -> None:
+    """Making it takes Seaquest some twenty times as long as the step."""
+    device = open_reference(pearl_marl.get_spec("Seaquest"), 3)
+    with mock.patch("pearl_marl.compiler.kernels.kernel_source", side_effect=AssertionError):
+        device.step(np.zeros(3, np.uint8))
