@@ -118,8 +118,8 @@ def test_a_core_of_other_widths_is_refused(word: str, tmp_path: Path) -> None:
     says = "the spec has 11 state, 3 action, 13 observation, 5 reward bits, the core " + ", ".join(
         map(str, changed.values())
     )
+    spec = own_core(tmp_path, (f"{line}{widths[word]};", f"{line}{changed[word]};"))
     with pytest.raises(DeviceError, match=says):
-        spec = own_core(tmp_path, (f"{line}{widths[word]};", f"{line}{changed[word]};"))
         lint(whole(Build.of(spec, 7, 4, 32)))
 
 
@@ -196,16 +196,16 @@ def test_the_map_of_the_hardware_is_that_of_the_host(env: str, tmp_path: Path) -
                 ends = [layout.end(name) * 8 // data_wl for name in memory_map.REGION_NAMES]
                 for region, offset in enumerate([0, *ends]):
                     given = f"{region}, {n_envs}, {pe_num}, {data_wl}"
-                    checks.append(
-                        f'if (pearl_map_pkg::region_offset({given}) != {offset}) $error("{given}");'
-                    )
+                    checks.append(f'if (region_offset({given}) != {offset}) $error("{given}");')
     comparison = tmp_path / "comparison.sv"
-    comparison.write_text("\n".join(["module comparison;", *checks, "endmodule", ""]))
+    comparison.write_text(
+        "\n".join(["module comparison; import pearl_map_pkg::*;", *checks, "endmodule", ""])
+    )
     files = [path for path in elaboration.sources(spec) if path.stem.endswith(("_pkg", "_pe", "_core"))]
     command = ["verilator", "--lint-only", "--top-module", "comparison"]
     toolchain.run([*command, *map(str, [*files, comparison])])
     comparison.write_text(comparison.read_text().replace("!= 16)", "!= 17)"))
-    with pytest.raises(DeviceError, match="1, 1, 1, 32"):
+    with pytest.raises(DeviceError, match="1, 1000, 1, 32"):
         toolchain.run([*command, *map(str, [*files, comparison])])
 
 
