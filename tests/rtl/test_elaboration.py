@@ -189,9 +189,9 @@ def test_package_says_what_the_map_says() -> None:
 @pytest.mark.parametrize("env", ["CliffWalking", "Pendulum", "Seaquest"])
 def test_the_map_of_the_hardware_is_that_of_the_host(env: str, tmp_path: Path) -> None:
     spec, checks = spec_of(env, {}), []
-    for n_envs in (1, 7, 33, 1000, 43008, 100003):
+    for n_envs in (7, 1000, 43008):
         for pe_num in {1, min(n_envs, 6), min(n_envs, 128)}:
-            for data_wl in (32, 256, 1024):
+            for data_wl in (32, 1024):
                 layout = memory_map.memory_map(spec, n_envs, pe_num, data_wl)
                 ends = [layout.end(name) * 8 // data_wl for name in memory_map.REGION_NAMES]
                 for region, offset in enumerate([0, *ends]):
@@ -199,7 +199,7 @@ def test_the_map_of_the_hardware_is_that_of_the_host(env: str, tmp_path: Path) -
                     checks.append(f'if (region_offset({given}) != {offset}) $error("{given}");')
     comparison = tmp_path / "comparison.sv"
     comparison.write_text(
-        "\n".join(["module comparison; import pearl_map_pkg::*;", *checks, "endmodule", ""])
+        "\n".join(["module comparison;", "import pearl_map_pkg::*;", *checks, "endmodule\n"])
     )
     files = [path for path in elaboration.sources(spec) if path.stem.endswith(("_pkg", "_pe", "_core"))]
     command = ["verilator", "--lint-only", "--top-module", "comparison"]
