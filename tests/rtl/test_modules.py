@@ -52,7 +52,7 @@ MODULES = {
         for pe_num, draws in ((1, 1), (3, 2))
     ],
     "packer": [packing("pearl_packer", *sizes) for sizes in ROWS_RATIOS],
-    "unpacker": [packing("pearl_unpacker", *sizes) for sizes in ROWS_RATIOS],
+    "input_bank": [packing("pearl_input_bank", *sizes) for sizes in ROWS_RATIOS],
     "row_memory": [
         variant(
             "pearl_row_memory",
