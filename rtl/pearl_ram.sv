@@ -1,11 +1,9 @@
 // SPDX-License-Identifier: MIT
-// A memory with one write port and one read port, in the form that infers block RAM and, where a family
-// has one, its output register.
+// A memory with one write port and one read port and a register at its output, which a block RAM may have
+// itself.
 //
 // A word that is read stands at the output READ_LATENCY cycles later and stays until the next one: in the
 // first cycle it comes out of the memory, in the second, which oe_i may put off, it goes to the output.
-// Reading what is written in the same cycle gives the old word; nothing in the backbone does that within
-// a step.
 module pearl_ram
   import pearl_pkg::index_bits;
 #(
@@ -23,18 +21,22 @@ module pearl_ram
     output logic [    WIDTH-1:0] rdata_o
 );
 
-  // An address has a bit even where there is one word only.
-  localparam int unsigned WORDS = DEPTH > 1 ? DEPTH : 2;
-  // Public, because a simulation's host may move whole memories at once instead of word by word.
-  logic [WIDTH-1:0] mem[WORDS]  /* verilator public_flat_rw */;
-  logic [WIDTH-1:0] rdata_q, out_q;
+  logic [WIDTH-1:0] rdata, rdata_q;
 
-  always_ff @(posedge clk_i) begin
-    if (we_i) mem[waddr_i] <= wdata_i;
-    if (re_i) rdata_q <= mem[raddr_i];
-    if (oe_i) out_q <= rdata_q;
-  end
+  pearl_memory #(
+      .WIDTH(WIDTH),
+      .DEPTH(DEPTH)
+  ) u_memory (
+      .clk_i,
+      .we_i,
+      .waddr_i,
+      .wdata_i,
+      .re_i,
+      .raddr_i,
+      .rdata_o(rdata)
+  );
 
-  assign rdata_o = out_q;
+  always_ff @(posedge clk_i) if (oe_i) rdata_q <= rdata;
+  assign rdata_o = rdata_q;
 
 endmodule

@@ -61,7 +61,15 @@ MODULES = {
             row=row,
             word=word,
         )
-        for rows, row, word in ((1, 6, 32), (5, 32, 32), (4, 72, 32), (3, 160, 64))
+        for rows, row, word in (
+            (1, 6, 32),
+            (5, 32, 32),
+            (4, 72, 32),
+            (3, 160, 64),
+            # Deep ones: in slices, and in a part of slices and a rest; in two parts and a rest.
+            (2048, 40, 32),
+            (3075, 40, 32),
+        )
     ],
     "fifo": [variant("pearl_fifo", {"DEPTH": depth}, depth=depth) for depth in (2, 8)],
     "axi_address": [variant("pearl_axi_address", {})],
