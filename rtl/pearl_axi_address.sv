@@ -7,6 +7,7 @@ module pearl_axi_address #(
     parameter int unsigned ADDR_BITS = 16
 ) (
     input  logic                 clk_i,
+    input  logic                 rst_ni,
     // A burst; the address of its first beat is there in the next cycle, and can be moved on from in the
     // cycle after that.
     input  logic                 start_i,
@@ -24,7 +25,6 @@ module pearl_axi_address #(
   localparam int unsigned BEAT_BITS = 7;
   localparam int unsigned SPAN_BITS = 15;
 
-  logic start_q;
   logic [7:0] len_q;
   logic [2:0] size_q;
   logic [1:0] burst_q;
@@ -44,7 +44,6 @@ module pearl_axi_address #(
   assign incremented = (addr_q | within_beat_q) + 1'b1;
 
   always_ff @(posedge clk_i) begin
-    start_q <= start_i;
     if (start_i) begin
       len_q   <= len_i;
       size_q  <= size_i;
@@ -60,13 +59,15 @@ module pearl_axi_address #(
     else if (next_i) addr_q <= (addr_q & kept_q) | (incremented & ~kept_q);
   end
 
+  assign addr_o = addr_q;
+
+  logic start_q;
   always_ff @(posedge clk_i) begin
-    if (next_i) begin
+    start_q <= start_i;
+    if (rst_ni && next_i) begin
       assert (!start_q)
       else $error("pearl_axi_address: a burst was moved on from before it was worked out");
     end
   end
-
-  assign addr_o = addr_q;
 
 endmodule

@@ -173,6 +173,7 @@ module pearl_axi_slave
       .ADDR_BITS(ADDR_BITS)
   ) u_address (
       .clk_i,
+      .rst_ni,
       .start_i(take),
       .addr_i (taken.addr),
       .len_i  (taken.len),
@@ -185,7 +186,7 @@ module pearl_axi_slave
   // Which answer is the word that was fetched: those of earlier writes come before it.
   logic [PORT_LATENCY-1:0] fetches_q;
   logic fetched, refused_q;
-  assign fetched = fetches_q[PORT_LATENCY-1];
+  assign fetched   = fetches_q[PORT_LATENCY-1];
 
   assign read_req  = state_q == Read && !all_asked_q && credits_q != '0;
   assign w_ready   = (state_q == Write && (w.full || w.empty)) || state_q == Merge;
