@@ -51,6 +51,8 @@ module pearl_axi_slave
 
     output logic                       req_o,
     output logic                       we_o,
+    // A read of the word that a beat changes a part of.
+    output logic                       fetch_o,
     output logic  [WORD_ADDR_BITS-1:0] addr_o,
     output logic  [       DATA_WL-1:0] wdata_o,
     input  logic                       rvalid_i,
@@ -130,7 +132,8 @@ module pearl_axi_slave
     endcase
   end
 
-  assign addr_o = addr_q[ADDR_BITS-1-:WORD_ADDR_BITS];
+  assign fetch_o = state_q == Write && !full_beat;
+  assign addr_o  = addr_q[ADDR_BITS-1-:WORD_ADDR_BITS];
   for (genvar i = 0; i < STRB_BITS; i++) begin : gen_merge
     assign wdata_o[i*8+:8] = s_axi_wstrb[i] ? s_axi_wdata[i*8+:8] : rdata_i[i*8+:8];
   end

@@ -2,8 +2,8 @@
 // takes all slots through one step when the doorbell rings.
 //
 // pearl_top checks the sizes, and here it is checked whether the offsets belong to them.
-// Reset has to last LATENCY + 4 cycles (the core's LATENCY): what is in the pipeline is flushed, not
-// reset, so that its delays can be shift-register LUTs.
+// What is in the pipeline is flushed, not reset, so that its delays can be shift-register LUTs. So any
+// reset, be it a cycle long, is followed by cycles in which the port is busy and nothing else awake.
 module pearl_backbone
   import pearl_pkg::*;
 #(
@@ -41,6 +41,7 @@ module pearl_backbone
     // The memory port. Every request is accepted and answered PORT_LATENCY cycles later.
     input  logic                       req_i,
     input  logic                       we_i,
+    input  logic                       fetch_i,
     input  logic  [WORD_ADDR_BITS-1:0] addr_i,
     input  logic  [       DATA_WL-1:0] wdata_i,
     output logic                       rvalid_o,
@@ -138,6 +139,25 @@ module pearl_backbone
     );
   end
 
+  // ---- Resets ----
+
+  // From a reset on, more cycles than a group is on its way through the pipeline.
+  localparam int unsigned DRAIN_CYCLES = FETCH + LATENCY + 4;
+  localparam int unsigned DRAIN_BITS = $clog2(DRAIN_CYCLES + 1);
+
+  logic soft_reset, draining, draining_q, awake;
+  logic [DRAIN_BITS-1:0] drain_q;
+
+  always_ff @(posedge clk_i) begin
+    draining_q <= !rst_ni || soft_reset || drain_q != '0;
+    if (!rst_ni || soft_reset) drain_q <= DRAIN_BITS'(DRAIN_CYCLES);
+    else if (drain_q != '0) drain_q <= drain_q - 1'b1;
+  end
+
+  assign draining = draining_q;
+  // The reset of all but the port.
+  assign awake = !draining;
+
   // ---- The address space ----
 
   logic busy, start, done, ring, keys_stale, keys_valid;
@@ -145,7 +165,7 @@ module pearl_backbone
   logic [WORD_ADDR_BITS-1:0] host_index;
   logic [DATA_WL-1:0] host_wdata;
   logic [NumRegions-1:0][DATA_WL-1:0] host_rdata;
-  logic busy_write, busy_doorbell, torn, untorn;
+  logic busy_write, busy_doorbell, untorn;
   // Registers are read whether asked or not, read-only regions never written, and no region is as
   // long as the map.
   logic unused_host;
@@ -161,12 +181,13 @@ module pearl_backbone
       .rst_ni,
       .req_i,
       .we_i,
+      .fetch_i,
       .addr_i,
       .wdata_i,
       .rvalid_o,
       .rdata_o,
       .resp_o,
-      .busy_i         (busy),
+      .busy_i         (busy || ring || draining),
       .re_o           (host_re),
       .we_o           (host_we),
       .index_o        (host_index),
@@ -174,14 +195,16 @@ module pearl_backbone
       .rdata_i        (host_rdata),
       .busy_write_o   (busy_write),
       .busy_doorbell_o(busy_doorbell),
-      .torn_o         (torn),
-      .untorn_o       (untorn)
+      .untorn_o       (untorn),
+      .soft_reset_o   (soft_reset)
   );
 
   mode_t mode;
   logic [1:0][31:0] seed;
   logic [63:0] tick;
-  logic [31:0] first_slot, max_cycles, cycles;
+  logic [31:0] first_slot, max_cycles, limit, cycles;
+  logic limited, unused_limit;
+  assign unused_limit = ^{limited, limit};
 
   pearl_registers #(
       .DATA_WL    (DATA_WL),
@@ -193,6 +216,7 @@ module pearl_backbone
   ) u_registers (
       .clk_i,
       .rst_ni,
+      .draining_i     (draining),
       .index_i        (host_index[index_bits(stream_words(CONTROL_WORDS, 32, DATA_WL))-1:0]),
       .control_we_i   (host_we[Control]),
       .doorbell_we_i  (host_we[Doorbell]),
@@ -207,11 +231,12 @@ module pearl_backbone
       .keys_stale_o   (keys_stale),
       .first_slot_o   (first_slot),
       .max_cycles_o   (max_cycles),
+      .limited_o      (limited),
+      .limit_o        (limit),
       .done_i         (done),
       .cycles_i       (cycles),
       .busy_write_i   (busy_write),
       .busy_doorbell_i(busy_doorbell),
-      .torn_i         (torn),
       .untorn_i       (untorn)
   );
 
@@ -219,7 +244,7 @@ module pearl_backbone
 
   pearl_sequencer u_sequencer (
       .clk_i,
-      .rst_ni,
+      .rst_ni        (awake),
       .ring_i        (ring),
       .keys_valid_i  (keys_valid),
       .results_done_i(obs_done && rewards_done && ters_done),
@@ -229,8 +254,8 @@ module pearl_backbone
       .cycles_o      (cycles)
   );
 
-  always_ff @(posedge clk_i or negedge rst_ni) begin
-    if (!rst_ni) irq_q <= 1'b0;
+  always_ff @(posedge clk_i) begin
+    if (draining) irq_q <= 1'b0;
     else if (ring) irq_q <= 1'b0;
     else if (done) irq_q <= 1'b1;
   end
@@ -251,7 +276,7 @@ module pearl_backbone
       .WORDS   (ACTION_WORDS)
   ) u_actions (
       .clk_i,
-      .rst_ni,
+      .rst_ni      (awake),
       .busy_i      (busy),
       .start_i     (start),
       .valid_o     (actions_valid),
@@ -270,7 +295,7 @@ module pearl_backbone
       .WORDS   (MASK_WORDS)
   ) u_reset_mask (
       .clk_i,
-      .rst_ni,
+      .rst_ni      (awake),
       .busy_i      (busy),
       .start_i     (start),
       .valid_o     (resets_valid),
@@ -292,7 +317,7 @@ module pearl_backbone
       .REWARD_BITS(REWARD_BITS)
   ) u_group_reader (
       .clk_i,
-      .rst_ni,
+      .rst_ni      (awake),
       .start_i     (start),
       .first_slot_i(first_slot),
       .rows_valid_i(actions_valid && resets_valid),
@@ -315,7 +340,7 @@ module pearl_backbone
         .DRAWS(DRAWS)
     ) u_rng (
         .clk_i,
-        .rst_ni,
+        .rst_ni   (awake),
         .restart_i(keys_stale),
         .seed_i   (seed),
         .tick_i   (tick),
@@ -479,7 +504,7 @@ module pearl_backbone
       .LATENCY    (LATENCY)
   ) u_pe_array (
       .clk_i,
-      .rst_ni,
+      .rst_ni      (awake),
       .valid_i     (at_pe.valid),
       .mode_i      (mode),
       .max_cycles_i(max_cycles),
@@ -506,7 +531,7 @@ module pearl_backbone
       .WORDS   (OBS_WORDS)
   ) u_observations (
       .clk_i,
-      .rst_ni,
+      .rst_ni      (awake),
       .start_i     (start),
       .valid_i     (at_result.valid),
       .last_i      (at_result.last),
@@ -523,7 +548,7 @@ module pearl_backbone
       .WORDS   (REWARD_WORDS)
   ) u_rewards (
       .clk_i,
-      .rst_ni,
+      .rst_ni      (awake),
       .start_i     (start),
       .valid_i     (at_result.valid),
       .last_i      (at_result.last),
@@ -540,7 +565,7 @@ module pearl_backbone
       .WORDS   (TER_WORDS)
   ) u_ters (
       .clk_i,
-      .rst_ni,
+      .rst_ni      (awake),
       .start_i     (start),
       .valid_i     (at_result.valid),
       .last_i      (at_result.last),

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT
 // Runs a step from doorbell to done: waits for the random keys, starts the pipeline, counts cycles.
 module pearl_sequencer (
     input  logic        clk_i,
@@ -42,7 +43,7 @@ module pearl_sequencer (
     endcase
   end
 
-  always_ff @(posedge clk_i or negedge rst_ni) begin
+  always_ff @(posedge clk_i) begin
     if (!rst_ni) begin
       state_q  <= Idle;
       cycles_q <= '0;
@@ -55,5 +56,12 @@ module pearl_sequencer (
 
   assign busy_o   = state_q != Idle;
   assign cycles_o = cycles_q;
+
+  always_ff @(posedge clk_i) begin
+    if (rst_ni) begin
+      assert (!ring_i || state_q == Idle)
+      else $error("pearl_sequencer: a doorbell rang during a step");
+    end
+  end
 
 endmodule

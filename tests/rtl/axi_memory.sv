@@ -45,7 +45,7 @@ module axi_memory
 
   localparam int unsigned WORD_ADDR_BITS = ADDR_BITS - $clog2(STRB_BITS);
 
-  logic req, we, rvalid;
+  logic req, we, unused_fetch, rvalid;
   logic [WORD_ADDR_BITS-1:0] addr;
   logic [DATA_WL-1:0] wdata, rdata, word;
   resp_e resp, answer;
@@ -58,6 +58,7 @@ module axi_memory
   ) u_axi_slave (
       .req_o(req),
       .we_o(we),
+      .fetch_o(unused_fetch),
       .addr_o(addr),
       .wdata_o(wdata),
       .rvalid_i(rvalid),
