@@ -77,7 +77,7 @@ class Control(IntEnum):
     TICK_HIGH = 11
     FIRST_SLOT = 12
     MAX_CYCLES = 13
-    RESERVED_0 = 14
+    RESET = 14
     RESERVED_1 = 15
 
 

@@ -48,7 +48,7 @@ package pearl_pkg;
   // The status's error word, least significant bit last.
   typedef struct packed {
     logic reset;          // no word of the control region has been written since the hardware's reset
-    logic torn_read;      // a result was read during a step, and the first result not since
+    logic torn_read;      // the first word of results has not been read since the last step
     logic busy_write;     // a write came during a step and was refused
     logic busy_doorbell;  // a doorbell came during a step and was refused
   } error_t;
@@ -59,7 +59,7 @@ package pearl_pkg;
     RespSlvErr = 2'b10,
     RespDecErr = 2'b11
   } resp_e;
-  // Cycles from the address of a memory to what it answers.
+  // Cycles from a read enable to the word, of block RAM as of registers.
   localparam int unsigned READ_LATENCY = 2;
   // Cycles from a request at the memory port to its answer; the AXI slave sizes its queue by it.
   localparam int unsigned PORT_LATENCY = 4 + READ_LATENCY;

@@ -3,8 +3,8 @@
 // and collects the answer, PORT_LATENCY cycles after the request. A request a cycle.
 //
 // While a step runs, only results, doorbell, status and control can be read, and nothing written but
-// the word that resets. Whether one runs is asked in the cycle of the access, so that a doorbell counts
-// for the very next request.
+// the word that resets. Whether one runs is asked in the cycle before the access. That is early enough,
+// since a doorbell, too, rings in the cycle of its access, and late enough for the request after it.
 module pearl_port
   import pearl_pkg::*;
 #(
@@ -27,7 +27,7 @@ module pearl_port
     output logic  [       DATA_WL-1:0] rdata_o,
     output resp_e                      resp_o,
 
-    // A step runs, or the pipeline drains.
+    // A step runs, or begins in this cycle, or the pipeline drains.
     input  logic                                   busy_i,
     output logic [    NumRegions-1:0]              re_o,
     output logic [    NumRegions-1:0]              we_o,
@@ -37,10 +37,10 @@ module pearl_port
     // READ_LATENCY cycles after re_o.
     input  logic [    NumRegions-1:0][DATA_WL-1:0] rdata_i,
 
-    // A write, or a doorbell, is refused because a step is running.
+    // In the cycle of the access: a write, or a doorbell, is refused because a step is running.
     output logic busy_write_o,
     output logic busy_doorbell_o,
-    // The first word of results is read while no step runs.
+    // The first word of results is read, and no step runs.
     output logic untorn_o,
     // The word that resets is written, and not with zero.
     output logic soft_reset_o
@@ -74,81 +74,93 @@ module pearl_port
 
   request_t asked_q, located_q;
   logic [NumRegions-1:0] hit, hit_q;
-  logic [WORD_ADDR_BITS-1:0] base, base_q;
-  logic at_first_q, at_reset_q;
+  logic at_reset;
+  logic at_first_q, at_reset_q, resets_q;
 
-  always_comb begin
-    base = '0;
-    for (int unsigned i = 0; i < NumRegions; i++) begin
-      hit[i] = BOUND_BITS'(asked_q.addr) >= BOUND_BITS'(OFFSETS[i]) &&
-          BOUND_BITS'(asked_q.addr) < BOUND_BITS'(OFFSETS[i+1]);
-      if (hit[i]) base = WORD_ADDR_BITS'(OFFSETS[i]);
-    end
+  for (genvar i = 0; i < NumRegions; i++) begin : gen_hit
+    assign hit[i] = BOUND_BITS'(asked_q.addr) >= BOUND_BITS'(OFFSETS[i]) &&
+        BOUND_BITS'(asked_q.addr) < BOUND_BITS'(OFFSETS[i+1]);
   end
+
+  assign at_reset = BOUND_BITS'(asked_q.addr) == BOUND_BITS'(OFFSETS[Control] + RESET_INDEX);
 
   always_ff @(posedge clk_i) begin
     asked_q    <= '{write: we_i, fetch: fetch_i && !we_i, addr: addr_i, wdata: wdata_i};
     located_q  <= asked_q;
     hit_q      <= hit;
-    base_q     <= base;
     at_first_q <= BOUND_BITS'(asked_q.addr) == BOUND_BITS'(OFFSETS[Observations]);
-    at_reset_q <= BOUND_BITS'(asked_q.addr) == BOUND_BITS'(OFFSETS[Control] + RESET_INDEX);
+    at_reset_q <= at_reset;
+    resets_q   <= at_reset && asked_q.write && asked_q.wdata[CONTROL_RESET*32%DATA_WL+:32] != '0;
   end
 
-  // ---- Which word of it, and when that is allowed ----
+  // ---- Which word of it, and whether that is allowed ----
 
-  logic changes, resets;
-  // A fetch is for a write, and allowed where that is.
-  assign changes = located_q.write || located_q.fetch;
-  assign resets  = at_reset_q && located_q.wdata[CONTROL_RESET*32%DATA_WL+:32] != '0;
-
-  logic write_q, change_q, fetch_reset_q, reset_q, first_q, hole_q, doorbell_q, idle_q, always_q;
-  logic [NumRegions-1:0] region_q;
-  logic [WORD_ADDR_BITS-1:0] index_q;
+  logic req, changes, busy, closed, outdated_q;
+  logic [NumRegions-1:0] hit_writable, re, we, re_q, we_q;
+  logic hole_q, busy_write_q, busy_doorbell_q, untorn_q, soft_reset_q;
+  logic [WORD_ADDR_BITS-1:0] base, index_q;
   logic [DATA_WL-1:0] wdata_q;
 
-  always_ff @(posedge clk_i) begin
-    write_q       <= located_q.write;
-    change_q      <= changes && |(hit_q & ~READ_ONLY);
-    fetch_reset_q <= located_q.fetch && at_reset_q;
-    reset_q       <= located_q.write && resets;
-    first_q       <= !changes && at_first_q;
-    hole_q        <= hit_q == '0;
-    doorbell_q    <= hit_q[Doorbell];
-    idle_q        <= |(hit_q & (changes ? ~READ_ONLY : '1));
-    region_q      <= hit_q;
-    index_q       <= located_q.addr - base_q;
-    wdata_q       <= located_q.wdata;
-    if (located_q.write) always_q <= resets;
-    else if (located_q.fetch) always_q <= at_reset_q;
-    else always_q <= |(hit_q & SHARED);
-  end
-
-  // ---- The access ----
-
-  logic req, closed, allowed, refused, outdated_q;
-  assign req = valid_q[3];
-
+  assign req = valid_q[2];
+  // A fetch is for a write, and allowed where that is.
+  assign changes = located_q.write || located_q.fetch;
+  assign hit_writable = hit_q & ~READ_ONLY;
+  assign busy = busy_i || soft_reset_q;
   // A part of the word that resets can be written during a step, so that word is fetched then, too. What
   // it held is outdated when the step ends: unless it resets, the write is refused even after that.
-  always_ff @(posedge clk_i) begin
-    if (!rst_ni) outdated_q <= 1'b0;
-    else if (req) outdated_q <= fetch_reset_q && busy_i;
+  assign closed = (busy || outdated_q) && !resets_q && !(located_q.fetch && at_reset_q);
+
+  always_comb begin
+    base = '0;
+    for (int unsigned i = 0; i < NumRegions; i++) begin
+      if (hit_q[i]) base |= WORD_ADDR_BITS'(OFFSETS[i]);
+    end
   end
 
-  assign closed = busy_i || outdated_q;
-  assign allowed = always_q || (idle_q && !closed);
+  always_comb begin
+    re = '0;
+    we = '0;
+    if (located_q.fetch) re = closed ? '0 : hit_writable;
+    else if (!located_q.write) re = busy ? hit_q & SHARED : hit_q;
+    // What resets during a step does nothing else.
+    else
+      we = busy || outdated_q ? '0 : hit_writable;
+  end
 
-  assign re_o = req && !write_q && allowed ? region_q : '0;
-  assign we_o = req && write_q && idle_q && !closed ? region_q : '0;
+  always_ff @(posedge clk_i) begin
+    if (!rst_ni) begin
+      re_q            <= '0;
+      we_q            <= '0;
+      outdated_q      <= 1'b0;
+      busy_write_q    <= 1'b0;
+      busy_doorbell_q <= 1'b0;
+      untorn_q        <= 1'b0;
+      soft_reset_q    <= 1'b0;
+    end else begin
+      re_q            <= req ? re : '0;
+      we_q            <= req ? we : '0;
+      busy_write_q    <= req && changes && closed && |hit_writable && !hit_q[Doorbell];
+      busy_doorbell_q <= req && changes && closed && hit_q[Doorbell];
+      untorn_q        <= req && !changes && !busy && at_first_q;
+      soft_reset_q    <= req && resets_q;
+      if (req) outdated_q <= busy && located_q.fetch && at_reset_q;
+    end
+  end
+
+  always_ff @(posedge clk_i) begin
+    hole_q  <= hit_q == '0;
+    index_q <= located_q.addr - base;
+    wdata_q <= located_q.wdata;
+  end
+
+  assign re_o = re_q;
+  assign we_o = we_q;
   assign index_o = index_q;
   assign wdata_o = wdata_q;
-
-  assign refused = req && change_q && !allowed;
-  assign busy_doorbell_o = refused && doorbell_q;
-  assign busy_write_o = refused && !doorbell_q;
-  assign untorn_o = req && first_q && !busy_i;
-  assign soft_reset_o = req && reset_q;
+  assign busy_write_o = busy_write_q;
+  assign busy_doorbell_o = busy_doorbell_q;
+  assign untorn_o = untorn_q;
+  assign soft_reset_o = soft_reset_q;
 
   // ---- The answer ----
 
@@ -158,7 +170,7 @@ module pearl_port
 
   always_comb begin
     if (hole_q) resp = RespDecErr;
-    else if (allowed) resp = RespOkay;
+    else if (|{re_q, we_q, soft_reset_q}) resp = RespOkay;
     else resp = RespSlvErr;
   end
 
@@ -167,7 +179,7 @@ module pearl_port
       .STAGES(READ_LATENCY)
   ) u_late (
       .clk_i,
-      .d_i({re_o, resp}),
+      .d_i({re_q, resp}),
       .d_o({late_re, late_resp})
   );
 
@@ -188,8 +200,8 @@ module pearl_port
   assign resp_o   = resp_q;
 
   always_ff @(posedge clk_i) begin
-    if (req) begin
-      assert ($onehot0(region_q))
+    if (valid_q[2]) begin
+      assert ($onehot0(hit_q))
       else $error("pearl_port: a word is in two regions");
     end
   end

@@ -33,7 +33,6 @@ module pearl_registers
     output logic [   DATA_WL-1:0] doorbell_o,
     output logic [   DATA_WL-1:0] status_o,
 
-    // In the cycle after the doorbell was written.
     output logic               ring_o,
     output mode_t              mode_o,
     output logic  [ 1:0][31:0] seed_o,
@@ -64,7 +63,7 @@ module pearl_registers
   logic [31:0] first_slot_q, max_cycles_q, limit_q, mode_word_q, sequence_q, finished_q, cycles_q;
   logic [DOORBELL_WORDS-1:0] doorbell_we;
   error_t error_q, error;
-  logic clear, limited_q, ring_q, stale_q, next_q;
+  logic clear, limited_q, stale_q, next_q;
 
   assign clear = !rst_ni || draining_i;
 
@@ -115,20 +114,21 @@ module pearl_registers
     assign doorbell_we[i] = doorbell_we_i && reaches(i, index_i);
   end
 
+  // What was written last also rang last: it either rings or is the same.
+  assign ring_o = doorbell_we[1] && word_of(1, wdata_i) != sequence_q;
+
   always_ff @(posedge clk_i) begin
     if (clear) begin
       mode_word_q <= '0;
       sequence_q  <= '0;
-      ring_q      <= 1'b0;
       finished_q  <= '0;
       cycles_q    <= '0;
       error_q     <= '{reset: 1'b1, default: 1'b0};
     end else begin
       if (doorbell_we[0]) mode_word_q <= word_of(0, wdata_i);
       if (doorbell_we[1]) sequence_q <= word_of(1, wdata_i);
-      ring_q <= doorbell_we[1] && word_of(1, wdata_i) != sequence_q;
       if (untorn_i) error_q.torn_read <= 1'b0;
-      if (ring_q) begin
+      if (ring_o) begin
         error_q.torn_read <= 1'b1;
         error_q.busy_write <= 1'b0;
         error_q.busy_doorbell <= 1'b0;
@@ -201,7 +201,6 @@ module pearl_registers
       .d_o({control_o, doorbell_o, status_o})
   );
 
-  assign ring_o = ring_q;
   assign mode_o = mode_t'(mode_word_q[$bits(mode_t)-1:0]);
   assign seed_o = seed_q;
   assign tick_o = tick_q;

@@ -85,7 +85,7 @@ MODULES = {
             words=words,
             address_bits=bits,
         )
-        for word, words, bits in ((32, 3, 8), (128, 1, 60))
+        for word, words, bits in ((32, 16, 10), (128, 4, 60))
     ],
     "registers": [
         variant("pearl_registers", {"DATA_WL": word, "ENV_HASH": 0x1234}, word=word)
