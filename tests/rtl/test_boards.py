@@ -18,7 +18,7 @@ from harness import HERE, Design, run
 from pearl_marl.devices import BatchConfig, Lockstep, Native, Serial
 from pearl_marl.devices.serial import SerialTransport
 from pearl_marl.errors import DeviceError
-from pearl_marl.hardware import boards, elaboration, toolchain
+from pearl_marl.hardware import boards, toolchain
 from pearl_marl.hardware.boards import BOARDS, Board
 from pearl_marl.registry import get_spec
 from pearl_marl.spec import EnvSpec
@@ -62,9 +62,8 @@ def run_ulx3s(bench: str, folder: Path, **arguments: Any) -> None:
     build = boards.board_build(ULX3S, SPEC, *SIZE)
     parameters = {"CLOCKS_PER_BIT": CLOCKS_PER_BIT}
     design = Design(ULX3S.top, tuple(simulated(ULX3S, SPEC)), parameters, boards.macros(build))
-    arguments |= {"env": SPEC.name, "size": [*SIZE, build.layout.data_wl]}
-    timing = elaboration.core_timing(SPEC, ULX3S.target)
-    arguments |= {"clocks_per_bit": CLOCKS_PER_BIT, "latency": timing.latency}
+    size = [*SIZE, build.layout.data_wl]
+    arguments |= {"env": SPEC.name, "size": size, "clocks_per_bit": CLOCKS_PER_BIT}
     run(design, bench, folder, **arguments)
 
 
@@ -123,9 +122,10 @@ def test_the_ulx3s_goes_on_after_damage(plugged_in: str, monkeypatch: pytest.Mon
     device.close()
 
 
-def test_xdma_irq(tmp_path: Path) -> None:
-    (source,) = (path for path in boards.sources(VC707, SPEC) if path.stem == "pearl_xdma_irq")
-    run(Design(source.stem, (source,)), "bench_xdma_irq", tmp_path)
+@pytest.mark.parametrize("name", ["reset", "xdma_irq"])
+def test_module(name: str, tmp_path: Path) -> None:
+    (source,) = (path for path in boards.sources(VC707, SPEC) if path.stem == f"pearl_{name}")
+    run(Design(source.stem, (source,)), f"bench_{name}", tmp_path)
 
 
 # ---- The VC707, whose tools are not free: everything that can be known without them ----

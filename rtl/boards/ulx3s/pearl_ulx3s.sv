@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 // The design on a Radiona ULX3S: behind its USB serial port, 3 Mbaud, clocked with 45 MHz.
 //
 // Ports are named as the board's schematic names its nets; the FTDI chip receives on ftdi_rxd.

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 // The design on a Xilinx VC707: behind the XDMA core, PCIe 2.0 x8, clocked with 125 MHz.
 //
 // The cores pearl_xdma and pearl_upsizer are Vivado's, made by build.tcl; so are the primitives. The
