@@ -1,5 +1,4 @@
 // SPDX-License-Identifier: MIT
-
 // The reset of a board's design. It falls and rises with the clock, since an address that changes beside
 // an edge can cost a memory a word; and it falls however short the clock was gone.
 module pearl_reset (

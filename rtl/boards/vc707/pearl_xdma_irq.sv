@@ -1,5 +1,4 @@
 // SPDX-License-Identifier: MIT
-
 // The design's interrupt as the XDMA core takes one: raised when a step has ended, and held until the
 // core has sent it (PG195, "MSI and Internal MSI-X Interrupts"), which a host that polls may not wait for.
 //

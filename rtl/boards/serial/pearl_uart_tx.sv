@@ -1,5 +1,4 @@
 // SPDX-License-Identifier: MIT
-
 // Bytes to a serial line: a start bit, eight data bits, the lowest first, and a stop bit.
 module pearl_uart_tx #(
     parameter int unsigned CLOCKS_PER_BIT = 15

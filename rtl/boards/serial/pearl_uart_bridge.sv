@@ -1,5 +1,4 @@
 // SPDX-License-Identifier: MIT
-
 // A host at a serial line as the master of an AXI bus, one request at a time:
 //
 //   request  operation ("R" or "W") | byte address (4) | words (2) | data (4 a word, "W") | checksum (4)

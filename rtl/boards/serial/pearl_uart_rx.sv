@@ -1,5 +1,4 @@
 // SPDX-License-Identifier: MIT
-
 // Bytes from a serial line: a start bit, eight data bits, the lowest first, and a stop bit.
 module pearl_uart_rx #(
     parameter int unsigned CLOCKS_PER_BIT = 15
