@@ -152,8 +152,10 @@ def test_a_missing_tool_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @needs_yosys
-def test_large_memories_are_found_in_block_ram(monkeypatch: pytest.MonkeyPatch) -> None:
-    result = CliRunner().invoke(app, ["synth", *DEEP])
+@pytest.mark.parametrize("part", ["xc7", "gowin"])
+def test_large_memories_are_found_in_block_ram(part: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    arguments = ["synth", *DEEP, "--part", part]
+    result = CliRunner().invoke(app, arguments)
     assert result.exit_code == 0, result.output
     (point,) = json.loads(result.stdout)["points"]
     kinds = {memory["name"]: memory["kind"] for memory in point["memories"]}
@@ -166,7 +168,7 @@ def test_large_memories_are_found_in_block_ram(monkeypatch: pytest.MonkeyPatch) 
 
     # The second time comes from the cache: no tool runs.
     monkeypatch.setattr(toolchain, "run", lambda *_, **__: pytest.fail("a tool ran"))
-    assert CliRunner().invoke(app, ["synth", *DEEP]).stdout == result.stdout
+    assert CliRunner().invoke(app, arguments).stdout == result.stdout
 
 
 @needs_yosys

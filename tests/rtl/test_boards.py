@@ -164,15 +164,25 @@ def test_the_vc707_elaborates(flat: dict[str, Any]) -> None:
     assert len(flat["memories"]) >= 11
 
 
+ASYNCHRONOUS = ("$adff", "$adffe", "$aldff", "$aldffe", "$dffsr", "$dffsre", "$dlatch", "$adlatch")
+SYNCHRONOUS = ("$dff", "$dffe", "$sdff", "$sdffe", "$sdffce")
+
+
+def registers(design: dict[str, Any], types: tuple[str, ...], port: str) -> set[int]:
+    """The bits at a port of every register of these types."""
+    cells = (cell for cell in design["cells"].values() if cell["type"] in types)
+    return {bit for cell in cells for bit in cell["connections"][port]}
+
+
 def test_no_register_changes_beside_its_clock(flat: dict[str, Any]) -> None:
     """But for the synchroniser of the reset: what addresses a block RAM could cost it a word."""
-    asynchronous = {
-        bit
-        for cell in flat["cells"].values()
-        if cell["type"] in ("$adff", "$adffe", "$aldff", "$dffsr", "$dlatch")
-        for bit in cell["connections"]["Q"]
-    }
-    assert asynchronous == set(flat["netnames"]["u_reset.ready_q"]["bits"])
+    synchroniser = set(flat["netnames"]["u_reset.ready_q"]["bits"])
+    assert registers(flat, ASYNCHRONOUS, "Q") == synchroniser
+
+
+def test_the_interrupt_crosses_from_a_register(flat: dict[str, Any]) -> None:
+    """What logic makes of several may be wrong for a moment, and the other clock would take it."""
+    assert set(flat["netnames"]["irq"]["bits"]) <= registers(flat, SYNCHRONOUS, "Q")
 
 
 def test_the_vc707_is_wired_as_it_should(exported: Path) -> None:
