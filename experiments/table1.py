@@ -5,7 +5,7 @@ from __future__ import annotations
 from pearl_marl.errors import DeviceError
 from pearl_marl.hardware import elaboration
 from pearl_marl.hardware.build import Build
-from pearl_marl.hardware.synthesis import FMAX_DEVICE, Family, synthesise
+from pearl_marl.hardware.synthesis import PLACEMENTS, Family, synthesise
 from pearl_marl.registry import get_spec, names
 from pearl_marl.spec import EnvSpec
 
@@ -58,6 +58,6 @@ def _placed(spec: EnvSpec, common: Row) -> Row:
     except DeviceError as error:  # too large for the device, or a tool is missing
         return row_of("missing", f"{build}: {error}", **common)
     assert usage.fmax_mhz is not None
-    counts = f"{build}, {FMAX_DEVICE}: nextpnr's estimate after routing, without pads"
+    counts = f"{build}, {PLACEMENTS[Family.ECP5].device}: nextpnr's estimate after routing, without pads"
     nanoseconds = common["latency_cycles"] * 1e3 / usage.fmax_mhz
     return row_of("predicted", counts, **common, fmax_mhz=usage.fmax_mhz, compute_ns=nanoseconds)

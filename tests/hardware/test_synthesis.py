@@ -138,7 +138,7 @@ def test_all_takes_no_more(more: list[str]) -> None:
 
 
 def test_no_clock_rate_without_free_tools() -> None:
-    with pytest.raises(ArgumentError, match="only an ecp5"):
+    with pytest.raises(ArgumentError, match=r"an xc7 cannot be placed .* possible are ecp5, gowin"):
         synthesis.synthesise(Build.of(SPEC, 8, 4, 32), Family.XC7, fmax=True)
 
 
@@ -152,8 +152,10 @@ def test_a_missing_tool_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @needs_yosys
-def test_large_memories_are_found_in_block_ram(monkeypatch: pytest.MonkeyPatch) -> None:
-    result = CliRunner().invoke(app, ["synth", *DEEP])
+@pytest.mark.parametrize("part", ["xc7", "gowin"])
+def test_large_memories_are_found_in_block_ram(part: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    arguments = ["synth", *DEEP, "--part", part]
+    result = CliRunner().invoke(app, arguments)
     assert result.exit_code == 0, result.output
     (point,) = json.loads(result.stdout)["points"]
     kinds = {memory["name"]: memory["kind"] for memory in point["memories"]}
@@ -166,7 +168,7 @@ def test_large_memories_are_found_in_block_ram(monkeypatch: pytest.MonkeyPatch) 
 
     # The second time comes from the cache: no tool runs.
     monkeypatch.setattr(toolchain, "run", lambda *_, **__: pytest.fail("a tool ran"))
-    assert CliRunner().invoke(app, ["synth", *DEEP]).stdout == result.stdout
+    assert CliRunner().invoke(app, arguments).stdout == result.stdout
 
 
 @needs_yosys
@@ -201,7 +203,7 @@ def test_what_yosys_refuses_is_a_device_error(monkeypatch: pytest.MonkeyPatch, t
 @needs_yosys
 @pytest.mark.parametrize("family", Family)
 def test_a_core_is_made_for_what_is_synthesised(family: Family) -> None:
-    job = synthesis._job(Build.of(SPEC, 8, 4, 32), family, fmax=False)
+    job = synthesis._job(Build.of(SPEC, 8, 4, 32), family, placement=None)
     assert f"for {family} at 150 MHz" in job.files["cliff_walking_pe.sv"]
 
 
