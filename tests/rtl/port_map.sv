@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT
 // pearl_port in front of regions of REGION_WORDS words each, since a list of offsets cannot be given on
 // a tool's command line.
 module port_map
