@@ -77,9 +77,11 @@ module pearl_port
   logic at_reset;
   logic at_first_q, at_reset_q, resets_q;
 
-  for (genvar i = 0; i < NumRegions; i++) begin : gen_hit
-    assign hit[i] = BOUND_BITS'(asked_q.addr) >= BOUND_BITS'(OFFSETS[i]) &&
-        BOUND_BITS'(asked_q.addr) < BOUND_BITS'(OFFSETS[i+1]);
+  always_comb begin
+    for (int unsigned i = 0; i < NumRegions; i++) begin
+      hit[i] = BOUND_BITS'(asked_q.addr) >= BOUND_BITS'(OFFSETS[i]) &&
+          BOUND_BITS'(asked_q.addr) < BOUND_BITS'(OFFSETS[i+1]);
+    end
   end
 
   assign at_reset = BOUND_BITS'(asked_q.addr) == BOUND_BITS'(OFFSETS[Control] + RESET_INDEX);

@@ -83,7 +83,7 @@ def opened(device: OverMemory, **config: object) -> OverMemory:
     ("word", "value", "says"),
     [
         (Control.MAGIC, 0xFFFFFFFF, f"magic 0xffffffff, this batch needs {MAGIC:#x}"),
-        (Control.PROTOCOL_VERSION, 9, "protocol_version 9, this batch needs 1"),
+        (Control.PROTOCOL_VERSION, 9, "protocol_version 9, this batch needs 2"),
         (Control.ENV_HASH, 5, "env_hash 0x5, this batch needs 0x"),
         (Control.N_ENVS, 4096, "n_envs 4096, this batch needs 20"),
         (Control.PE_NUM, 8, "pe_num 8, this batch needs 4"),

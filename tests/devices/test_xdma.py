@@ -186,8 +186,8 @@ def test_a_board_for_something_else_is_refused(board: Path, monkeypatch: pytest.
         Xdma(board).open(BatchConfig(spec=get_spec("Blackjack"), n_envs=N))
     with pytest.raises(DeviceError, match=r"has env_hash .*'is_slippery': True"):
         Xdma(board).open(BatchConfig(spec=SPEC.with_options(is_slippery=True), n_envs=N))
-    monkeypatch.setattr("pearl_marl.devices.comm_bram.PROTOCOL_VERSION", 2)
-    with pytest.raises(DeviceError, match="has protocol_version 1, this batch needs 2"):
+    monkeypatch.setattr("pearl_marl.devices.comm_bram.PROTOCOL_VERSION", 3)
+    with pytest.raises(DeviceError, match="has protocol_version 2, this batch needs 3"):
         Xdma(board).open(CONFIG)
     monkeypatch.undo()
     Xdma(board).open(CONFIG).close()  # a refusal leaves the board free
@@ -260,7 +260,9 @@ def test_a_step_that_does_not_end(tmp_path: Path) -> None:
     ):
         device.step(ACTIONS[0])
     for way_on in (device.recover, device.reset):
-        with pytest.raises(DeviceError, match=r"has been busy with step 1 for 0.1 s; end other programs"):
+        with pytest.raises(
+            DeviceError, match=r"busy with step 1 for 0.1 s, and does not answer a reset; end other"
+        ):
             way_on()
     device.close()
     server.close()

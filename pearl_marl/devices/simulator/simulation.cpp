@@ -5,12 +5,15 @@
 //
 // - over the AXI4 port, beat by beat, as an XDMA core would send them;
 // - for regions that have a backdoor, straight into or out of the memory behind them; states only out.
-//   Everything else, doorbell and status among it, goes over the port all the same.
+//   Everything else, doorbell and status among it, goes over the port all the same. As a read of the first
+//   result does over the port, one from the back clears the status's mark of results not read.
 
 #include <algorithm>
 #include <cstdint>
 #include <cstring>
 #include <vector>
+
+#define PEARL_ERROR(model) model->rootp->pearl_top__DOT__u_backbone__DOT__u_registers__DOT__error_q
 
 namespace {
 
@@ -21,9 +24,11 @@ constexpr uint64_t kHalfPeriod = 5;  // in the nanoseconds of a waveform
 constexpr uint64_t kFirstTime = 10;  // PyVerilator's own first entry stands there
 constexpr unsigned kIncrementing = 1;
 constexpr int kBackdoors = 5;
+constexpr int kObservations = 2;  // among them
+constexpr unsigned kTornRead = 4;  // of the status's error word
 constexpr int kRowMemories = 2;
-// A reset flushes the pipeline, so it lasts longer than any core's latency.
-constexpr uint64_t kResetCycles = 1000;
+// After a reset the pipeline drains, which takes longer than any core's latency.
+constexpr uint64_t kDrainCycles = 1000;
 
 // What a call returns, as simulation.py beside this reads it.
 enum Answer : int { kOkay = 0, kNoHandshake = 1, kNoInterrupt = 2, kStopped = 3, kRefused = 16 };
@@ -224,7 +229,10 @@ struct Host {
         split(
             begin, length,
             [&](uint64_t at, uint64_t done, uint64_t size) { read_states(at, data + done, size); },
-            [&](uint8_t* memory, uint64_t done, uint64_t size) { std::memcpy(data + done, memory, size); });
+            [&](uint8_t* memory, uint64_t done, uint64_t size) {
+                std::memcpy(data + done, memory, size);
+                if (memory == windows[kObservations].memory) PEARL_ERROR(top) &= ~kTornRead;
+            });
     }
 
     // Row memories that a transfer has the whole of come from the back, the rest over the port.
@@ -281,9 +289,9 @@ Host* pearl_open(
     // An assertion that fails must not end the host's process.
     model->contextp()->fatalOnError(false);
     model->rst_ni = 0;
-    host->cycles(kResetCycles);
-    model->rst_ni = 1;
     host->cycles(1);
+    model->rst_ni = 1;
+    host->cycles(kDrainCycles);
     return host;
 }
 
