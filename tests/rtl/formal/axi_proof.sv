@@ -104,6 +104,7 @@ module axi_proof
   always_ff @(posedge clk_i) begin
     if (rst_n) begin
       if (fetch) fetch_reads : assert (req && !we);
+      if (req && !we && !fetch) read_for_read : assert (!u_slave.writes_q);
       // Until the word is there nothing else is asked for; then it is written, or left alone.
       if (fetching_q && !fetched_q) fetch_alone : assert (!req);
       if (fetched_q) begin
