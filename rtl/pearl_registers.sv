@@ -62,7 +62,8 @@ module pearl_registers
   logic [63:0] tick_q;
   logic [31:0] first_slot_q, max_cycles_q, limit_q, mode_word_q, sequence_q, finished_q, cycles_q;
   logic [DOORBELL_WORDS-1:0] doorbell_we;
-  error_t error_q, error;
+  error_t error_q  /* verilator public_flat_rw */;
+  error_t error;
   logic clear, limited_q, stale_q, next_q;
 
   assign clear = !rst_ni || draining_i;
