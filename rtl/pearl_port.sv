@@ -34,6 +34,8 @@ module pearl_port
     // The word's number within its region.
     output logic [WORD_ADDR_BITS-1:0]              index_o,
     output logic [       DATA_WL-1:0]              wdata_o,
+    // The same a cycle before, for what takes longer to look at.
+    output logic [       DATA_WL-1:0]              next_wdata_o,
     // READ_LATENCY cycles after re_o.
     input  logic [    NumRegions-1:0][DATA_WL-1:0] rdata_i,
 
@@ -159,6 +161,7 @@ module pearl_port
   assign we_o = we_q;
   assign index_o = index_q;
   assign wdata_o = wdata_q;
+  assign next_wdata_o = located_q.wdata;
   assign busy_write_o = busy_write_q;
   assign busy_doorbell_o = busy_doorbell_q;
   assign untorn_o = untorn_q;
