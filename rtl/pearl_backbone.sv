@@ -124,7 +124,7 @@ module pearl_backbone
       .rvalid_o,
       .rdata_o,
       .resp_o,
-      .busy_i         (busy || ring || !awake_q),
+      .busy_i         (busy || !awake_q),
       .re_o           (host_re),
       .we_o           (host_we),
       .index_o        (host_index),
