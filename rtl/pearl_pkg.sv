@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT
 // What host and hardware agree on beyond addresses (pearl_marl/memory_map.py and pearl_marl/rng.py
 // are the other side; a test compares the two), and helpers for parameter arithmetic.
 package pearl_pkg;
@@ -60,28 +61,30 @@ package pearl_pkg;
     RespDecErr = 2'b11
   } resp_e;
   // Cycles from a read enable to the word, of block RAM as of registers.
-  localparam int unsigned READ_LATENCY = 1;
+  localparam int unsigned READ_LATENCY = 2;
   // Cycles from a request at the memory port to its answer; the AXI slave sizes its queue by it.
   localparam int unsigned PORT_LATENCY = 4 + READ_LATENCY;
 
   // Cycles from a slot number to its random draw.
-  localparam int unsigned DRAW_LATENCY = 3;
+  localparam int unsigned DRAW_LATENCY = 5;
   localparam logic [31:0] CHAIN_A = 32'h243F_6A88;
   localparam logic [31:0] CHAIN_B = 32'h85A3_08D3;
   localparam logic [31:0] MULTIPLIER_1 = 32'h7FEB_352D;
   localparam logic [31:0] MULTIPLIER_2 = 32'h846C_A68B;
 
-  // The three stages of mix32, apart because each of the first two holds a multiplier.
-  function automatic logic [31:0] mix_first(logic [31:0] x);
-    return (x ^ (x >> 16)) * MULTIPLIER_1;
+  // What mix32 does between its multiplications.
+  function automatic logic [31:0] fold(logic [31:0] x, int unsigned by);
+    return x ^ (x >> by);
   endfunction
 
-  function automatic logic [31:0] mix_second(logic [31:0] x);
-    return (x ^ (x >> 15)) * MULTIPLIER_2;
+  // Cycles from the issue of a group to when its states are read, so that they and its draws come to the
+  // cores together; and to when the cores get them.
+  function automatic int unsigned issue_to_read(int unsigned draws);
+    return draws == 0 ? 1 : DRAW_LATENCY - READ_LATENCY - 1;
   endfunction
 
-  function automatic logic [31:0] mix_last(logic [31:0] x);
-    return x ^ (x >> 16);
+  function automatic int unsigned issue_to_core(int unsigned draws);
+    return issue_to_read(draws) + READ_LATENCY + 1;
   endfunction
 
   function automatic int unsigned ceil_div(int unsigned a, int unsigned b);

@@ -29,6 +29,8 @@ module pearl_registers
     input  logic                  control_we_i,
     input  logic                  doorbell_we_i,
     input  logic [   DATA_WL-1:0] wdata_i,
+    // What wdata_i is in the next cycle.
+    input  logic [   DATA_WL-1:0] next_wdata_i,
     output logic [   DATA_WL-1:0] control_o,
     output logic [   DATA_WL-1:0] doorbell_o,
     output logic [   DATA_WL-1:0] status_o,
@@ -37,10 +39,10 @@ module pearl_registers
     output mode_t              mode_o,
     output logic  [ 1:0][31:0] seed_o,
     output logic  [63:0]       tick_o,
-    // seed_o or tick_o may be new.
+    // In the cycle in which seed_o or tick_o may be new; in which tick_o is the next one.
     output logic               keys_stale_o,
+    output logic               keys_next_o,
     output logic  [31:0]       first_slot_o,
-    output logic  [31:0]       max_cycles_o,
     // Whether there is a time limit, and the limit less one, to compare with.
     output logic               limited_o,
     output logic  [31:0]       limit_o,
@@ -64,7 +66,7 @@ module pearl_registers
   logic [DOORBELL_WORDS-1:0] doorbell_we;
   error_t error_q  /* verilator public_flat_rw */;
   error_t error;
-  logic clear, limited_q, stale_q;
+  logic clear, limited_q, stale_q, next_q, new_q;
 
   assign clear = !rst_ni || draining_i;
 
@@ -84,8 +86,10 @@ module pearl_registers
       first_slot_q <= '0;
       max_cycles_q <= '0;
       stale_q      <= 1'b1;
+      next_q       <= 1'b0;
     end else begin
-      stale_q <= control_we_i || done_i;
+      stale_q <= control_we_i;
+      next_q  <= done_i;
       if (done_i) tick_q <= tick_q + 1'b1;
       if (control_we_i) begin
         if (reaches(CONTROL_SEED_0, index_i)) seed_q[0] <= word_of(CONTROL_SEED_0, wdata_i);
@@ -114,7 +118,9 @@ module pearl_registers
   end
 
   // What was written last also rang last: it either rings or is the same.
-  assign ring_o = doorbell_we[1] && word_of(1, wdata_i) != sequence_q;
+  // It is compared a cycle before it is written; a doorbell that rings in that cycle keeps out the next one.
+  always_ff @(posedge clk_i) new_q <= word_of(1, next_wdata_i) != sequence_q;
+  assign ring_o = doorbell_we[1] && new_q;
 
   always_ff @(posedge clk_i) begin
     if (clear) begin
@@ -204,8 +210,8 @@ module pearl_registers
   assign seed_o = seed_q;
   assign tick_o = tick_q;
   assign keys_stale_o = stale_q;
+  assign keys_next_o = next_q;
   assign first_slot_o = first_slot_q;
-  assign max_cycles_o = max_cycles_q;
   assign limited_o = limited_q;
   assign limit_o = limit_q;
 

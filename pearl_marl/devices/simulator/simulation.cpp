@@ -259,12 +259,12 @@ struct Host {
 }  // namespace
 
 #define PEARL_BANK(name) \
-    reinterpret_cast<uint8_t*>(&model->rootp->pearl_top__DOT__u_backbone__DOT__u_##name##__DOT__u_ram__DOT__mem)
+    reinterpret_cast<uint8_t*>(&model->rootp->pearl_top__DOT__u_backbone__DOT__u_##name##__DOT__u_ram__DOT__u_memory__DOT__gen_slices__DOT__gen_slice__BRA__0__KET____DOT__mem)
 
 // PEARL_COLUMNS_OF_... list these; how many a memory has depends on the build.
 #define PEARL_COLUMN_MEMORY(name, i) \
     model->rootp                     \
-        ->pearl_top__DOT__u_backbone__DOT__u_##name##__DOT__gen_column_rams__BRA__##i##__KET____DOT__u_ram__DOT__mem
+        ->pearl_top__DOT__u_backbone__DOT__u_state_path__DOT__u_##name##__DOT__gen_column_rams__BRA__##i##__KET____DOT__u_ram__DOT__u_memory__DOT__gen_slices__DOT__gen_slice__BRA__0__KET____DOT__mem
 #define PEARL_COLUMN(name, i)                                                    \
     Column {                                                                     \
         reinterpret_cast<const uint8_t*>(&PEARL_COLUMN_MEMORY(name, i)),         \

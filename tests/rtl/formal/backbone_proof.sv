@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT
 // Of the whole backbone, whatever the host does:
 //
 // - status and interrupt never announce a step whose results are not all written (PROVE_STATUS);

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT
 // Bound to every memory: no access beyond its last word.
 module ram_proof #(
     parameter int unsigned ADDR_BITS = 4,
