@@ -92,7 +92,7 @@ def loop_cycles(spec: EnvSpec, layout: MemoryMap, target: Target = elaboration.T
 _BURST_BYTES, _BURST_BEATS = 4096, 256
 """AXI4: no burst crosses a multiple of the one, or has more beats than the other."""
 
-_PORT_LATENCY = 3
+_PORT_LATENCY = 5
 """Cycles from a request behind the AXI slave to its answer (``PORT_LATENCY`` of ``rtl/pearl_pkg.sv``)."""
 
 WRITE_BURST, READ_BURST = _PORT_LATENCY + 5, _PORT_LATENCY + 4

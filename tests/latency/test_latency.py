@@ -138,8 +138,8 @@ def test_a_prediction_without_the_pipeline() -> None:
     assert 43008 * (1 + C + 1) <= step.device * 100e6 <= 43008 * (1 + C + 1) + 10
     # The same on a port that is slower than the link.
     fast = predict(SPEC, layout, Link("fast", 0.0, 1e12, 1e12, ""), HOST, 100e6, pipelined=False)
-    assert fast.write == pytest.approx((write_cycles(layout) + 1008 + 8 * 6) / 100e6)
-    assert fast.read == pytest.approx((read_cycles(layout) + 1008 + 8 * 5) / 100e6)
+    assert fast.write == pytest.approx((write_cycles(layout) + 1008 + 8 * WRITE_BURST) / 100e6)
+    assert fast.read == pytest.approx((read_cycles(layout) + 1008 + 8 * READ_BURST) / 100e6)
 
 
 def test_with_and_without_the_pipeline(monkeypatch: pytest.MonkeyPatch) -> None:

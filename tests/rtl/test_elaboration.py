@@ -170,7 +170,7 @@ def test_package_says_what_the_map_says() -> None:
     package = next(path for path in elaboration.backbone_paths() if path.name == "pearl_pkg.sv").read_text()
     words = "".join(package.split())
     control = memory_map.Control
-    for name in ("SEED_0", "SEED_1", "TICK_LOW", "TICK_HIGH", "FIRST_SLOT", "MAX_CYCLES"):
+    for name in ("SEED_0", "SEED_1", "TICK_LOW", "TICK_HIGH", "FIRST_SLOT", "MAX_CYCLES", "RESET"):
         assert f"CONTROL_{name}={control[name].value};" in words
     assert f"CONTROL_WORDS={len(control)};" in words
     assert f"DOORBELL_WORDS={len(memory_map.Doorbell)};" in words
