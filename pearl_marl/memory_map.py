@@ -1,7 +1,7 @@
 """The address map of the Comm-BRAM, computed once for host and hardware.
 
-Everything is a function of ``(spec, n_envs, pe_num, data_wl)``. The host's codec reads it, the
-RTL gets the same numbers as parameters, and a test compares the two.
+Everything is a function of ``(spec, n_envs, pe_num, data_wl)``. The host's codec reads it, and the
+RTL computes the same (``rtl/pearl_map_pkg.sv``).
 
 Three rules shape it:
 

@@ -1,37 +1,21 @@
 // Everything but the bus: the memories and registers behind one memory port, and the pipeline that
 // takes all slots through one step when the doorbell rings.
 //
-// pearl_top checks the sizes, and here it is checked whether the offsets belong to them.
+// pearl_top checks the sizes.
 // Reset has to last LATENCY + 4 cycles (the core's LATENCY): what is in the pipeline is flushed, not
 // reset, so that its delays can be shift-register LUTs.
 module pearl_backbone
   import pearl_pkg::*;
+  import pearl_core_pkg::*;
+  import pearl_map_pkg::*;
 #(
     // Slots, processing elements and bits of a word of the address space.
     parameter int unsigned N_ENVS = 7,
     parameter int unsigned PE_NUM = 4,
     parameter int unsigned DATA_WL = 32,
-    // 32-bit random draws of a slot in a step, those for a start state first.
-    parameter int unsigned DRAWS = 0,
-    // Names the environment and its options: a host refuses a build that is for another one.
-    parameter logic [31:0] ENV_HASH = 32'h0,
     // Whether groups overlap. If not, one is read, computed and written after the other: the results
     // are the same, later.
     parameter bit PIPELINED = 1'b1,
-    // Where each region starts, in words, and where the last one ends. They come from
-    // pearl_marl/memory_map.py, which explains the layout.
-    parameter int unsigned CONTROL_OFFSET = 0,
-    parameter int unsigned INITIAL_STATES_OFFSET = 16,
-    parameter int unsigned CURRENT_STATES_OFFSET = 18,
-    parameter int unsigned ELAPSED_OFFSET = 20,
-    parameter int unsigned RESET_MASK_OFFSET = 28,
-    parameter int unsigned ACTIONS_OFFSET = 29,
-    parameter int unsigned DOORBELL_OFFSET = 30,
-    parameter int unsigned OBSERVATIONS_OFFSET = 32,
-    parameter int unsigned REWARDS_OFFSET = 34,
-    parameter int unsigned TERS_OFFSET = 35,
-    parameter int unsigned STATUS_OFFSET = 36,
-    parameter int unsigned END_OFFSET = 39,
     // Bits of a word's address; enough for the whole map.
     parameter int unsigned WORD_ADDR_BITS = 14
 ) (
@@ -51,26 +35,12 @@ module pearl_backbone
     output logic irq_o
 );
 
-  // What the core states. An illegal latency is replaced, for the reason that pearl_top gives.
-  localparam bit LEGAL_TIMING = pearl_core_pkg::LATENCY >= 1 && pearl_core_pkg::II >= 1;
-  localparam int unsigned LATENCY = LEGAL_TIMING ? pearl_core_pkg::LATENCY : 1;
-  localparam int unsigned II = pearl_core_pkg::II;
-  localparam int unsigned STATE_BITS = pearl_core_pkg::STATE_BITS;
-  localparam int unsigned ACTION_BITS = pearl_core_pkg::ACTION_BITS;
-  localparam int unsigned OBS_BITS = pearl_core_pkg::OBS_BITS;
-  localparam int unsigned REWARD_BITS = pearl_core_pkg::REWARD_BITS;
-  if (!LEGAL_TIMING) begin : gen_illegal_timing
-    $error(
-        "the core states LATENCY %0d and II %0d; both must be at least 1",
-        pearl_core_pkg::LATENCY,
-        pearl_core_pkg::II
-    );
+  if (LATENCY < 1 || II < 1) begin : gen_illegal_timing
+    $error("the core states LATENCY %0d and II %0d; both must be at least 1", LATENCY, II);
   end
 
   localparam int unsigned GROUPS = ceil_div(N_ENVS, PE_NUM);
   localparam int unsigned GROUP_BITS = index_bits(GROUPS);
-  localparam int unsigned SLOT_BITS = TER_BITS + STATE_BITS;
-  localparam int unsigned RNG_WORDS = DRAWS == 0 ? 1 : DRAWS;
   // Cycles from a group's issue to its arrival at the processing elements: reading a memory takes
   // one, random draws take longer.
   localparam int unsigned FETCH = DRAWS == 0 ? 1 : DRAW_LATENCY;
@@ -92,51 +62,24 @@ module pearl_backbone
   localparam int unsigned STATE_COLUMNS_LOG2 = $clog2(stream_words(PE_NUM, SLOT_BITS, DATA_WL));
   localparam int unsigned ELAPSED_COLUMNS_LOG2 = $clog2(stream_words(PE_NUM, ELAPSED_BITS, DATA_WL));
 
-  // Of all regions, in their order: how many words they have, and where they start and the last ends.
-  localparam int unsigned REGION_WORDS[NumRegions] = '{
-      stream_words(CONTROL_WORDS, 32, DATA_WL),
-      GROUPS << INIT_COLUMNS_LOG2,
-      GROUPS << STATE_COLUMNS_LOG2,
-      GROUPS << ELAPSED_COLUMNS_LOG2,
-      MASK_WORDS,
-      ACTION_WORDS,
-      stream_words(DOORBELL_WORDS, 32, DATA_WL),
-      OBS_WORDS,
-      REWARD_WORDS,
-      TER_WORDS,
-      stream_words(STATUS_WORDS, 32, DATA_WL)
-  };
-  localparam int unsigned OFFSETS[NumRegions+1] = '{
-      CONTROL_OFFSET,
-      INITIAL_STATES_OFFSET,
-      CURRENT_STATES_OFFSET,
-      ELAPSED_OFFSET,
-      RESET_MASK_OFFSET,
-      ACTIONS_OFFSET,
-      DOORBELL_OFFSET,
-      OBSERVATIONS_OFFSET,
-      REWARDS_OFFSET,
-      TERS_OFFSET,
-      STATUS_OFFSET,
-      END_OFFSET
-  };
-
-  function automatic bit is_legal_map();
-    if (OFFSETS[0] != 0) return 1'b0;
-    for (int unsigned i = 0; i < NumRegions; i++) begin
-      if (OFFSETS[i+1] - OFFSETS[i] != REGION_WORDS[i]) return 1'b0;
-    end
-    return 1'b1;
+  function automatic int unsigned offset_of(int unsigned region);
+    return region_offset(region, N_ENVS, PE_NUM, DATA_WL);
   endfunction
 
-  if (!is_legal_map()) begin : gen_illegal_map
-    $error(
-        "the offsets of the regions do not belong to N_ENVS %0d, PE_NUM %0d, DATA_WL %0d",
-        N_ENVS,
-        PE_NUM,
-        DATA_WL
-    );
-  end
+  localparam int unsigned OFFSETS[NumRegions+1] = '{
+      offset_of(Control),
+      offset_of(InitialStates),
+      offset_of(CurrentStates),
+      offset_of(Elapsed),
+      offset_of(ResetMask),
+      offset_of(Actions),
+      offset_of(Doorbell),
+      offset_of(Observations),
+      offset_of(Rewards),
+      offset_of(Ters),
+      offset_of(Status),
+      offset_of(NumRegions)
+  };
 
   // ---- The address space ----
 
@@ -469,14 +412,8 @@ module pearl_backbone
   logic [PE_NUM-1:0][TER_BITS-1:0] ters;
 
   pearl_pe_array #(
-      .N_ENVS     (N_ENVS),
-      .PE_NUM     (PE_NUM),
-      .STATE_BITS (STATE_BITS),
-      .ACTION_BITS(ACTION_BITS),
-      .OBS_BITS   (OBS_BITS),
-      .REWARD_BITS(REWARD_BITS),
-      .RNG_WORDS  (RNG_WORDS),
-      .LATENCY    (LATENCY)
+      .N_ENVS(N_ENVS),
+      .PE_NUM(PE_NUM)
   ) u_pe_array (
       .clk_i,
       .rst_ni,

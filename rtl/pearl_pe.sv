@@ -4,15 +4,8 @@
 // Inputs come with valid_i, elapsed_i LATENCY - 1 cycles later, results LATENCY cycles later.
 module pearl_pe
   import pearl_pkg::*;
-#(
-    parameter int unsigned STATE_BITS = 6,
-    parameter int unsigned ACTION_BITS = 2,
-    parameter int unsigned OBS_BITS = 6,
-    parameter int unsigned REWARD_BITS = 1,
-    // 32-bit words of random numbers a step, at least 1 since a port cannot have none.
-    parameter int unsigned RNG_WORDS = 1,
-    parameter int unsigned LATENCY = 2
-) (
+  import pearl_core_pkg::*;
+(
     input logic                           clk_i,
     input logic                           rst_ni,
     input logic                           valid_i,
@@ -44,11 +37,8 @@ module pearl_pe
 
   logic terminated;
   logic [REWARD_BITS-1:0] reward;
-`ifndef PEARL_CORE_OPTIONS
-  `define PEARL_CORE_OPTIONS
-`endif
   // A stored start state replaces the current one here, so a core knows of one kind of start only.
-  `PEARL_CORE #(`PEARL_CORE_OPTIONS) u_core (
+  pearl_core u_core (
       .clk_i,
       .rst_ni,
       .valid_i,

@@ -1,15 +1,10 @@
 // PE_NUM processing elements side by side, and the padding of the last group masked out.
 module pearl_pe_array
   import pearl_pkg::*;
+  import pearl_core_pkg::*;
 #(
     parameter int unsigned N_ENVS = 7,
-    parameter int unsigned PE_NUM = 4,
-    parameter int unsigned STATE_BITS = 6,
-    parameter int unsigned ACTION_BITS = 2,
-    parameter int unsigned OBS_BITS = 6,
-    parameter int unsigned REWARD_BITS = 1,
-    parameter int unsigned RNG_WORDS = 1,
-    parameter int unsigned LATENCY = 2
+    parameter int unsigned PE_NUM = 4
 ) (
     input logic                                                    clk_i,
     input logic                                                    rst_ni,
@@ -46,14 +41,7 @@ module pearl_pe_array
     logic [TER_BITS-1:0] ter;
     logic padding;
 
-    pearl_pe #(
-        .STATE_BITS (STATE_BITS),
-        .ACTION_BITS(ACTION_BITS),
-        .OBS_BITS   (OBS_BITS),
-        .REWARD_BITS(REWARD_BITS),
-        .RNG_WORDS  (RNG_WORDS),
-        .LATENCY    (LATENCY)
-    ) u_pe (
+    pearl_pe u_pe (
         .clk_i,
         .rst_ni,
         .valid_i,

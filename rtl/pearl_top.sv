@@ -7,32 +7,9 @@ module pearl_top #(
     parameter int unsigned N_ENVS = 7,
     parameter int unsigned PE_NUM = 4,
     parameter int unsigned DATA_WL = 32,
-    // Widths of the environment's words; the core's package must say the same.
-    parameter int unsigned STATE_BITS = 6,
-    parameter int unsigned ACTION_BITS = 2,
-    parameter int unsigned OBS_BITS = 6,
-    parameter int unsigned REWARD_BITS = 1,
-    // 32-bit random draws of a slot in a step, those for a start state first.
-    parameter int unsigned DRAWS = 0,
-    // Names the environment and its options: a host refuses a build that is for another one.
-    parameter logic [31:0] ENV_HASH = 32'h0,
     // Whether groups overlap. If not, one is read, computed and written after the other: the results
     // are the same, later.
     parameter bit PIPELINED = 1'b1,
-    // Where each region starts, in words, and where the last one ends. They come from
-    // pearl_marl/memory_map.py, which explains the layout.
-    parameter int unsigned CONTROL_OFFSET = 0,
-    parameter int unsigned INITIAL_STATES_OFFSET = 16,
-    parameter int unsigned CURRENT_STATES_OFFSET = 18,
-    parameter int unsigned ELAPSED_OFFSET = 20,
-    parameter int unsigned RESET_MASK_OFFSET = 28,
-    parameter int unsigned ACTIONS_OFFSET = 29,
-    parameter int unsigned DOORBELL_OFFSET = 30,
-    parameter int unsigned OBSERVATIONS_OFFSET = 32,
-    parameter int unsigned REWARDS_OFFSET = 34,
-    parameter int unsigned TERS_OFFSET = 35,
-    parameter int unsigned STATUS_OFFSET = 36,
-    parameter int unsigned END_OFFSET = 39,
     // Bits of a byte address on the bus; enough for the whole map.
     parameter int unsigned ADDR_BITS = 16,
     parameter int unsigned ID_BITS = 4,
@@ -87,6 +64,9 @@ module pearl_top #(
   localparam int unsigned BUS_ID_BITS = LEGAL_ID_BITS ? ID_BITS : 1;
 
   localparam int unsigned BYTE_BITS = $clog2(WORD_BITS / 8);
+  localparam int unsigned END_OFFSET = pearl_map_pkg::region_offset(
+      pearl_pkg::NumRegions, SLOTS, PES, WORD_BITS
+  );
   localparam int unsigned LEAST_ADDR_BITS = $clog2(END_OFFSET + 1) + BYTE_BITS;
   localparam int unsigned MOST_ADDR_BITS = 64;
   localparam bit LEGAL_ADDR_BITS = ADDR_BITS >= LEAST_ADDR_BITS && ADDR_BITS <= MOST_ADDR_BITS;
@@ -113,23 +93,6 @@ module pearl_top #(
         MOST_ADDR_BITS
     );
   end
-  // Of no consequence below, where the core's own widths are used.
-  if (STATE_BITS != pearl_core_pkg::STATE_BITS || ACTION_BITS != pearl_core_pkg::ACTION_BITS ||
-      OBS_BITS != pearl_core_pkg::OBS_BITS || REWARD_BITS != pearl_core_pkg::REWARD_BITS)
-  begin : gen_illegal_widths
-    $error(
-        "the spec has %0d state, %0d action, %0d observation, %0d reward bits, the core %0d, %0d, %0d, %0d",
-        STATE_BITS,
-        ACTION_BITS,
-        OBS_BITS,
-        REWARD_BITS,
-        pearl_core_pkg::STATE_BITS,
-        pearl_core_pkg::ACTION_BITS,
-        pearl_core_pkg::OBS_BITS,
-        pearl_core_pkg::REWARD_BITS
-    );
-  end
-
   logic req, we, rvalid;
   logic [WORD_ADDR_BITS-1:0] addr;
   logic [WORD_BITS-1:0] wdata, rdata;
@@ -184,21 +147,7 @@ module pearl_top #(
       .N_ENVS(SLOTS),
       .PE_NUM(PES),
       .DATA_WL(WORD_BITS),
-      .DRAWS(DRAWS),
-      .ENV_HASH(ENV_HASH),
       .PIPELINED(PIPELINED),
-      .CONTROL_OFFSET(CONTROL_OFFSET),
-      .INITIAL_STATES_OFFSET(INITIAL_STATES_OFFSET),
-      .CURRENT_STATES_OFFSET(CURRENT_STATES_OFFSET),
-      .ELAPSED_OFFSET(ELAPSED_OFFSET),
-      .RESET_MASK_OFFSET(RESET_MASK_OFFSET),
-      .ACTIONS_OFFSET(ACTIONS_OFFSET),
-      .DOORBELL_OFFSET(DOORBELL_OFFSET),
-      .OBSERVATIONS_OFFSET(OBSERVATIONS_OFFSET),
-      .REWARDS_OFFSET(REWARDS_OFFSET),
-      .TERS_OFFSET(TERS_OFFSET),
-      .STATUS_OFFSET(STATUS_OFFSET),
-      .END_OFFSET(END_OFFSET),
       .WORD_ADDR_BITS(WORD_ADDR_BITS)
   ) u_backbone (
       .clk_i,

@@ -103,10 +103,10 @@ def sources(board: Board, spec: EnvSpec) -> list[Path]:
 
 
 def macros(build: Build) -> dict[str, str]:
-    """Return the macros of a board's build: those of the core, and the parameters of ``pearl_top``."""
+    """Return the macros of a board's build: the parameters of ``pearl_top``."""
     parameters = {**elaboration.parameters(build), "ADDR_BITS": ADDRESS_BITS}
     assigned = ", ".join(f".{name}({value})" for name, value in parameters.items())
-    return {**elaboration.macros(build.spec), "PEARL_TOP_PARAMETERS": assigned}
+    return {"PEARL_TOP_PARAMETERS": assigned}
 
 
 def facts(board: Board, build: Build) -> dict[str, Any]:

@@ -1,6 +1,6 @@
-"""From a build to what a hardware tool is given: sources, parameters, macros.
+"""From a build to what a hardware tool is given: sources and parameters.
 
-Simulation, synthesis and lint all elaborate the same design from the same three lists.
+Simulation, synthesis and lint all elaborate the same design from the same two lists.
 """
 
 from __future__ import annotations
@@ -63,41 +63,68 @@ def _generated_core(spec: EnvSpec, target: Target) -> Path:
     functions = [fingerprint(function) for function in spec.golden]
     key = repr((spec.id, spec.options, words, functions, target))
     if key not in _generated:
-        text = generated_core(spec, target).text
-        digest = hashlib.sha256(text.encode()).hexdigest()[:16]
-        _generated[key] = cache_folder("cores") / digest / f"{snake_case(spec.name)}_pe.sv"
-        if not _generated[key].exists():
-            _generated[key].parent.mkdir(exist_ok=True)
-            # Written beside and renamed, so that another process never reads half a file.
-            with tempfile.NamedTemporaryFile("w", dir=cache_folder("cores"), delete=False) as file:
-                file.write(text)
-            os.replace(file.name, _generated[key])
+        _generated[key] = _kept(generated_core(spec, target).text, f"{snake_case(spec.name)}_pe.sv")
     return _generated[key]
+
+
+def _kept(text: str, name: str) -> Path:
+    """Return a file of that name and text in the cache."""
+    digest = hashlib.sha256(text.encode()).hexdigest()[:16]
+    path = cache_folder("cores") / digest / name
+    if not path.exists():
+        path.parent.mkdir(exist_ok=True)
+        # Written beside and renamed, so that another process never reads half a file.
+        with tempfile.NamedTemporaryFile("w", dir=cache_folder("cores"), delete=False) as file:
+            file.write(text)
+        os.replace(file.name, path)
+    return path
 
 
 _generated: dict[str, Path] = {}
 """Files by all that they depend on."""
 
 
+WRAPPER = "pearl_core.sv"
+"""The file that ties a core to the backbone: :func:`core_wrapper`."""
+
+
+def core_wrapper(spec: EnvSpec) -> str:
+    """Return the module and package under which the backbone knows an environment's core.
+
+    The core keeps its own name, so one bitstream may hold any environment.
+
+    Raises
+    ------
+    ArgumentError
+        An option, which is a parameter of the core, is not an integer.
+    """
+    core = snake_case(spec.name)
+    assigned = ", ".join(f".{name}({literal})" for name, literal in core_parameters(spec).items())
+    template = resources.files("pearl_marl.rtl") / f"{WRAPPER}.in"
+    return template.read_text().format(
+        id=spec.id,
+        core=core,
+        parameters=f" #({assigned})" if assigned else "",
+        state_bits=word_bits(spec.state),
+        action_bits=spec.action.bits,
+        obs_bits=word_bits(spec.observation),
+        reward_bits=spec.reward.bits,
+        draws=spec.reset_draws + spec.step_draws,
+        env_hash=f"32'h{env_hash(spec):08X}",
+    )
+
+
 def backbone_paths() -> list[Path]:
     """Return the files of the backbone; packages come first, as the tools demand."""
     folder = Path(str(resources.files("pearl_marl.rtl")))
-    packages = [folder / "pearl_pkg.sv", folder / "pearl_core_pkg.sv"]
+    packages = [folder / "pearl_pkg.sv", folder / "pearl_map_pkg.sv"]
     return packages + sorted(path for path in folder.glob("*.sv") if path not in packages)
 
 
 def sources(spec: EnvSpec, target: Target = TARGET) -> list[Path]:
     """Return every file of a design, in the order in which they have to be read."""
     package, *rest = backbone_paths()
-    return [package, core_path(spec, target), *rest]
-
-
-def macros(spec: EnvSpec) -> dict[str, str]:
-    """Return the macros that name the core and set its parameters."""
-    name = snake_case(spec.name)
-    defined = {"PEARL_CORE": f"{name}_pe", "PEARL_CORE_PKG": f"{name}_pkg"}
-    given = ",".join(f".{name}({literal})" for name, literal in core_parameters(spec).items())
-    return {**defined, "PEARL_CORE_OPTIONS": given} if given else defined
+    return [package, core_path(spec, target), _kept(core_wrapper(spec), WRAPPER), *rest]
 
 
 def core_parameters(spec: EnvSpec) -> dict[str, str]:
@@ -146,7 +173,12 @@ def _timing(core: Path) -> Timing:
                 f"{core} does not state {name}: its package needs `localparam int unsigned {name} = 1;` with "
                 "a number of cycles"
             )
-    return Timing(int(stated["LATENCY"]), int(stated["II"]))
+    timing = Timing(int(stated["LATENCY"]), int(stated["II"]))
+    if min(timing) < 1:
+        raise ArgumentError(
+            f"{core} states LATENCY {timing.latency} and II {timing.interval}; both must be at least 1"
+        )
+    return timing
 
 
 def env_hash(spec: EnvSpec) -> int:
@@ -164,22 +196,8 @@ def address_bits(layout: MemoryMap) -> int:
 
 def parameters(build: Build) -> dict[str, int]:
     """Return the parameters of ``pearl_top``, but for the widths of its bus's addresses and ids."""
-    spec, layout = build
-    word_bytes = layout.data_wl // 8
-    offsets = {f"{region.name.upper()}_OFFSET": region.offset // word_bytes for region in layout.regions}
-    return {
-        "N_ENVS": layout.n_envs,
-        "PE_NUM": layout.pe_num,
-        "DATA_WL": layout.data_wl,
-        "STATE_BITS": word_bits(spec.state),
-        "ACTION_BITS": spec.action.bits,
-        "OBS_BITS": word_bits(spec.observation),
-        "REWARD_BITS": spec.reward.bits,
-        "DRAWS": spec.reset_draws + spec.step_draws,
-        "ENV_HASH": env_hash(spec),
-        **offsets,
-        "END_OFFSET": layout.end("status") // word_bytes,
-    }
+    layout = build.layout
+    return {"N_ENVS": layout.n_envs, "PE_NUM": layout.pe_num, "DATA_WL": layout.data_wl}
 
 
 def top_parameters(build: Build) -> dict[str, int]:

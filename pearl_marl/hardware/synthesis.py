@@ -209,7 +209,6 @@ def read_design(build: Build, files: Iterable[str]) -> str:
         *("read_slang", "--threads", "1", "--top", "pearl_top"),
         # A plain number would have to fit a signed integer.
         *(f"-G {name}=32'd{value}" for name, value in elaboration.top_parameters(build).items()),
-        *(f"-D {name}={value}" for name, value in elaboration.macros(build.spec).items()),
         *files,
     ]
     return " ".join(words)

@@ -194,7 +194,6 @@ def test_what_is_written_is_clean(
                 [
                     *("verilator", "--lint-only", "-Wall", "--top-module", "pearl_top"),
                     *(f"-G{key}={value}" for key, value in parameters.items()),
-                    *(f"-D{key}={value}" for key, value in elaboration.macros(spec).items()),
                     *map(str, elaboration.sources(spec)),
                 ]
             )

@@ -99,7 +99,7 @@ def _with_needed(top: str, last: list[Path]) -> tuple[Path, ...]:
 def whole(build: Build) -> Design:
     """The whole design of a build."""
     spec, parameters = build.spec, elaboration.top_parameters(build)
-    return Design("pearl_top", tuple(elaboration.sources(spec)), parameters, elaboration.macros(spec))
+    return Design("pearl_top", tuple(elaboration.sources(spec)), parameters)
 
 
 def side_by_side(designs: Sequence[Design]) -> Design:

@@ -78,12 +78,6 @@ def test_lint_is_clean_without_pipeline(env: str) -> None:
         ({"DATA_WL": 0}, "powers of two from 32 to 1024"),
         ({"DATA_WL": 16}, "powers of two from 32 to 1024"),
         ({"DATA_WL": 96}, "powers of two from 32 to 1024"),
-        ({"OBS_BITS": 7}, "7 observation, 1 reward bits, the core 6, 2, 6, 1"),
-        *(({f"{word}_BITS": 0}, "0 .* bits, the core 6") for word in ("STATE", "ACTION", "OBS", "REWARD")),
-        ({"REWARDS_OFFSET": 35}, "offsets of the regions do not belong to"),
-        ({"STATUS_OFFSET": 30}, "offsets of the regions do not belong to"),  # before the region it ends
-        ({"CONTROL_OFFSET": 5}, "offsets of the regions do not belong to"),
-        ({"END_OFFSET": 36}, "offsets of the regions do not belong to"),
         ({"ADDR_BITS": 0}, "ADDR_BITS is 0; possible are 8, which reach the end of the map, to 64"),
         ({"ADDR_BITS": 1}, "ADDR_BITS is 1; possible are 8"),
         ({"ADDR_BITS": 7}, "ADDR_BITS is 7; possible are 8"),
@@ -112,8 +106,21 @@ def own_core(folder: Path, *changes: tuple[str, str]) -> EnvSpec:
 def test_a_core_without_time_is_refused(states: str, tmp_path: Path) -> None:
     latency, interval = states.split()[1::3]
     changes = ("LATENCY = 4;", f"LATENCY = {latency};"), ("II = 4;", f"II = {interval};")
-    with pytest.raises(DeviceError, match=f"the core states {states}; both must be at least 1"):
-        lint(whole(Build.of(own_core(tmp_path, *changes), 7, 4, 32)))
+    with pytest.raises(ArgumentError, match=f"shift_add_pe.sv states {states}; both must be at least 1"):
+        elaboration.sources(own_core(tmp_path, *changes))
+
+
+@pytest.mark.parametrize("word", ["STATE", "ACTION", "OBS", "REWARD"])
+def test_a_core_of_other_widths_is_refused(word: str, tmp_path: Path) -> None:
+    widths = {"STATE": 11, "ACTION": 3, "OBS": 13, "REWARD": 5}
+    line = f"localparam int unsigned {word}_BITS = "
+    changed = {**widths, word: widths[word] + 1}
+    says = "the spec has 11 state, 3 action, 13 observation, 5 reward bits, the core " + ", ".join(
+        map(str, changed.values())
+    )
+    spec = own_core(tmp_path, (f"{line}{widths[word]};", f"{line}{changed[word]};"))
+    with pytest.raises(DeviceError, match=says):
+        lint(whole(Build.of(spec, 7, 4, 32)))
 
 
 @pytest.mark.parametrize(
@@ -144,7 +151,7 @@ def test_options_are_parameters_of_a_core() -> None:
     literals = {"FLAG": "1", "LEAST": "-2147483648", "LARGE": "32'd2147483648", "LARGER": f"64'd{2**40}"}
     assert elaboration.core_parameters(dataclasses.replace(spec, options=options)) == literals
     with pytest.raises(ArgumentError, match=r"have to be integers: 'float' object"):
-        elaboration.macros(dataclasses.replace(spec, options={"share": 0.5}))
+        elaboration.core_wrapper(dataclasses.replace(spec, options={"share": 0.5}))
 
 
 def test_an_address_of_64_bits_is_legal() -> None:
@@ -177,6 +184,29 @@ def test_package_says_what_the_map_says() -> None:
         listed = [line.split(";")[0].split()[-1] for line in body.splitlines() if "logic" in line]
         # A packed struct lists its most significant bit first.
         assert [name.upper() for name in reversed(listed)] == [flag.name for flag in fields]
+
+
+@pytest.mark.parametrize("env", ["CliffWalking", "Pendulum", "Seaquest"])
+def test_the_map_of_the_hardware_is_that_of_the_host(env: str, tmp_path: Path) -> None:
+    spec, checks = spec_of(env, {}), []
+    for n_envs in (7, 1000, 43008):
+        for pe_num in {1, min(n_envs, 6), min(n_envs, 128)}:
+            for data_wl in (32, 1024):
+                layout = memory_map.memory_map(spec, n_envs, pe_num, data_wl)
+                ends = [layout.end(name) * 8 // data_wl for name in memory_map.REGION_NAMES]
+                for region, offset in enumerate([0, *ends]):
+                    given = f"{region}, {n_envs}, {pe_num}, {data_wl}"
+                    checks.append(f'if (region_offset({given}) != {offset}) $error("{given}");')
+    comparison = tmp_path / "comparison.sv"
+    comparison.write_text(
+        "\n".join(["module comparison;", "import pearl_map_pkg::*;", *checks, "endmodule\n"])
+    )
+    files = [path for path in elaboration.sources(spec) if path.stem.endswith(("_pkg", "_pe", "_core"))]
+    command = ["verilator", "--lint-only", "--top-module", "comparison"]
+    toolchain.run([*command, *map(str, [*files, comparison])])
+    comparison.write_text(comparison.read_text().replace("!= 16)", "!= 17)"))
+    with pytest.raises(DeviceError, match="1, 1000, 1, 32"):
+        toolchain.run([*command, *map(str, [*files, comparison])])
 
 
 @pytest.mark.usefixtures("toys")

@@ -91,11 +91,7 @@ def check_backbone(
     word_bytes = build.layout.data_wl // 8
     word_address_bits = elaboration.address_bits(build.layout) - (word_bytes.bit_length() - 1)
     parameters = {**elaboration.parameters(build), "WORD_ADDR_BITS": word_address_bits}
-    # The backbone has the widths from its core.
-    for name in ("STATE_BITS", "ACTION_BITS", "OBS_BITS", "REWARD_BITS"):
-        del parameters[name]
     arguments = [f"-G {name}=32'd{value}" for name, value in parameters.items()]
-    arguments += [f"-D {name}={value}" for name, value in elaboration.macros(spec).items()]
     files = [
         path for path in elaboration.sources(spec) if path.name != "pearl_top.sv" and "_axi_" not in path.name
     ]

@@ -65,7 +65,6 @@ def library(build: Build, traced: bool = False, pipelined: bool = True) -> Path:
         *(_LIGHT_VERILATOR if light else []),
         *(_TRACED if traced else []),
         *(f"-G{name}={value}" for name, value in parameters.items()),
-        *(f"+define+{name}={value}" for name, value in elaboration.macros(spec).items()),
     ]
     sources = elaboration.sources(spec)
     code = _columns(layout) + _CODE.read_text()

@@ -11,20 +11,6 @@ module backbone_proof
     parameter int unsigned N_ENVS = 40,
     parameter int unsigned PE_NUM = 8,
     parameter int unsigned DATA_WL = 32,
-    parameter int unsigned DRAWS = 0,
-    parameter logic [31:0] ENV_HASH = 32'h0,
-    parameter int unsigned CONTROL_OFFSET = 0,
-    parameter int unsigned INITIAL_STATES_OFFSET = 0,
-    parameter int unsigned CURRENT_STATES_OFFSET = 0,
-    parameter int unsigned ELAPSED_OFFSET = 0,
-    parameter int unsigned RESET_MASK_OFFSET = 0,
-    parameter int unsigned ACTIONS_OFFSET = 0,
-    parameter int unsigned DOORBELL_OFFSET = 0,
-    parameter int unsigned OBSERVATIONS_OFFSET = 0,
-    parameter int unsigned REWARDS_OFFSET = 0,
-    parameter int unsigned TERS_OFFSET = 0,
-    parameter int unsigned STATUS_OFFSET = 0,
-    parameter int unsigned END_OFFSET = 0,
     parameter int unsigned WORD_ADDR_BITS = 14
 ) (
     input logic                      clk_i,
@@ -49,20 +35,6 @@ module backbone_proof
       .N_ENVS(N_ENVS),
       .PE_NUM(PE_NUM),
       .DATA_WL(DATA_WL),
-      .DRAWS(DRAWS),
-      .ENV_HASH(ENV_HASH),
-      .CONTROL_OFFSET(CONTROL_OFFSET),
-      .INITIAL_STATES_OFFSET(INITIAL_STATES_OFFSET),
-      .CURRENT_STATES_OFFSET(CURRENT_STATES_OFFSET),
-      .ELAPSED_OFFSET(ELAPSED_OFFSET),
-      .RESET_MASK_OFFSET(RESET_MASK_OFFSET),
-      .ACTIONS_OFFSET(ACTIONS_OFFSET),
-      .DOORBELL_OFFSET(DOORBELL_OFFSET),
-      .OBSERVATIONS_OFFSET(OBSERVATIONS_OFFSET),
-      .REWARDS_OFFSET(REWARDS_OFFSET),
-      .TERS_OFFSET(TERS_OFFSET),
-      .STATUS_OFFSET(STATUS_OFFSET),
-      .END_OFFSET(END_OFFSET),
       .WORD_ADDR_BITS(WORD_ADDR_BITS)
   ) u_backbone (
       .clk_i,
@@ -78,9 +50,9 @@ module backbone_proof
   );
 
 `ifdef PROVE_STATUS
-  localparam int unsigned OBS_WORDS = REWARDS_OFFSET - OBSERVATIONS_OFFSET;
-  localparam int unsigned REWARD_WORDS = TERS_OFFSET - REWARDS_OFFSET;
-  localparam int unsigned TER_WORDS = STATUS_OFFSET - TERS_OFFSET;
+  localparam int unsigned OBS_WORDS = stream_words(N_ENVS, pearl_core_pkg::OBS_BITS, DATA_WL);
+  localparam int unsigned REWARD_WORDS = stream_words(N_ENVS, pearl_core_pkg::REWARD_BITS, DATA_WL);
+  localparam int unsigned TER_WORDS = stream_words(N_ENVS, TER_BITS, DATA_WL);
   localparam int unsigned RUNNING = 2;
 
   // Which words of each result memory were written in this step: seen at the memories' ports.
@@ -134,30 +106,16 @@ module backbone_proof
 `endif
 
 `ifdef PROVE_ADDRESSES
-  localparam int unsigned OFFSETS[NumRegions+1] = '{
-      CONTROL_OFFSET,
-      INITIAL_STATES_OFFSET,
-      CURRENT_STATES_OFFSET,
-      ELAPSED_OFFSET,
-      RESET_MASK_OFFSET,
-      ACTIONS_OFFSET,
-      DOORBELL_OFFSET,
-      OBSERVATIONS_OFFSET,
-      REWARDS_OFFSET,
-      TERS_OFFSET,
-      STATUS_OFFSET,
-      END_OFFSET
-  };
 
-  always_ff @(posedge clk_i) begin
-    if (rst_n) begin
-      for (int unsigned i = 0; i < NumRegions; i++) begin
-        if (u_backbone.host_re[i] || u_backbone.host_we[i]) begin
-          // It is the region that the host meant, and no other one.
-          assert (32'(u_backbone.host_index) + OFFSETS[i] == 32'(u_backbone.u_port.addr_q));
-          assert (32'(u_backbone.host_index) < OFFSETS[i+1] - OFFSETS[i]);
-          assert ((u_backbone.host_re | u_backbone.host_we) == NumRegions'(1) << i);
-        end
+  for (genvar i = 0; i < NumRegions; i++) begin : gen_region
+    localparam int unsigned OFFSET = pearl_map_pkg::region_offset(i, N_ENVS, PE_NUM, DATA_WL);
+    localparam int unsigned WORDS = pearl_map_pkg::region_words(i, N_ENVS, PE_NUM, DATA_WL);
+    always_ff @(posedge clk_i) begin
+      if (rst_n && (u_backbone.host_re[i] || u_backbone.host_we[i])) begin
+        // It is the region that the host meant, and no other one.
+        assert (32'(u_backbone.host_index) + OFFSET == 32'(u_backbone.u_port.addr_q));
+        assert (32'(u_backbone.host_index) < WORDS);
+        assert ((u_backbone.host_re | u_backbone.host_we) == NumRegions'(1) << i);
       end
     end
   end
