@@ -399,7 +399,12 @@ def choose(build: Build, folder: Path, count: int, seed: int) -> list[Mutant]:
         folder,
         " ".join([*read, *names]),
         "chformal -remove",
+        # Without what does nothing anyway, since a fault in it does nothing either.
         "prep -top pearl_backbone",
+        "opt -full",
+        "wreduce",
+        "peepopt",
+        "opt -full",
         "write_rtlil sound.il",
         f"mutate -list {count} -seed {seed} -o mutants.txt",
     )
