@@ -5,7 +5,7 @@ from __future__ import annotations
 from pearl_marl.errors import DeviceError
 from pearl_marl.hardware import elaboration
 from pearl_marl.hardware.build import Build
-from pearl_marl.hardware.synthesis import FMAX_DEVICE, Family, synthesise
+from pearl_marl.hardware.synthesis import PLACEMENTS, Family, synthesise
 from pearl_marl.registry import get_spec, names
 from pearl_marl.spec import EnvSpec
 
@@ -15,9 +15,9 @@ from .section import Progress, Row, row_of
 TITLE = "Table I: compute time"
 TEXT = (
     "From an action to its result in one core: clock cycles as the core states them and as its bench in "
-    "simulation checks, and nanoseconds at the clock rate that nextpnr reaches for a small build on an "
-    "ECP5, the family that has free tools for it and that these cores are generated for. A VC707 has another "
-    "rate. A core takes a new action every II cycles, so throughput does not wait for the latency."
+    "simulation checks, and nanoseconds at the clock rate that nextpnr reaches for a build of 1,024 slots on "
+    "an ECP5, the family that has free tools for it and that these cores are generated for. A VC707 has "
+    "another rate. A core takes a new action every II cycles, so throughput does not wait for the latency."
 )
 COLUMNS = {
     "environment": "environment",
@@ -28,8 +28,9 @@ COLUMNS = {
     "counts": "what is counted, or from where",
 }
 
-N_ENVS, PE_NUM, DATA_WL = 16, 1, 32
-"""The build that is placed and routed: one core, and little around it."""
+N_ENVS, PE_NUM, DATA_WL = 1024, 1, 32
+"""The build that is placed and routed: one core, because of some no two fit, and so many slots that memories
+are block RAM. Of fewer, the paths through it are not seen."""
 
 
 def collect(quick: bool, progress: Progress) -> list[Row]:
@@ -58,6 +59,6 @@ def _placed(spec: EnvSpec, common: Row) -> Row:
     except DeviceError as error:  # too large for the device, or a tool is missing
         return row_of("missing", f"{build}: {error}", **common)
     assert usage.fmax_mhz is not None
-    counts = f"{build}, {FMAX_DEVICE}: nextpnr's estimate after routing, without pads"
+    counts = f"{build}, {PLACEMENTS[Family.ECP5].device}: nextpnr's estimate after routing, without pads"
     nanoseconds = common["latency_cycles"] * 1e3 / usage.fmax_mhz
     return row_of("predicted", counts, **common, fmax_mhz=usage.fmax_mhz, compute_ns=nanoseconds)

@@ -38,7 +38,7 @@ from enum import IntEnum, IntFlag
 from pearl_marl.errors import ArgumentError
 from pearl_marl.spec import EnvSpec, word_bits
 
-PROTOCOL_VERSION = 1
+PROTOCOL_VERSION = 2
 MAGIC = 0x4C524150  # "PARL", little-endian
 
 DATA_WIDTHS = (32, 64, 128, 256, 512, 1024)
@@ -77,7 +77,7 @@ class Control(IntEnum):
     TICK_HIGH = 11
     FIRST_SLOT = 12
     MAX_CYCLES = 13
-    RESERVED_0 = 14
+    RESET = 14
     RESERVED_1 = 15
 
 

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import groupby
 from typing import Any
 
 from pearl_marl.errors import ArgumentError
 from pearl_marl.hardware.build import Build
-from pearl_marl.hardware.fitting import Part, modelled_bram36
+from pearl_marl.hardware.elaboration import clocked
+from pearl_marl.hardware.fitting import Part, modelled_bram36, modelled_dsp
 from pearl_marl.hardware.synthesis import Usage, synthesised
 from pearl_marl.latency import HostTimes, Link, measure_host, predict
 from pearl_marl.latency.prediction import Overlap, Prediction
@@ -20,23 +22,31 @@ MAX_PE_NUM = 256
 NEAR = 1.05
 """A smaller design is chosen over the fastest, if its steps take at most so many times as long."""
 
+DSP_SHARE = 0.25
+"""Cores take more of a part's multipliers only where fewer would compute longer than the link moves a step:
+the rest is for the policy, or for a second design, which steps the other half of the slots."""
+
 
 @dataclass(frozen=True, slots=True)
 class Candidate:
-    """A build, what a step of it is predicted to take, and the block RAM of its memories."""
+    """A build, what a step of it is predicted to take, the block RAM of its memories, and its multipliers."""
 
     layout: MemoryMap
     prediction: Prediction
     bram36: float
+    dsp: int
 
     def as_json(self) -> dict[str, Any]:
         """Return it as JSON has it."""
-        return {**self.prediction.as_json(), "bram36": self.bram36}
+        return {**self.prediction.as_json(), "bram36": self.bram36, "dsp": self.dsp}
 
 
 @dataclass(frozen=True, slots=True)
 class Plan:
     """The build that was chosen, and what it was chosen from: the narrowest word that serves each ``pe_num``.
+
+    ``larger`` is the same of the next ``pe_num``, whether it fits the part or not: what was not chosen. It is
+    ``None`` if nothing larger was looked at.
 
     ``host`` and ``half_host`` are what the host takes for all slots and for half of them, measured.
     ``overlap`` is of two devices of half the slots that take turns; ``None`` for a single slot. ``usage`` is
@@ -45,6 +55,7 @@ class Plan:
 
     chosen: Candidate
     candidates: tuple[Candidate, ...]
+    larger: Candidate | None
     host: HostTimes
     half_host: HostTimes | None
     overlap: Overlap | None
@@ -62,9 +73,10 @@ def plan(
 ) -> Plan:
     """Choose a build for a link, and a clock in hertz.
 
-    Of all builds whose memories fit the part (``None`` for anything), the smallest that is nearly as fast as
-    the fastest (:data:`NEAR`): fewest processing elements, then the narrowest word. ``pe_num`` and
-    ``data_wl`` look at one value only.
+    Of all builds that fit the part (``None`` for anything) by their memories and multipliers, the smallest
+    that is nearly as fast as the fastest (:data:`NEAR`): fewest processing elements, then the narrowest word.
+    Where it takes many of the part's multipliers (:data:`DSP_SHARE`), the same of those that take fewer and
+    outrun the link. ``pe_num`` and ``data_wl`` look at one value only.
 
     Raises
     ------
@@ -76,21 +88,26 @@ def plan(
     if pe_num is not None:
         sizes = [pe_num]
     widths = DATA_WIDTHS if data_wl is None else (data_wl,)
-    layouts = [memory_map(spec, n_envs, size, width) for size in sizes for width in widths]
-    fitting = [layout for layout in layouts if part is None or modelled_bram36(layout) <= part.bram36]
-    if part is not None and not fitting:
-        least = min(map(modelled_bram36, layouts))
-        raise ArgumentError(
-            f"{n_envs:,} slots of {spec.name} need {least:,.1f} BRAM36 or more, the {part.name} has "
-            f"{part.bram36:,}: take fewer slots, or a larger part"
+    dsp, host = modelled_dsp(spec, clocked("xc7", clock / 1e6)), measure_host(spec, n_envs)
+    every = [
+        Candidate(
+            layout, predict(spec, layout, link, host, clock), modelled_bram36(layout), dsp.of(layout.pe_num)
         )
-    host = measure_host(spec, n_envs)
-    found = [
-        Candidate(layout, predict(spec, layout, link, host, clock), modelled_bram36(layout))
-        for layout in fitting
+        for layout in (memory_map(spec, n_envs, size, width) for size in sizes for width in widths)
     ]
-    by_size = [[c for c in found if c.layout.pe_num == size] for size in sizes]
-    chosen = _smallest(found)
+    fitting = [c for c in every if part is None or (c.bram36 <= part.bram36 and c.dsp <= part.dsp)]
+    if part is not None and not fitting:
+        least = min(every, key=lambda c: max(c.bram36 / part.bram36, c.dsp / part.dsp))
+        raise ArgumentError(
+            f"{n_envs:,} slots of {spec.name} need {least.bram36:,.1f} BRAM36 and {least.dsp:,} DSP or more, "
+            f"the {part.name} has {part.bram36:,} and {part.dsp:,}: take fewer, or a larger part"
+        )
+    chosen = _smallest(fitting)
+    if part is not None and chosen.dsp > DSP_SHARE * part.dsp:
+        moved = min(c.prediction.link for c in fitting)  # narrow words make a link slow
+        frugal = [c for c in fitting if c.dsp <= DSP_SHARE * part.dsp and c.prediction.device < moved]
+        chosen = _smallest(frugal or fitting)
+    larger = [c for c in every if c.layout.pe_num > chosen.layout.pe_num]
     half_host = overlap = None
     if n_envs > 1:
         half = memory_map(spec, n_envs // 2, min(chosen.layout.pe_num, n_envs // 2), chosen.layout.data_wl)
@@ -98,12 +115,18 @@ def plan(
         overlap = Overlap(predict(spec, half, link, half_host, clock))
     return Plan(
         chosen,
-        tuple(_smallest(group) for group in by_size if group),
+        tuple(_smallest(group) for group in _by_size(fitting)),
+        next(map(_smallest, _by_size(larger)), None),
         host,
         half_host,
         overlap,
         synthesised(Build(spec, chosen.layout)),
     )
+
+
+def _by_size(candidates: list[Candidate]) -> list[list[Candidate]]:
+    """Return them in a list for each ``pe_num``, the least first."""
+    return [list(group) for _, group in groupby(candidates, lambda c: c.layout.pe_num)]
 
 
 def _smallest(candidates: list[Candidate]) -> Candidate:

@@ -1,9 +1,10 @@
+// SPDX-License-Identifier: MIT
 // Everything but the bus: the memories and registers behind one memory port, and the pipeline that
 // takes all slots through one step when the doorbell rings.
 //
 // pearl_top checks the sizes.
-// Reset has to last LATENCY + 4 cycles (the core's LATENCY): what is in the pipeline is flushed, not
-// reset, so that its delays can be shift-register LUTs.
+// What is on the state path is flushed, not reset. So any reset, be it a cycle long, is followed by cycles
+// in which the port is busy and nothing else awake.
 module pearl_backbone
   import pearl_pkg::*;
   import pearl_core_pkg::*;
@@ -25,6 +26,8 @@ module pearl_backbone
     // The memory port. Every request is accepted and answered PORT_LATENCY cycles later.
     input  logic                       req_i,
     input  logic                       we_i,
+    // A read of a word that is to be written back with a part of it changed.
+    input  logic                       fetch_i,
     input  logic  [WORD_ADDR_BITS-1:0] addr_i,
     input  logic  [       DATA_WL-1:0] wdata_i,
     output logic                       rvalid_o,
@@ -41,27 +44,20 @@ module pearl_backbone
 
   localparam int unsigned GROUPS = ceil_div(N_ENVS, PE_NUM);
   localparam int unsigned GROUP_BITS = index_bits(GROUPS);
-  // Cycles from a group's issue to its arrival at the processing elements: reading a memory takes
-  // one, random draws take longer.
-  localparam int unsigned FETCH = DRAWS == 0 ? 1 : DRAW_LATENCY;
-
   localparam int unsigned MASK_WORDS = stream_words(N_ENVS, 1, DATA_WL);
   localparam int unsigned ACTION_WORDS = stream_words(N_ENVS, ACTION_BITS, DATA_WL);
   localparam int unsigned OBS_WORDS = stream_words(N_ENVS, OBS_BITS, DATA_WL);
   localparam int unsigned REWARD_WORDS = stream_words(N_ENVS, REWARD_BITS, DATA_WL);
   localparam int unsigned TER_WORDS = stream_words(N_ENVS, TER_BITS, DATA_WL);
+  // Cycles from a group's issue to the packers of its results.
+  localparam int unsigned DEPTH = issue_to_core(DRAWS) + LATENCY + 1;
   // From one group's issue to the next one's. Not pipelined, a group is read, computed, and written a
-  // word a cycle in each bank, before the next one is issued. Only the words of actions are fetched
+  // word a cycle in each bank, before the next one is issued. Only the rows of actions are fetched
   // ahead in either form.
   localparam int unsigned WIDER = OBS_BITS > REWARD_BITS ? OBS_BITS : REWARD_BITS;
   localparam int unsigned WIDEST = WIDER > TER_BITS ? WIDER : TER_BITS;
-  localparam int unsigned SERIAL = FETCH + LATENCY + stream_words(PE_NUM, WIDEST, DATA_WL);
+  localparam int unsigned SERIAL = DEPTH + stream_words(PE_NUM, WIDEST, DATA_WL);
   localparam int unsigned INTERVAL = PIPELINED || SERIAL < II ? II : SERIAL;
-  // A row memory's words per row are a power of two.
-  localparam int unsigned INIT_COLUMNS_LOG2 = $clog2(stream_words(PE_NUM, STATE_BITS, DATA_WL));
-  localparam int unsigned STATE_COLUMNS_LOG2 = $clog2(stream_words(PE_NUM, SLOT_BITS, DATA_WL));
-  localparam int unsigned ELAPSED_COLUMNS_LOG2 = $clog2(stream_words(PE_NUM, ELAPSED_BITS, DATA_WL));
-
   function automatic int unsigned offset_of(int unsigned region);
     return region_offset(region, N_ENVS, PE_NUM, DATA_WL);
   endfunction
@@ -81,14 +77,32 @@ module pearl_backbone
       offset_of(NumRegions)
   };
 
+  // ---- Resets ----
+
+  localparam int unsigned DRAIN_CYCLES = DEPTH + 1;
+  localparam int unsigned DRAIN_BITS = $clog2(DRAIN_CYCLES + 1);
+
+  logic soft_reset, awake_q;
+  logic [DRAIN_BITS-1:0] drain_q;
+
+  always_ff @(posedge clk_i) begin
+    if (!rst_ni || soft_reset) begin
+      drain_q <= DRAIN_BITS'(DRAIN_CYCLES);
+      awake_q <= 1'b0;
+    end else begin
+      if (drain_q != '0) drain_q <= drain_q - 1'b1;
+      awake_q <= drain_q == '0;
+    end
+  end
+
   // ---- The address space ----
 
-  logic busy, start, done, ring, keys_stale, keys_valid;
+  logic busy, start, done, ring, keys_stale, keys_next, keys_valid;
   logic [NumRegions-1:0] host_re, host_we;
   logic [WORD_ADDR_BITS-1:0] host_index;
   logic [DATA_WL-1:0] host_wdata;
   logic [NumRegions-1:0][DATA_WL-1:0] host_rdata;
-  logic busy_write, busy_doorbell, torn, untorn;
+  logic busy_write, busy_doorbell, untorn;
   // Registers are read whether asked or not, read-only regions never written, and no region is as
   // long as the map.
   logic unused_host;
@@ -104,12 +118,13 @@ module pearl_backbone
       .rst_ni,
       .req_i,
       .we_i,
+      .fetch_i,
       .addr_i,
       .wdata_i,
       .rvalid_o,
       .rdata_o,
       .resp_o,
-      .busy_i         (busy),
+      .busy_i         (busy || ring || !awake_q),
       .re_o           (host_re),
       .we_o           (host_we),
       .index_o        (host_index),
@@ -117,14 +132,15 @@ module pearl_backbone
       .rdata_i        (host_rdata),
       .busy_write_o   (busy_write),
       .busy_doorbell_o(busy_doorbell),
-      .torn_o         (torn),
-      .untorn_o       (untorn)
+      .untorn_o       (untorn),
+      .soft_reset_o   (soft_reset)
   );
 
   mode_t mode;
   logic [1:0][31:0] seed;
   logic [63:0] tick;
-  logic [31:0] first_slot, max_cycles, cycles;
+  logic [31:0] first_slot, limit, cycles;
+  logic limited;
 
   pearl_registers #(
       .DATA_WL    (DATA_WL),
@@ -136,6 +152,7 @@ module pearl_backbone
   ) u_registers (
       .clk_i,
       .rst_ni,
+      .draining_i     (!awake_q),
       .index_i        (host_index[index_bits(stream_words(CONTROL_WORDS, 32, DATA_WL))-1:0]),
       .control_we_i   (host_we[Control]),
       .doorbell_we_i  (host_we[Doorbell]),
@@ -148,13 +165,14 @@ module pearl_backbone
       .seed_o         (seed),
       .tick_o         (tick),
       .keys_stale_o   (keys_stale),
+      .keys_next_o    (keys_next),
       .first_slot_o   (first_slot),
-      .max_cycles_o   (max_cycles),
+      .limited_o      (limited),
+      .limit_o        (limit),
       .done_i         (done),
       .cycles_i       (cycles),
       .busy_write_i   (busy_write),
       .busy_doorbell_i(busy_doorbell),
-      .torn_i         (torn),
       .untorn_i       (untorn)
   );
 
@@ -162,7 +180,7 @@ module pearl_backbone
 
   pearl_sequencer u_sequencer (
       .clk_i,
-      .rst_ni,
+      .rst_ni        (awake_q),
       .ring_i        (ring),
       .keys_valid_i  (keys_valid),
       .results_done_i(obs_done && rewards_done && ters_done),
@@ -172,9 +190,8 @@ module pearl_backbone
       .cycles_o      (cycles)
   );
 
-  always_ff @(posedge clk_i or negedge rst_ni) begin
-    if (!rst_ni) irq_q <= 1'b0;
-    else if (ring) irq_q <= 1'b0;
+  always_ff @(posedge clk_i) begin
+    if (!awake_q || ring) irq_q <= 1'b0;
     else if (done) irq_q <= 1'b1;
   end
   assign irq_o = irq_q;
@@ -194,7 +211,7 @@ module pearl_backbone
       .WORDS   (ACTION_WORDS)
   ) u_actions (
       .clk_i,
-      .rst_ni,
+      .rst_ni      (awake_q),
       .busy_i      (busy),
       .start_i     (start),
       .valid_o     (actions_valid),
@@ -213,7 +230,7 @@ module pearl_backbone
       .WORDS   (MASK_WORDS)
   ) u_reset_mask (
       .clk_i,
-      .rst_ni,
+      .rst_ni      (awake_q),
       .busy_i      (busy),
       .start_i     (start),
       .valid_o     (resets_valid),
@@ -235,7 +252,7 @@ module pearl_backbone
       .REWARD_BITS(REWARD_BITS)
   ) u_group_reader (
       .clk_i,
-      .rst_ni,
+      .rst_ni      (awake_q),
       .start_i     (start),
       .first_slot_i(first_slot),
       .rows_valid_i(actions_valid && resets_valid),
@@ -246,193 +263,57 @@ module pearl_backbone
   );
 
   logic [PE_NUM-1:0][RNG_WORDS-1:0][31:0] rng;
-  if (DRAWS == 0) begin : gen_no_draws
-    logic unused_draws;
-    assign unused_draws = ^{keys_stale, seed, tick, issue_slot};
-    assign keys_valid = 1'b1;
-    assign rng = '0;
-  end else begin : gen_draws
-    logic [DRAWS-1:0][31:0] key_a, key_b;
 
-    pearl_rng #(
-        .DRAWS(DRAWS)
-    ) u_rng (
-        .clk_i,
-        .rst_ni,
-        .restart_i(keys_stale),
-        .seed_i   (seed),
-        .tick_i   (tick),
-        .valid_o  (keys_valid),
-        .key_a_o  (key_a),
-        .key_b_o  (key_b)
-    );
-
-    pearl_draw_row #(
-        .PE_NUM(PE_NUM),
-        .DRAWS (DRAWS)
-    ) u_draw_row (
-        .clk_i,
-        .slot_i (issue_slot),
-        .key_a_i(key_a),
-        .key_b_i(key_b),
-        .draws_o(rng)
-    );
-  end
-
-  // ---- Where a group is: read its state, compute, count its elapsed steps, write it back ----
-
-  typedef struct packed {
-    logic valid;
-    logic last;
-    logic [GROUP_BITS-1:0] group;
-  } group_t;
-
-  group_t at_read, at_pe, at_count_read, at_count, at_result;
-  // At the processing elements only the fact that there is a group matters.
-  logic unused_at_pe;
-  assign unused_at_pe = ^{at_pe.last, at_pe.group};
-  logic [PE_NUM-1:0][ACTION_BITS-1:0] pe_actions;
-  logic [PE_NUM-1:0] pe_resets;
-
-  pearl_delay #(
-      .WIDTH ($bits(group_t)),
-      .STAGES(FETCH - 1)
-  ) u_to_read (
+  pearl_draws #(
+      .PE_NUM(PE_NUM),
+      .DRAWS (DRAWS)
+  ) u_draws (
       .clk_i,
-      .d_i(group_t'{valid: issue, last: issue_last, group: issue_group}),
-      .d_o(at_read)
-  );
-  pearl_delay #(
-      .WIDTH ($bits(group_t)),
-      .STAGES(1)
-  ) u_to_pe (
-      .clk_i,
-      .d_i(at_read),
-      .d_o(at_pe)
-  );
-  pearl_delay #(
-      .WIDTH (PE_NUM * (ACTION_BITS + 1)),
-      .STAGES(FETCH)
-  ) u_rows_to_pe (
-      .clk_i,
-      .d_i({actions, resets}),
-      .d_o({pe_actions, pe_resets})
-  );
-  pearl_delay #(
-      .WIDTH ($bits(group_t)),
-      .STAGES(LATENCY - 1)
-  ) u_to_count_read (
-      .clk_i,
-      .d_i(at_read),
-      .d_o(at_count_read)
-  );
-  pearl_delay #(
-      .WIDTH ($bits(group_t)),
-      .STAGES(1)
-  ) u_to_count (
-      .clk_i,
-      .d_i(at_count_read),
-      .d_o(at_count)
-  );
-  pearl_delay #(
-      .WIDTH ($bits(group_t)),
-      .STAGES(1)
-  ) u_to_result (
-      .clk_i,
-      .d_i(at_count),
-      .d_o(at_result)
+      .rst_ni   (awake_q),
+      .restart_i(keys_stale),
+      .next_i   (keys_next),
+      .seed_i   (seed),
+      .tick_i   (tick),
+      .valid_o  (keys_valid),
+      .slot_i   (issue_slot),
+      .draws_o  (rng)
   );
 
-  logic [PE_NUM-1:0][STATE_BITS-1:0] inits;
-  logic [PE_NUM-1:0][SLOT_BITS-1:0] states, next_states;
-  logic [PE_NUM-1:0][ELAPSED_BITS-1:0] elapsed, next_elapsed;
+  // ---- Groups on their way ----
 
-  pearl_row_memory #(
-      .ROWS    (GROUPS),
-      .ROW_BITS(PE_NUM * STATE_BITS),
-      .DATA_WL (DATA_WL)
-  ) u_initial_states (
-      .clk_i,
-      .busy_i      (busy),
-      .re_i        (at_read.valid && mode.stored),
-      .raddr_i     (at_read.group),
-      .rdata_o     (inits),
-      .we_i        (1'b0),
-      .waddr_i     ('0),
-      .wdata_i     ('0),
-      .host_re_i   (host_re[InitialStates]),
-      .host_we_i   (host_we[InitialStates]),
-      .host_addr_i (host_index[GROUP_BITS+INIT_COLUMNS_LOG2-1:0]),
-      .host_wdata_i(host_wdata),
-      .host_rdata_o(host_rdata[InitialStates])
-  );
-
-  pearl_row_memory #(
-      .ROWS    (GROUPS),
-      .ROW_BITS(PE_NUM * SLOT_BITS),
-      .DATA_WL (DATA_WL)
-  ) u_current_states (
-      .clk_i,
-      .busy_i      (busy),
-      .re_i        (at_read.valid),
-      .raddr_i     (at_read.group),
-      .rdata_o     (states),
-      .we_i        (at_result.valid),
-      .waddr_i     (at_result.group),
-      .wdata_i     (next_states),
-      .host_re_i   (host_re[CurrentStates]),
-      .host_we_i   (host_we[CurrentStates]),
-      .host_addr_i (host_index[GROUP_BITS+STATE_COLUMNS_LOG2-1:0]),
-      .host_wdata_i(host_wdata),
-      .host_rdata_o(host_rdata[CurrentStates])
-  );
-
-  pearl_row_memory #(
-      .ROWS    (GROUPS),
-      .ROW_BITS(PE_NUM * ELAPSED_BITS),
-      .DATA_WL (DATA_WL)
-  ) u_elapsed (
-      .clk_i,
-      .busy_i      (busy),
-      .re_i        (at_count_read.valid),
-      .raddr_i     (at_count_read.group),
-      .rdata_o     (elapsed),
-      .we_i        (at_count.valid),
-      .waddr_i     (at_count.group),
-      .wdata_i     (next_elapsed),
-      .host_re_i   (host_re[Elapsed]),
-      .host_we_i   (host_we[Elapsed]),
-      .host_addr_i (host_index[GROUP_BITS+ELAPSED_COLUMNS_LOG2-1:0]),
-      .host_wdata_i(host_wdata),
-      .host_rdata_o(host_rdata[Elapsed])
-  );
-
+  logic results_valid, results_last;
   logic [PE_NUM-1:0][OBS_BITS-1:0] obs;
   logic [PE_NUM-1:0][REWARD_BITS-1:0] rewards;
   logic [PE_NUM-1:0][TER_BITS-1:0] ters;
 
-  pearl_pe_array #(
+  pearl_state_path #(
       .N_ENVS(N_ENVS),
-      .PE_NUM(PE_NUM)
-  ) u_pe_array (
+      .PE_NUM(PE_NUM),
+      .DATA_WL(DATA_WL),
+      .HOST_ADDR_BITS(WORD_ADDR_BITS)
+  ) u_state_path (
       .clk_i,
-      .rst_ni,
-      .valid_i     (at_pe.valid),
+      .rst_ni      (awake_q),
+      .busy_i      (busy),
       .mode_i      (mode),
-      .max_cycles_i(max_cycles),
-      .states_i    (states),
-      .inits_i     (inits),
-      .resets_i    (pe_resets),
-      .actions_i   (pe_actions),
+      .limited_i   (limited),
+      .limit_i     (limit),
+      .issue_i     (issue),
+      .last_i      (issue_last),
+      .group_i     (issue_group),
+      .actions_i   (actions),
+      .resets_i    (resets),
       .rng_i       (rng),
-      .elapsed_i   (elapsed),
-      .elapsed_o   (next_elapsed),
-      .valid_late_i(at_result.valid),
-      .last_late_i (at_result.last),
-      .states_o    (next_states),
+      .valid_o     (results_valid),
+      .last_o      (results_last),
       .obs_o       (obs),
       .rewards_o   (rewards),
-      .ters_o      (ters)
+      .ters_o      (ters),
+      .host_re_i   (host_re[Elapsed:InitialStates]),
+      .host_we_i   (host_we[Elapsed:InitialStates]),
+      .host_addr_i (host_index),
+      .host_wdata_i(host_wdata),
+      .host_rdata_o(host_rdata[Elapsed:InitialStates])
   );
 
   // ---- From groups to the host's words: three banks, written in parallel ----
@@ -443,10 +324,10 @@ module pearl_backbone
       .WORDS   (OBS_WORDS)
   ) u_observations (
       .clk_i,
-      .rst_ni,
+      .rst_ni      (awake_q),
       .start_i     (start),
-      .valid_i     (at_result.valid),
-      .last_i      (at_result.last),
+      .valid_i     (results_valid),
+      .last_i      (results_last),
       .row_i       (obs),
       .done_o      (obs_done),
       .host_re_i   (host_re[Observations]),
@@ -460,10 +341,10 @@ module pearl_backbone
       .WORDS   (REWARD_WORDS)
   ) u_rewards (
       .clk_i,
-      .rst_ni,
+      .rst_ni      (awake_q),
       .start_i     (start),
-      .valid_i     (at_result.valid),
-      .last_i      (at_result.last),
+      .valid_i     (results_valid),
+      .last_i      (results_last),
       .row_i       (rewards),
       .done_o      (rewards_done),
       .host_re_i   (host_re[Rewards]),
@@ -477,10 +358,10 @@ module pearl_backbone
       .WORDS   (TER_WORDS)
   ) u_ters (
       .clk_i,
-      .rst_ni,
+      .rst_ni      (awake_q),
       .start_i     (start),
-      .valid_i     (at_result.valid),
-      .last_i      (at_result.last),
+      .valid_i     (results_valid),
+      .last_i      (results_last),
       .row_i       (ters),
       .done_o      (ters_done),
       .host_re_i   (host_re[Ters]),

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT
 // The random draw of a slot under the keys of a step (`draw` of pearl_marl/rng.py): one a cycle,
 // DRAW_LATENCY cycles after its slot number.
 module pearl_draw
@@ -10,12 +11,29 @@ module pearl_draw
     output logic [31:0] draw_o
 );
 
-  logic [31:0] first_q, second_q, draw_q;
+  logic [31:0] first_q, second_q, draw_q, first_product, second_product;
 
+  pearl_scramble #(
+      .FACTOR(MULTIPLIER_1)
+  ) u_first (
+      .clk_i,
+      .x_i      (first_q),
+      .product_o(first_product)
+  );
+  pearl_scramble #(
+      .FACTOR(MULTIPLIER_2)
+  ) u_second (
+      .clk_i,
+      .x_i      (second_q),
+      .product_o(second_product)
+  );
+
+  // A sum of partial products and an exclusive or are one stage: together they are no longer than the
+  // multiplication.
   always_ff @(posedge clk_i) begin
-    first_q  <= mix_first(slot_i ^ key_a_i);
-    second_q <= mix_second(first_q ^ key_b_i);
-    draw_q   <= mix_last(second_q);
+    first_q  <= fold(slot_i ^ key_a_i, 16);
+    second_q <= fold(first_product ^ key_b_i, 15);
+    draw_q   <= fold(second_product, 16);
   end
 
   assign draw_o = draw_q;

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT
 // A first-in, first-out queue whose oldest entry is visible before it is taken.
 //
 // It neither refuses nor signals an overflow: who fills it counts.
@@ -22,13 +23,13 @@ module pearl_fifo #(
   localparam int unsigned PTR_BITS = $clog2(DEPTH);
 
   logic [WIDTH-1:0] mem[DEPTH];
-  logic [PTR_BITS:0] head_q, tail_q;
+  logic [PTR_BITS:0] head_q, tail_q, count;
 
   always_ff @(posedge clk_i) begin
     if (push_i) mem[head_q[PTR_BITS-1:0]] <= data_i;
   end
 
-  always_ff @(posedge clk_i or negedge rst_ni) begin
+  always_ff @(posedge clk_i) begin
     if (!rst_ni) begin
       head_q <= '0;
       tail_q <= '0;
@@ -40,5 +41,15 @@ module pearl_fifo #(
 
   assign valid_o = head_q != tail_q;
   assign data_o  = mem[tail_q[PTR_BITS-1:0]];
+
+  assign count   = head_q - tail_q;
+  always_ff @(posedge clk_i) begin
+    if (rst_ni) begin
+      assert (32'(count) < DEPTH || !push_i)
+      else $error("pearl_fifo: an entry came when there was no room for it");
+      assert (valid_o || !pop_i)
+      else $error("pearl_fifo: an entry was taken when there was none");
+    end
+  end
 
 endmodule

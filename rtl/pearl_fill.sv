@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT
 // How full a packer is, in units of UNIT bits: a row comes in, a word goes out whenever there is one.
 //
 // The packer uses it to place rows. The group reader uses another one to know, a fixed latency
@@ -36,7 +37,7 @@ module pearl_fill
   // Said to synthesis, which does not know that no row comes at another one.
   assign offset_o = WORD_UNITS == 1 ? '0 : left[OFFSET_BITS-1:0];
 
-  always_ff @(posedge clk_i or negedge rst_ni) begin
+  always_ff @(posedge clk_i) begin
     if (!rst_ni) fill_q <= '0;
     else if (clear_i) fill_q <= '0;
     else fill_q <= row_i ? left + FILL_BITS'(ROW_UNITS) : left;

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT
 // Sends the groups of a step into the pipeline, from the first to the last, as fast as the core's
 // initiation interval, the actions and the packers allow.
 module pearl_group_reader
@@ -60,7 +61,7 @@ module pearl_group_reader
   assign last_o  = 32'(group_q) == GROUPS - 1;
   assign slot_o  = slot_q;
 
-  always_ff @(posedge clk_i or negedge rst_ni) begin
+  always_ff @(posedge clk_i) begin
     if (!rst_ni) begin
       active_q <= 1'b0;
       group_q  <= '0;

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT
 // Packs rows of bits into words, one continuous stream, and writes them to consecutive addresses.
 //
 // Any ratio of row to word works. The cost is a shifter over ROW_BITS bits with one level for each
@@ -61,7 +62,7 @@ module pearl_packer
     else acc_q <= kept;
   end
 
-  always_ff @(posedge clk_i or negedge rst_ni) begin
+  always_ff @(posedge clk_i) begin
     if (!rst_ni) begin
       last_q  <= 1'b0;
       count_q <= '0;
@@ -74,15 +75,8 @@ module pearl_packer
     end
   end
 
-  // Nothing is asserted during reset, when what feeds the packer is being flushed.
-  logic awake_q;
-  always_ff @(posedge clk_i or negedge rst_ni) begin
-    if (!rst_ni) awake_q <= 1'b0;
-    else awake_q <= 1'b1;
-  end
-
   always_ff @(posedge clk_i) begin
-    if (awake_q) begin
+    if (rst_ni) begin
       assert (room || !valid_i)
       else $error("pearl_packer: a row came when there was no room for it");
     end

@@ -1,7 +1,9 @@
+// SPDX-License-Identifier: MIT
 // One processing element: a core and what every environment needs around it, which is self-reset,
 // the two reset modes, the count of elapsed steps and the time limit.
 //
-// Inputs come with valid_i, elapsed_i LATENCY - 1 cycles later, results LATENCY cycles later.
+// Inputs come with valid_i, rng_i a cycle later, elapsed_i LATENCY cycles later, and results LATENCY + 1
+// cycles later.
 module pearl_pe
   import pearl_pkg::*;
   import pearl_core_pkg::*;
@@ -10,7 +12,9 @@ module pearl_pe
     input logic                           rst_ni,
     input logic                           valid_i,
     input mode_t                          mode_i,
-    input logic  [ELAPSED_BITS-1:0]       max_cycles_i,
+    // Whether there is a time limit, and the last step that it allows, counted from 0.
+    input logic                           limited_i,
+    input logic  [ELAPSED_BITS-1:0]       limit_i,
     input logic  [  STATE_BITS-1:0]       state_i,
     // {truncated, terminated} of the slot's previous step.
     input logic  [    TER_BITS-1:0]       ter_i,
@@ -29,53 +33,68 @@ module pearl_pe
     output logic [   TER_BITS-1:0] ter_o
 );
 
-  logic named, ended, first, hold;
+  logic named, ended, first;
   assign named = mode_i.reset_all || (mode_i.reset_mask && reset_i);
   assign ended = ter_i != '0;
   assign first = named || ended;
-  assign hold  = mode_i.next_step && ended && !named;
+
+  // A stored start state replaces the current one here, so a core knows of one kind of start only.
+  logic valid_q, first_q, start_q, hold_q;
+  logic [ STATE_BITS-1:0] state_q;
+  logic [ACTION_BITS-1:0] action_q;
+  always_ff @(posedge clk_i) begin
+    first_q  <= first;
+    start_q  <= first && !mode_i.stored;
+    hold_q   <= mode_i.next_step && ended && !named;
+    state_q  <= first && mode_i.stored ? init_i : state_i;
+    action_q <= action_i;
+  end
+  always_ff @(posedge clk_i) begin
+    if (!rst_ni) valid_q <= 1'b0;
+    else valid_q <= valid_i;
+  end
 
   logic terminated;
   logic [REWARD_BITS-1:0] reward;
-  // A stored start state replaces the current one here, so a core knows of one kind of start only.
   pearl_core u_core (
       .clk_i,
       .rst_ni,
-      .valid_i,
-      .first_i(first && !mode_i.stored),
-      .hold_i(hold),
-      .state_i(first && mode_i.stored ? init_i : state_i),
-      .action_i,
+      .valid_i     (valid_q),
+      .first_i     (start_q),
+      .hold_i      (hold_q),
+      .state_i     (state_q),
+      .action_i    (action_q),
       .rng_i,
       .valid_o,
       .state_o,
       .obs_o,
-      .reward_o(reward),
+      .reward_o    (reward),
       .terminated_o(terminated)
   );
 
-  // The counter is read, raised and written in the core's last cycle, which spares the pipeline
-  // from carrying it along.
-  logic first_late, hold_late, hold_q, truncated_q;
+  // The counter is read, raised and written while the core ends, which spares the pipeline from carrying
+  // it along.
+  logic first_late, hold_late, held_q, truncated_q;
+  logic [ELAPSED_BITS-1:0] elapsed_q;
   pearl_delay #(
       .WIDTH (2),
       .STAGES(LATENCY - 1)
   ) u_delay (
       .clk_i,
-      .d_i({first, hold}),
+      .d_i({first_q, hold_q}),
       .d_o({first_late, hold_late})
   );
+
   // The first step of an episode overrules the sum and the comparison instead of clearing what they
   // start from: a mask in front of them would cost a LUT a bit more. Who is held is at a first step.
-  assign elapsed_o = first_late ? ELAPSED_BITS'(!hold_late) : elapsed_i + 1'b1;
-
   always_ff @(posedge clk_i) begin
-    hold_q <= hold_late;
-    truncated_q <= !hold_late && max_cycles_i != '0 &&
-        (first_late ? max_cycles_i == ELAPSED_BITS'(1) : elapsed_i >= max_cycles_i - 1'b1);
+    elapsed_q <= first_late ? ELAPSED_BITS'(!hold_late) : elapsed_i + 1'b1;
+    held_q <= hold_late;
+    truncated_q <= limited_i && !hold_late && (first_late ? limit_i == '0 : elapsed_i >= limit_i);
   end
 
-  assign reward_o = hold_q ? '0 : reward;
-  assign ter_o = {truncated_q, terminated && !hold_q};
+  assign elapsed_o = elapsed_q;
+  assign reward_o  = held_q ? '0 : reward;
+  assign ter_o     = {truncated_q, terminated && !held_q};
 
 endmodule

@@ -10,18 +10,19 @@ module pearl_pe_array
     input logic                                                    rst_ni,
     input logic                                                    valid_i,
     input mode_t                                                   mode_i,
-    input logic  [ELAPSED_BITS-1:0]                                max_cycles_i,
+    input logic                                                    limited_i,
+    input logic  [ELAPSED_BITS-1:0]                                limit_i,
     input logic  [      PE_NUM-1:0][TER_BITS+STATE_BITS-1:0]       states_i,
     input logic  [      PE_NUM-1:0][         STATE_BITS-1:0]       inits_i,
     input logic  [      PE_NUM-1:0]                                resets_i,
     input logic  [      PE_NUM-1:0][        ACTION_BITS-1:0]       actions_i,
     input logic  [      PE_NUM-1:0][          RNG_WORDS-1:0][31:0] rng_i,
 
-    // LATENCY - 1 cycles after valid_i.
+    // LATENCY cycles after valid_i.
     input  logic [PE_NUM-1:0][ELAPSED_BITS-1:0] elapsed_i,
     output logic [PE_NUM-1:0][ELAPSED_BITS-1:0] elapsed_o,
 
-    // LATENCY cycles after valid_i, when valid_late_i and last_late_i are what valid_i and "this is
+    // LATENCY + 1 cycles after valid_i, when valid_late_i and last_late_i are what valid_i and "this is
     // the last group" were.
     input  logic                                       valid_late_i,
     input  logic                                       last_late_i,
@@ -46,7 +47,8 @@ module pearl_pe_array
         .rst_ni,
         .valid_i,
         .mode_i,
-        .max_cycles_i,
+        .limited_i,
+        .limit_i,
         .state_i(states_i[i][STATE_BITS-1:0]),
         .ter_i(states_i[i][STATE_BITS+:TER_BITS]),
         .init_i(inits_i[i]),
@@ -69,15 +71,8 @@ module pearl_pe_array
     assign ters_o[i] = padding ? '0 : ter;
   end
 
-  // The pipeline around the core has no reset: early in one, it is still being flushed.
-  logic awake_q;
-  always_ff @(posedge clk_i or negedge rst_ni) begin
-    if (!rst_ni) awake_q <= 1'b0;
-    else awake_q <= 1'b1;
-  end
-
   always_ff @(posedge clk_i) begin
-    if (awake_q) begin
+    if (rst_ni) begin
       assert (core_valid == {PE_NUM{valid_late_i}})
       else $error("pearl_pe_array: the core's valid_o does not keep the latency its package states");
     end

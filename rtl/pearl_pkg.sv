@@ -3,7 +3,7 @@
 package pearl_pkg;
 
   localparam logic [31:0] MAGIC = 32'h4C52_4150;
-  localparam int unsigned PROTOCOL_VERSION = 1;
+  localparam int unsigned PROTOCOL_VERSION = 2;
 
   localparam int unsigned TER_BITS = 2;
   // As wide as MAX_CYCLES, so that every limit the host can write is exact.
@@ -35,6 +35,7 @@ package pearl_pkg;
   localparam int unsigned CONTROL_TICK_HIGH = 11;
   localparam int unsigned CONTROL_FIRST_SLOT = 12;
   localparam int unsigned CONTROL_MAX_CYCLES = 13;
+  localparam int unsigned CONTROL_RESET = 14;
 
   // The doorbell's mode word, least significant bit last.
   typedef struct packed {
@@ -47,7 +48,7 @@ package pearl_pkg;
   // The status's error word, least significant bit last.
   typedef struct packed {
     logic reset;          // no word of the control region has been written since the hardware's reset
-    logic torn_read;      // a result was read during a step, and the first result not since
+    logic torn_read;      // the first word of results has not been read since the last step
     logic busy_write;     // a write came during a step and was refused
     logic busy_doorbell;  // a doorbell came during a step and was refused
   } error_t;
@@ -58,27 +59,31 @@ package pearl_pkg;
     RespSlvErr = 2'b10,
     RespDecErr = 2'b11
   } resp_e;
+  // Cycles from a read enable to the word, of block RAM as of registers.
+  localparam int unsigned READ_LATENCY = 2;
   // Cycles from a request at the memory port to its answer; the AXI slave sizes its queue by it.
-  localparam int unsigned PORT_LATENCY = 3;
+  localparam int unsigned PORT_LATENCY = 4 + READ_LATENCY;
 
   // Cycles from a slot number to its random draw.
-  localparam int unsigned DRAW_LATENCY = 3;
+  localparam int unsigned DRAW_LATENCY = 5;
   localparam logic [31:0] CHAIN_A = 32'h243F_6A88;
   localparam logic [31:0] CHAIN_B = 32'h85A3_08D3;
   localparam logic [31:0] MULTIPLIER_1 = 32'h7FEB_352D;
   localparam logic [31:0] MULTIPLIER_2 = 32'h846C_A68B;
 
-  // The three stages of mix32, apart because each of the first two holds a multiplier.
-  function automatic logic [31:0] mix_first(logic [31:0] x);
-    return (x ^ (x >> 16)) * MULTIPLIER_1;
+  // What mix32 does between its multiplications.
+  function automatic logic [31:0] fold(logic [31:0] x, int unsigned by);
+    return x ^ (x >> by);
   endfunction
 
-  function automatic logic [31:0] mix_second(logic [31:0] x);
-    return (x ^ (x >> 15)) * MULTIPLIER_2;
+  // Cycles from the issue of a group to when its states are read, so that they and its draws come to the
+  // cores together; and to when the cores get them.
+  function automatic int unsigned issue_to_read(int unsigned draws);
+    return draws == 0 ? 1 : DRAW_LATENCY - READ_LATENCY - 1;
   endfunction
 
-  function automatic logic [31:0] mix_last(logic [31:0] x);
-    return x ^ (x >> 16);
+  function automatic int unsigned issue_to_core(int unsigned draws);
+    return issue_to_read(draws) + READ_LATENCY + 1;
   endfunction
 
   function automatic int unsigned ceil_div(int unsigned a, int unsigned b);
@@ -89,6 +94,11 @@ package pearl_pkg;
   function automatic int unsigned stream_words(int unsigned slots, int unsigned slot_bits,
                                                int unsigned data_wl);
     return 32'((64'(slots) * 64'(slot_bits) + 64'(data_wl) - 64'd1) / 64'(data_wl));
+  endfunction
+
+  // The word of the address space that a 32-bit register of a region is in.
+  function automatic int unsigned word_index(int unsigned register, int unsigned data_wl);
+    return register * 32 / data_wl;
   endfunction
 
   // Bits that number n things; at least 1, since a port cannot have none.

@@ -1,7 +1,10 @@
+// SPDX-License-Identifier: MIT
 // The address space behind one memory port: finds a request's region, refuses what is not allowed,
 // and collects the answer, PORT_LATENCY cycles after the request. A request a cycle.
 //
-// While a step runs, only results, doorbell, status and control can be read, and nothing written.
+// While a step runs, only results, doorbell, status and control can be read, and nothing written but
+// the word that resets. Whether one runs is asked in the cycle before the access. That is early enough,
+// since a doorbell, too, rings in the cycle of its access, and late enough for the request after it.
 module pearl_port
   import pearl_pkg::*;
 #(
@@ -16,118 +19,191 @@ module pearl_port
 
     input  logic                       req_i,
     input  logic                       we_i,
+    // A read for the sake of a write: of the word that the next request changes a part of.
+    input  logic                       fetch_i,
     input  logic  [WORD_ADDR_BITS-1:0] addr_i,
     input  logic  [       DATA_WL-1:0] wdata_i,
     output logic                       rvalid_o,
     output logic  [       DATA_WL-1:0] rdata_o,
     output resp_e                      resp_o,
 
+    // A step runs, or begins in this cycle, or the pipeline drains.
     input  logic                                   busy_i,
     output logic [    NumRegions-1:0]              re_o,
     output logic [    NumRegions-1:0]              we_o,
     // The word's number within its region.
     output logic [WORD_ADDR_BITS-1:0]              index_o,
     output logic [       DATA_WL-1:0]              wdata_o,
-    // In the cycle after re_o.
+    // READ_LATENCY cycles after re_o.
     input  logic [    NumRegions-1:0][DATA_WL-1:0] rdata_i,
 
-    // A write, or a doorbell, is refused because a step is running.
+    // In the cycle of the access: a write, or a doorbell, is refused because a step is running.
     output logic busy_write_o,
     output logic busy_doorbell_o,
-    // A result is read during a step; the first word of results is read outside of one.
-    output logic torn_o,
-    output logic untorn_o
+    // The first word of results is read, and no step runs.
+    output logic untorn_o,
+    // The word that resets is written, and not with zero.
+    output logic soft_reset_o
 );
 
   localparam logic [NumRegions-1:0] RESULTS = NumRegions'(1 << Observations | 1 << Rewards | 1 << Ters);
   localparam logic [NumRegions-1:0] READ_ONLY = RESULTS | NumRegions'(1 << Status);
   // What the pipeline does not use, so that it can be read at any time.
   localparam logic [NumRegions-1:0] SHARED = READ_ONLY | NumRegions'(1 << Control | 1 << Doorbell);
+  localparam int unsigned RESET_INDEX = word_index(CONTROL_RESET, DATA_WL);
 
   // One more than an address has: the last region may end where the address space does.
   localparam int unsigned BOUND_BITS = WORD_ADDR_BITS + 1;
 
-  logic req_q, write_q;
-  logic [WORD_ADDR_BITS-1:0] addr_q, base;
-  logic [DATA_WL-1:0] wdata_q;
-  logic [NumRegions-1:0] hit;
+  typedef struct packed {
+    logic write;
+    logic fetch;
+    logic [WORD_ADDR_BITS-1:0] addr;
+    logic [DATA_WL-1:0] wdata;
+  } request_t;
 
-  always_ff @(posedge clk_i or negedge rst_ni) begin
-    if (!rst_ni) req_q <= 1'b0;
-    else req_q <= req_i;
-  end
+  // Whether a request came one cycle ago, two, and so on.
+  logic [PORT_LATENCY:1] valid_q;
 
   always_ff @(posedge clk_i) begin
-    if (req_i) begin
-      write_q <= we_i;
-      addr_q  <= addr_i;
-      wdata_q <= wdata_i;
-    end
+    if (!rst_ni) valid_q <= '0;
+    else valid_q <= {valid_q[PORT_LATENCY-1:1], req_i};
   end
+
+  // ---- Which region it is of ----
+
+  request_t asked_q, located_q;
+  logic [NumRegions-1:0] hit, hit_q;
+  logic at_reset;
+  logic at_first_q, at_reset_q, resets_q;
+
+  for (genvar i = 0; i < NumRegions; i++) begin : gen_hit
+    assign hit[i] = BOUND_BITS'(asked_q.addr) >= BOUND_BITS'(OFFSETS[i]) &&
+        BOUND_BITS'(asked_q.addr) < BOUND_BITS'(OFFSETS[i+1]);
+  end
+
+  assign at_reset = BOUND_BITS'(asked_q.addr) == BOUND_BITS'(OFFSETS[Control] + RESET_INDEX);
+
+  always_ff @(posedge clk_i) begin
+    asked_q    <= '{write: we_i, fetch: fetch_i && !we_i, addr: addr_i, wdata: wdata_i};
+    located_q  <= asked_q;
+    hit_q      <= hit;
+    at_first_q <= BOUND_BITS'(asked_q.addr) == BOUND_BITS'(OFFSETS[Observations]);
+    at_reset_q <= at_reset;
+    resets_q   <= at_reset && asked_q.write && asked_q.wdata[CONTROL_RESET*32%DATA_WL+:32] != '0;
+  end
+
+  // ---- Which word of it, and whether that is allowed ----
+
+  logic req, changes, busy, closed, outdated_q;
+  logic [NumRegions-1:0] hit_writable, re, we, re_q, we_q;
+  logic hole_q, busy_write_q, busy_doorbell_q, untorn_q, soft_reset_q;
+  logic [WORD_ADDR_BITS-1:0] base, index_q;
+  logic [DATA_WL-1:0] wdata_q;
+
+  assign req = valid_q[2];
+  // A fetch is for a write, and allowed where that is.
+  assign changes = located_q.write || located_q.fetch;
+  assign hit_writable = hit_q & ~READ_ONLY;
+  assign busy = busy_i || soft_reset_q;
+  // A part of the word that resets can be written during a step, so that word is fetched then, too. What
+  // it held is outdated when the step ends: unless it resets, the write is refused even after that.
+  assign closed = (busy || outdated_q) && !resets_q && !(located_q.fetch && at_reset_q);
 
   always_comb begin
     base = '0;
     for (int unsigned i = 0; i < NumRegions; i++) begin
-      hit[i] = BOUND_BITS'(addr_q) >= BOUND_BITS'(OFFSETS[i]) &&
-          BOUND_BITS'(addr_q) < BOUND_BITS'(OFFSETS[i+1]);
-      if (hit[i]) base = WORD_ADDR_BITS'(OFFSETS[i]);
+      if (hit_q[i]) base |= WORD_ADDR_BITS'(OFFSETS[i]);
     end
   end
 
-  logic writable, readable;
-  resp_e resp;
-  assign writable = |(hit & ~READ_ONLY) && !busy_i;
-  assign readable = |hit && (|(hit & SHARED) || !busy_i);
-
   always_comb begin
-    if (hit == '0) resp = RespDecErr;
-    else if (write_q ? writable : readable) resp = RespOkay;
-    else resp = RespSlvErr;
+    re = '0;
+    we = '0;
+    if (located_q.fetch) re = closed ? '0 : hit_writable;
+    else if (!located_q.write) re = busy ? hit_q & SHARED : hit_q;
+    // What resets during a step does nothing else.
+    else
+      we = busy || outdated_q ? '0 : hit_writable;
   end
 
-  assign re_o = req_q && !write_q && readable ? hit : '0;
-  assign we_o = req_q && write_q && writable ? hit : '0;
-  assign index_o = addr_q - base;
-  assign wdata_o = wdata_q;
-
-  assign busy_doorbell_o = req_q && write_q && busy_i && hit[Doorbell];
-  assign busy_write_o = req_q && write_q && busy_i && |(hit & ~READ_ONLY) && !hit[Doorbell];
-  assign torn_o = |(re_o & RESULTS) && busy_i;
-  assign untorn_o = re_o[Observations] && index_o == '0 && !busy_i;
-
-  logic late_valid_q, rvalid_q;
-  logic [NumRegions-1:0] late_re_q;
-  resp_e late_resp_q, resp_q;
-  logic [DATA_WL-1:0] rdata, rdata_q;
-
-  always_comb begin
-    rdata = '0;
-    for (int unsigned i = 0; i < NumRegions; i++) begin
-      if (late_re_q[i]) rdata |= rdata_i[i];
-    end
-  end
-
-  always_ff @(posedge clk_i or negedge rst_ni) begin
+  always_ff @(posedge clk_i) begin
     if (!rst_ni) begin
-      late_valid_q <= 1'b0;
-      rvalid_q     <= 1'b0;
+      re_q            <= '0;
+      we_q            <= '0;
+      outdated_q      <= 1'b0;
+      busy_write_q    <= 1'b0;
+      busy_doorbell_q <= 1'b0;
+      untorn_q        <= 1'b0;
+      soft_reset_q    <= 1'b0;
     end else begin
-      late_valid_q <= req_q;
-      rvalid_q     <= late_valid_q;
+      re_q            <= req ? re : '0;
+      we_q            <= req ? we : '0;
+      busy_write_q    <= req && changes && closed && |hit_writable && !hit_q[Doorbell];
+      busy_doorbell_q <= req && changes && closed && hit_q[Doorbell];
+      untorn_q        <= req && !changes && !busy && at_first_q;
+      soft_reset_q    <= req && resets_q;
+      if (req) outdated_q <= busy && located_q.fetch && at_reset_q;
     end
   end
 
   always_ff @(posedge clk_i) begin
-    late_re_q   <= re_o;
-    late_resp_q <= resp;
-    if (late_valid_q) begin
-      rdata_q <= rdata;
-      resp_q  <= late_resp_q;
+    hole_q  <= hit_q == '0;
+    index_q <= located_q.addr - base;
+    wdata_q <= located_q.wdata;
+  end
+
+  assign re_o = re_q;
+  assign we_o = we_q;
+  assign index_o = index_q;
+  assign wdata_o = wdata_q;
+  assign busy_write_o = busy_write_q;
+  assign busy_doorbell_o = busy_doorbell_q;
+  assign untorn_o = untorn_q;
+  assign soft_reset_o = soft_reset_q;
+
+  // ---- The answer ----
+
+  resp_e resp, late_resp, resp_q;
+  logic [NumRegions-1:0] late_re;
+  logic [DATA_WL-1:0] rdata, rdata_q;
+
+  always_comb begin
+    if (hole_q) resp = RespDecErr;
+    else if (|{re_q, we_q, soft_reset_q}) resp = RespOkay;
+    else resp = RespSlvErr;
+  end
+
+  pearl_delay #(
+      .WIDTH (NumRegions + 2),
+      .STAGES(READ_LATENCY)
+  ) u_late (
+      .clk_i,
+      .d_i({re_q, resp}),
+      .d_o({late_re, late_resp})
+  );
+
+  always_comb begin
+    rdata = '0;
+    for (int unsigned i = 0; i < NumRegions; i++) begin
+      if (late_re[i]) rdata |= rdata_i[i];
     end
   end
 
-  assign rvalid_o = rvalid_q;
+  always_ff @(posedge clk_i) begin
+    rdata_q <= rdata;
+    resp_q  <= late_resp;
+  end
+
+  assign rvalid_o = valid_q[PORT_LATENCY];
   assign rdata_o  = rdata_q;
   assign resp_o   = resp_q;
+
+  always_ff @(posedge clk_i) begin
+    if (valid_q[2]) begin
+      assert ($onehot0(hit_q))
+      else $error("pearl_port: a word is in two regions");
+    end
+  end
 
 endmodule

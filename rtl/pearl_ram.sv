@@ -1,7 +1,9 @@
-// A memory with one write port and one read port, in the form that infers block RAM.
+// SPDX-License-Identifier: MIT
+// A memory with one write port and one read port and a register at its output, which a block RAM may have
+// itself.
 //
-// A read answers in the next cycle and is kept until the next read. Reading what is written in the
-// same cycle gives the old word; nothing in the backbone does that within a step.
+// A word that is read stands at the output READ_LATENCY cycles later and stays until the next one: in the
+// first cycle it comes out of the memory, in the second, which oe_i may put off, it goes to the output.
 module pearl_ram
   import pearl_pkg::index_bits;
 #(
@@ -15,20 +17,26 @@ module pearl_ram
     input  logic [    WIDTH-1:0] wdata_i,
     input  logic                 re_i,
     input  logic [ADDR_BITS-1:0] raddr_i,
+    input  logic                 oe_i,
     output logic [    WIDTH-1:0] rdata_o
 );
 
-  // An address has a bit even where there is one word only.
-  localparam int unsigned WORDS = DEPTH > 1 ? DEPTH : 2;
-  // Public, because a simulation's host may move whole memories at once instead of word by word.
-  logic [WIDTH-1:0] mem[WORDS]  /* verilator public_flat_rw */;
-  logic [WIDTH-1:0] rdata_q;
+  logic [WIDTH-1:0] rdata, rdata_q;
 
-  always_ff @(posedge clk_i) begin
-    if (we_i) mem[waddr_i] <= wdata_i;
-    if (re_i) rdata_q <= mem[raddr_i];
-  end
+  pearl_memory #(
+      .WIDTH(WIDTH),
+      .DEPTH(DEPTH)
+  ) u_memory (
+      .clk_i,
+      .we_i,
+      .waddr_i,
+      .wdata_i,
+      .re_i,
+      .raddr_i,
+      .rdata_o(rdata)
+  );
 
+  always_ff @(posedge clk_i) if (oe_i) rdata_q <= rdata;
   assign rdata_o = rdata_q;
 
 endmodule

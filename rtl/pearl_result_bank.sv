@@ -1,4 +1,6 @@
 // A memory that the pipeline fills with rows, packed to one stream of bits, and the host reads.
+//
+// A row goes through a register first: to select what is in it and to place it takes a cycle each.
 module pearl_result_bank
   import pearl_pkg::index_bits;
 #(
@@ -21,9 +23,16 @@ module pearl_result_bank
     output logic [  DATA_WL-1:0] host_rdata_o
 );
 
-  logic we;
+  logic we, valid_q, last_q;
+  logic [ ROW_BITS-1:0] row_q;
   logic [ADDR_BITS-1:0] waddr;
-  logic [DATA_WL-1:0] wdata;
+  logic [  DATA_WL-1:0] wdata;
+
+  always_ff @(posedge clk_i) begin
+    valid_q <= valid_i;
+    last_q  <= last_i;
+    row_q   <= row_i;
+  end
 
   pearl_packer #(
       .ROW_BITS(ROW_BITS),
@@ -33,9 +42,9 @@ module pearl_result_bank
       .clk_i,
       .rst_ni,
       .start_i,
-      .valid_i,
-      .last_i,
-      .row_i,
+      .valid_i(valid_q),
+      .last_i (last_q),
+      .row_i  (row_q),
       .we_o   (we),
       .waddr_o(waddr),
       .wdata_o(wdata),
@@ -52,6 +61,7 @@ module pearl_result_bank
       .wdata_i(wdata),
       .re_i   (host_re_i),
       .raddr_i(host_addr_i),
+      .oe_i   (1'b1),
       .rdata_o(host_rdata_o)
   );
 

@@ -1,9 +1,11 @@
+// SPDX-License-Identifier: MIT
 // The keys of the random draws of one step (`key` of pearl_marl/rng.py): a chain of mix32 over seed,
 // tick and draw index, once with each of two initial values.
 //
-// One multiplier pair serves both chains, and a round takes two cycles, one for each multiplier: so
-// the keys take 4 * (4 + DRAWS) cycles. That is hidden: they are made anew as soon as seed or tick
-// change, which is right after a step, not before one.
+// A draw with no second key is a mix32, so the chains go round one pearl_draw, one a cycle behind the
+// other. All but the last shared round is the same for the next tick: it is kept, and the keys of the next
+// tick take DRAW_LATENCY * (1 + DRAWS) cycles. That is hidden, since they are made right after a step, not
+// before one.
 module pearl_rng
   import pearl_pkg::*;
 #(
@@ -12,8 +14,9 @@ module pearl_rng
 ) (
     input  logic                   clk_i,
     input  logic                   rst_ni,
-    // In the cycle in which seed_i or tick_i are new.
+    // In the cycle in which seed_i or tick_i are new; in which tick_i is the next one.
     input  logic                   restart_i,
+    input  logic                   next_i,
     input  logic [      1:0][31:0] seed_i,
     input  logic [     63:0]       tick_i,
     output logic                   valid_o,
@@ -21,60 +24,86 @@ module pearl_rng
     output logic [DRAWS-1:0][31:0] key_b_o
 );
 
-  // The rounds that all draws share: two words of seed, two of tick.
-  localparam int unsigned SHARED_ROUNDS = 4;
-  localparam int unsigned ROUNDS = SHARED_ROUNDS + DRAWS;
-  localparam int unsigned ROUND_BITS = $clog2(ROUNDS);
+  // The rounds that all draws share: two words of seed, two of tick. Then one for each draw, and one in
+  // which the last of them comes back.
+  localparam int unsigned LAST_SHARED = 3;
+  localparam int unsigned FIRST_DRAW = LAST_SHARED + 1;
+  localparam int unsigned END = FIRST_DRAW + DRAWS;
+  localparam int unsigned ROUND_BITS = $clog2(END + 1);
+  localparam int unsigned PHASE_BITS = $clog2(DRAW_LATENCY);
+  localparam int unsigned CHAINS = 2;
 
-  logic valid_q, chain_q, half_q;
-  logic [ROUND_BITS-1:0] round_q;
-  logic [31:0] first_q, shared_q, word, mixed;
+  // Where the low word of the tick begins anew, the high one is another one.
+  logic restart, resume;
+  assign restart = restart_i || (next_i && tick_i[31:0] == '0);
+  assign resume  = next_i && !restart;
+
+  logic valid_q, resumed_q, chain, chains_turn, last_phase;
+  logic [ROUND_BITS-1:0] round_d, round_q;
+  // The cycle of a round: in its own, what the last round made of a chain comes out, and goes in again.
+  logic [PHASE_BITS-1:0] phase_q;
+  logic [31:0] word_d, word_q, state, mixed;
+  logic [1:0][31:0] kept_q, shared_q;
   logic [1:0][DRAWS-1:0][31:0] keys_q;
 
+  assign chain = phase_q[0];
+  assign chains_turn = !valid_q && 32'(phase_q) < CHAINS;
+  assign last_phase = 32'(phase_q) == DRAW_LATENCY - 1;
+
   always_comb begin
-    unique case (32'(round_q))
-      0: word = (chain_q ? CHAIN_B : CHAIN_A) ^ seed_i[0];
-      1: word = shared_q ^ seed_i[1];
-      2: word = shared_q ^ tick_i[63:32];
-      3: word = shared_q ^ tick_i[31:0];
-      default: word = shared_q ^ (32'(round_q) - SHARED_ROUNDS);
+    round_d = round_q;
+    if (restart) round_d = '0;
+    else if (resume) round_d = ROUND_BITS'(LAST_SHARED);
+    else if (last_phase) round_d = round_q + 1'b1;
+  end
+
+  always_comb begin
+    unique case (32'(round_d))
+      0: word_d = seed_i[0];
+      1: word_d = seed_i[1];
+      2: word_d = tick_i[63:32];
+      LAST_SHARED: word_d = tick_i[31:0];
+      default: word_d = 32'(round_d) - FIRST_DRAW;
     endcase
   end
 
-  assign mixed = mix_last(mix_second(first_q));
+  always_comb begin
+    if (round_q == '0) state = chain ? CHAIN_B : CHAIN_A;
+    else if (32'(round_q) == LAST_SHARED && resumed_q) state = kept_q[chain];
+    else if (32'(round_q) > FIRST_DRAW) state = shared_q[chain];
+    else state = mixed;
+  end
+
+  pearl_draw u_mix (
+      .clk_i,
+      .slot_i (state),
+      .key_a_i(word_q),
+      .key_b_i('0),
+      .draw_o (mixed)
+  );
 
   always_ff @(posedge clk_i) begin
-    first_q <= mix_first(word);
-    if (half_q && !valid_q) begin
-      if (32'(round_q) < SHARED_ROUNDS) shared_q <= mixed;
+    word_q <= word_d;
+    if (chains_turn) begin
+      if (32'(round_q) == LAST_SHARED && !resumed_q) kept_q[chain] <= mixed;
+      if (32'(round_q) == FIRST_DRAW) shared_q[chain] <= mixed;
       for (int unsigned i = 0; i < DRAWS; i++) begin
-        if (32'(round_q) == SHARED_ROUNDS + i) keys_q[chain_q][i] <= mixed;
+        if (32'(round_q) == FIRST_DRAW + 1 + i) keys_q[chain][i] <= mixed;
       end
     end
   end
 
-  always_ff @(posedge clk_i or negedge rst_ni) begin
-    if (!rst_ni) begin
-      valid_q <= 1'b0;
-      chain_q <= 1'b0;
-      half_q  <= 1'b0;
-      round_q <= '0;
-    end else if (restart_i) begin
-      valid_q <= 1'b0;
-      chain_q <= 1'b0;
-      half_q  <= 1'b0;
-      round_q <= '0;
+  always_ff @(posedge clk_i) begin
+    if (!rst_ni || restart || resume) begin
+      valid_q   <= 1'b0;
+      resumed_q <= rst_ni && resume;
+      phase_q   <= '0;
     end else if (!valid_q) begin
-      half_q <= !half_q;
-      if (half_q) begin
-        round_q <= round_q + 1'b1;
-        if (32'(round_q) == ROUNDS - 1) begin
-          round_q <= '0;
-          chain_q <= 1'b1;
-          valid_q <= chain_q;
-        end
-      end
+      phase_q <= last_phase ? '0 : phase_q + 1'b1;
+      valid_q <= 32'(round_q) == END && chain;
     end
+    if (!rst_ni) round_q <= '0;
+    else if (!valid_q || restart || resume) round_q <= round_d;
   end
 
   assign valid_o = valid_q;

@@ -3,7 +3,8 @@
 //
 // To the host a row is COLUMNS words, rounded up to a power of two so that an address splits into row
 // and column without a division; what lies beyond the row's bits reads as zero and takes no writes.
-// Host and pipeline share the ports: the host is served only while busy_i is low.
+// Host and pipeline share the ports: the host is served only while busy_i is low. Both get what they read
+// READ_LATENCY cycles later.
 module pearl_row_memory
   import pearl_pkg::*;
 #(
@@ -33,7 +34,7 @@ module pearl_row_memory
 );
 
   logic [ROW_INDEX_BITS-1:0] host_row, raddr, waddr;
-  logic [COLUMN_BITS-1:0] host_column, column_q;
+  logic [COLUMN_BITS-1:0] host_column, column;
   logic re;
 
   assign host_row = host_addr_i[HOST_ADDR_BITS-1-:ROW_INDEX_BITS];
@@ -51,9 +52,14 @@ module pearl_row_memory
   assign raddr = busy_i ? raddr_i : host_row;
   assign waddr = busy_i ? waddr_i : host_row;
 
-  always_ff @(posedge clk_i) begin
-    if (host_re_i) column_q <= host_column;
-  end
+  pearl_delay #(
+      .WIDTH (COLUMN_BITS),
+      .STAGES(READ_LATENCY)
+  ) u_column (
+      .clk_i,
+      .d_i(host_column),
+      .d_o(column)
+  );
 
   logic [COLUMNS-1:0][DATA_WL-1:0] words;
   for (genvar i = 0; i < COLUMNS; i++) begin : gen_column_rams
@@ -70,6 +76,7 @@ module pearl_row_memory
         .wdata_i(busy_i ? wdata_i[i*DATA_WL+:WIDTH] : host_wdata_i[WIDTH-1:0]),
         .re_i(re),
         .raddr_i(raddr),
+        .oe_i(1'b1),
         .rdata_o(rdata_o[i*DATA_WL+:WIDTH])
     );
     assign words[i] = DATA_WL'(rdata_o[i*DATA_WL+:WIDTH]);
@@ -78,7 +85,7 @@ module pearl_row_memory
   always_comb begin
     host_rdata_o = '0;
     for (int unsigned i = 0; i < COLUMNS; i++) begin
-      if (column_q == COLUMN_BITS'(i)) host_rdata_o = words[i];
+      if (column == COLUMN_BITS'(i)) host_rdata_o = words[i];
     end
   end
 

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT
 // Runs a step from doorbell to done: waits for the random keys, starts the pipeline, counts cycles.
 module pearl_sequencer (
     input  logic        clk_i,
@@ -7,11 +8,12 @@ module pearl_sequencer (
     input  logic        keys_valid_i,
     // Every result word has been written.
     input  logic        results_done_i,
+    // From ring_i on.
     output logic        busy_o,
     output logic        start_o,
     // In the last cycle in which busy_o is high.
     output logic        done_o,
-    // Cycles from the doorbell to done_o, both included.
+    // Cycles in which busy_o is high, up to done_o.
     output logic [31:0] cycles_o
 );
 
@@ -42,18 +44,25 @@ module pearl_sequencer (
     endcase
   end
 
-  always_ff @(posedge clk_i or negedge rst_ni) begin
+  always_ff @(posedge clk_i) begin
     if (!rst_ni) begin
       state_q  <= Idle;
       cycles_q <= '0;
     end else begin
       state_q  <= state_d;
-      // The doorbell's cycle is the first, and the one after it is the second.
+      // That of the doorbell is the first, and the one after it the second.
       cycles_q <= state_q == Idle ? 32'd2 : cycles_q + 1'b1;
     end
   end
 
-  assign busy_o   = state_q != Idle;
+  assign busy_o   = ring_i || state_q != Idle;
   assign cycles_o = cycles_q;
+
+  always_ff @(posedge clk_i) begin
+    if (rst_ni) begin
+      assert (!ring_i || state_q == Idle)
+      else $error("pearl_sequencer: a doorbell rang during a step");
+    end
+  end
 
 endmodule

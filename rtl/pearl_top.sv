@@ -93,7 +93,7 @@ module pearl_top #(
         MOST_ADDR_BITS
     );
   end
-  logic req, we, rvalid;
+  logic req, we, fetch, rvalid;
   logic [WORD_ADDR_BITS-1:0] addr;
   logic [WORD_BITS-1:0] wdata, rdata;
   pearl_pkg::resp_e resp;
@@ -136,6 +136,7 @@ module pearl_top #(
       .s_axi_rready,
       .req_o   (req),
       .we_o    (we),
+      .fetch_o (fetch),
       .addr_o  (addr),
       .wdata_o (wdata),
       .rvalid_i(rvalid),
@@ -155,6 +156,7 @@ module pearl_top #(
       .irq_o,
       .req_i   (req),
       .we_i    (we),
+      .fetch_i (fetch),
       .addr_i  (addr),
       .wdata_i (wdata),
       .rvalid_o(rvalid),

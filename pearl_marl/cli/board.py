@@ -34,18 +34,18 @@ def command(
 ) -> None:
     """Make a board's bitstream, or all that its maker's tool needs for that.
 
-    For an ECP5 the tools are free, and this runs them. For a Xilinx board it writes the sources with a
-    script for Vivado.
+    For ECP5 and Gowin boards the tools are free, and this runs them. For a Xilinx board it writes the sources
+    with a script for Vivado.
     """
     board, spec = boards.find(board_name), common.spec_of(env_id, option)
     build = boards.board_build(board, spec, n_envs, pe_num)
     files = boards.write(board, build, common.out_folder(out))
     placed: Placed | None = None
-    if board.nextpnr:
-        stages = boards.make_bitstream(board, out)
+    if board.flow:
+        stages = boards.make_bitstream(board, board.flow, out)
         for _ in common.progress(stages, boards.STAGES, f"{spec.name} on {board.name}, {n_envs:,} slots"):
             pass
-        placed = boards.placed(out)
+        placed = boards.placed(board.flow, out)
     if as_json:
         made = None if placed is None else asdict(placed)
         common.print_json({**boards.facts(board, build), "placed": made, "files": files})

@@ -12,6 +12,7 @@ from pearl_marl.benchmark.measure import duration, rate
 from pearl_marl.cli import common
 from pearl_marl.cli.common import console
 from pearl_marl.errors import ArgumentError
+from pearl_marl.hardware.boards import BOARDS
 from pearl_marl.hardware.elaboration import clocked
 from pearl_marl.hardware.fitting import PARTS
 from pearl_marl.latency import LINKS, Link, loop_cycles
@@ -27,8 +28,15 @@ LinkName = Annotated[
         "hardware, GB/s from it.",
     ),
 ]
+ANY = "any"
+"""The ``--part`` that everything fits."""
 PartName = Annotated[
-    str | None, typer.Option("--part", metavar="|".join(PARTS), help="What the memories have to fit.")
+    str,
+    typer.Option(
+        "--part",
+        metavar=f"{'|'.join(PARTS)}|{ANY}",
+        help=f"What memories and multipliers have to fit; {ANY}: they may take what they like.",
+    ),
 ]
 Clock = Annotated[float, typer.Option("--clock", metavar="MHZ", help="The hardware's clock.")]
 OnePeNum = Annotated[int | None, typer.Option("--pe-num", help="Look at this many processing elements only.")]
@@ -39,24 +47,26 @@ def command(
     env_id: common.EnvName,
     n_envs: Slots = 43008,
     link: LinkName = "gen2x8",
-    part: PartName = None,
-    clock: Clock = 125.0,
+    part: PartName = "vc707",
+    clock: Clock = BOARDS["vc707"].clock_mhz,
     pe_num: OnePeNum = None,
     data_wl: OneDataWl = None,
     option: common.Options = None,
     out: common.Out = None,
     as_json: common.AsJson = False,
 ) -> None:
-    """Choose processing elements and word width for a link; predict throughput and bottleneck.
+    """Choose processing elements and word width for a link and a part; predict throughput and bottleneck.
+
+    The smallest build that is nearly the fastest. Where its cores would take more than a quarter of the
+    part's multipliers, they are fewer, as long as they compute a step in less time than the link moves it.
 
     A prediction: clock cycles are counted, the host's part is measured here, the link's is as stated.
     """
     spec = common.spec_of(env_id, option)
-    if part is not None and part not in PARTS:
-        raise ArgumentError(f"there is no part {part!r}; possible are {', '.join(PARTS)}")
+    if part not in (*PARTS, ANY):
+        raise ArgumentError(f"there is no part {part!r}; possible are {', '.join(PARTS)}, {ANY}")
     taken = _link(link)
-    chip = None if part is None else PARTS[part]
-    found = plan(spec, n_envs, taken, clock * 1e6, chip, pe_num, data_wl)
+    found = plan(spec, n_envs, taken, clock * 1e6, PARTS.get(part), pe_num, data_wl)
     layout, usage = found.chosen.layout, found.usage
     sizes = f"--n-envs {layout.n_envs} --pe-num {layout.pe_num} --data-wl {layout.data_wl}"
     options = (f"--option {pair}" for pair in option or ())
@@ -79,6 +89,8 @@ def command(
         "overlap": None if found.overlap is None else found.overlap.as_json(),
         "candidates": [candidate.as_json() for candidate in found.candidates],
         "part": part,
+        "own_core": spec.core is not None,
+        "reason": _reason(found, part),
         "usage": None if usage is None else usage.as_json(),
         "synthesise": " ".join([f"pearl synth {env_id} {sizes}", *options]),
         "machine": machine(),
@@ -106,7 +118,7 @@ def _link(text: str) -> Link:
 
 def _candidates(result: dict[str, Any], found: Plan) -> Table:
     title = f"{result['environment']}, {result['n_envs']:,} slots, link {result['link']['name']}"
-    grid = common.table(title, [], ["PEs", "word", "cycles", "a step", "steps/s", "BRAM36"])
+    grid = common.table(title, [], ["PEs", "word", "cycles", "a step", "steps/s", "BRAM36", "DSP"])
     grid.add_column("longest stage", no_wrap=True)
     for candidate in found.candidates:
         prediction, chosen = candidate.prediction, candidate is found.chosen
@@ -117,6 +129,7 @@ def _candidates(result: dict[str, Any], found: Plan) -> Table:
             duration(prediction.total),
             rate(prediction.rate),
             f"{candidate.bram36:g}",
+            f"{candidate.dsp:,}",
             prediction.bottleneck,
             style="bold green" if chosen else None,
         )
@@ -145,21 +158,46 @@ def _stages(result: dict[str, Any], found: Plan) -> Table:
     return grid
 
 
+def _reason(found: Plan, part: str) -> str:
+    """Return why there are so many processing elements: what the next more would cost and save."""
+    chosen, larger = found.chosen.prediction, found.larger
+    reason = f"{chosen.pe_num:,} PEs"
+    if larger is not None:
+        less = max(0.0, 1 - larger.prediction.total / chosen.total)
+        reason += f": with {larger.layout.pe_num:,} a step would take {100 * less:.1f} % less time"
+        if larger.dsp:
+            reason += f", and {larger.dsp:,} DSP{_of(part, 'dsp')} where these take {found.chosen.dsp:,}"
+    return (
+        f"{reason}. Computing takes {duration(chosen.device)} of a step, the link {duration(chosen.link)}: "
+        f"the cores {'outrun' if chosen.device < chosen.link else 'do not outrun'} it."
+    )
+
+
+def _of(part: str, resource: str) -> str:
+    """Return how much of a resource a part has, as words."""
+    return f" of the {getattr(PARTS[part], resource):,} of a {part}" if part in PARTS else ""
+
+
 def _sentences(result: dict[str, Any], found: Plan) -> list[str]:
-    overlap, chosen, usage = found.overlap, found.chosen, found.usage
-    sentences = []
+    overlap, chosen, usage, part = found.overlap, found.chosen, found.usage, result["part"]
+    sentences = [result["reason"]]
     if overlap is not None:
         sentences.append(
             f"Two half-batches in flight, on two devices of {overlap.half.n_envs:,} slots: "
             f"{rate(overlap.rate)} steps/s; what is busy longest is the {overlap.bottleneck}."
         )
-    part = "" if result["part"] is None else f" of the {PARTS[result['part']].bram36:,} of a {result['part']}"
-    resources = f"Block RAM: {chosen.bram36:g} BRAM36{part}, by the shapes of the memories."
+    resources = f"Block RAM: {chosen.bram36:g} BRAM36{_of(part, 'bram36')}, by the shapes of the memories."
+    if result["own_core"]:
+        resources += (
+            " DSP are those of random draws alone: what the environment's own core takes is not known."
+        )
     if usage is None:
-        resources += f" LUT, FF and DSP are known after: {result['synthesise']}"
+        resources += f" LUT and FF are known after: {result['synthesise']}"
     else:
         resources += (
-            f" Synthesised: {usage.lut:,} LUT, {usage.ff:,} FF, {usage.bram36:g} BRAM36, {usage.dsp} DSP."
+            f" Synthesised: {usage.lut:,} LUT, {usage.ff:,} FF, {usage.bram36:g} BRAM36, {usage.dsp:,} DSP."
         )
+        if part in PARTS and (lacks := PARTS[part].lacks(usage)):
+            resources += f" [red]A {part} has fewer: {', '.join(lacks)}.[/red]"
     sentences += [resources, f"Link: {result['link']['source']}."]
     return sentences

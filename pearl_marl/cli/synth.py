@@ -14,7 +14,7 @@ from pearl_marl.cli.common import console, error_console
 from pearl_marl.errors import ArgumentError
 from pearl_marl.hardware.build import Build
 from pearl_marl.hardware.fitting import PARTS, Fit, confirm, largest_fit
-from pearl_marl.hardware.synthesis import FMAX_DEVICE, Family, Usage, synthesise
+from pearl_marl.hardware.synthesis import PLACEMENTS, Family, Usage, synthesise
 from pearl_marl.memory_map import default_map
 from pearl_marl.registry import get_spec, names
 from pearl_marl.spec import EnvSpec
@@ -35,7 +35,8 @@ DataWl = Annotated[
 ]
 PartFamily = Annotated[Family, typer.Option("--part", help="The family of FPGA to synthesise for.")]
 Fmax = Annotated[
-    bool, typer.Option("--fmax", help="Also place and route each size on an ECP5, for its clock rate.")
+    bool,
+    typer.Option("--fmax", help="Also place and route each size, for its clock rate; of xc7 on an ECP5."),
 ]
 FitPart = Annotated[
     str | None,
@@ -44,6 +45,13 @@ FitPart = Annotated[
 Confirm = Annotated[
     bool, typer.Option("--confirm", help="Synthesise what --fit predicts; takes minutes for a large part.")
 ]
+
+
+CAVEATS = {
+    Family.XC7: " That of a 7-series part is another and needs the vendor's tools.",
+    Family.GOWIN: " Its authors found rates for Gowin's parts some 20 % above those of the vendor's tools.",
+}
+"""What a clock rate is worth, by the family that was asked for."""
 
 
 def command(
@@ -80,8 +88,10 @@ def command(
     builds = [Build.of(spec, n, chosen.pe_num, chosen.data_wl) for n in sizes]
     _check_fit(fit, part, confirmed)
     work = [(build, part, False) for build in builds]
+    # There are no free tools that place a design on a 7-series part.
+    other = part if part in PLACEMENTS else Family.ECP5
     if fmax:
-        work += [(build, Family.ECP5, True) for build in builds]
+        work += [(build, other, True) for build in builds]
     bar = common.progress(work, len(work), f"{spec.name}, {chosen.pe_num} PEs")
     usages = [synthesise(build, family, fmax=placed) for build, family, placed in bar]
     points, rates = usages[: len(builds)], usages[len(builds) :]
@@ -97,12 +107,12 @@ def command(
         "points": [usage.as_json() for usage in points],
         "growth": _growth(points),
         "fmax": [usage.as_json() for usage in rates],
-        "fmax_device": FMAX_DEVICE if rates else None,
+        "fmax_device": PLACEMENTS[other].device if rates else None,
         "fit": None if found is None else found.as_json(),
     }
     name = f"synth_{spec.name}_{part}_{chosen.pe_num}_{chosen.data_wl}.json"
     if not common.delivered(result, as_json, out, name):
-        _show(spec.id, part, points, rates, found)
+        _show(spec.id, part, points, other, rates, found)
     _exit_if_misplaced([(spec, usage) for usage in points])
 
 
@@ -162,9 +172,12 @@ def _growth(points: list[Usage]) -> dict[str, float] | None:
     return {name: getattr(points[-1], name) / getattr(points[0], name) for name in ("lut", "ff")}
 
 
-def _show(title: str, part: Family, points: list[Usage], rates: list[Usage], fit: Fit | None) -> None:
+def _show(
+    title: str, part: Family, points: list[Usage], other: Family, rates: list[Usage], fit: Fit | None
+) -> None:
     first = points[0]
-    console.print(_table(f"{title}, {first.pe_num} PEs, {first.data_wl}-bit words, {part}", points, rates))
+    sizes = f"{first.pe_num} PEs, {first.data_wl}-bit words, {part}"
+    console.print(_table(f"{title}, {sizes}", points, f"Fmax ({other})", rates))
     tools = {**first.tools, **(rates[0].tools if rates else {})}
     console.print(
         "Synthesis, before placement; LUTs of memory and shift registers included. "
@@ -173,18 +186,18 @@ def _show(title: str, part: Family, points: list[Usage], rates: list[Usage], fit
     )
     if rates:
         console.print(
-            f"Fmax is nextpnr's estimate after routing for the {FMAX_DEVICE}, without pads. That of a "
-            "7-series part is another and needs the vendor's tools.",
+            f"Fmax is nextpnr's estimate after routing for the {PLACEMENTS[other].device}, without pads."
+            f"{CAVEATS.get(part, '')}",
             style="dim",
         )
     if fit is not None:
         console.print(_sentence(fit))
 
 
-def _table(title: str, points: list[Usage], rates: list[Usage]) -> Table:
+def _table(title: str, points: list[Usage], heading: str, rates: list[Usage]) -> Table:
     """Return a row a size, and below them how much more the largest takes than the smallest."""
     headings = ["slots", "LUT", "FF", "BRAM36", "DSP", "memories", "in BRAM"]
-    grid = common.table(title, [], [*headings, *(["Fmax (ECP5)"] if rates else [])])
+    grid = common.table(title, [], [*headings, *([heading] if rates else [])])
     for i, usage in enumerate(points):
         blocks = sum(memory.kind == "block RAM" for memory in usage.memories)
         figures = [f"{figure:,}" for figure in (usage.n_envs, usage.lut, usage.ff)]

@@ -6,13 +6,14 @@ from collections.abc import Callable
 from functools import partial
 from typing import NamedTuple
 
-from pearl_marl.compiler.core_graph import core_graph
+from pearl_marl.compiler.core_graph import Output, core_graph
 from pearl_marl.compiler.drawing import drawing
 from pearl_marl.compiler.lowering import lowered
 from pearl_marl.compiler.scheduling import scheduled
 from pearl_marl.compiler.targets import Target
 from pearl_marl.compiler.verilog import system_verilog
 from pearl_marl.spec import EnvSpec, snake_case
+from pearl_marl.tracing.nodes import in_order
 
 
 class Core(NamedTuple):
@@ -44,8 +45,7 @@ def generated_core(spec: EnvSpec, target: Target, name: str | None = None) -> Co
     ArgumentError
         The golden functions do what no hardware can; the message names the file and the line.
     """
-    graph, outputs = core_graph(spec)
-    outputs = lowered(graph, outputs, target)
+    outputs = _operations(spec, target)
     schedule = scheduled(outputs, target)
     options = ", ".join(f"{option}={value!r}" for option, value in spec.options.items())
     about = [f"{spec.id}({options}), for {target.name} at {target.mhz:g} MHz."]
@@ -57,3 +57,12 @@ def generated_core(spec: EnvSpec, target: Target, name: str | None = None) -> Co
         multipliers=sum(node.op == "mul" for node in schedule.order),
         levels=schedule.longest / target.family.level,
     )
+
+
+def multipliers(spec: EnvSpec, target: Target) -> int:
+    """Return how many multipliers the core of :func:`generated_core` takes: known before it has stages."""
+    return sum(node.op == "mul" for node in in_order([o.node for o in _operations(spec, target)]))
+
+
+def _operations(spec: EnvSpec, target: Target) -> list[Output]:
+    return lowered(*core_graph(spec), target)

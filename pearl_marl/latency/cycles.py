@@ -9,11 +9,14 @@ from pearl_marl.hardware import elaboration
 from pearl_marl.memory_map import MemoryMap
 from pearl_marl.spec import EnvSpec
 
-_FIRST_ISSUE = 4
-"""Cycles of a step in which the sequencer starts and the first action word comes out of its memory."""
+_FIRST_ISSUE = 6
+"""Cycles of a step in which the sequencer starts and the first row of actions comes out of its memory."""
 
-_DRAW_LATENCY = 3
-"""Cycles from a slot's number to its random draws (``DRAW_LATENCY`` of ``rtl/pearl_pkg.sv``)."""
+_FETCH = 4
+"""Cycles from a group's issue to when the cores get its states (``issue_to_core`` of ``rtl/pearl_pkg.sv``)."""
+
+_DRAW_LATENCY = 5
+"""The same for its random draws (``DRAW_LATENCY``), which the states then wait for."""
 
 RESULTS = ("observations", "rewards", "ters")
 """The regions that a step's results leave in, each from a memory of its own."""
@@ -38,8 +41,8 @@ def step_cycles(
     """
     timing = elaboration.core_timing(spec, target)
     groups, word = layout.groups, layout.data_wl
-    fetch = _DRAW_LATENCY if spec.reset_draws + spec.step_draws else 1
-    to_words = fetch + timing.latency + 1
+    fetch = _DRAW_LATENCY if spec.reset_draws + spec.step_draws else _FETCH
+    to_words = fetch + timing.latency + 2
 
     def row(name: str) -> int:
         return layout.pe_num * layout[name].slot_bits
@@ -47,7 +50,7 @@ def step_cycles(
     interval = timing.interval
     if not pipelined:
         written = max(-(-row(name) // word) for name in RESULTS)
-        interval = max(interval, fetch + timing.latency + written)
+        interval = max(interval, fetch + timing.latency + 1 + written)
 
     def issued(count: int) -> int:
         """Return the cycle in which that many groups have been issued, were there room for results."""
@@ -119,11 +122,11 @@ def read_cycles(layout: MemoryMap) -> int:
 def draws_wait(spec: EnvSpec, layout: MemoryMap) -> int:
     """Return the cycles that a step waits for its random draws, if it follows the last one at once.
 
-    Their keys are made one after the other as soon as a step is done (``rtl/pearl_rng.sv``), while results
-    are read and actions written. A link takes longer than they do; the simulated port may not.
+    Their keys are made as soon as a step is done (``rtl/pearl_rng.sv``), while results are read and actions
+    written. A link takes longer than they do; the simulated port may not.
     """
     draws = spec.reset_draws + spec.step_draws
-    keys = 4 * (4 + draws) + 4 if draws else 0
+    keys = _DRAW_LATENCY * (1 + draws) + 4 if draws else 0
     return max(0, keys - write_cycles(layout) - read_cycles(layout))
 
 

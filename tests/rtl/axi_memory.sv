@@ -1,5 +1,7 @@
+// SPDX-License-Identifier: MIT
 // pearl_axi_slave in front of a memory of WORDS words that answers as the backbone does: whole words,
-// PORT_LATENCY cycles later, read-only in its last READ_ONLY words, with a hole after it.
+// PORT_LATENCY cycles later, read-only in its last READ_ONLY words, with a hole after it. A fetch is
+// refused where the write would be.
 module axi_memory
   import pearl_pkg::*;
 #(
@@ -45,7 +47,7 @@ module axi_memory
 
   localparam int unsigned WORD_ADDR_BITS = ADDR_BITS - $clog2(STRB_BITS);
 
-  logic req, we, rvalid;
+  logic req, we, fetch, rvalid;
   logic [WORD_ADDR_BITS-1:0] addr;
   logic [DATA_WL-1:0] wdata, rdata, word;
   resp_e resp, answer;
@@ -58,6 +60,7 @@ module axi_memory
   ) u_axi_slave (
       .req_o(req),
       .we_o(we),
+      .fetch_o(fetch),
       .addr_o(addr),
       .wdata_o(wdata),
       .rvalid_i(rvalid),
@@ -69,7 +72,7 @@ module axi_memory
   always_comb begin
     answer = RespOkay;
     if (32'(addr) >= WORDS) answer = RespDecErr;
-    else if (we && 32'(addr) >= WORDS - READ_ONLY) answer = RespSlvErr;
+    else if ((we || fetch) && 32'(addr) >= WORDS - READ_ONLY) answer = RespSlvErr;
     word = answer == RespOkay ? mem[addr] : '0;
   end
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import itertools
+import re
 from collections.abc import Callable, Sequence
 from types import SimpleNamespace
 from typing import Any
@@ -13,6 +14,11 @@ import harness
 from cocotb.clock import Clock
 from cocotb.triggers import ClockCycles
 from cocotbext.axi import AxiBus, AxiMaster
+
+from pearl_marl.hardware import elaboration
+
+_PACKAGE = elaboration.backbone_paths()[0].with_name("pearl_pkg.sv").read_text()
+READ_LATENCY = int(re.findall(r" READ_LATENCY = (\d+);", _PACKAGE)[0])
 
 
 def each_variant(**parameters: Sequence[Any]) -> Callable[[Any], Any]:
@@ -44,11 +50,11 @@ async def start(dut: Any, **idle: int) -> None:
 
 
 async def reset(dut: Any) -> None:
-    """Go through a reset that is long enough to flush the pipeline."""
+    """Go through a reset, which takes one cycle, and let the pipeline drain."""
     dut.rst_ni.value = 0
-    await ClockCycles(dut.clk_i, 20)
-    dut.rst_ni.value = 1
     await ClockCycles(dut.clk_i, 1)
+    dut.rst_ni.value = 1
+    await ClockCycles(dut.clk_i, 20)
 
 
 def spec_of(name: str, options: dict[str, Any]) -> Any:

@@ -7,12 +7,14 @@ from typing import Any
 
 import numpy as np
 from bench import each_variant, start
-from cocotb.triggers import ClockCycles, FallingEdge, RisingEdge
+from cocotb.triggers import ClockCycles, FallingEdge
 
 from pearl_marl import rng
 from pearl_marl.golden import u32, u64
 
-EDGES = (0, 1, 0xFFFFFFFF, 1 << 32, (1 << 64) - 1)
+EDGES = (0, 0xFFFFFFFE, 0xFFFFFFFF, 1 << 32, (1 << 64) - 1)
+# Cycles of a round.
+ROUND = 5
 
 
 def keys(chain: int, seed: tuple[int, int], tick: int, draws: int) -> list[int]:
@@ -22,7 +24,7 @@ def keys(chain: int, seed: tuple[int, int], tick: int, draws: int) -> list[int]:
 
 @each_variant()
 async def keys_equal_the_chain(dut: Any, given: Any) -> None:
-    await start(dut, restart_i=0, seed_i=0, tick_i=0)
+    await start(dut, restart_i=0, next_i=0, seed_i=0, tick_i=0)
     source = random.Random(1)
     for case in range(20):
         seed = source.getrandbits(32), source.getrandbits(32)
@@ -41,11 +43,24 @@ async def keys_equal_the_chain(dut: Any, given: Any) -> None:
             dut.restart_i.value = 1
             await FallingEdge(dut.clk_i)
             dut.restart_i.value = 0
-        for _ in range(4 * (4 + given.draws)):
-            assert dut.valid_o.value == 0
-            await RisingEdge(dut.clk_i)
+        await check(dut, given, seed, tick, ROUND * (4 + given.draws))
+        # The next ticks, the second one of them of another high word if it is the first case with edges.
+        for _ in range(2):
+            tick = (tick + 1) & 0xFFFFFFFFFFFFFFFF
+            dut.tick_i.value = tick
+            dut.next_i.value = 1
             await FallingEdge(dut.clk_i)
-        assert dut.valid_o.value == 1
-        for port, chain in ((dut.key_a_o, rng.CHAIN_A), (dut.key_b_o, rng.CHAIN_B)):
-            expected = sum(word << (32 * i) for i, word in enumerate(keys(chain, seed, tick, given.draws)))
-            assert int(port.value) == expected
+            dut.next_i.value = 0
+            rounds = 4 if tick & 0xFFFFFFFF == 0 else 1
+            await check(dut, given, seed, tick, ROUND * (rounds + given.draws))
+
+
+async def check(dut: Any, given: Any, seed: tuple[int, int], tick: int, cycles: int) -> None:
+    """Wait for the keys, which have to take so many cycles, and the two in which the last of them come."""
+    for _ in range(cycles + 2):
+        assert dut.valid_o.value == 0
+        await FallingEdge(dut.clk_i)
+    assert dut.valid_o.value == 1
+    for port, chain in ((dut.key_a_o, rng.CHAIN_A), (dut.key_b_o, rng.CHAIN_B)):
+        expected = sum(word << (32 * i) for i, word in enumerate(keys(chain, seed, tick, given.draws)))
+        assert int(port.value) == expected

@@ -34,6 +34,10 @@ async def host_and_pipeline_see_the_same(dut: Any, given: Any) -> None:
         dut.host_we_i.value, dut.host_re_i.value = int(write), int(not write)
         dut.host_addr_i.value, dut.host_wdata_i.value = address, data
         await FallingEdge(dut.clk_i)
+        if not write:
+            # What was read goes to the output meanwhile.
+            dut.re_i.value = dut.host_re_i.value = 0
+            await FallingEdge(dut.clk_i)
         if write and busy:
             rows[row] = fresh
         elif write:

@@ -4,13 +4,14 @@ module port_map
   import pearl_pkg::*;
 #(
     parameter int unsigned DATA_WL = 32,
-    parameter int unsigned REGION_WORDS = 3,
+    parameter int unsigned REGION_WORDS = 16,
     parameter int unsigned WORD_ADDR_BITS = 8
 ) (
     input  logic                                    clk_i,
     input  logic                                    rst_ni,
     input  logic                                    req_i,
     input  logic                                    we_i,
+    input  logic                                    fetch_i,
     input  logic  [WORD_ADDR_BITS-1:0]              addr_i,
     input  logic  [       DATA_WL-1:0]              wdata_i,
     output logic                                    rvalid_o,
@@ -24,8 +25,8 @@ module port_map
     input  logic  [    NumRegions-1:0][DATA_WL-1:0] rdata_i,
     output logic                                    busy_write_o,
     output logic                                    busy_doorbell_o,
-    output logic                                    torn_o,
-    output logic                                    untorn_o
+    output logic                                    untorn_o,
+    output logic                                    soft_reset_o
 );
 
   localparam int unsigned W = REGION_WORDS;

@@ -18,10 +18,10 @@ from harness import HERE, Design, run
 from pearl_marl.devices import BatchConfig, Lockstep, Native, Serial
 from pearl_marl.devices.serial import SerialTransport
 from pearl_marl.errors import DeviceError
-from pearl_marl.hardware import boards, elaboration, toolchain
+from pearl_marl.hardware import boards, toolchain
 from pearl_marl.hardware.boards import BOARDS, Board
+from pearl_marl.hardware.build import Build
 from pearl_marl.registry import get_spec
-from pearl_marl.spec import EnvSpec
 from pearl_marl.verification import runs, verify
 
 SPEC = get_spec("CliffWalking")
@@ -30,11 +30,13 @@ CORES = HERE / "vivado_cores.sv"
 CLOCKS_PER_BIT = 8
 
 
-def simulated(board: Board, spec: EnvSpec) -> list[Path]:
+def simulated(board: Board, build: Build, folder: Path) -> list[Path]:
     """The files of a board's design, with the bench's models of what only the FPGA has."""
+    boards.write(board, build, folder)
+    written = [folder / name for name in (folder / boards.SOURCES).read_text().split()]
     models = {path.name: path for path in HERE.glob("*.sv")}
     extra = [CORES] if board is VC707 else []
-    return [*(models.get(path.name, path) for path in boards.sources(board, spec)), *extra]
+    return [*(models.get(path.name, path) for path in written), *extra]
 
 
 @pytest.mark.parametrize(
@@ -42,14 +44,14 @@ def simulated(board: Board, spec: EnvSpec) -> list[Path]:
     [
         ("ulx3s", "CliffWalking", (33, 4)),
         ("ulx3s", "CartPole", (1024, None)),
+        ("tangmega138k", "CliffWalking", (43008, None)),
         ("vc707", "CliffWalking", (43008, None)),
         ("vc707", "Blackjack", (1000, 16)),
     ],
 )
 def test_lint_is_clean(name: str, env: str, size: tuple[int, int | None], tmp_path: Path) -> None:
-    board, spec = BOARDS[name], get_spec(env)
-    boards.write(board, boards.board_build(board, spec, *size), tmp_path)
-    files = [tmp_path / boards.HEADER, *simulated(board, spec)]
+    board = BOARDS[name]
+    files = simulated(board, boards.board_build(board, get_spec(env), *size), tmp_path)
     toolchain.run(
         ["verilator", "--lint-only", "-Wall", "--assert", "--top-module", board.top, *map(str, files)]
     )
@@ -61,10 +63,9 @@ SIZE = (33, 4)
 def run_ulx3s(bench: str, folder: Path, **arguments: Any) -> None:
     build = boards.board_build(ULX3S, SPEC, *SIZE)
     parameters = {"CLOCKS_PER_BIT": CLOCKS_PER_BIT}
-    design = Design(ULX3S.top, tuple(simulated(ULX3S, SPEC)), parameters, boards.macros(build))
-    arguments |= {"env": SPEC.name, "size": [*SIZE, build.layout.data_wl]}
-    timing = elaboration.core_timing(SPEC, ULX3S.target)
-    arguments |= {"clocks_per_bit": CLOCKS_PER_BIT, "latency": timing.latency}
+    design = Design(ULX3S.top, tuple(simulated(ULX3S, build, folder)), parameters)
+    size = [*SIZE, build.layout.data_wl]
+    arguments |= {"env": SPEC.name, "size": size, "clocks_per_bit": CLOCKS_PER_BIT}
     run(design, bench, folder, **arguments)
 
 
@@ -123,9 +124,10 @@ def test_the_ulx3s_goes_on_after_damage(plugged_in: str, monkeypatch: pytest.Mon
     device.close()
 
 
-def test_xdma_irq(tmp_path: Path) -> None:
-    (source,) = (path for path in boards.sources(VC707, SPEC) if path.stem == "pearl_xdma_irq")
-    run(Design(source.stem, (source,)), "bench_xdma_irq", tmp_path)
+@pytest.mark.parametrize("name", ["reset", "xdma_irq"])
+def test_module(name: str, tmp_path: Path) -> None:
+    (source,) = (path for path in boards.sources(VC707, SPEC) if path.stem == f"pearl_{name}")
+    run(Design(source.stem, (source,)), f"bench_{name}", tmp_path)
 
 
 # ---- The VC707, whose tools are not free: everything that can be known without them ----
@@ -160,6 +162,27 @@ def test_the_vc707_elaborates(flat: dict[str, Any]) -> None:
     types = [cell["type"] for cell in flat["cells"].values() if not cell["type"].startswith("$")]
     assert sorted(types) == ["BUFG", "IBUF", "IBUFDS_GTE2", "PLLE2_BASE", "pearl_upsizer", "pearl_xdma"]
     assert len(flat["memories"]) >= 11
+
+
+ASYNCHRONOUS = ("$adff", "$adffe", "$aldff", "$aldffe", "$dffsr", "$dffsre", "$dlatch", "$adlatch")
+SYNCHRONOUS = ("$dff", "$dffe", "$sdff", "$sdffe", "$sdffce")
+
+
+def registers(design: dict[str, Any], types: tuple[str, ...], port: str) -> set[int]:
+    """The bits at a port of every register of these types."""
+    cells = (cell for cell in design["cells"].values() if cell["type"] in types)
+    return {bit for cell in cells for bit in cell["connections"][port]}
+
+
+def test_no_register_changes_beside_its_clock(flat: dict[str, Any]) -> None:
+    """But for the synchroniser of the reset: what addresses a block RAM could cost it a word."""
+    synchroniser = set(flat["netnames"]["u_reset.ready_q"]["bits"])
+    assert registers(flat, ASYNCHRONOUS, "Q") == synchroniser
+
+
+def test_the_interrupt_crosses_from_a_register(flat: dict[str, Any]) -> None:
+    """What logic makes of several may be wrong for a moment, and the other clock would take it."""
+    assert set(flat["netnames"]["irq"]["bits"]) <= registers(flat, SYNCHRONOUS, "Q")
 
 
 def test_the_vc707_is_wired_as_it_should(exported: Path) -> None:
@@ -201,6 +224,12 @@ def test_the_vc707s_constraints_are_of_its_ports(exported: Path, flat: dict[str,
         assert name in ports, name
         if index.isdigit():
             assert int(index) < len(ports[name]["bits"])
+    registers = re.findall(r"get_pins \{(\w+)/(\w+)_reg\[[0*]\]/\w+\}", text)
+    assert registers == [("u_irq", "irq_q"), ("u_reset", "ready_q")]
+    assert all(f"{instance}.{name}" in flat["netnames"] for instance, name in registers)
+    cells = re.findall(r"get_pins (\w+)/\w+\]", text)
+    assert cells == ["u_core_clk_buffer"]
+    assert set(cells) <= set(flat["cells"])
     pins = re.findall(r"PACKAGE_PIN (\w+)", text)
     assert len(pins) == len(set(pins))
     # Vivado places the transceivers' other pins with those of rx_p.
@@ -208,40 +237,117 @@ def test_the_vc707s_constraints_are_of_its_ports(exported: Path, flat: dict[str,
     assert set(ports) - placed == {"pcie_rx_n", "pcie_tx_p", "pcie_tx_n"}
 
 
-def test_vivados_script_runs_to_its_end(exported: Path) -> None:
-    """In Tcl, with every command of Vivado's replaced: it finds its files, and makes the cores of the top."""
-    tkinter = pytest.importorskip("tkinter")
-    script = exported / "build.tcl"
-    tcl = tkinter.Tcl()
-    tcl.eval(f"cd {{{exported}}}")
-    calls: list[tuple[str, ...]] = []
-    answers = {"PROGRESS": "100%", "STATS.WNS": "0.1"}
+class Vivado:
+    """Tcl with every command of Vivado's replaced, for its script."""
 
-    def command(name: str) -> Any:
+    def __init__(self, folder: Path) -> None:
+        self.tcl = pytest.importorskip("tkinter").Tcl()
+        self.calls: list[tuple[str, ...]] = []
+        self.script = (folder / "build.tcl").read_text()
+        self.properties = {
+            "PROGRESS": "100%",
+            "STATS.WNS": "0.1",
+            "STATS.WHS": "0.05",
+            "STATS.TPWS": "0.000",
+            "STATS.FAILED_NETS": "0",
+        }
+        self.answers: dict[str, str] = {"report_cdc": "", "get_drc_violations": ""}
+        self.tcl.eval(f"cd {{{folder}}}")
+        for name in {"puts", *re.findall(r"(?:^ *|\[)([a-z]+_[a-z_]+)\b", self.script, re.MULTILINE)}:
+            self.tcl.createcommand(name, self._command(name))
+
+    def _command(self, name: str) -> Any:
         def call(*arguments: str) -> str:
-            calls.append((name, *arguments))
-            return answers.get(arguments[0], "") if name == "get_property" else " ".join(arguments)
+            self.calls.append((name, *arguments))
+            if name == "get_property":
+                return self.properties.get(arguments[0], "")
+            return self.answers.get(name, " ".join(arguments[-1:]))
 
         return call
 
-    tcl.eval("rename file tcl_file")
-    vivado = set(re.findall(r"(?:^|\[)([a-z]+_[a-z_]+)\b", script.read_text(), re.MULTILINE))
-    for name in (*vivado, "file", "puts"):
-        tcl.createcommand(name, command(name))
-    tcl.eval(script.read_text())
+    def run(self) -> None:
+        self.tcl.eval(self.script)
 
-    (added,) = (call for call in calls if call[:2] == ("add_files", "-norecurse"))
+    def called(self, name: str) -> list[tuple[str, ...]]:
+        return [call[1:] for call in self.calls if call[0] == name]
+
+
+def test_vivados_script_runs_to_its_end(exported: Path) -> None:
+    """It finds its files, makes the cores of the top, and writes the bitstream that docs name."""
+    vivado = Vivado(exported)
+    vivado.run()
+
+    (added,) = (call for call in vivado.called("add_files") if call[0] == "-norecurse")
     sources = (exported / boards.SOURCES).read_text().split()
-    assert tcl.splitlist(added[2]) == tuple(sources)
+    assert vivado.tcl.splitlist(added[1]) == tuple(sources)
     assert all((exported / name).is_file() for name in (*sources, "vc707.xdc"))
-    cores = [call[call.index("-module_name") + 1] for call in calls if call[0] == "create_ip"]
+    cores = [call[call.index("-module_name") + 1] for call in vivado.called("create_ip")]
     assert cores == re.findall(r"^module (pearl_\w+)", CORES.read_text(), re.MULTILINE)
-    lists = [call[2] for call in calls if call[0] == "set_property" and call[1] == "-dict"]
-    xdma, upsizer = (dict(zip(*[iter(tcl.splitlist(text))] * 2, strict=True)) for text in lists)
+    lists = [vivado.tcl.splitlist(call[1]) for call in vivado.called("set_property") if call[0] == "-dict"]
+    xdma, upsizer = (dict(zip(*[iter(words)] * 2, strict=True)) for words in lists)
     assert upsizer["CONFIG.MI_DATA_WIDTH"] == str(VC707.data_wl)
     assert f"{upsizer['CONFIG.SI_DATA_WIDTH']}_bit" == xdma["CONFIG.axi_data_width"]
-    assert VC707.part in script.read_text()
+    assert VC707.part in vivado.script
+    assert vivado.called("write_bitstream") == [("-force", VC707.bitstream)]
 
-    answers["STATS.WNS"] = "-0.2"
-    with pytest.raises(tkinter.TclError, match=r"timing is not met, by -0\.2 ns"):
-        tcl.eval(script.read_text())
+
+CDC_TABLE = "Severity  Source Clock  CDC Type\n{}  clk_out  No Common Primary Clock"
+
+
+@pytest.mark.parametrize(
+    ("properties", "answers", "sentence"),
+    [
+        ({"PROGRESS": "60%"}, {}, "implementation failed"),
+        (
+            {"STATS.WNS": "-0.2"},
+            {},
+            r"timing is not met, by -0\.2 ns .*: see timing\.rpt, or build it with fewer",
+        ),
+        ({"STATS.WNS": ""}, {}, r"timing is not met, by  ns \(STATS\.WNS\)"),
+        ({"STATS.WHS": "-0.031"}, {}, r"hold times are not met, by -0\.031 ns .*: see timing\.rpt"),
+        ({"STATS.TPWS": "-1.5"}, {}, r"clock pulses are too short, by -1\.5 ns .*: see timing\.rpt"),
+        ({"STATS.FAILED_NETS": "3"}, {}, r"3 nets are not routed: see route\.rpt"),
+        ({}, {"get_pins": ""}, r"vc707\.xdc constrains u_irq/irq_q_reg\[0\]/D, which is not there"),
+        (
+            {},
+            {"report_cdc": CDC_TABLE.format("Critical")},
+            r"cross between clocks unsafely, -from .*cdc\.rpt",
+        ),
+        (
+            {"SEVERITY": "Error"},
+            {"get_drc_violations": "NSTD-1#1"},
+            r"rule NSTD-1#1 is broken \(Error\): see drc",
+        ),
+        (
+            {"SEVERITY": "Critical Warning"},
+            {"get_drc_violations": "PLCK-1#1"},
+            r"PLCK-1#1 .*\(Critical Warning\)",
+        ),
+        (
+            {"SEVERITY": "Warning"},
+            {"get_drc_violations": "DPOP-1#1 REQP-1839#7", "get_cells": "u_xdma/ram u_pearl/ram"},
+            r"rule REQP-1839#7 is broken",
+        ),
+    ],
+)
+def test_vivados_script_refuses(
+    exported: Path, properties: dict[str, str], answers: dict[str, str], sentence: str
+) -> None:
+    vivado = Vivado(exported)
+    vivado.properties |= properties
+    vivado.answers |= answers
+    with pytest.raises(Exception, match=sentence):
+        vivado.run()
+    assert not vivado.called("write_bitstream")
+
+
+def test_vivados_script_allows_what_is_harmless(exported: Path) -> None:
+    vivado = Vivado(exported)
+    vivado.properties["SEVERITY"] = "Warning"
+    vivado.answers = {
+        "report_cdc": CDC_TABLE.format("Info"),
+        "get_drc_violations": "DPOP-1#1 REQP-1839#7",
+        "get_cells": "u_xdma/ram",
+    }
+    vivado.run()
+    assert vivado.called("write_bitstream")

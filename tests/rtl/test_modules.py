@@ -52,7 +52,7 @@ MODULES = {
         for pe_num, draws in ((1, 1), (3, 2))
     ],
     "packer": [packing("pearl_packer", *sizes) for sizes in ROWS_RATIOS],
-    "unpacker": [packing("pearl_unpacker", *sizes) for sizes in ROWS_RATIOS],
+    "input_bank": [packing("pearl_input_bank", *sizes) for sizes in ROWS_RATIOS],
     "row_memory": [
         variant(
             "pearl_row_memory",
@@ -61,7 +61,15 @@ MODULES = {
             row=row,
             word=word,
         )
-        for rows, row, word in ((1, 6, 32), (5, 32, 32), (4, 72, 32), (3, 160, 64))
+        for rows, row, word in (
+            (1, 6, 32),
+            (5, 32, 32),
+            (4, 72, 32),
+            (3, 160, 64),
+            # Deep ones: in slices, and in a part of slices and a rest; in two parts and a rest.
+            (2048, 40, 32),
+            (3075, 40, 32),
+        )
     ],
     "fifo": [variant("pearl_fifo", {"DEPTH": depth}, depth=depth) for depth in (2, 8)],
     "axi_address": [variant("pearl_axi_address", {})],
@@ -77,7 +85,7 @@ MODULES = {
             words=words,
             address_bits=bits,
         )
-        for word, words, bits in ((32, 3, 8), (128, 1, 60))
+        for word, words, bits in ((32, 16, 10), (128, 4, 60))
     ],
     "registers": [
         variant("pearl_registers", {"DATA_WL": word, "ENV_HASH": 0x1234}, word=word)

@@ -20,7 +20,7 @@ from pearl_marl.hardware.synthesis import CELLS, Family, read_design
 
 # The flip-flop whose input is inverted in the broken netlist: that of the first slot's termination. No
 # state machine depends on it, so the fault shows as a wrong result and not as a bus that hangs.
-FAULTY = r"\\u_backbone\.u_pe_array\.gen_pe\[0\]\.u_pe\.u_core\.u_core\.terminated_q\d* "
+FAULTY = r"\\u_backbone\.u_state_path\.u_pe_array\.gen_pe\[0\]\.u_pe\.u_core\.u_core\.terminated_q\d* "
 
 
 def yosys(folder: Path, *script: str) -> None:

@@ -30,7 +30,9 @@ from pearl_marl.memory_map import MemoryMap
 _CODE = Path(__file__).with_name("simulation.cpp")
 
 # --flatten gives every signal a name that does not depend on how Verilator would cut the design.
-_VERILATOR = ("-O3", "--flatten", "--x-assign", "fast", "--x-initial", "fast")
+# A memory is one array, which the host moves at once instead of word by word (rtl/pearl_memory.sv).
+_IN_ONE_PIECE = "+define+PEARL_MEMORIES_IN_ONE_PIECE"
+_VERILATOR = ("-O3", "--flatten", "--x-assign", "fast", "--x-initial", "fast", _IN_ONE_PIECE)
 # Signals of more than 256 bits would be left out otherwise.
 _TRACED = ("--trace", "--trace-max-width", "65536", "--public-flat-rw")
 # The library is loaded as one piece, and nobody replaces its functions: calls within it are direct.

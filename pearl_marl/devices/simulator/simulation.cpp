@@ -21,9 +21,10 @@ constexpr uint64_t kHalfPeriod = 5;  // in the nanoseconds of a waveform
 constexpr uint64_t kFirstTime = 10;  // PyVerilator's own first entry stands there
 constexpr unsigned kIncrementing = 1;
 constexpr int kBackdoors = 5;
+constexpr int kObservations = 2;
 constexpr int kRowMemories = 2;
-// A reset flushes the pipeline, so it lasts longer than any core's latency.
-constexpr uint64_t kResetCycles = 1000;
+// After a reset the pipeline drains, which takes longer than any core's latency.
+constexpr uint64_t kDrainCycles = 1000;
 
 // What a call returns, as simulation.py beside this reads it.
 enum Answer : int { kOkay = 0, kNoHandshake = 1, kNoInterrupt = 2, kStopped = 3, kRefused = 16 };
@@ -251,12 +252,12 @@ struct Host {
 }  // namespace
 
 #define PEARL_BANK(name) \
-    reinterpret_cast<uint8_t*>(&model->rootp->pearl_top__DOT__u_backbone__DOT__u_##name##__DOT__u_ram__DOT__mem)
+    reinterpret_cast<uint8_t*>(&model->rootp->pearl_top__DOT__u_backbone__DOT__u_##name##__DOT__u_ram__DOT__u_memory__DOT__gen_slices__DOT__gen_slice__BRA__0__KET____DOT__mem)
 
 // PEARL_COLUMNS_OF_... list these; how many a memory has depends on the build.
 #define PEARL_COLUMN_MEMORY(name, i) \
     model->rootp                     \
-        ->pearl_top__DOT__u_backbone__DOT__u_##name##__DOT__gen_column_rams__BRA__##i##__KET____DOT__u_ram__DOT__mem
+        ->pearl_top__DOT__u_backbone__DOT__u_state_path__DOT__u_##name##__DOT__gen_column_rams__BRA__##i##__KET____DOT__u_ram__DOT__u_memory__DOT__gen_slices__DOT__gen_slice__BRA__0__KET____DOT__mem
 #define PEARL_COLUMN(name, i)                                                    \
     Column {                                                                     \
         reinterpret_cast<const uint8_t*>(&PEARL_COLUMN_MEMORY(name, i)),         \
@@ -273,7 +274,14 @@ Host* pearl_open(
     auto* host = new Host{model, vcd, patience, 0, kFirstTime, kOkay, {}, {}};
     uint8_t* banks[] = {
         PEARL_BANK(reset_mask), PEARL_BANK(actions), PEARL_BANK(observations), PEARL_BANK(rewards), PEARL_BANK(ters)};
-    for (int i = 0; i < kBackdoors; i++) host->windows[i] = {bounds[2 * i], bounds[2 * i + 1], banks[i]};
+    for (int i = 0; i < kBackdoors; i++) {
+        Window& window = host->windows[i] = {bounds[2 * i], bounds[2 * i + 1], banks[i]};
+        // The first word of results goes over the port: reading it there is what ends a torn read.
+        if (i == kObservations && window.begin != window.end) {
+            window.begin += kWordBytes;
+            window.memory += kWordBytes;
+        }
+    }
     const uint64_t* states = bounds + 2 * kBackdoors;
     host->row_memories[0] = {states[0], states[1], rows, {PEARL_COLUMNS_OF_CURRENT_STATES}};
     host->row_memories[1] = {states[2], states[3], rows, {PEARL_COLUMNS_OF_ELAPSED}};
@@ -281,9 +289,9 @@ Host* pearl_open(
     // An assertion that fails must not end the host's process.
     model->contextp()->fatalOnError(false);
     model->rst_ni = 0;
-    host->cycles(kResetCycles);
-    model->rst_ni = 1;
     host->cycles(1);
+    model->rst_ni = 1;
+    host->cycles(kDrainCycles);
     return host;
 }
 

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT
 // The ECP5's PLL as far as pearl_ulx3s.sv knows of it; the tools put their own in its place.
 (* blackbox *)
 module EHXPLLL #(

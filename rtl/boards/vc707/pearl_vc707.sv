@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT
 // The design on a Xilinx VC707: behind the XDMA core, PCIe 2.0 x8, clocked with 125 MHz.
 //
 // The cores pearl_xdma and pearl_upsizer are Vivado's, made by build.tcl; so are the primitives. The
@@ -17,6 +18,7 @@ module pearl_vc707 (
 
   localparam int unsigned LINK_BITS = 128;
   localparam int unsigned DATA_WL = 256;
+  // Far more than any map has, so that no address comes round again.
   localparam int unsigned ADDR_BITS = 32;
   localparam int unsigned ID_BITS = 4;
 
@@ -239,7 +241,12 @@ module pearl_vc707 (
   logic irq;
   logic [ID_BITS-1:0] unused_bid, unused_rid;
 
-  pearl_top #(`PEARL_TOP_PARAMETERS) u_pearl (
+  pearl_top #(
+      .N_ENVS(pearl_build_pkg::N_ENVS),
+      .PE_NUM(pearl_build_pkg::PE_NUM),
+      .DATA_WL(DATA_WL),
+      .ADDR_BITS(ADDR_BITS)
+  ) u_pearl (
       .clk_i        (core_clk),
       .rst_ni       (core_rst_n),
       .irq_o        (irq),

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT
 // The design's interrupt as the XDMA core takes one: raised when a step has ended, and held until the
 // core has sent it (PG195, "MSI and Internal MSI-X Interrupts"), which a host that polls may not wait for.
 //
@@ -35,14 +36,11 @@ module pearl_xdma_irq (
     endcase
   end
 
-  always_ff @(posedge clk_i or negedge rst_ni) begin
-    if (!rst_ni) begin
-      irq_q   <= '0;
-      state_q <= Idle;
-    end else begin
-      irq_q   <= {irq_q[0], irq_i};
-      state_q <= state_d;
-    end
+  always_ff @(posedge clk_i) irq_q <= {irq_q[0], irq_i};
+
+  always_ff @(posedge clk_i) begin
+    if (!rst_ni) state_q <= Idle;
+    else state_q <= state_d;
   end
 
   assign usr_irq_req_o = state_q != Idle;

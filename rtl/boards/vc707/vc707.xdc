@@ -27,3 +27,10 @@ set_property PACKAGE_PIN AN39 [get_ports {led[1]}]
 set_property PACKAGE_PIN AR37 [get_ports {led[2]}]
 set_property IOSTANDARD LVCMOS18 [get_ports {led[*]}]
 set_false_path -to [get_ports {led[*]}]
+
+# The design's clock comes from the link's through a PLL that does not align the two. The converter's own
+# constraints are for its crossing; besides it cross the interrupt, to a synchroniser, which gets a period of
+# the link's clock to arrive, and the PLL's lock, which clears the reset's at any time.
+set_max_delay -datapath_only -from [get_clocks -of_objects [get_pins u_core_clk_buffer/O]] \
+    -to [get_pins {u_irq/irq_q_reg[0]/D}] 4.000
+set_false_path -to [get_pins {u_reset/ready_q_reg[*]/CLR}]

@@ -47,7 +47,7 @@ module shift_add_pe
 
   assign from = first_i ? state_t'{count: rng_i[1][31:29], value: rng_i[0][7:0]} : state_i;
 
-  always_ff @(posedge clk_i or negedge rst_ni) begin
+  always_ff @(posedge clk_i) begin
     if (!rst_ni) valid_q <= '0;
     else valid_q <= {valid_q[LATENCY-2:0], valid_i};
   end

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT
 // Bytes to a serial line: a start bit, eight data bits, the lowest first, and a stop bit.
 module pearl_uart_tx #(
     parameter int unsigned CLOCKS_PER_BIT = 15
@@ -20,7 +21,7 @@ module pearl_uart_tx #(
 
   assign ready_o = left_q == '0;
 
-  always_ff @(posedge clk_i or negedge rst_ni) begin
+  always_ff @(posedge clk_i) begin
     if (!rst_ni) begin
       timer_q <= '0;
       left_q  <= '0;

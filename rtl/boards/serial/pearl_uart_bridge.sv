@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT
 // A host at a serial line as the master of an AXI bus, one request at a time:
 //
 //   request  operation ("R" or "W") | byte address (4) | words (2) | data (4 a word, "W") | checksum (4)
@@ -131,7 +132,7 @@ module pearl_uart_bridge #(
     return words == '0 ? none : more;
   endfunction
 
-  always_ff @(posedge clk_i or negedge rst_ni) begin
+  always_ff @(posedge clk_i) begin
     if (!rst_ni) begin
       state_q           <= Header;
       count_q           <= '0;

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT
 // Bytes from a serial line: a start bit, eight data bits, the lowest first, and a stop bit.
 module pearl_uart_rx #(
     parameter int unsigned CLOCKS_PER_BIT = 15
@@ -38,12 +39,12 @@ module pearl_uart_rx #(
   assign line   = rx_q[1];
   assign sample = state_q == Receive && timer_q == '0;
 
-  always_ff @(posedge clk_i or negedge rst_ni) begin
+  always_ff @(posedge clk_i) rx_q <= {rx_q[0], rx_i};
+
+  always_ff @(posedge clk_i) begin
     if (!rst_ni) begin
-      rx_q    <= '1;
       state_q <= Idle;
     end else begin
-      rx_q <= {rx_q[0], rx_i};
       unique case (state_q)
         Idle: if (!line) state_q <= Receive;
         Receive: begin
