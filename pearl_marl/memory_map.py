@@ -27,7 +27,8 @@ Three rules shape it:
 A slot of the current states is its state word and, above it, the two bits of its last result's end
 (``terminated``, then ``truncated``). Control, initial and current states, elapsed, reset mask and
 actions can be written and (but for control) read only while no step runs; results and
-status are read-only. A refused access, and one to a hole in the map, is answered with an error.
+status are read-only. A refused access, and one to a hole in the map, is answered with an error. The one
+word that can be written at any time is ``RESET`` of control.
 """
 
 from __future__ import annotations
@@ -61,7 +62,11 @@ REGION_NAMES = (
 
 
 class Control(IntEnum):
-    """The 32-bit words of the control region, by index; the first eight are read-only identity."""
+    """The 32-bit words of the control region, by index; the first eight are read-only identity.
+
+    Writing anything but zero to ``RESET``, also during a step, resets the hardware. It reads as zero. Once
+    the reset is over, the status says :attr:`StatusError.RESET`; until then it is all zeros.
+    """
 
     MAGIC = 0
     PROTOCOL_VERSION = 1
@@ -108,8 +113,8 @@ class Status(IntEnum):
     """The 32-bit words of the status, by index.
 
     ``SEQUENCE`` becomes that of the doorbell once every result of its step is in place. ``CYCLES``
-    are clock cycles from doorbell to then. Results that were read together with a status belong to
-    its ``SEQUENCE``, unless ``ERROR`` says :attr:`StatusError.TORN_READ`.
+    are clock cycles from doorbell to then. Results that were read from their first word on, and the status
+    after them, belong to its ``SEQUENCE``, unless ``ERROR`` says :attr:`StatusError.TORN_READ`.
 
     ``SEQUENCE`` stands first because words are read in the order of their addresses, and narrow ones
     some cycles apart: what is read after a new ``SEQUENCE`` is of the same step, or newer.
@@ -126,9 +131,10 @@ class StatusError(IntFlag):
     BUSY_DOORBELL = 1
     """A doorbell came while a step was running, and was refused. Cleared by the next one that rings."""
     BUSY_WRITE = 2
-    """The same of any other write of whole words; a part of one is refused in its answer alone."""
+    """The same of any other write, be it of a part of a word."""
     TORN_READ = 4
-    """A result was read while a step was running. Cleared by reading the first word of results after it."""
+    """The first word of results has not been read since the last step: what was read is not of one step, or
+    old. So it is set by the doorbell, and whoever polls the status alone finds it."""
     RESET = 8
     """Nothing has been written to the control region since the hardware was reset: it holds no batch."""
 

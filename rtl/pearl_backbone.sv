@@ -100,7 +100,7 @@ module pearl_backbone
   logic busy, start, done, ring, keys_stale, keys_next, keys_valid;
   logic [NumRegions-1:0] host_re, host_we;
   logic [WORD_ADDR_BITS-1:0] host_index;
-  logic [DATA_WL-1:0] host_wdata;
+  logic [DATA_WL-1:0] host_wdata, next_host_wdata;
   logic [NumRegions-1:0][DATA_WL-1:0] host_rdata;
   logic busy_write, busy_doorbell, untorn;
   // Registers are read whether asked or not, read-only regions never written, and no region is as
@@ -124,11 +124,12 @@ module pearl_backbone
       .rvalid_o,
       .rdata_o,
       .resp_o,
-      .busy_i         (busy || ring || !awake_q),
+      .busy_i         (busy || !awake_q),
       .re_o           (host_re),
       .we_o           (host_we),
       .index_o        (host_index),
       .wdata_o        (host_wdata),
+      .next_wdata_o   (next_host_wdata),
       .rdata_i        (host_rdata),
       .busy_write_o   (busy_write),
       .busy_doorbell_o(busy_doorbell),
@@ -157,6 +158,7 @@ module pearl_backbone
       .control_we_i   (host_we[Control]),
       .doorbell_we_i  (host_we[Doorbell]),
       .wdata_i        (host_wdata),
+      .next_wdata_i   (next_host_wdata),
       .control_o      (host_rdata[Control]),
       .doorbell_o     (host_rdata[Doorbell]),
       .status_o       (host_rdata[Status]),

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT
 // A value, a fixed number of cycles later. No reset, so that long delays become shift-register LUTs.
 module pearl_delay #(
     parameter int unsigned WIDTH  = 1,

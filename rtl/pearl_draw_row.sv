@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT
 // All random draws of a group: DRAWS for each of PE_NUM neighbouring slots.
 module pearl_draw_row #(
     parameter int unsigned PE_NUM = 4,

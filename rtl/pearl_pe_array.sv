@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT
 // PE_NUM processing elements side by side, and the padding of the last group masked out.
 module pearl_pe_array
   import pearl_pkg::*;

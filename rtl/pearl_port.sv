@@ -3,8 +3,8 @@
 // and collects the answer, PORT_LATENCY cycles after the request. A request a cycle.
 //
 // While a step runs, only results, doorbell, status and control can be read, and nothing written but
-// the word that resets. Whether one runs is asked in the cycle before the access. That is early enough,
-// since a doorbell, too, rings in the cycle of its access, and late enough for the request after it.
+// the word that resets. Whether one runs is asked in the cycle before the access, when a doorbell that was
+// the request before has yet to ring: it is taken for one that does.
 module pearl_port
   import pearl_pkg::*;
 #(
@@ -27,13 +27,15 @@ module pearl_port
     output logic  [       DATA_WL-1:0] rdata_o,
     output resp_e                      resp_o,
 
-    // A step runs, or begins in this cycle, or the pipeline drains.
+    // A step runs, or the pipeline drains.
     input  logic                                   busy_i,
     output logic [    NumRegions-1:0]              re_o,
     output logic [    NumRegions-1:0]              we_o,
     // The word's number within its region.
     output logic [WORD_ADDR_BITS-1:0]              index_o,
     output logic [       DATA_WL-1:0]              wdata_o,
+    // The same a cycle before, for what takes longer to look at.
+    output logic [       DATA_WL-1:0]              next_wdata_o,
     // READ_LATENCY cycles after re_o.
     input  logic [    NumRegions-1:0][DATA_WL-1:0] rdata_i,
 
@@ -51,6 +53,7 @@ module pearl_port
   // What the pipeline does not use, so that it can be read at any time.
   localparam logic [NumRegions-1:0] SHARED = READ_ONLY | NumRegions'(1 << Control | 1 << Doorbell);
   localparam int unsigned RESET_INDEX = word_index(CONTROL_RESET, DATA_WL);
+  localparam int unsigned SEQUENCE_INDEX = word_index(1, DATA_WL);
 
   // One more than an address has: the last region may end where the address space does.
   localparam int unsigned BOUND_BITS = WORD_ADDR_BITS + 1;
@@ -75,29 +78,32 @@ module pearl_port
   request_t asked_q, located_q;
   logic [NumRegions-1:0] hit, hit_q;
   logic at_reset;
-  logic at_first_q, at_reset_q, resets_q;
+  logic at_first_q, at_reset_q, at_sequence_q, resets_q;
 
-  for (genvar i = 0; i < NumRegions; i++) begin : gen_hit
-    assign hit[i] = BOUND_BITS'(asked_q.addr) >= BOUND_BITS'(OFFSETS[i]) &&
-        BOUND_BITS'(asked_q.addr) < BOUND_BITS'(OFFSETS[i+1]);
+  always_comb begin
+    for (int unsigned i = 0; i < NumRegions; i++) begin
+      hit[i] = BOUND_BITS'(asked_q.addr) >= BOUND_BITS'(OFFSETS[i]) &&
+          BOUND_BITS'(asked_q.addr) < BOUND_BITS'(OFFSETS[i+1]);
+    end
   end
 
   assign at_reset = BOUND_BITS'(asked_q.addr) == BOUND_BITS'(OFFSETS[Control] + RESET_INDEX);
 
   always_ff @(posedge clk_i) begin
-    asked_q    <= '{write: we_i, fetch: fetch_i && !we_i, addr: addr_i, wdata: wdata_i};
-    located_q  <= asked_q;
-    hit_q      <= hit;
-    at_first_q <= BOUND_BITS'(asked_q.addr) == BOUND_BITS'(OFFSETS[Observations]);
-    at_reset_q <= at_reset;
-    resets_q   <= at_reset && asked_q.write && asked_q.wdata[CONTROL_RESET*32%DATA_WL+:32] != '0;
+    asked_q       <= '{write: we_i, fetch: fetch_i && !we_i, addr: addr_i, wdata: wdata_i};
+    located_q     <= asked_q;
+    hit_q         <= hit;
+    at_first_q    <= BOUND_BITS'(asked_q.addr) == BOUND_BITS'(OFFSETS[Observations]);
+    at_reset_q    <= at_reset;
+    at_sequence_q <= BOUND_BITS'(asked_q.addr) == BOUND_BITS'(OFFSETS[Doorbell] + SEQUENCE_INDEX);
+    resets_q      <= at_reset && asked_q.write && asked_q.wdata[CONTROL_RESET*32%DATA_WL+:32] != '0;
   end
 
   // ---- Which word of it, and whether that is allowed ----
 
   logic req, changes, busy, closed, outdated_q;
   logic [NumRegions-1:0] hit_writable, re, we, re_q, we_q;
-  logic hole_q, busy_write_q, busy_doorbell_q, untorn_q, soft_reset_q;
+  logic hole_q, busy_write_q, busy_doorbell_q, untorn_q, soft_reset_q, sequence_q;
   logic [WORD_ADDR_BITS-1:0] base, index_q;
   logic [DATA_WL-1:0] wdata_q;
 
@@ -105,7 +111,7 @@ module pearl_port
   // A fetch is for a write, and allowed where that is.
   assign changes = located_q.write || located_q.fetch;
   assign hit_writable = hit_q & ~READ_ONLY;
-  assign busy = busy_i || soft_reset_q;
+  assign busy = busy_i || soft_reset_q || sequence_q;
   // A part of the word that resets can be written during a step, so that word is fetched then, too. What
   // it held is outdated when the step ends: unless it resets, the write is refused even after that.
   assign closed = (busy || outdated_q) && !resets_q && !(located_q.fetch && at_reset_q);
@@ -136,6 +142,7 @@ module pearl_port
       busy_doorbell_q <= 1'b0;
       untorn_q        <= 1'b0;
       soft_reset_q    <= 1'b0;
+      sequence_q      <= 1'b0;
     end else begin
       re_q            <= req ? re : '0;
       we_q            <= req ? we : '0;
@@ -143,6 +150,7 @@ module pearl_port
       busy_doorbell_q <= req && changes && closed && hit_q[Doorbell];
       untorn_q        <= req && !changes && !busy && at_first_q;
       soft_reset_q    <= req && resets_q;
+      sequence_q      <= req && |we && at_sequence_q;
       if (req) outdated_q <= busy && located_q.fetch && at_reset_q;
     end
   end
@@ -157,6 +165,7 @@ module pearl_port
   assign we_o = we_q;
   assign index_o = index_q;
   assign wdata_o = wdata_q;
+  assign next_wdata_o = located_q.wdata;
   assign busy_write_o = busy_write_q;
   assign busy_doorbell_o = busy_doorbell_q;
   assign untorn_o = untorn_q;

@@ -29,6 +29,8 @@ module pearl_registers
     input  logic                  control_we_i,
     input  logic                  doorbell_we_i,
     input  logic [   DATA_WL-1:0] wdata_i,
+    // What wdata_i is in the next cycle.
+    input  logic [   DATA_WL-1:0] next_wdata_i,
     output logic [   DATA_WL-1:0] control_o,
     output logic [   DATA_WL-1:0] doorbell_o,
     output logic [   DATA_WL-1:0] status_o,
@@ -62,8 +64,9 @@ module pearl_registers
   logic [63:0] tick_q;
   logic [31:0] first_slot_q, max_cycles_q, limit_q, mode_word_q, sequence_q, finished_q, cycles_q;
   logic [DOORBELL_WORDS-1:0] doorbell_we;
-  error_t error_q, error;
-  logic clear, limited_q, stale_q, next_q;
+  error_t error_q  /* verilator public_flat_rw */;
+  error_t error;
+  logic clear, limited_q, stale_q, next_q, new_q;
 
   assign clear = !rst_ni || draining_i;
 
@@ -115,7 +118,9 @@ module pearl_registers
   end
 
   // What was written last also rang last: it either rings or is the same.
-  assign ring_o = doorbell_we[1] && word_of(1, wdata_i) != sequence_q;
+  // It is compared a cycle before it is written; a doorbell that rings in that cycle keeps out the next one.
+  always_ff @(posedge clk_i) new_q <= word_of(1, next_wdata_i) != sequence_q;
+  assign ring_o = doorbell_we[1] && new_q;
 
   always_ff @(posedge clk_i) begin
     if (clear) begin

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT
 // A memory that the pipeline fills with rows, packed to one stream of bits, and the host reads.
 //
 // A row goes through a register first: to select what is in it and to place it takes a cycle each.

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT
 // A memory of one row of slots per group, which the pipeline reads and writes a row a cycle and the
 // host a word at a time.
 //

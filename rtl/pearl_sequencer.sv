@@ -8,12 +8,11 @@ module pearl_sequencer (
     input  logic        keys_valid_i,
     // Every result word has been written.
     input  logic        results_done_i,
-    // From ring_i on.
     output logic        busy_o,
     output logic        start_o,
     // In the last cycle in which busy_o is high.
     output logic        done_o,
-    // Cycles in which busy_o is high, up to done_o.
+    // Cycles from the doorbell to done_o, both included.
     output logic [31:0] cycles_o
 );
 
@@ -50,12 +49,12 @@ module pearl_sequencer (
       cycles_q <= '0;
     end else begin
       state_q  <= state_d;
-      // That of the doorbell is the first, and the one after it the second.
+      // The doorbell's cycle is the first, and the one after it is the second.
       cycles_q <= state_q == Idle ? 32'd2 : cycles_q + 1'b1;
     end
   end
 
-  assign busy_o   = ring_i || state_q != Idle;
+  assign busy_o   = state_q != Idle;
   assign cycles_o = cycles_q;
 
   always_ff @(posedge clk_i) begin

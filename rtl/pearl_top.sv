@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT
 // The whole design for a board: an AXI4 slave, as an XDMA core masters it, in front of the backbone,
 // and an interrupt.
 //

@@ -62,7 +62,7 @@ class CommBram(Device):
     _cycles = 0
 
     patience = 10.0
-    """Seconds to wait at a reset for a step that somebody else left under way."""
+    """Seconds to wait at a reset for a step that was left under way, before the hardware is reset."""
 
     _sequence: int
     # What the hardware's settings are: seed, tick, first slot, time limit.
@@ -190,12 +190,13 @@ class CommBram(Device):
         step = self._exchange
         step.write_at, step.data, step.sequence = base, self._written[base - self._write_base : -8], sequence
         self._transport.exchange(step)
-        if step.finished != sequence:
+        error = step.error
+        if step.finished != sequence and not error & StatusError.RESET:
             raise DeviceError(
                 f"the {self.name} device's results are stale: they belong to step {step.finished}, "
                 f"not to {sequence}; {self.way_on}"
             )
-        if error := step.error:
+        if error:
             raise DeviceError(
                 f"the {self.name} device reports {error.name or hex(error)}: {_reason(error)}; {self.way_on}"
             )
@@ -299,7 +300,10 @@ class CommBram(Device):
         return (*self.seed, tick, self.config.first_slot, self.config.limit)
 
     def _synchronise(self, spec: EnvSpec) -> None:
-        """Make sure that the hardware is there and idle, and take up its sequence number."""
+        """Make sure that the hardware is there and idle, and take up its sequence number.
+
+        Who calls this writes the whole batch afterwards, so a step that does not end may be thrown away.
+        """
         self.known = False
         self._transport.reconnect()
         check_identity(self.name, self._transport, Build(spec, self._layout))
@@ -307,13 +311,24 @@ class CommBram(Device):
         deadline = time.monotonic() + self.patience
         while (rung := self._word("doorbell", Doorbell.SEQUENCE)) != self._word("status", Status.SEQUENCE):
             if time.monotonic() > deadline:
-                raise DeviceError(
-                    f"the {self.name} device has been busy with step {rung} for {self.patience:g} s; "
-                    "end other programs that use it, or reset the hardware, and try again"
-                )
+                self._reset_hardware(rung)
+                rung = 0
+                break
             time.sleep(1e-3)
         self._sequence = rung
         self.known = True
+
+    def _reset_hardware(self, rung: int) -> None:
+        """End step ``rung``, which does not end by itself: a core of one's own may be at fault."""
+        self._transport.write(4 * Control.RESET, np.array([1], "<u4").view(np.uint8))
+        deadline = time.monotonic() + self.patience
+        while not self._word("status", Status.ERROR) & StatusError.RESET:
+            if time.monotonic() > deadline:
+                raise DeviceError(
+                    f"the {self.name} device has been busy with step {rung} for {self.patience:g} s, and does "
+                    "not answer a reset; end other programs that use it, check that its clock runs, and try again"
+                )
+            time.sleep(1e-3)
 
     def _word(self, region: str, index: int) -> int:
         return word(self._transport, self._layout[region].offset + 4 * index)

@@ -14,8 +14,8 @@ the doorbell, the regions that the host has changed go to the simulated board, t
 whatever the host can read goes back into the file: states first, then results, the status last, then
 the event. So reads and writes return at once, as on a board, and a step takes its time.
 
-What a file cannot do: refuse an address, or notice that it is read while a step runs. So the host has to
-wait for the event.
+What a file cannot do: refuse an address, notice that it is read while a step runs, or reset what runs. So
+the host has to wait for the event.
 """
 
 from __future__ import annotations

@@ -29,7 +29,8 @@ class Exchange:
     def __init__(self, read_at: int, answer: Stream, status_at: int) -> None:
         self.read_at, self.answer, self.status_at = read_at, answer, status_at
         start = status_at - read_at
-        self.status = answer[start : start + 4 * len(Status)].view("<u4")
+        self.status_bytes = answer[start : start + 4 * len(Status)]
+        self.status = self.status_bytes.view("<u4")
 
     @property
     def finished(self) -> int:
@@ -42,9 +43,14 @@ class Exchange:
         return StatusError(int(self.status[Status.ERROR]))
 
     @property
+    def ended(self) -> bool:
+        """Whether there is nothing to wait for: the status is this step's, or the hardware was reset."""
+        return self.finished == self.sequence or bool(self.error & StatusError.RESET)
+
+    @property
     def done(self) -> bool:
-        """Whether the answer is this step's, and was not read while the step still ran."""
-        return self.finished == self.sequence and not self.error & StatusError.TORN_READ
+        """Whether none of the answer was read before the step had ended."""
+        return self.ended and not self.error & StatusError.TORN_READ
 
 
 class Transport(ABC):
@@ -76,7 +82,11 @@ class Transport(ABC):
         return False
 
     def exchange(self, step: Exchange) -> None:
-        """Do a whole step: write, wait, and read for as long as it is :meth:`unfinished`."""
+        """Do a whole step: write, wait, and read for as long as it is :meth:`unfinished`.
+
+        Most steps have ended when they are first looked for, so all is read at once. Of one that has not,
+        the status alone is read until it has, and then all once more.
+        """
         self.begin()
         began = time.perf_counter()
         self.write(step.write_at, step.data)
@@ -88,6 +98,10 @@ class Transport(ABC):
             read = time.perf_counter()
             if not self.unfinished(step, read - written):
                 break
+            while not step.ended:
+                self.read(step.status_at, step.status_bytes)
+                if not step.ended:
+                    self.unfinished(step, time.perf_counter() - written)
         self.times = began, written, reading, read
 
     def reconnect(self) -> None:  # noqa: B027, as not every connection can fail

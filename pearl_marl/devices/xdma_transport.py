@@ -96,8 +96,8 @@ class XdmaTransport(Transport):
             self._await_event(self._timeout)
 
     def unfinished(self, step: Exchange, waited: float) -> bool:
-        """Have what is not of this step, or was read while it ran, read again until the time is over."""
-        if step.done and (self._interrupted or self._events < 0):
+        """Have what is not of this step, or was read before its end, read again until the time is over."""
+        if step.done and (self._interrupted or self._events < 0 or step.error):
             return False
         if step.done:
             self._fail(

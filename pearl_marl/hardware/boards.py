@@ -32,8 +32,8 @@ SIZES = "rtl/pearl_build_pkg.sv"
 class Flow:
     """The free tools for a family of FPGAs. Arguments name a board's ``{name}`` and ``{top}``.
 
-    ``cells`` are what nextpnr's report calls LUTs, flip-flops, block RAMs and multipliers. Of the first name it
-    says how many there are; others take the place of one.
+    ``cells`` are what nextpnr's report calls LUTs, flip-flops, block RAMs and multipliers. Of the first name
+    it says how many there are; others take the place of one.
     """
 
     synthesis: str

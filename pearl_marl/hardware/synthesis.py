@@ -325,7 +325,10 @@ def _memories(folder: Path) -> list[Memory]:
     block, flip_flops = listed("block.txt"), listed("flip_flops.txt")
     result = []
     for cell in (folder / "memories.txt").read_text().split("  cell $mem_v2 ")[1:]:
-        name = cell.partition("\n")[0].strip().removeprefix("\\")
+        name = cell.partition("\n")[0].strip()
+        if name.startswith("$"):  # a table that Yosys made of logic
+            continue
+        name = name.removeprefix("\\")
         width, depth = (
             int(number) for key in ("WIDTH", "SIZE") for number in re.findall(rf"\\{key} (\d+)", cell)
         )

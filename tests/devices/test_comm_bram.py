@@ -35,7 +35,7 @@ class Memory(Transport):
         words = [MAGIC, PROTOCOL_VERSION, elaboration.env_hash(SPEC), 20, 4, 64, 6, 9]
         self.words("control")[: len(words)] = words
         self.transfers: list[tuple[str, int, int]] = []
-        self.error, self.lag = StatusError(0), 0
+        self.error, self.lag, self.resettable = StatusError(0), 0, True
         self.closed = False
 
     def words(self, region: str) -> np.ndarray:
@@ -44,6 +44,9 @@ class Memory(Transport):
     def write(self, offset: int, data: np.ndarray) -> None:
         self.transfers.append(("write", offset, data.size))
         self.bytes[offset : offset + data.size] = data
+        if self.words("control")[Control.RESET] and self.resettable:
+            self.words("control")[Control.RESET] = self.words("doorbell")[:] = self.lag = 0
+            self.error = StatusError.RESET
         self.words("status")[Status.SEQUENCE] = self.words("doorbell")[Doorbell.SEQUENCE] - self.lag
         self.words("status")[Status.ERROR] = self.error
 
@@ -83,7 +86,7 @@ def opened(device: OverMemory, **config: object) -> OverMemory:
     ("word", "value", "says"),
     [
         (Control.MAGIC, 0xFFFFFFFF, f"magic 0xffffffff, this batch needs {MAGIC:#x}"),
-        (Control.PROTOCOL_VERSION, 9, "protocol_version 9, this batch needs 1"),
+        (Control.PROTOCOL_VERSION, 9, "protocol_version 9, this batch needs 2"),
         (Control.ENV_HASH, 5, "env_hash 0x5, this batch needs 0x"),
         (Control.N_ENVS, 4096, "n_envs 4096, this batch needs 20"),
         (Control.PE_NUM, 8, "pe_num 8, this batch needs 4"),
@@ -143,6 +146,22 @@ def test_stale_and_torn_results_are_never_returned(device: OverMemory, fault: di
     assert device.memory.words("doorbell")[Doorbell.SEQUENCE] == 2
     device.step(ACTIONS)
     assert device.memory.words("doorbell")[Doorbell.SEQUENCE] == 3
+
+
+def test_what_does_not_end_is_reset(device: OverMemory) -> None:
+    """A step that was left under way, once patience is at its end."""
+    device.patience = 0.01
+    device.memory.words("doorbell")[Doorbell.SEQUENCE] = 7
+    opened(device)
+    assert device.memory.error == StatusError.RESET
+    device.memory.error = StatusError(0)
+    device.step(ACTIONS)
+    assert device.memory.words("doorbell")[Doorbell.SEQUENCE] == 1
+    device.memory.lag, device.memory.resettable = 1, False
+    with pytest.raises(DeviceError, match="stale"):
+        device.step(ACTIONS)
+    with pytest.raises(DeviceError, match=r"busy with step 2 for 0.01 s, and does not answer a reset; end oth"):
+        device.reset()
 
 
 def test_the_sequence_goes_on_where_the_hardware_was(device: OverMemory) -> None:

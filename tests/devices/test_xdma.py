@@ -10,7 +10,7 @@ import sys
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
@@ -23,7 +23,7 @@ from pearl_marl.devices.simulator.simulation import Simulation
 from pearl_marl.devices.xdma_transport import XdmaTransport
 from pearl_marl.errors import ArgumentError, DeviceError
 from pearl_marl.hardware.build import Build
-from pearl_marl.memory_map import Doorbell
+from pearl_marl.memory_map import Control, Doorbell, Status
 from pearl_marl.testing import assert_same_trajectory, trajectory
 
 from .boards import OwnBoard, served
@@ -186,8 +186,8 @@ def test_a_board_for_something_else_is_refused(board: Path, monkeypatch: pytest.
         Xdma(board).open(BatchConfig(spec=get_spec("Blackjack"), n_envs=N))
     with pytest.raises(DeviceError, match=r"has env_hash .*'is_slippery': True"):
         Xdma(board).open(BatchConfig(spec=SPEC.with_options(is_slippery=True), n_envs=N))
-    monkeypatch.setattr("pearl_marl.devices.comm_bram.PROTOCOL_VERSION", 2)
-    with pytest.raises(DeviceError, match="has protocol_version 1, this batch needs 2"):
+    monkeypatch.setattr("pearl_marl.devices.comm_bram.PROTOCOL_VERSION", 3)
+    with pytest.raises(DeviceError, match="has protocol_version 2, this batch needs 3"):
         Xdma(board).open(CONFIG)
     monkeypatch.undo()
     Xdma(board).open(CONFIG).close()  # a refusal leaves the board free
@@ -260,7 +260,9 @@ def test_a_step_that_does_not_end(tmp_path: Path) -> None:
     ):
         device.step(ACTIONS[0])
     for way_on in (device.recover, device.reset):
-        with pytest.raises(DeviceError, match=r"has been busy with step 1 for 0.1 s; end other programs"):
+        with pytest.raises(
+            DeviceError, match=r"busy with step 1 for 0.1 s, and does not answer a reset; end other"
+        ):
             way_on()
     device.close()
     server.close()
@@ -317,7 +319,7 @@ class AxiLink(XdmaTransport):
     way, as it does on a board.
     """
 
-    reads = 0
+    reads: ClassVar[list[int]] = []
     wired = True
 
     def _open(self) -> None:
@@ -330,7 +332,7 @@ class AxiLink(XdmaTransport):
         return data.size
 
     def _pread(self, offset: int, data: np.ndarray) -> int:
-        AxiLink.reads += 1
+        AxiLink.reads.append(data.size)
         self.simulation.read(offset, data)
         return data.size
 
@@ -348,29 +350,69 @@ class AxiLink(XdmaTransport):
         self._events = 0
 
 
-@pytest.mark.parametrize("completion", ["poll", "event"])
-def test_completion_on_the_hardware_itself(completion: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A read during the step is noticed by the hardware, and read again; the interrupt spares that."""
-    monkeypatch.setattr(Xdma, "transport_type", AxiLink)
+def axi_pair(completion: str) -> tuple[Xdma, Native]:
+    """A device on the simulated hardware itself, and one beside it, begun alike."""
     config = BatchConfig(spec=SPEC, n_envs=N // 2, max_cycles=20)
     device, native = Xdma(completion=completion).open(config), Native().open(config)
     device.reset(seed=0)
     native.reset(seed=0)
+    return device, native
+
+
+@pytest.mark.parametrize("completion", ["poll", "event"])
+def test_completion_on_the_hardware_itself(completion: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What was read during the step is read again, once; till its end it is the status that is looked at."""
+    monkeypatch.setattr(Xdma, "transport_type", AxiLink)
+    device, native = axi_pair(completion)
     actions = ACTIONS[:, : N // 2].copy()
-    monkeypatch.setattr(AxiLink, "reads", 0)
-    ours = trajectory(device, actions)
-    assert AxiLink.reads == len(actions) if completion == "event" else AxiLink.reads > len(actions)
-    assert_same_trajectory(ours, trajectory(native, actions))
+    monkeypatch.setattr(AxiLink, "reads", [])
+    assert_same_trajectory(trajectory(device, actions), trajectory(native, actions))
+    whole = device._layout.step_read[1]
+    if completion == "event":
+        assert AxiLink.reads == [whole] * len(actions)
+    else:
+        assert AxiLink.reads.count(whole) == 2 * len(actions)
+        assert set(AxiLink.reads) == {whole, 4 * len(Status)}
+    device.close()
+
+
+def test_a_step_that_would_not_end_is_reset(monkeypatch: pytest.MonkeyPatch) -> None:
+    """By the next program, after its patience; what it finds is as good as new hardware."""
+    monkeypatch.setattr(Xdma, "transport_type", AxiLink)
+    device, native = axi_pair("poll")
+    actions = ACTIONS[:, : N // 2].copy()
+    assert_same_trajectory(trajectory(device, actions[:7]), trajectory(native, actions[:7]))
+    device._doorbell[Doorbell.SEQUENCE] = 99
+    device._transport.write(device._write_base, device._written[:-8])
+    device.patience = 0
+    device.reset(seed=0)
+    assert device._sequence == 0
+    native.reset(seed=0)
+    assert_same_trajectory(trajectory(device, actions), trajectory(native, actions))
+    device.close()
+
+
+@pytest.mark.parametrize("completion", ["poll", "event"])
+def test_hardware_that_is_reset_during_a_step(completion: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """There is nothing to wait for then."""
+    monkeypatch.setattr(Xdma, "transport_type", AxiLink)
+    device, native = axi_pair(completion)
+    actions = ACTIONS[:, : N // 2].copy()
+    assert_same_trajectory(trajectory(device, actions[:7]), trajectory(native, actions[:7]))
+    with monkeypatch.context() as patch:
+        reset = np.array([1], "<u4").view(np.uint8)
+        patch.setattr(AxiLink, "wait", lambda self, step: self.write(4 * Control.RESET, reset))
+        with pytest.raises(DeviceError, match="reports RESET: it was reset since the last call"):
+            device.step(actions[7])
+    device.recover()
+    assert_same_trajectory(trajectory(device, actions[7:]), trajectory(native, actions[7:]))
     device.close()
 
 
 def test_hardware_that_was_reset_between_two_steps(monkeypatch: pytest.MonkeyPatch) -> None:
     """By a button, say: it would go on from anywhere, and answer in time."""
     monkeypatch.setattr(Xdma, "transport_type", AxiLink)
-    config = BatchConfig(spec=SPEC, n_envs=N // 2, max_cycles=20)
-    device, native = Xdma(completion="event").open(config), Native().open(config)
-    device.reset(seed=0)
-    native.reset(seed=0)
+    device, native = axi_pair("event")
     actions = ACTIONS[:, : N // 2].copy()
     assert_same_trajectory(trajectory(device, actions[:30]), trajectory(native, actions[:30]))
     device._transport.close()

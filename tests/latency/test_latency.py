@@ -31,7 +31,7 @@ from pearl_marl.latency import (
     predict,
     step_cycles,
 )
-from pearl_marl.latency.cycles import read_cycles, write_cycles
+from pearl_marl.latency.cycles import READ_BURST, WRITE_BURST, read_cycles, write_cycles
 from pearl_marl.latency.host import ENDING, NoHardware
 from pearl_marl.latency.prediction import Overlap
 from pearl_marl.memory_map import DATA_WIDTHS, memory_map
@@ -80,8 +80,8 @@ def test_bursts_end_at_256_beats_and_at_4_kib() -> None:
     while at < start + words:
         at = min([at + 256, start + words, *(cut for cut in cuts if cut > at)])
         bursts += 1
-    assert write_cycles(layout) == words + 6 * bursts
-    assert read_cycles(memory_map(SPEC, 70, 3, 32)) == 14 + 5 + 5 + 3 + 3  # one burst: 30 cycles
+    assert write_cycles(layout) == words + WRITE_BURST * bursts
+    assert read_cycles(memory_map(SPEC, 70, 3, 32)) == READ_BURST + 14 + 5 + 3 + 3  # one burst
 
 
 def test_the_papers_loops() -> None:

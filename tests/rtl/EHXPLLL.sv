@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT
 // The ECP5's PLL, as simple as a bench can do with: its clock is the one it gets.
 module EHXPLLL #(
     parameter int CLKI_DIV = 1,

@@ -8,7 +8,7 @@ from typing import Any
 from bench import READ_LATENCY, each_variant, start
 from cocotb.triggers import FallingEdge, ReadOnly
 
-from pearl_marl.memory_map import REGION_NAMES, Control
+from pearl_marl.memory_map import REGION_NAMES, Control, Doorbell
 
 RESULTS = {"observations", "rewards", "ters"}
 READ_ONLY = RESULTS | {"status"}
@@ -23,6 +23,7 @@ async def requests_reach_their_regions(dut: Any, given: Any) -> None:
     await start(dut, **dict.fromkeys(inputs, 0))
     source = random.Random(15)
     size = len(REGION_NAMES) * given.words
+    doorbell = REGION_NAMES.index("doorbell")
     reset_word, reset_bit = divmod(32 * Control.RESET, given.word)
     special = [reset_word] + [REGION_NAMES.index(name) * given.words for name in ("observations", "doorbell")]
     # Requests that have not been judged yet, the words that regions owe, and the answers that are due.
@@ -69,6 +70,8 @@ async def requests_reach_their_regions(dut: Any, given: Any) -> None:
 
         # What the request of two cycles ago comes to in the next cycle, when its access is.
         busy |= strobes["soft_reset"]
+        if strobes["we"] >> doorbell & 1 and at is not None:
+            busy |= int(at[0] == 32 * Doorbell.SEQUENCE // given.word)
         strobes, at = dict.fromkeys(names, 0), None
         waiting.append(fresh)
         judged = waiting.pop(0)

@@ -338,18 +338,19 @@ async def a_partial_write_does_not_span_the_end_of_a_step(dut: Any) -> None:
     n = LAYOUT.n_envs
     nobody, actions = np.zeros(n, bool), np.zeros(n, np.uint8)
     await host.control(TICK_LOW=0)
-    refused = set()
+    answers = set()
     for tick in range(1, 40):
         await host.ring(Mode.RESET_ALL, nobody, actions)
         await ClockCycles(dut.clk_i, tick)
         # The highest byte of the tick's low half is zero, and so it stays.
         answer = await host.axi.write(4 * Control.TICK_LOW + 3, bytes(1))
         error = (await host.finish())[Status.ERROR]
-        refused.add(answer.resp)
+        answers.add(answer.resp)
         assert bool(error & StatusError.BUSY_WRITE) == (answer.resp == AxiResp.SLVERR)
         (found,) = struct.unpack("<I", await host.read(4 * Control.TICK_LOW, 4))
         assert found == tick
-    assert refused == {AxiResp.OKAY, AxiResp.SLVERR}
+    # A step of one group may be over before the write gets there.
+    assert answers == {AxiResp.OKAY, AxiResp.SLVERR} or LAYOUT.groups == 1
 
 
 @cocotb.test(skip=LAYOUT.groups > 10)

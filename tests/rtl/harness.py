@@ -7,6 +7,7 @@ side in one build, and one simulation goes from one to the next.
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import fcntl
 import hashlib
 import json
@@ -100,6 +101,14 @@ def whole(build: Build) -> Design:
     """The whole design of a build."""
     spec, parameters = build.spec, elaboration.top_parameters(build)
     return Design("pearl_top", tuple(elaboration.sources(spec)), parameters)
+
+
+AXI_PROPERTIES = HERE / "axi_properties.sv"
+
+
+def checked(design: Design) -> Design:
+    """A design with an AXI slave, and what AXI4 demands of it and of its master bound to that."""
+    return dataclasses.replace(design, sources=(*design.sources, AXI_PROPERTIES))
 
 
 def side_by_side(designs: Sequence[Design]) -> Design:

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT
 // pearl_port in front of regions of REGION_WORDS words each, since a list of offsets cannot be given on
 // a tool's command line.
 module port_map
@@ -22,6 +23,7 @@ module port_map
     output logic  [    NumRegions-1:0]              we_o,
     output logic  [WORD_ADDR_BITS-1:0]              index_o,
     output logic  [       DATA_WL-1:0]              wdata_o,
+    output logic  [       DATA_WL-1:0]              next_wdata_o,
     input  logic  [    NumRegions-1:0][DATA_WL-1:0] rdata_i,
     output logic                                    busy_write_o,
     output logic                                    busy_doorbell_o,

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from harness import HERE, Design, run
+from harness import HERE, Design, checked, run
 
 from pearl_marl.devices import BatchConfig, Lockstep, Native, Serial
 from pearl_marl.devices.serial import SerialTransport
@@ -66,7 +66,7 @@ def run_ulx3s(bench: str, folder: Path, **arguments: Any) -> None:
     design = Design(ULX3S.top, tuple(simulated(ULX3S, build, folder)), parameters)
     size = [*SIZE, build.layout.data_wl]
     arguments |= {"env": SPEC.name, "size": size, "clocks_per_bit": CLOCKS_PER_BIT}
-    run(design, bench, folder, **arguments)
+    run(checked(design), bench, folder, **arguments)
 
 
 def test_the_ulx3s_at_its_serial_line(tmp_path: Path) -> None:

@@ -159,8 +159,9 @@ def test_an_address_of_64_bits_is_legal() -> None:
     lint(whole(Build.of(spec, 7, 4, 32)), ADDR_BITS=64)
 
 
-def test_formatter_has_nothing_to_change() -> None:
+def test_files_name_their_licence_and_formatter_has_nothing_to_change() -> None:
     for file in (*elaboration.backbone_paths()[0].parent.rglob("*.sv"), *HERE.rglob("*.sv")):
+        assert file.read_text().startswith("// SPDX-License-Identifier: MIT\n"), file.name
         formatted = toolchain.run(["verible-verilog-format", "--column_limit=110", str(file)])
         assert formatted == file.read_text(), f"{file.name} is not as verible-verilog-format leaves it"
 

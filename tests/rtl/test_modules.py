@@ -6,13 +6,14 @@ of its own all the same: if one fails, even by an assertion that ends the simula
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import pytest
-from harness import Variant, module, run_variants
+from harness import Variant, checked, module, run_variants
 
 # Row and word: equal, dividing either way, sharing a factor, sharing none; wider and narrower rows.
 RATIOS = [(32, 32), (8, 32), (96, 32), (64, 128), (48, 32), (24, 32), (42, 32), (7, 32), (99, 64), (1, 32)]
@@ -30,6 +31,11 @@ def packing(top: str, rows: int, row: int, word: int) -> Variant:
     words = -(-((rows - 1) * row + 1) // word)
     parameters = {"ROW_BITS": row, "DATA_WL": word, "WORDS": words}
     return variant(top, parameters, row=row, word=word, rows=rows, words=words)
+
+
+def axi_memory(word: int) -> Variant:
+    plain = variant("axi_memory", {"DATA_WL": word, "ADDR_BITS": 14}, word=word)
+    return dataclasses.replace(plain, design=checked(plain.design))
 
 
 def group_reader(groups: int, pe_num: int, word: int, ii: int, obs: int, reward: int) -> Variant:
@@ -73,9 +79,7 @@ MODULES = {
     ],
     "fifo": [variant("pearl_fifo", {"DEPTH": depth}, depth=depth) for depth in (2, 8)],
     "axi_address": [variant("pearl_axi_address", {})],
-    "axi_slave": [
-        variant("axi_memory", {"DATA_WL": word, "ADDR_BITS": 14}, word=word) for word in (32, 256, 1024)
-    ],
+    "axi_slave": [axi_memory(word) for word in (32, 256, 1024)],
     # The narrow address is that of a small map, the wide one that of a bus of 64 bits.
     "port": [
         variant(

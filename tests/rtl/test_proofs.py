@@ -27,6 +27,15 @@ Fault = tuple[str, str, str]
 """A file, what stands there, and what a broken design has instead."""
 
 
+def broken(path: Path, fault: Fault | None) -> str:
+    """Return the text of a file, with the fault in it if that is in this file."""
+    text = path.read_text()
+    if fault is not None and path.name == fault[0]:
+        assert text.count(fault[1]) == 1, f"{path.name} no longer has the line that this fault changes"
+        text = text.replace(fault[1], fault[2])
+    return text
+
+
 def check(
     folder: Path,
     top: str,
@@ -34,25 +43,25 @@ def check(
     arguments: Sequence[str],
     fault: Fault | None,
     bounded: bool = False,
+    *,
+    depths: tuple[int, int] = (DEPTH, FAULT_DEPTH),
+    prepared: Sequence[str] = (),
 ) -> str:
     """Prove a design, or refute a broken one; return the checker's report.
 
-    A bounded proof is of the first cycles after reset only.
+    A bounded proof is of the first cycles after reset only. ``depths`` are how far induction and bounded
+    proofs look; ``prepared`` are more commands for Yosys.
     """
     names = []
     for path in files:
-        text = path.read_text()
-        if fault is not None and path.name == fault[0]:
-            assert text.count(fault[1]) == 1, f"{path.name} no longer has the line that this fault changes"
-            text = text.replace(fault[1], fault[2])
-        (folder / path.name).write_text(text)
+        (folder / path.name).write_text(broken(path, fault))
         names.append(path.name)
     bounded |= fault is not None
-    mode, depth = ("bmc", FAULT_DEPTH) if bounded else ("prove", DEPTH)
+    mode, depth = ("bmc", depths[1]) if bounded else ("prove", depths[0])
     words = ["read_slang", "--threads 1", f"--top {top}", *arguments, *names]
     if bounded:
         words.insert(3, "-D PROPERTY_ONLY")
-    script = [" ".join(words), f"prep -top {top}"]
+    script = [" ".join(words), f"prep -top {top}", *prepared]
     if top == "backbone_proof" and not bounded:
         # That a packer has room is not inductive: it takes what came since the step began.
         script.insert(1, "chformal -remove a:src=*pearl_packer.sv*")

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 from bench import spec_of
-from harness import run, whole
+from harness import checked, run, whole
 
 from pearl_marl.hardware.build import Build
 
@@ -30,5 +30,5 @@ from pearl_marl.hardware.build import Build
 )
 def test_top_equals_the_model(env, options, size, idle, steps, tmp_path: Path) -> None:
     spec = spec_of(env, options)
-    design = whole(Build.of(spec, *size))
+    design = checked(whole(Build.of(spec, *size)))
     run(design, "bench_top", tmp_path, env=env, options=options, size=size, idle=idle, steps=steps)

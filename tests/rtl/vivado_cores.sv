@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT
 // What pearl_vc707 takes from Vivado, as black boxes: the ports are those that the cores and primitives
 // have there, for tools that have to know them.
 

@@ -5,12 +5,15 @@
 //
 // - over the AXI4 port, beat by beat, as an XDMA core would send them;
 // - for regions that have a backdoor, straight into or out of the memory behind them; states only out.
-//   Everything else, doorbell and status among it, goes over the port all the same.
+//   Everything else, doorbell and status among it, goes over the port all the same. As a read of the first
+//   result does over the port, one from the back clears the status's mark of results not read.
 
 #include <algorithm>
 #include <cstdint>
 #include <cstring>
 #include <vector>
+
+#define PEARL_ERROR(model) model->rootp->pearl_top__DOT__u_backbone__DOT__u_registers__DOT__error_q
 
 namespace {
 
@@ -21,7 +24,8 @@ constexpr uint64_t kHalfPeriod = 5;  // in the nanoseconds of a waveform
 constexpr uint64_t kFirstTime = 10;  // PyVerilator's own first entry stands there
 constexpr unsigned kIncrementing = 1;
 constexpr int kBackdoors = 5;
-constexpr int kObservations = 2;
+constexpr int kObservations = 2;  // among them
+constexpr unsigned kTornRead = 4;  // of the status's error word
 constexpr int kRowMemories = 2;
 // After a reset the pipeline drains, which takes longer than any core's latency.
 constexpr uint64_t kDrainCycles = 1000;
@@ -225,7 +229,10 @@ struct Host {
         split(
             begin, length,
             [&](uint64_t at, uint64_t done, uint64_t size) { read_states(at, data + done, size); },
-            [&](uint8_t* memory, uint64_t done, uint64_t size) { std::memcpy(data + done, memory, size); });
+            [&](uint8_t* memory, uint64_t done, uint64_t size) {
+                std::memcpy(data + done, memory, size);
+                if (memory == windows[kObservations].memory) PEARL_ERROR(top) &= ~kTornRead;
+            });
     }
 
     // Row memories that a transfer has the whole of come from the back, the rest over the port.
@@ -274,14 +281,7 @@ Host* pearl_open(
     auto* host = new Host{model, vcd, patience, 0, kFirstTime, kOkay, {}, {}};
     uint8_t* banks[] = {
         PEARL_BANK(reset_mask), PEARL_BANK(actions), PEARL_BANK(observations), PEARL_BANK(rewards), PEARL_BANK(ters)};
-    for (int i = 0; i < kBackdoors; i++) {
-        Window& window = host->windows[i] = {bounds[2 * i], bounds[2 * i + 1], banks[i]};
-        // The first word of results goes over the port: reading it there is what ends a torn read.
-        if (i == kObservations && window.begin != window.end) {
-            window.begin += kWordBytes;
-            window.memory += kWordBytes;
-        }
-    }
+    for (int i = 0; i < kBackdoors; i++) host->windows[i] = {bounds[2 * i], bounds[2 * i + 1], banks[i]};
     const uint64_t* states = bounds + 2 * kBackdoors;
     host->row_memories[0] = {states[0], states[1], rows, {PEARL_COLUMNS_OF_CURRENT_STATES}};
     host->row_memories[1] = {states[2], states[3], rows, {PEARL_COLUMNS_OF_ELAPSED}};

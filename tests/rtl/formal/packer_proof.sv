@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT
 // No bit is lost, doubled or moved between the rows that go into a packer and the words it writes,
 // whenever rows come and however long they take.
 module packer_proof #(

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT
 // A core that takes four cycles a slot: a multiplier that shifts and adds.
 
 // verilator lint_off DECLFILENAME
