@@ -160,7 +160,9 @@ class Script:
     def some(self) -> tuple[np.ndarray, np.ndarray]:
         """Return a reset mask and actions."""
         n = self.layout.n_envs
-        return self.random.random(n) < 0.3, self.random.integers(0, self.spec.action_space.n, n).astype(np.uint8)
+        return self.random.random(n) < 0.3, self.random.integers(0, self.spec.action_space.n, n).astype(
+            np.uint8
+        )
 
     def results(self, expected: dict[str, bytes]) -> None:
         for name, data in expected.items():
@@ -428,13 +430,29 @@ def compile_mutants(mutants: list[Mutant], folder: Path) -> Path:
         mutant.command.replace("mutate ", f"mutate -ctrl mutant_i 16 {number} ", 1)
         for number, mutant in enumerate(mutants, start=1)
     ]
-    yosys(folder, "read_rtlil sound.il", *asleep, "opt_clean", "bwmuxmap", "write_verilog -noattr -noparallelcase pearl_backbone.v")
+    yosys(
+        folder,
+        "read_rtlil sound.il",
+        *asleep,
+        "opt_clean",
+        "bwmuxmap",
+        "write_verilog -noattr -noparallelcase pearl_backbone.v",
+    )
     latency = re.search(r"PORT_LATENCY = (\d+);", (folder / "pearl_pkg.sv").read_text())
     assert latency is not None
     numbers = {"PORT_LATENCY": int(latency[1]), "RESET_CYCLES": RESET_CYCLES, "SEED": 1}
     toolchain.run(
         [
-            *("verilator", "--cc", "--exe", "--build", "-Wno-fatal", "-Wno-lint", "--top-module", "pearl_backbone"),
+            *(
+                "verilator",
+                "--cc",
+                "--exe",
+                "--build",
+                "-Wno-fatal",
+                "-Wno-lint",
+                "--top-module",
+                "pearl_backbone",
+            ),
             # A design may not lean on what its registers held before a reset.
             *("--x-initial", "unique", "--x-assign", "unique"),
             *("-CFLAGS", " ".join(f"-D{name}={value}" for name, value in numbers.items())),
@@ -470,6 +488,7 @@ if __name__ == "__main__":
     given = parser.parse_args()
     given.out.mkdir(parents=True, exist_ok=True)
     import time
+
     t = time.time()
     mutants = choose(BUILD, given.out, given.mutants, given.seed)
     print("chosen", len(mutants), time.time() - t)
