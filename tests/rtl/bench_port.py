@@ -40,7 +40,9 @@ async def requests_reach_their_regions(dut: Any, given: Any) -> None:
         dut.busy_i.value = busy
         fresh = None
         if source.random() < 0.8:
-            address = source.choice(special) if source.random() < 0.3 else source.randrange(size + given.words)
+            address = source.randrange(size + given.words)
+            if source.random() < 0.3:
+                address = source.choice(special)
             if source.random() < 0.1:  # far behind the map is a hole, whatever the lower bits are
                 address |= 1 << source.randrange((size + given.words).bit_length(), given.address_bits)
             data = source.getrandbits(given.word)
