@@ -98,7 +98,7 @@ _PORT_LATENCY = 6
 WRITE_BURST, READ_BURST = _PORT_LATENCY + 5, _PORT_LATENCY + 4
 """Cycles of a burst besides its beats: its address, and until the AXI slave has answered."""
 
-_UNTIL_RUNNING = 4
+_UNTIL_RUNNING = 5
 """Cycles of a step that pass while its write is still being answered."""
 
 
