@@ -13,7 +13,7 @@ from pearl_marl.hardware import elaboration, toolchain
 NAMES = ("pearl_pkg", "pearl_fifo", "pearl_axi_address", "pearl_slice", "pearl_axi_slave")
 SLAVE = [path for name in NAMES for path in elaboration.backbone_paths() if path.stem == name]
 # Of induction, and within how many cycles a fault has to show.
-DEPTHS = (2, 14)
+DEPTHS = (2, 20)
 
 
 def check_slave(folder: Path, fault: Fault | None, *only: str) -> str:
