@@ -92,13 +92,13 @@ def loop_cycles(spec: EnvSpec, layout: MemoryMap, target: Target = elaboration.T
 _BURST_BYTES, _BURST_BEATS = 4096, 256
 """AXI4: no burst crosses a multiple of the one, or has more beats than the other."""
 
-_PORT_LATENCY = 5
+_PORT_LATENCY = 6
 """Cycles from a request behind the AXI slave to its answer (``PORT_LATENCY`` of ``rtl/pearl_pkg.sv``)."""
 
 WRITE_BURST, READ_BURST = _PORT_LATENCY + 5, _PORT_LATENCY + 4
 """Cycles of a burst besides its beats: its address, and until the AXI slave has answered."""
 
-_UNTIL_RUNNING = 4
+_UNTIL_RUNNING = 5
 """Cycles of a step that pass while its write is still being answered."""
 
 
