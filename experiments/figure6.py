@@ -15,21 +15,20 @@ from pearl_marl.benchmark.paper import TABLE_2
 from pearl_marl.devices import Rtl
 from pearl_marl.errors import ArgumentError
 from pearl_marl.hardware.fitting import PARTS
-from pearl_marl.latency import LINKS
 from pearl_marl.latency.prediction import Overlap, Prediction
 from pearl_marl.plan import plan
 from pearl_marl.registry import get_spec, names
 from pearl_marl.spec import EnvSpec
 
-from . import paper, pipeline
+from . import paper, paper_builds, pipeline
 from .section import LINES, Colour, Progress, Row, having, legend, log_axis, panels, row_of, select, tidy
 
 TITLE = "Figure 6: throughput"
 TEXT = (
     "Agent-steps per second over the number of environments: Gymnasium's vector environments, MinAtar, "
     "EnvPool, this package on the CPU, the FPGA design simulated by Verilator, and the same design "
-    "predicted behind the link of the paper's board (PCIe 2.0 x8, 125 MHz). The paper's own rates are of "
-    "its machine. "
+    f"predicted behind the link of the paper's board (PCIe 2.0 x8, {pipeline.CLOCK / 1e6:g} MHz). The "
+    "paper's own rates are of its machine. "
     "Solid lines are measured, dashed ones simulated, dash-dotted ones predicted, dotted ones quoted."
 )
 COLUMNS = {
@@ -58,7 +57,7 @@ SIMULATIONS = (SIMULATED, SIMULATED_SERIAL)
 BOARD_SERIAL = "predicted, without pipeline"
 BOARD, BOARD_OVERLAP = "predicted on a VC707", "predicted, two half-batches in flight"
 PEERS = (ENVPOOL, SYNC, "Gymnasium AsyncVectorEnv", "Gymnasium's own vectorisation", "MinAtar")
-LINK, CLOCK, PART = LINKS["gen2x8"], 125e6, PARTS["vc707"]
+PART = PARTS[paper_builds.BOARD]
 
 
 def collect(quick: bool, progress: Progress) -> list[Row]:
@@ -147,11 +146,11 @@ def predicted(spec: EnvSpec, n: int) -> list[Row]:
     And the paper's form without pipeline behind the same link: states go to it and come back with every step.
     """
     try:
-        plans = plan(spec, n, LINK, CLOCK, PART)
+        plans = plan(spec, n, pipeline.LINK, pipeline.CLOCK, PART)
     except ArgumentError as error:  # so many slots do not fit the part
         return [row_of("missing", str(error), environment=spec.name, contender=BOARD, ours=True, n_envs=n)]
     chosen = plans.chosen.prediction
-    behind = f"{chosen.data_wl}-bit words, {CLOCK / 1e6:g} MHz, {LINK.name}"
+    behind = f"{chosen.data_wl}-bit words, {pipeline.CLOCK / 1e6:g} MHz, {pipeline.LINK.name}"
     build = f"{chosen.pe_num} PEs, {behind}"
     rows = [_predicted(spec, BOARD, n, chosen, f"{build}; T1 and T7 measured here")]
     if plans.overlap is not None:
@@ -189,19 +188,16 @@ def simulated_without_pipeline(spec: EnvSpec, n: int) -> Contender:
 def compared(name: str) -> list[Row]:
     """Predict both forms in the processing elements and word of the paper, which compares them, too."""
     found = pipeline.compare(name)
+    ours, fits = found.pipelined, found.fits
+    size = f"{ours.data_wl}-bit words, as many slots as memory fits"
+    form = "with pipeline" + (", does not fit" if fits.lacks else "")
+    counts = f"{ours.pe_num} PEs, {size}; on a VC707: {fits.text} ({fits.source})"
+    label = "predicted in the paper's sizes"
     return [
         _predicted(
-            get_spec(name),
-            f"predicted in the paper's sizes, {form}",
-            step.n_envs,
-            step,
-            f"{step.pe_num} PEs, {step.data_wl}-bit words, as many slots as fit",
-            over_no_pipeline=over,
-        )
-        for form, step, over in (
-            ("with pipeline", found.pipelined, found.factor),
-            ("without", found.serial, None),
-        )
+            get_spec(name), f"{label}, {form}", ours.n_envs, ours, counts, over_no_pipeline=found.factor
+        ),
+        _predicted(get_spec(name), f"{label}, without", ours.n_envs, found.serial, f"1 PE, {size}"),
     ]
 
 

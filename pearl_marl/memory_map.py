@@ -247,8 +247,8 @@ MAX_DEFAULT_PE_NUM = 128
 longer to compile: 43,008 slots of CliffWalking step fastest with 128, 7 % slower with 64, 40 % with 256."""
 
 MAX_DEFAULT_DRAWS = 128
-"""A random draw is two multipliers, and what a core makes of it is hardware, too. So cores that draw often
-are fewer: 32 of Blackjack, with three draws each. 64 take minutes to compile, and step no faster."""
+"""A random draw is two products of 32 bits, and what a core makes of it is hardware, too. So cores that draw
+often are fewer: 32 of Blackjack, with three draws each. 64 take minutes to compile, and step no faster."""
 
 DEFAULT_GROUPS = 16
 """With this many groups, a step's constant dozen of cycles no longer matters; so few slots make do
@@ -265,7 +265,8 @@ def default_map(
     no more than :data:`MAX_DEFAULT_PE_NUM`, nor than take :data:`MAX_DEFAULT_DRAWS` random draws a cycle. The
     word is the narrowest that keeps up with a group of slots a cycle, or the widest there is.
 
-    What else a core takes is not known here: of one with many multipliers fewer may fit a part.
+    What else a core takes is not known here: of one with many multipliers fewer may fit a part, which is what
+    :func:`pearl_marl.plan.plan` finds out.
     """
     # Every stream has a bank of its own, so the widest sets the pace.
     widest = max(spec.action.bits, word_bits(spec.observation), spec.reward.bits, TER_BITS)

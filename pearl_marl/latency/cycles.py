@@ -13,7 +13,7 @@ _FIRST_ISSUE = 6
 """Cycles of a step in which the sequencer starts and the first row of actions comes out of its memory."""
 
 _FETCH = 4
-"""Cycles from a group's issue to when the cores get its states (``issue_to_core`` of ``rtl/pearl_pkg.sv``)."""
+"""Cycles from a group's issue to when cores get its states (``issue_to_core`` of ``rtl/pearl_pkg.sv``)."""
 
 _DRAW_LATENCY = 5
 """The same for its random draws (``DRAW_LATENCY``), which the states then wait for."""

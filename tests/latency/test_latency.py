@@ -14,12 +14,13 @@ import pytest
 
 from pearl_marl import get_spec, plan
 from pearl_marl.batch.actions import random_actions
+from pearl_marl.benchmark.paper import TABLE_2
 from pearl_marl.devices import BatchConfig, Rtl
 from pearl_marl.errors import ArgumentError
 from pearl_marl.hardware import elaboration
 from pearl_marl.hardware.elaboration import clocked, core_timing
-from pearl_marl.hardware.fitting import PARTS, modelled_bram36
-from pearl_marl.hardware.synthesis import Memory, Usage
+from pearl_marl.hardware.fitting import PARTS, modelled_bram36, modelled_dsp
+from pearl_marl.hardware.synthesis import Family, Memory, Usage
 from pearl_marl.latency import (
     LINKS,
     HostTimes,
@@ -38,7 +39,10 @@ from pearl_marl.memory_map import DATA_WIDTHS, memory_map
 
 from ..rtl.shift_add import SPEC as SHIFT_ADD
 
-pipeline = importlib.import_module("pearl_marl.experiments.pipeline")
+figure6, paper_builds, pipeline = (
+    importlib.import_module(f"pearl_marl.experiments.{name}")
+    for name in ("figure6", "paper_builds", "pipeline")
+)
 
 SPEC = get_spec("CliffWalking")
 
@@ -148,11 +152,50 @@ def test_with_and_without_the_pipeline(monkeypatch: pytest.MonkeyPatch) -> None:
     assert (found.pipelined.n_envs, found.pipelined.pe_num, found.serial.pe_num) == (43008, 256, 1)
     assert found.factor == pytest.approx(found.serial.total / found.pipelined.total)
     assert 2.7 < found.factor < 13.5, "the paper's range"
-    spec = get_spec("Seaquest")
-    assert modelled_bram36(memory_map(spec, n := pipeline.fitting(spec, 16, 1024), 16, 1024)) <= 1030
-    assert modelled_bram36(memory_map(spec, n + 1024, 16, 1024)) > 1030
     rate = pipeline.simulated_rate(SPEC, 70, 1, 32, 100e6, pipelined=False)
     assert rate == pytest.approx(70 * 100e6 / 287), "docs/latency.md has it measured"
+
+
+@pytest.mark.usefixtures("quick_host")
+def test_builds_of_table_2_that_do_not_fit_are_marked(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """By what synthesis made of them: every factor of theirs says so, in the table and in the report."""
+    monkeypatch.setattr(pipeline, "measure_host", lambda spec, n: HOST)
+    monkeypatch.setattr(elaboration, "core_timing", lambda *_: elaboration.Timing(40, 1))
+    part, known, marks = PARTS["vc707"], json.loads(paper_builds.FILE.read_text()), {}
+    for name in TABLE_2:
+        verdict = paper_builds.verdict(paper_builds.build(name))
+        marks[name] = verdict.text
+        if name in known:
+            over = [what for what in paper_builds.RESOURCES if known[name][what] > getattr(part, what)]
+            assert all(f"{known[name][what]:,} of {getattr(part, what):,} " in verdict.lacks for what in over)
+            assert verdict.text == (f"does not fit: {verdict.lacks}" if over else "fits")
+            assert verdict.source.startswith("synthesised 20")
+    assert re.fullmatch(r"does not fit: .*6,662 of 2,800 DSP", marks["Blackjack"])
+    assert marks["CartPole"] == marks["Seaquest"] == "fits"
+    pipeline.main()
+    rows = capsys.readouterr().out.splitlines()[2:]
+    assert [row.split(" | ")[-1].removesuffix(" |") for row in rows] == list(marks.values())
+    ours, serial = figure6.compared("Blackjack")
+    assert ours["over_no_pipeline"] > 1
+    assert ours["contender"].endswith("with pipeline, does not fit")
+    assert f"on a VC707: {marks['Blackjack']} (" in ours["counts"]
+    assert "does not fit" not in serial["contender"]
+    few = paper_builds.verdict(paper_builds.build("Blackjack", 1024))
+    assert (few.lacks, few.source) == ("6,662 of 2,800 DSP", "by its memories and multipliers")
+    assert paper_builds.verdict(paper_builds.build("CartPole", 1024)).text == "not synthesised"
+
+
+def test_the_model_of_multipliers_is_what_yosys_made() -> None:
+    for name, made in json.loads(paper_builds.FILE.read_text()).items():
+        assert modelled_dsp(get_spec(name), Family.XC7.target).of(made["pe_num"]) == made["dsp"], name
+
+
+def test_the_papers_builds_have_as_many_slots_as_fit() -> None:
+    spec, layout = paper_builds.build("Seaquest")
+    assert modelled_bram36(layout) <= 1030
+    assert modelled_bram36(memory_map(spec, layout.n_envs + 1024, 16, 1024)) > 1030
 
 
 def test_a_core_is_predicted_for_its_clock() -> None:

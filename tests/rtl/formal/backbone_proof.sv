@@ -1,32 +1,44 @@
 // SPDX-License-Identifier: MIT
-// Of the whole backbone, whatever the host does:
+// Of the whole backbone, whatever its core answers and the host does, for ever.
 //
-// - status and interrupt never announce a step whose results are not all written (PROVE_STATUS);
-// - no address leaves its region, nor the memory behind it (PROVE_ADDRESSES).
+// Between two steps it is `idle`: nothing is on the state path, and nothing will be before the next start.
+// The runs here start in any state at all. In their first FLUSH cycles no group is issued, so that what
+// comes then is any idle state (and more). Proofs of a few cycles make up one of all:
 //
-// PROPERTY_ONLY leaves out the lemmas, so that what a broken design violates is the property itself.
+// - PROVE_RESET: after a reset, whatever was before it, the port is busy until the backbone is idle;
+// - PROVE_IDLE: an idle state stays one until a step starts, and the status is right in it;
+// - PROVE_STEP: in a step that starts in an idle state, one slot, any one, is read once and written
+//   once; its core gets what is the slot's, and what the core answers ends where the slot's is; the
+//   status comes within STEP_CYCLES, and not before all of that; then the state is idle again.
+//
+// In all of them the host's accesses are to the words that it meant, no address leaves its memory, and a
+// packer has room for every row.
 module backbone_proof
   import pearl_pkg::*;
+  import pearl_core_pkg::*;
+  import pearl_map_pkg::*;
 #(
-    // Those of pearl_backbone that are not its defaults.
-    parameter int unsigned N_ENVS = 40,
-    parameter int unsigned PE_NUM = 8,
+    parameter int unsigned N_ENVS = 5,
+    parameter int unsigned PE_NUM = 2,
     parameter int unsigned DATA_WL = 32,
-    parameter int unsigned WORD_ADDR_BITS = 14
+    parameter bit PIPELINED = 1'b1,
+    // A step takes no more cycles from its start.
+    parameter int unsigned STEP_CYCLES = 20,
+    localparam int unsigned WORD_ADDR_BITS = $clog2(region_offset(NumRegions, N_ENVS, PE_NUM, DATA_WL) + 1)
 ) (
     input logic                      clk_i,
+    input logic                      rst_ni,
     input logic                      req_i,
     input logic                      we_i,
+    input logic                      fetch_i,
     input logic [WORD_ADDR_BITS-1:0] addr_i,
     input logic [       DATA_WL-1:0] wdata_i
 );
 
-  // As the backbone demands: reset lasts LATENCY + 4 cycles.
-  localparam int unsigned RESET_CYCLES = pearl_core_pkg::LATENCY + 4;
-  logic [7:0] age_q = '0;
-  logic rst_n;
-  assign rst_n = age_q == 8'(RESET_CYCLES);
-  always_ff @(posedge clk_i) if (!rst_n) age_q <= age_q + 1'b1;
+  localparam int unsigned GROUPS = ceil_div(N_ENVS, PE_NUM);
+  // No group is on its way for longer.
+  localparam int unsigned FLUSH = issue_to_core(DRAWS) + LATENCY + 2;
+  localparam int unsigned TIME_BITS = 8;
 
   logic irq, unused_rvalid;
   logic [DATA_WL-1:0] unused_rdata;
@@ -36,12 +48,14 @@ module backbone_proof
       .N_ENVS(N_ENVS),
       .PE_NUM(PE_NUM),
       .DATA_WL(DATA_WL),
+      .PIPELINED(PIPELINED),
       .WORD_ADDR_BITS(WORD_ADDR_BITS)
   ) u_backbone (
       .clk_i,
-      .rst_ni  (rst_n),
+      .rst_ni,
       .req_i,
       .we_i,
+      .fetch_i,
       .addr_i,
       .wdata_i,
       .rvalid_o(unused_rvalid),
@@ -50,96 +64,325 @@ module backbone_proof
       .irq_o   (irq)
   );
 
-`ifdef PROVE_STATUS
-  localparam int unsigned OBS_WORDS = stream_words(N_ENVS, pearl_core_pkg::OBS_BITS, DATA_WL);
-  localparam int unsigned REWARD_WORDS = stream_words(N_ENVS, pearl_core_pkg::REWARD_BITS, DATA_WL);
-  localparam int unsigned TER_WORDS = stream_words(N_ENVS, TER_BITS, DATA_WL);
+  // ---- Between two steps ----
+
+  localparam int unsigned WAIT_KEYS = 1;
   localparam int unsigned RUNNING = 2;
 
-  // Which words of each result memory were written in this step: seen at the memories' ports.
-  logic [OBS_WORDS-1:0] obs_q;
-  logic [REWARD_WORDS-1:0] rewards_q;
-  logic [TER_WORDS-1:0] ters_q;
-  // What was true a cycle ago.
-  logic irq_q, all_written_q, awake_q;
-  logic [31:0] finished_q;
+  logic start, done, awake, waiting, running, reset, settled, idle;
+  logic [31:0] finished, sequence_number;
+  assign start = u_backbone.start;
+  assign done = u_backbone.done;
+  assign awake = u_backbone.awake_q;
+  assign reset = !rst_ni || u_backbone.soft_reset;
+  assign waiting = 32'(u_backbone.u_sequencer.state_q) == WAIT_KEYS;
+  assign running = 32'(u_backbone.u_sequencer.state_q) == RUNNING;
+  assign finished = u_backbone.u_registers.finished_q;
+  assign sequence_number = u_backbone.u_registers.sequence_q;
 
-  logic clear;
-  assign clear = !rst_n || u_backbone.ring || u_backbone.start;
-
+  // How many cycles there were before this one, and since the last group.
+  logic [TIME_BITS-1:0] now_q = '0, quiet_q = '0;
   always_ff @(posedge clk_i) begin
-    if (clear) obs_q <= '0;
-    else if (u_backbone.u_observations.we) obs_q[u_backbone.u_observations.waddr] <= 1'b1;
-    if (clear) rewards_q <= '0;
-    else if (u_backbone.u_rewards.we) rewards_q[u_backbone.u_rewards.waddr] <= 1'b1;
-    if (clear) ters_q <= '0;
-    else if (u_backbone.u_ters.we) ters_q[u_backbone.u_ters.waddr] <= 1'b1;
-    awake_q <= rst_n;
-    irq_q <= irq;
-    finished_q <= u_backbone.u_registers.finished_q;
-    all_written_q <= &obs_q && &rewards_q && &ters_q;
+    if (now_q != '1) now_q <= now_q + 1'b1;
+    if (u_backbone.issue) quiet_q <= '0;
+    else if (quiet_q != '1) quiet_q <= quiet_q + 1'b1;
   end
 
-  always_ff @(posedge clk_i) begin
-    if (rst_n && awake_q) begin
-      if (u_backbone.u_registers.finished_q != finished_q) assert (all_written_q);
-      if (irq && !irq_q) assert (all_written_q);
-      if (u_backbone.busy) begin
-        assert (u_backbone.u_registers.finished_q != u_backbone.u_registers.rung_q);
-        assert (!irq);
-      end
-    end
-  end
+  // A doorbell that has rung is answered neither by the status nor by the interrupt, and warns of results
+  // that are not its own.
+  assign settled = waiting ? finished != sequence_number && !irq && u_backbone.u_registers.error_q.torn_read
+                           : finished == sequence_number;
+  assign idle = awake && u_backbone.drain_q == '0 && 32'(u_backbone.u_sequencer.state_q) < RUNNING &&
+      !u_backbone.u_group_reader.active_q && quiet_q >= TIME_BITS'(FLUSH) && settled;
 
-`ifndef PROPERTY_ONLY
-  always_ff @(posedge clk_i) begin
-    if (rst_n) begin
-      assert (32'(u_backbone.u_sequencer.state_q) <= RUNNING);
-      if (!u_backbone.busy) assert (u_backbone.u_registers.finished_q == u_backbone.u_registers.rung_q);
-      if (32'(u_backbone.u_sequencer.state_q) == RUNNING) begin
-        assert (33'(obs_q) + 33'b1 == 33'b1 << u_backbone.u_observations.u_packer.count_q);
-        assert (33'(rewards_q) + 33'b1 == 33'b1 << u_backbone.u_rewards.u_packer.count_q);
-        assert (33'(ters_q) + 33'b1 == 33'b1 << u_backbone.u_ters.u_packer.count_q);
-      end
-    end
-  end
-`endif
-`endif
+  // ---- The host's accesses ----
 
-`ifdef PROVE_ADDRESSES
-
+  // Cycles from a request to its access.
+  localparam int unsigned TO_ACCESS = PORT_LATENCY - READ_LATENCY - 1;
+  logic [WORD_ADDR_BITS-1:0] meant;
+  pearl_delay #(
+      .WIDTH (WORD_ADDR_BITS),
+      .STAGES(TO_ACCESS)
+  ) u_meant (
+      .clk_i,
+      .d_i(addr_i),
+      .d_o(meant)
+  );
   for (genvar i = 0; i < NumRegions; i++) begin : gen_region
-    localparam int unsigned OFFSET = pearl_map_pkg::region_offset(i, N_ENVS, PE_NUM, DATA_WL);
-    localparam int unsigned WORDS = pearl_map_pkg::region_words(i, N_ENVS, PE_NUM, DATA_WL);
-    always_ff @(posedge clk_i) begin
-      if (rst_n && (u_backbone.host_re[i] || u_backbone.host_we[i])) begin
-        // It is the region that the host meant, and no other one.
-        assert (32'(u_backbone.host_index) + OFFSET == 32'(u_backbone.u_port.addr_q));
+    localparam int unsigned OFFSET = region_offset(i, N_ENVS, PE_NUM, DATA_WL);
+    localparam int unsigned WORDS = region_words(i, N_ENVS, PE_NUM, DATA_WL);
+    always_comb begin
+      if (now_q >= TIME_BITS'(TO_ACCESS) && (u_backbone.host_re[i] || u_backbone.host_we[i])) begin
+        assert (32'(u_backbone.host_index) + OFFSET == 32'(meant));
         assert (32'(u_backbone.host_index) < WORDS);
         assert ((u_backbone.host_re | u_backbone.host_we) == NumRegions'(1) << i);
       end
     end
   end
+  // Nothing is written in a step, and nothing read that the state path uses.
+  localparam logic [NumRegions-1:0] MEMORIES =
+      NumRegions'(1 << InitialStates | 1 << CurrentStates | 1 << Elapsed | 1 << ResetMask | 1 << Actions);
+  logic was_busy_q;
+  always_ff @(posedge clk_i) was_busy_q <= u_backbone.busy;
+  always_comb begin
+    if (now_q >= TIME_BITS'(TO_ACCESS) && u_backbone.busy && was_busy_q) begin
+      assert (u_backbone.host_we == '0 && (u_backbone.host_re & MEMORIES) == '0);
+    end
+  end
 
-  bind pearl_ram ram_proof #(
-      .ADDR_BITS(ADDR_BITS),
-      .DEPTH(DEPTH)
-  ) u_proof (.*);
+`ifdef PROVE_RESET
+  always_comb begin
+    assume (reset == (now_q == '0));
+    if (now_q != '0 && !awake) begin
+      assert (!start && !done && !irq && u_backbone.host_we == '0);
+      assert (32'(now_q) <= FLUSH + 1);
+    end
+  end
+  logic asleep_q;
+  always_ff @(posedge clk_i) asleep_q <= !awake;
+  always_comb if (now_q > TIME_BITS'(1) && awake && asleep_q) assert (idle && finished == '0);
+  always_comb if (now_q == TIME_BITS'(FLUSH + 2)) assert (awake);
+`endif
 
-`ifndef PROPERTY_ONLY
-  localparam int unsigned GROUPS = ceil_div(N_ENVS, PE_NUM);
+`ifndef PROVE_RESET
+  always_comb begin
+    if (now_q < TIME_BITS'(FLUSH)) assume (!u_backbone.issue);
+    if (now_q == TIME_BITS'(FLUSH)) assume (idle);
+    if (now_q >= TIME_BITS'(FLUSH)) assume (!reset);
+  end
+`endif
 
+`ifdef PROVE_IDLE
+  logic warned_q;
+  always_ff @(posedge clk_i) warned_q <= u_backbone.u_registers.error_q.torn_read;
+  logic read_q;
   always_ff @(posedge clk_i) begin
-    if (rst_n) begin
-      if (u_backbone.u_group_reader.active_q) assert (32'(u_backbone.issue_group) < GROUPS);
-      assert (32'(u_backbone.u_actions.u_unpacker.count_q) <= u_backbone.ACTION_WORDS);
-      assert (32'(u_backbone.u_reset_mask.u_unpacker.count_q) <= u_backbone.MASK_WORDS);
-      assert (32'(u_backbone.u_observations.u_packer.count_q) <= u_backbone.OBS_WORDS);
-      assert (32'(u_backbone.u_rewards.u_packer.count_q) <= u_backbone.REWARD_WORDS);
-      assert (32'(u_backbone.u_ters.u_packer.count_q) <= u_backbone.TER_WORDS);
+    read_q <= u_backbone.host_re[Observations] && u_backbone.host_index == '0 && !u_backbone.busy;
+  end
+  always_comb begin
+    if (now_q == TIME_BITS'(FLUSH)) assume (!start);
+    if (now_q == TIME_BITS'(FLUSH + 1)) begin
+      assert (idle);
+      // Results are right from their first word on, or the status says that they are not.
+      assert (u_backbone.u_registers.error_q.torn_read || !warned_q || read_q);
     end
   end
 `endif
+
+`ifdef PROVE_STEP
+  // ---- A slot, and one bit of its action and of each of its results ----
+
+  localparam int unsigned FIELDS = 4;
+  localparam int unsigned AT_BITS = 10;
+  typedef struct packed {
+    logic [7:0] slot;
+    logic [7:0] group;
+    logic [7:0] pe;
+    logic [FIELDS-1:0][7:0] bits;
+  } chosen_t;
+
+  logic fixed_q = 1'b0;
+  chosen_t any_choice, choice_q, choice;
+  assign choice = fixed_q ? choice_q : any_choice;
+  always_ff @(posedge clk_i) begin
+    fixed_q  <= 1'b1;
+    choice_q <= choice;
+  end
+
+  logic [7:0] group, pe;
+  assign group = choice.group;
+  assign pe = choice.pe;
+
+  always_comb begin
+    assume (choice.slot < 8'(N_ENVS) && group < 8'(GROUPS) && pe < 8'(PE_NUM));
+    assume (choice.slot == group * 8'(PE_NUM) + pe);
+    assume (choice.bits[0] < 8'(ACTION_BITS) && choice.bits[1] < 8'(OBS_BITS));
+    assume (choice.bits[2] < 8'(REWARD_BITS) && choice.bits[3] < 8'(TER_BITS));
+  end
+
+  // ---- Where the map says that they are ----
+
+  logic [FIELDS:0][AT_BITS-1:0] at;
+  assign at[0] = AT_BITS'(choice.slot) * AT_BITS'(ACTION_BITS) + AT_BITS'(choice.bits[0]);
+  assign at[1] = AT_BITS'(choice.slot) * AT_BITS'(OBS_BITS) + AT_BITS'(choice.bits[1]);
+  assign at[2] = AT_BITS'(choice.slot) * AT_BITS'(REWARD_BITS) + AT_BITS'(choice.bits[2]);
+  assign at[3] = AT_BITS'(choice.slot) * AT_BITS'(TER_BITS) + AT_BITS'(choice.bits[3]);
+  assign at[4] = AT_BITS'(choice.slot);
+
+  localparam int unsigned IN_WORD = $clog2(DATA_WL);
+  logic action_bit, obs_bit, reward_bit, ter_bit, mask_bit;
+  always_comb begin
+    assume (AT_BITS'(u_backbone.u_actions.u_ram.u_memory.addr) == at[0] >> IN_WORD);
+    assume (AT_BITS'(u_backbone.u_observations.u_ram.u_memory.addr) == at[1] >> IN_WORD);
+    assume (AT_BITS'(u_backbone.u_rewards.u_ram.u_memory.addr) == at[2] >> IN_WORD);
+    assume (AT_BITS'(u_backbone.u_ters.u_ram.u_memory.addr) == at[3] >> IN_WORD);
+    assume (AT_BITS'(u_backbone.u_reset_mask.u_ram.u_memory.addr) == at[4] >> IN_WORD);
+  end
+  assign action_bit = u_backbone.u_actions.u_ram.u_memory.content_q[at[0][IN_WORD-1:0]];
+  assign obs_bit = u_backbone.u_observations.u_ram.u_memory.content_q[at[1][IN_WORD-1:0]];
+  assign reward_bit = u_backbone.u_rewards.u_ram.u_memory.content_q[at[2][IN_WORD-1:0]];
+  assign ter_bit = u_backbone.u_ters.u_ram.u_memory.content_q[at[3][IN_WORD-1:0]];
+  assign mask_bit = u_backbone.u_reset_mask.u_ram.u_memory.content_q[at[4][IN_WORD-1:0]];
+
+  localparam int unsigned STATE_COLUMNS = ceil_div(PE_NUM * SLOT_BITS, DATA_WL);
+  localparam int unsigned INIT_COLUMNS = ceil_div(PE_NUM * STATE_BITS, DATA_WL);
+  localparam int unsigned ELAPSED_COLUMNS = ceil_div(PE_NUM * ELAPSED_BITS, DATA_WL);
+  logic [STATE_COLUMNS*DATA_WL-1:0] state_row;
+  logic [INIT_COLUMNS*DATA_WL-1:0] init_row;
+  logic [ELAPSED_COLUMNS*DATA_WL-1:0] elapsed_row;
+  for (genvar i = 0; i < STATE_COLUMNS; i++) begin : gen_states
+    always_comb begin
+      assume (8'(u_backbone.u_state_path.u_current_states.gen_column_rams[i].u_ram.u_memory.addr) == group);
+    end
+    assign state_row[i*DATA_WL+:DATA_WL] =
+        DATA_WL'(u_backbone.u_state_path.u_current_states.gen_column_rams[i].u_ram.u_memory.content_q);
+  end
+  for (genvar i = 0; i < INIT_COLUMNS; i++) begin : gen_inits
+    always_comb begin
+      assume (8'(u_backbone.u_state_path.u_initial_states.gen_column_rams[i].u_ram.u_memory.addr) == group);
+    end
+    assign init_row[i*DATA_WL+:DATA_WL] =
+        DATA_WL'(u_backbone.u_state_path.u_initial_states.gen_column_rams[i].u_ram.u_memory.content_q);
+  end
+  for (genvar i = 0; i < ELAPSED_COLUMNS; i++) begin : gen_elapsed
+    always_comb begin
+      assume (8'(u_backbone.u_state_path.u_elapsed.gen_column_rams[i].u_ram.u_memory.addr) == group);
+    end
+    assign elapsed_row[i*DATA_WL+:DATA_WL] =
+        DATA_WL'(u_backbone.u_state_path.u_elapsed.gen_column_rams[i].u_ram.u_memory.content_q);
+  end
+
+  logic [TER_BITS-1:0] ter;
+  logic [STATE_BITS-1:0] state, init;
+  logic [ELAPSED_BITS-1:0] elapsed;
+  assign {ter, state} = state_row[pe*SLOT_BITS+:SLOT_BITS];
+  assign init = init_row[pe*STATE_BITS+:STATE_BITS];
+  assign elapsed = elapsed_row[pe*ELAPSED_BITS+:ELAPSED_BITS];
+
+  // ---- What the slot has when the step starts ----
+
+  logic step_q = 1'b0, over_q = 1'b0, action_q, named_q, ended_q;
+  logic [STATE_BITS-1:0] state_q, init_q;
+  logic [ELAPSED_BITS-1:0] elapsed_q;
+  mode_t mode_q;
+  logic [31:0] number_q, max_cycles_q, finished_q;
+
+  always_comb if (now_q == TIME_BITS'(FLUSH)) assume (start);
+
+  always_ff @(posedge clk_i) begin
+    over_q <= step_q && done;
+    if (now_q == TIME_BITS'(FLUSH)) begin
+      step_q       <= 1'b1;
+      action_q     <= action_bit;
+      named_q      <= u_backbone.mode.reset_all || (u_backbone.mode.reset_mask && mask_bit);
+      ended_q      <= ter != '0;
+      state_q      <= state;
+      init_q       <= init;
+      elapsed_q    <= elapsed;
+      mode_q       <= u_backbone.mode;
+      number_q     <= u_backbone.first_slot + 32'(choice.slot);
+      max_cycles_q <= u_backbone.u_registers.max_cycles_q;
+      finished_q   <= finished;
+    end else if (done) begin
+      step_q <= 1'b0;
+    end
+  end
+
+  // ---- What its core is asked, and what it answers ----
+
+  logic first, hold, truncated;
+  logic [ELAPSED_BITS:0] next_elapsed;
+  assign first = named_q || ended_q;
+  assign hold = ended_q && !named_q && mode_q.next_step;
+  assign next_elapsed = hold ? '0 : first ? 33'd1 : 33'(elapsed_q) + 33'd1;
+  assign truncated = !hold && max_cycles_q != '0 && next_elapsed >= 33'(max_cycles_q);
+
+  logic [RNG_WORDS-1:0][31:0] keys;
+  if (DRAWS == 0) begin : gen_no_keys
+    assign keys = '0;
+  end else begin : gen_keys
+    for (genvar i = 0; i < DRAWS; i++) begin : gen_key
+      assign keys[i] = u_backbone.u_draws.gen_draws.key_a[i] ^
+          {u_backbone.u_draws.gen_draws.key_b[i][0], u_backbone.u_draws.gen_draws.key_b[i][31:1]};
+    end
+  end
+
+  logic [PE_NUM-1:0] asks, answers, firsts, holds, terminateds;
+  logic [PE_NUM-1:0][STATE_BITS-1:0] states, next_states;
+  logic [PE_NUM-1:0][ACTION_BITS-1:0] actions;
+  logic [PE_NUM-1:0][RNG_WORDS-1:0][31:0] draws;
+  logic [PE_NUM-1:0][OBS_BITS-1:0] observations;
+  logic [PE_NUM-1:0][REWARD_BITS-1:0] rewards;
+  for (genvar i = 0; i < PE_NUM; i++) begin : gen_core
+    assign asks[i] = u_backbone.u_state_path.u_pe_array.gen_pe[i].u_pe.u_core.valid_i;
+    assign firsts[i] = u_backbone.u_state_path.u_pe_array.gen_pe[i].u_pe.u_core.first_i;
+    assign holds[i] = u_backbone.u_state_path.u_pe_array.gen_pe[i].u_pe.u_core.hold_i;
+    assign states[i] = u_backbone.u_state_path.u_pe_array.gen_pe[i].u_pe.u_core.state_i;
+    assign actions[i] = u_backbone.u_state_path.u_pe_array.gen_pe[i].u_pe.u_core.action_i;
+    assign draws[i] = u_backbone.u_state_path.u_pe_array.gen_pe[i].u_pe.u_core.rng_i;
+    assign answers[i] = u_backbone.u_state_path.u_pe_array.gen_pe[i].u_pe.u_core.valid_o;
+    assign next_states[i] = u_backbone.u_state_path.u_pe_array.gen_pe[i].u_pe.u_core.state_o;
+    assign observations[i] = u_backbone.u_state_path.u_pe_array.gen_pe[i].u_pe.u_core.obs_o;
+    assign rewards[i] = u_backbone.u_state_path.u_pe_array.gen_pe[i].u_pe.u_core.reward_o;
+    assign terminateds[i] = u_backbone.u_state_path.u_pe_array.gen_pe[i].u_pe.u_core.terminated_o;
+  end
+
+  // A core is asked of one group after the other.
+  logic [7:0] asked_q, answered_q, reads_q, writes_q;
+  logic asked, answered, obs_q, reward_q, terminated_q;
+  logic [STATE_BITS-1:0] next_state_q;
+  assign asked = asks[pe] && asked_q == group;
+  assign answered = answers[pe] && answered_q == group;
+
+  always_ff @(posedge clk_i) begin
+    if (!step_q) begin
+      asked_q    <= '0;
+      answered_q <= '0;
+      reads_q    <= '0;
+      writes_q   <= '0;
+    end else begin
+      asked_q <= asked_q + 8'(asks[pe]);
+      answered_q <= answered_q + 8'(answers[pe]);
+      if (u_backbone.u_state_path.u_current_states.re_i &&
+          8'(u_backbone.u_state_path.u_current_states.raddr_i) == group)
+        reads_q <= reads_q + 1'b1;
+      if (u_backbone.u_state_path.u_current_states.we_i &&
+          8'(u_backbone.u_state_path.u_current_states.waddr_i) == group)
+        writes_q <= writes_q + 1'b1;
+    end
+    if (answered) begin
+      next_state_q <= next_states[pe];
+      obs_q        <= observations[pe][choice.bits[1]];
+      reward_q     <= rewards[pe][choice.bits[2]];
+      terminated_q <= terminateds[pe];
+    end
+  end
+
+  always_comb begin
+    if (step_q) begin
+      if (asked) begin
+        assert (firsts[pe] == (first && !mode_q.stored));
+        assert (holds[pe] == hold);
+        assert (states[pe] == (first && mode_q.stored ? init_q : state_q));
+        assert (actions[pe][choice.bits[0]] == action_q);
+        for (int unsigned i = 0; i < DRAWS; i++) assert (draws[pe][i] == (number_q ^ keys[i]));
+      end
+      if (done) begin
+        assert (asked_q == 8'(GROUPS) && answered_q == 8'(GROUPS));
+        assert (reads_q == 8'd1 && writes_q == 8'd1);
+        assert (state == next_state_q);
+        assert (ter == {truncated, terminated_q && !hold});
+        assert (elapsed == next_elapsed[ELAPSED_BITS-1:0]);
+        assert (obs_bit == obs_q);
+        assert (reward_bit == (reward_q && !hold));
+        assert (ter_bit == ter[choice.bits[3]]);
+      end
+      assert (finished == finished_q && finished != sequence_number && !irq);
+      assert (u_backbone.u_registers.error_q.torn_read);
+      assert (32'(now_q) <= FLUSH + STEP_CYCLES);
+    end
+    if (over_q) assert (idle && irq && finished == sequence_number);
+  end
 `endif
 
 endmodule

