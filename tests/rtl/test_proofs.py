@@ -280,7 +280,7 @@ STEPS = {
     "no room": ("pearl_group_reader.sv", "wait_q == '0 && &room", "wait_q == '0"),
     "group twice": ("pearl_group_reader.sv", "active_q <= !last_o", "active_q <= 1'b1"),
     "latency": ("abstract_core.sv", "valid_o = valid_q[LATENCY-1]", "valid_o = valid_i"),
-    "action of another": ("pearl_pe_array.sv", ".action_i(actions_i[i])", ".action_i(actions_i[0])"),
+    "action of another": ("pearl_pe_array.sv", ".action_i(actions_i[i])", ".action_i(actions_i[PE_NUM-1])"),
     "draw of another": ("pearl_group_reader.sv", "slot_q   <= slot_q + 32'(PE_NUM)", "slot_q   <= slot_q + 32'd1"),
     "state of another": ("pearl_state_path.sv", ".waddr_i     (at_result.group)", ".waddr_i     ('0)"),
     "reset ignored": ("pearl_pe.sv", "first = named || ended", "first = ended"),
