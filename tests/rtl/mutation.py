@@ -171,7 +171,9 @@ class Script:
     def some(self) -> tuple[np.ndarray, np.ndarray]:
         """Return a reset mask and actions."""
         n = self.layout.n_envs
-        return self.random.random(n) < 0.3, self.random.integers(0, self.spec.action_space.n, n).astype(np.uint8)
+        return self.random.random(n) < 0.3, self.random.integers(0, self.spec.action_space.n, n).astype(
+            np.uint8
+        )
 
     def results(self, expected: dict[str, bytes]) -> None:
         for name, data in expected.items():
@@ -447,10 +449,26 @@ def asleep(mutants: list[Mutant]) -> list[str]:
 
 def compile_mutants(mutants: list[Mutant], folder: Path) -> Path:
     """Put all faults into one design and compile it with the host; return the program."""
-    yosys(folder, "read_rtlil sound.il", *asleep(mutants), "opt_clean", "bwmuxmap", "write_verilog -noattr -noparallelcase pearl_backbone.v")
+    yosys(
+        folder,
+        "read_rtlil sound.il",
+        *asleep(mutants),
+        "opt_clean",
+        "bwmuxmap",
+        "write_verilog -noattr -noparallelcase pearl_backbone.v",
+    )
     toolchain.run(
         [
-            *("verilator", "--cc", "--exe", "--build", "-Wno-fatal", "-Wno-lint", "--top-module", "pearl_backbone"),
+            *(
+                "verilator",
+                "--cc",
+                "--exe",
+                "--build",
+                "-Wno-fatal",
+                "-Wno-lint",
+                "--top-module",
+                "pearl_backbone",
+            ),
             # A design may not lean on what its registers held before a reset.
             *("--x-initial", "unique", "--x-assign", "unique"),
             *("pearl_backbone.v", str(HERE / "mutants.cpp")),
@@ -535,6 +553,7 @@ if __name__ == "__main__":
     given = parser.parse_args()
     given.out.mkdir(parents=True, exist_ok=True)
     import time
+
     t = time.time()
     mutants = choose(BUILD, given.out, given.mutants, given.seed)
     print("chosen", len(mutants), time.time() - t)
