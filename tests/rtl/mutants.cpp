@@ -1,7 +1,7 @@
 // Puts one script of a host at the memory port through a design with many faults in it, one fault at a time.
 //
-// Arguments are the script, the first fault and the last. Fault 0 is none: what it reads where the script says
-// `c` is what the others have to read there. Prints a line for each: its number, and the part of the script
+// Arguments are the script, the first fault and the last. Fault 0 is none: what it is answered where the script
+// says `c` (a read) or `v` (a write) is what the others have to be answered there. Prints a line for each: its number, and the part of the script
 // in which an answer was wrong, or `-`.
 #include <cstdint>
 #include <cstdio>
@@ -54,7 +54,7 @@ std::vector<Part> read_script(const char* path) {
 }
 
 // What the sound design read where the script says `c`, in this order; and how many cycles it takes to answer.
-std::vector<uint32_t> learned;
+std::vector<uint64_t> learned;
 size_t latency = 0;
 
 class Host {
@@ -75,7 +75,8 @@ class Host {
     bool run(const Part& part) {
         for (const Op& op : part.ops) {
             switch (op.kind) {
-                case 'w': request(op, true); break;
+                case 'w':
+                case 'v': request(op, true); break;
                 case 'r':
                 case 'f':  // a read for the sake of a write
                 case 'c': request(op, false); break;
@@ -107,7 +108,7 @@ class Host {
         dut_->fetch_i = op.kind == 'f';
         dut_->addr_i = op.addr;
         dut_->wdata_i = op.data;
-        tick({true, op.kind == 'c', op.data, op.mask, op.resp});
+        tick({true, op.kind == 'c' || op.kind == 'v', op.data, op.mask, op.resp});
         dut_->req_i = 0;
     }
 
@@ -126,11 +127,11 @@ class Host {
     void check(const Answer& answer) {
         if (dut_->rvalid_o != answer.wanted) right_ = false;
         if (!answer.wanted) return;
-        if (dut_->resp_o != answer.resp) right_ = false;
         if (answer.learn) {
-            if (fault_ == 0) learned.push_back(dut_->rdata_o);
-            else if (dut_->rdata_o != learned.at(learned_++)) right_ = false;
-        } else if ((dut_->rdata_o & answer.mask) != (answer.data & answer.mask)) {
+            const uint64_t found = uint64_t{dut_->resp_o} << 32 | dut_->rdata_o;
+            if (fault_ == 0) learned.push_back(found);
+            else if (found != learned.at(learned_++)) right_ = false;
+        } else if (dut_->resp_o != answer.resp || ((dut_->rdata_o ^ answer.data) & answer.mask) != 0) {
             right_ = false;
         }
     }

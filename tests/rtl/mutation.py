@@ -110,6 +110,10 @@ class Script:
         """Read what the sound design reads."""
         self.lines.append(f"c {word:x} 0 0 0")
 
+    def write_the_same(self, word: int, value: int) -> None:
+        """Write, and be answered as by the sound design."""
+        self.lines.append(f"v {word:x} {value:x} 0 0")
+
     def wait(self, cycles: int) -> None:
         self.lines.append(f"n {cycles:x}")
 
@@ -127,7 +131,8 @@ class Script:
             self.control(Control.RESET, 1 << int(self.random.integers(32)))
         else:
             self.lines.append("x 1")
-        self.wait(40)
+        for _ in range(40):
+            self.read_the_same(self.first("status") + Status.ERROR)
         self.sequence = self.mode = 0
 
     # ---- Regions ----
@@ -277,11 +282,10 @@ def host_script(build: Build) -> str:
 
     script.part("limits")
     model, n = script.model, layout.n_envs
-    for limit in (0, ALL, 1 << 31, 5):
+    for limit in (0, ALL, 5, *(1 << bit for bit in range(4, 32, 3)), 0x55555555, 0x2AAAAAAA):
         model.max_cycles = limit
-        model.elapsed = script.random.choice(
-            np.array([0, 3, 4, 5, (1 << 31) - 2, (1 << 31) - 1, ALL - 2, ALL - 1, 1 << 20]), n
-        ).astype(np.uint32)
+        below = script.random.choice([1, 1, 2, 2, 3, limit // 2 + 1], n)
+        model.elapsed = np.minimum(np.maximum(limit - below, 0), ALL - 1).astype(np.uint32)
         model.states = [script.random.integers(0, 1 << f.bits, n).astype(f.dtype) for f in spec.state]
         model.ters = script.random.choice([0, 0, 0, 1, 2, 3], n).astype(np.uint8)
         load_states(script)
@@ -292,6 +296,8 @@ def host_script(build: Build) -> str:
         compare_states(script)
 
     busy(script)
+    keys(script)
+    parts_of_the_reset(script)
 
     for soft in (False, True):
         script.part("soft_reset" if soft else "reset")
@@ -311,6 +317,43 @@ def host_script(build: Build) -> str:
             script.results(expected)
             compare_states(script)
     return "\n".join(script.lines) + "\n"
+
+
+def keys(script: Script) -> None:
+    """Change what the random keys are made of while they are being made."""
+    script.part("keys")
+    model = script.model
+    for delay in range(0, 44, 3):
+        model.seed = tuple(int(w) for w in script.random.integers(0, 1 << 32, 2))
+        model.tick = int(script.random.integers(0, 1 << 62))
+        script.load()
+        script.wait(delay)
+        model.tick = int(script.random.integers(0, 1 << 62)) | ALL
+        script.load()
+        for _ in range(3):
+            # At once, before the keys of the next tick are there.
+            mask, actions = script.some()
+            expected = script.ring(Mode.RESET_ALL, mask, actions)
+            script.finish()
+            script.read_the_same(script.first("status") + Status.CYCLES)
+        script.results(expected)
+
+
+def parts_of_the_reset(script: Script) -> None:
+    """Fetch the word that resets in a step, and write it then or after it."""
+    script.part("reset_in_parts")
+    for delay in range(0, 60, 4):
+        for gap in (0, 30):
+            expected = script.ring(Mode.RESET_ALL, *script.some())
+            script.wait(delay)
+            script.fetch(Control.RESET)
+            script.wait(gap)
+            script.write_the_same(Control.RESET, 0)
+            script.wait(60)
+            script.interrupt(True)
+            script.read_the_same(script.first("status") + Status.ERROR)
+            script.results(expected)
+            script.registers()
 
 
 def load_states(script: Script) -> None:
@@ -348,6 +391,9 @@ def steps_of(script: Script, base: Mode, max_cycles: int) -> None:
         script.finish()
         script.status(Status.SEQUENCE, script.sequence)
         script.read_the_same(script.first("status") + Status.CYCLES)
+        # Other results than the first word leave the warning.
+        script.read(script.first("observations") + 1, mask=0)
+        script.read(script.first("ters"), mask=0)
         script.status(Status.ERROR, StatusError.TORN_READ)
         script.results(expected)
         script.status(Status.ERROR, 0)
@@ -373,6 +419,10 @@ def busy(script: Script) -> None:
             match error:
                 case 0:
                     script.read(script.first(name), answer=REFUSED)
+                    # Nothing that a step could have lost.
+                    script.write(script.first("rewards"), ALL, REFUSED)
+                    script.fetch(script.first("ters"), answer=REFUSED)
+                    script.write(layout.end("status") // 4, ALL, HOLE)
                 case StatusError.BUSY_WRITE:
                     script.write(script.first(name), ALL, REFUSED)
                     script.write(Control.SEED_0, ALL, REFUSED)
