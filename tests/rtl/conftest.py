@@ -16,7 +16,9 @@ from pearl_marl.hardware import elaboration
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--rtl-coverage", metavar="FILE", help="write a report of the benches' coverage to FILE")
-    parser.addoption("--every-proof", action="store_true", help="prove all sizes and refute all broken designs, not a few")
+    parser.addoption(
+        "--every-proof", action="store_true", help="prove all sizes and refute all broken designs, not a few"
+    )
 
 
 def pytest_configure(config: pytest.Config) -> None:

@@ -1,8 +1,8 @@
-// Puts one script of a host at the memory port through a design with many faults in it, one fault at a time.
+// Puts a host's script through a design with many faults in it, one fault at a time.
 //
-// Arguments are the script, the first fault and the last. Fault 0 is none: what it is answered where the script
-// says `c` (a read) or `v` (a write) is what the others have to be answered there. Prints a line for each: its number, and the part of the script
-// in which an answer was wrong, or `-`.
+// Arguments are the script, the first fault and the last. Fault 0 is none: what it is answered where the
+// script says `c` (a read) or `v` (a write) is what the others have to be answered there. Prints a line for
+// each: its number, and the part of the script in which an answer was wrong, or `-`.
 #include <cstdint>
 #include <cstdio>
 #include <cstdlib>
@@ -53,7 +53,7 @@ std::vector<Part> read_script(const char* path) {
     return parts;
 }
 
-// What the sound design read where the script says `c`, in this order; and how many cycles it takes to answer.
+// What the sound design is answered at each `c` and `v`, and how many cycles an answer takes.
 std::vector<uint64_t> learned;
 size_t latency = 0;
 
@@ -93,7 +93,7 @@ class Host {
                 case 'x': reset(op.addr); break;
             }
             if (!right_) {
-                if (fault_ == 0) fprintf(stderr, "%c %x %x %x %x\n", op.kind, op.addr, op.data, op.mask, op.resp);
+                if (fault_ == 0) std::fprintf(stderr, "%c %x %x\n", op.kind, op.addr, op.data);
                 return false;
             }
         }

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import re
 import subprocess
 from collections import Counter
@@ -176,7 +177,9 @@ class Script:
     def some(self) -> tuple[np.ndarray, np.ndarray]:
         """Return a reset mask and actions."""
         n = self.layout.n_envs
-        return self.random.random(n) < 0.3, self.random.integers(0, self.spec.action_space.n, n).astype(np.uint8)
+        return self.random.random(n) < 0.3, self.random.integers(0, self.spec.action_space.n, n).astype(
+            np.uint8
+        )
 
     def results(self, expected: dict[str, bytes]) -> None:
         for name, data in expected.items():
@@ -497,10 +500,26 @@ def asleep(mutants: list[Mutant]) -> list[str]:
 
 def compile_mutants(mutants: list[Mutant], folder: Path) -> Path:
     """Put all faults into one design and compile it with the host; return the program."""
-    yosys(folder, "read_rtlil sound.il", *asleep(mutants), "opt_clean", "bwmuxmap", "write_verilog -noattr -noparallelcase pearl_backbone.v")
+    yosys(
+        folder,
+        "read_rtlil sound.il",
+        *asleep(mutants),
+        "opt_clean",
+        "bwmuxmap",
+        "write_verilog -noattr -noparallelcase pearl_backbone.v",
+    )
     toolchain.run(
         [
-            *("verilator", "--cc", "--exe", "--build", "-Wno-fatal", "-Wno-lint", "--top-module", "pearl_backbone"),
+            *(
+                "verilator",
+                "--cc",
+                "--exe",
+                "--build",
+                "-Wno-fatal",
+                "-Wno-lint",
+                "--top-module",
+                "pearl_backbone",
+            ),
             # A design may not lean on what its registers held before a reset.
             *("--x-initial", "unique", "--x-assign", "unique"),
             *("pearl_backbone.v", str(HERE / "mutants.cpp")),
@@ -577,22 +596,36 @@ def without_effect(mutants: list[Mutant], folder: Path) -> list[bool]:
 FLIP_FLOP = "$_DFF_P_"
 
 
-if __name__ == "__main__":
+def report(mutants: list[Mutant], by: list[str | None], harmless: list[bool]) -> str:
+    """Return how many faults are noticed and where, and those that are not."""
+    unnoticed = [mutant for mutant, part in zip(mutants, by, strict=True) if part is None]
+    left = [mutant for mutant, proved in zip(unnoticed, harmless, strict=True) if not proved]
+    noticed = len(mutants) - len(unnoticed)
+    lines = [
+        f"{noticed} of {len(mutants)} faults are noticed, {sum(harmless)} are proved to change nothing:",
+        "",
+    ]
+    lines += [f"{count:5d}  {part}" for part, count in Counter(part for part in by if part).most_common()]
+    lines += ["", f"{len(left)} are left:", ""]
+    lines += [f"{mutant.lines}  {mutant.command.removeprefix('mutate ')}" for mutant in left]
+    return "\n".join(lines) + "\n"
+
+
+def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--mutants", type=int, default=1000)
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--mutants", type=int, default=800, help="how many faults")
+    parser.add_argument("--seed", type=int, default=1, help="which ones")
+    parser.add_argument("--out", type=Path, required=True, help="the folder for report.txt and all files")
     given = parser.parse_args()
     given.out.mkdir(parents=True, exist_ok=True)
-    import time
-    t = time.time()
     mutants = choose(BUILD, given.out, given.mutants, given.seed)
-    print("chosen", len(mutants), time.time() - t)
     program = compile_mutants(mutants, given.out)
-    print("compiled", time.time() - t)
-    result = caught(program, host_script(BUILD), len(mutants), 2)
-    print("ran", time.time() - t)
-    print(Counter(result))
-    for mutant, by in zip(mutants, result, strict=True):
-        if by is None:
-            print(mutant.lines, "|", mutant.command)
+    by = caught(program, host_script(BUILD), len(mutants), os.cpu_count() or 1)
+    unnoticed = [mutant for mutant, part in zip(mutants, by, strict=True) if part is None]
+    text = report(mutants, by, without_effect(unnoticed, given.out))
+    (given.out / "report.txt").write_text(text)
+    print(text, end="")
+
+
+if __name__ == "__main__":
+    main()

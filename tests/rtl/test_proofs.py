@@ -215,7 +215,9 @@ def check_backbone(folder: Path, what: str, around: Around, fault: Fault | None 
         "PROVE_IDLE": (flush, flush + 2),
         "PROVE_STEP": (flush, flush + around.step_cycles + 3),
     }[what]
-    return check(folder, "backbone_proof", files, arguments, fault, True, depths=(0, depth), skip=skip, free=True)
+    return check(
+        folder, "backbone_proof", files, arguments, fault, True, depths=(0, depth), skip=skip, free=True
+    )
 
 
 BACKBONES = {
@@ -281,7 +283,11 @@ STEPS = {
     "group twice": ("pearl_group_reader.sv", "active_q <= !last_o", "active_q <= 1'b1"),
     "latency": ("abstract_core.sv", "valid_o = valid_q[LATENCY-1]", "valid_o = valid_i"),
     "action of another": ("pearl_pe_array.sv", ".action_i(actions_i[i])", ".action_i(actions_i[PE_NUM-1])"),
-    "draw of another": ("pearl_group_reader.sv", "slot_q   <= slot_q + 32'(PE_NUM)", "slot_q   <= slot_q + 32'd1"),
+    "draw of another": (
+        "pearl_group_reader.sv",
+        "slot_q   <= slot_q + 32'(PE_NUM)",
+        "slot_q   <= slot_q + 32'd1",
+    ),
     "state of another": ("pearl_state_path.sv", ".waddr_i     (at_result.group)", ".waddr_i     ('0)"),
     "reset ignored": ("pearl_pe.sv", "first = named || ended", "first = ended"),
     "reward while held": ("pearl_pe.sv", "reward_o  = held_q ? '0 : reward", "reward_o  = reward"),
