@@ -90,7 +90,7 @@ module pearl_axi_slave
   beat_t w;
   logic aw_valid, aw_ready, w_valid, w_ready, ar_valid, ar_ready;
 
-  pearl_axi_slice #(
+  pearl_slice #(
       .WIDTH($bits(burst_t))
   ) u_aw (
       .clk_i,
@@ -103,7 +103,7 @@ module pearl_axi_slave
       .data_o (aw)
   );
 
-  pearl_axi_slice #(
+  pearl_slice #(
       .WIDTH($bits(beat_t))
   ) u_w (
       .clk_i,
@@ -116,7 +116,7 @@ module pearl_axi_slave
       .data_o (w)
   );
 
-  pearl_axi_slice #(
+  pearl_slice #(
       .WIDTH($bits(burst_t))
   ) u_ar (
       .clk_i,

@@ -13,14 +13,14 @@ module pearl_draw
 
   logic [31:0] first_q, second_q, draw_q, first_product, second_product;
 
-  pearl_scramble #(
+  pearl_constant_product #(
       .FACTOR(MULTIPLIER_1)
   ) u_first (
       .clk_i,
       .x_i      (first_q),
       .product_o(first_product)
   );
-  pearl_scramble #(
+  pearl_constant_product #(
       .FACTOR(MULTIPLIER_2)
   ) u_second (
       .clk_i,

@@ -84,7 +84,7 @@ module pearl_input_bank
       .row_o  (row)
   );
 
-  pearl_axi_slice #(
+  pearl_slice #(
       .WIDTH(ROW_BITS)
   ) u_rows (
       .clk_i,

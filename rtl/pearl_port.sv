@@ -209,7 +209,7 @@ module pearl_port
   assign resp_o   = resp_q;
 
   always_ff @(posedge clk_i) begin
-    if (valid_q[2]) begin
+    if (rst_ni && valid_q[2]) begin
       assert ($onehot0(hit_q))
       else $error("pearl_port: a word is in two regions");
     end

@@ -325,8 +325,9 @@ class CommBram(Device):
         while not self._word("status", Status.ERROR) & StatusError.RESET:
             if time.monotonic() > deadline:
                 raise DeviceError(
-                    f"the {self.name} device has been busy with step {rung} for {self.patience:g} s, and does "
-                    "not answer a reset; end other programs that use it, check that its clock runs, and try again"
+                    f"the {self.name} device has been busy with step {rung} for {self.patience:g} s, and "
+                    "does not answer a reset; end other programs that use it, check that its clock runs, "
+                    "and try again"
                 )
             time.sleep(1e-3)
 

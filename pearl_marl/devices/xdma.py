@@ -31,8 +31,9 @@ class Xdma(CommBram):
         Its number *N* in ``/dev/xdmaN_h2c_0``, or the folder of a board that ``pearl serve`` simulates.
     completion
         How the end of a step is noticed. ``"poll"`` reads the results at once; if they are not yet those
-        of the step, it reads the status until it is, and the results again. ``"event"`` waits for the board's interrupt first. ``None`` is ``"event"`` for
-        a served board, which knows no other way, and ``"poll"`` for a real one.
+        of the step, it reads the status until it is, and the results again. ``"event"`` waits for the
+        board's interrupt first. ``None`` is ``"event"`` for a served board, which knows no other way, and
+        ``"poll"`` for a real one.
     timeout
         Seconds until a step is given up.
     checkpoint_every

@@ -110,7 +110,7 @@ BOARDS = {
             "LFE5U-85F-6BG381C",
             "ecp5",
             data_wl=32,
-            clock_mhz=45.0,
+            clock_mhz=75.0,
             parts=("serial",),
             device=("--85k", "--speed", "6", "--package", "CABGA381"),
         ),

@@ -8,6 +8,7 @@ that they depend on.
 from __future__ import annotations
 
 import hashlib
+import itertools
 import json
 import os
 import re
@@ -316,14 +317,17 @@ def _count(by_type: Mapping[str, int], cells: Cells) -> dict[str, Any]:
 
 
 def _memories(folder: Path) -> list[Memory]:
-    """Return the memories that Yosys found, and what it made of each: a cell is named after its memory."""
+    """Return the memories that Yosys found, and what it made of each.
+
+    A cell is named after its memory. Of a ``pearl_memory`` there is one for every slice of every part.
+    """
 
     def listed(file: str) -> set[str]:
         names = (line.partition("/")[2] for line in (folder / file).read_text().splitlines())
         return {re.sub(r"(\.\d+){2}$", "", name) for name in names}
 
     block, flip_flops = listed("block.txt"), listed("flip_flops.txt")
-    result = []
+    found = []
     for cell in (folder / "memories.txt").read_text().split("  cell $mem_v2 ")[1:]:
         name = cell.partition("\n")[0].strip()
         if name.startswith("$"):  # a table that Yosys made of logic
@@ -333,8 +337,21 @@ def _memories(folder: Path) -> list[Memory]:
             int(number) for key in ("WIDTH", "SIZE") for number in re.findall(rf"\\{key} (\d+)", cell)
         )
         kind = "flip-flops" if name in flip_flops else "block RAM" if name in block else "LUT RAM"
-        result.append(Memory(name, width, depth, kind))
-    return sorted(result, key=lambda memory: memory.name)
+        found.append(Memory(name, width, depth, kind))
+    found.sort(key=lambda memory: memory.name)
+    wholes = itertools.groupby(found, lambda memory: memory.name.partition(".u_memory.")[0])
+    return [_whole(name, list(pieces)) for name, pieces in wholes]
+
+
+def _whole(name: str, pieces: list[Memory]) -> Memory:
+    """Put slices side by side and parts on top of each other; it is block RAM if all that is large is."""
+    parts = itertools.groupby(pieces, lambda piece: piece.name.rpartition(".gen_slice[")[0])
+    sizes = [
+        (sum(slice.width for slice in slices), slices[0].depth) for slices in (list(p) for _, p in parts)
+    ]
+    kinds = [piece.kind for piece in pieces if piece.misplaced] or [piece.kind for piece in pieces]
+    kind = "block RAM" if "block RAM" in kinds else kinds[0]
+    return Memory(name, sizes[0][0], sum(depth for _, depth in sizes), kind)
 
 
 def _fmax(folder: Path, found: Mapping[str, Any], placement: Placement) -> float:

@@ -13,7 +13,7 @@ _FIRST_ISSUE = 6
 """Cycles of a step in which the sequencer starts and the first row of actions comes out of its memory."""
 
 _FETCH = 4
-"""Cycles from a group's issue to when the cores get its states (``issue_to_core`` of ``rtl/pearl_pkg.sv``)."""
+"""Cycles from a group's issue to when cores get its states (``issue_to_core`` of ``rtl/pearl_pkg.sv``)."""
 
 _DRAW_LATENCY = 5
 """The same for its random draws (``DRAW_LATENCY``), which the states then wait for."""
@@ -92,13 +92,13 @@ def loop_cycles(spec: EnvSpec, layout: MemoryMap, target: Target = elaboration.T
 _BURST_BYTES, _BURST_BEATS = 4096, 256
 """AXI4: no burst crosses a multiple of the one, or has more beats than the other."""
 
-_PORT_LATENCY = 5
+_PORT_LATENCY = 6
 """Cycles from a request behind the AXI slave to its answer (``PORT_LATENCY`` of ``rtl/pearl_pkg.sv``)."""
 
 WRITE_BURST, READ_BURST = _PORT_LATENCY + 5, _PORT_LATENCY + 4
 """Cycles of a burst besides its beats: its address, and until the AXI slave has answered."""
 
-_UNTIL_RUNNING = 4
+_UNTIL_RUNNING = 5
 """Cycles of a step that pass while its write is still being answered."""
 
 

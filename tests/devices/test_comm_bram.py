@@ -160,7 +160,7 @@ def test_what_does_not_end_is_reset(device: OverMemory) -> None:
     device.memory.lag, device.memory.resettable = 1, False
     with pytest.raises(DeviceError, match="stale"):
         device.step(ACTIONS)
-    with pytest.raises(DeviceError, match=r"busy with step 2 for 0.01 s, and does not answer a reset; end oth"):
+    with pytest.raises(DeviceError, match=r"busy with step 2 for 0.01 s, and does not answer a reset; end"):
         device.reset()
 
 

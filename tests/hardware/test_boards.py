@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 import json
 import re
+from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -65,7 +66,7 @@ def test_a_vendors_board_gets_its_script(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("board", "target"),
-    [("ulx3s", "ecp5 at 67.5 MHz"), ("tangmega138k", "gowin at 75 MHz"), ("vc707", "xc7 at 187.5 MHz")],
+    [("ulx3s", "ecp5 at 112.5 MHz"), ("tangmega138k", "gowin at 75 MHz"), ("vc707", "xc7 at 187.5 MHz")],
 )
 def test_a_core_is_made_for_its_board(board: str, target: str, tmp_path: Path) -> None:
     boards.write(BOARDS[board], boards.board_build(BOARDS[board], SPEC, 33), tmp_path)
@@ -104,18 +105,20 @@ def clocks(*rates: tuple[float, float]) -> Any:
     return {"fmax": {str(i): {"achieved": a, "constraint": c} for i, (a, c) in enumerate(rates)}}
 
 
-TOO_SLOW = r"reaches 40\.3 MHz on the LFE5U-85F-6BG381C, but is clocked with 45: build it with fewer"
+AIM = ULX3S.clock_mhz
+TOO_SLOW = rf"reaches 40\.3 MHz on the LFE5U-85F-6BG381C, but is clocked with {AIM:g}: build it with fewer"
+OTHER_AIM = f"nextpnr did not place this design for {AIM:g} MHz"
 
 
 @pytest.mark.parametrize("fails", [True, False])
 @pytest.mark.parametrize(
     ("report", "sentence"),
     [
-        (clocks((40.26, 45.0)), TOO_SLOW),
-        (clocks((60.0, 45.0), (40.26, 45.0)), TOO_SLOW),
-        (clocks((50.0, 45.0), (50.0, 12.0)), "nextpnr did not place this design for 45 MHz"),
-        (clocks((70.0, 60.0)), "nextpnr did not place this design for 45 MHz"),
-        (clocks(), "nextpnr did not place this design for 45 MHz"),
+        (clocks((40.26, AIM)), TOO_SLOW),
+        (clocks((AIM + 1, AIM), (40.26, AIM)), TOO_SLOW),
+        (clocks((AIM + 1, AIM), (AIM + 1, 12.0)), OTHER_AIM),
+        (clocks((AIM + 9, AIM + 5)), OTHER_AIM),
+        (clocks(), OTHER_AIM),
         (None, "no BELs remaining"),
     ],
 )
@@ -171,6 +174,18 @@ def test_a_gowins_tools_are_called_by_their_own_names(
     assert "--vopt cst=tangmega138k.cst --write pearl_tangmega138k.config" in place
     assert "--freq 50" in place
     assert pack.endswith("-d GW5AST-138C -o pearl_tangmega138k.fs pearl_tangmega138k.config")
+
+
+def test_the_ulx3ss_pll_is_used_as_its_data_sheet_says() -> None:
+    top = (Path(str(resources.files("pearl_marl.rtl"))) / "boards/ulx3s/pearl_ulx3s.sv").read_text()
+    named = dict(re.findall(r"\b(?:FREQUENCY_PIN_)?(CLK\w+) ?[=(] ?\"?(\d+)", top))
+    clki, clkop, before, feedback, after = (
+        int(named[name]) for name in ("CLKI", "CLKOP", "CLKI_DIV", "CLKFB_DIV", "CLKOP_DIV")
+    )
+    # FPGA-DS-02012, sysCLOCK PLL timing.
+    assert 10 <= clki / before <= 400
+    assert 400 <= clkop * after <= 800
+    assert clkop == clki / before * feedback == ULX3S.clock_mhz
 
 
 @pytest.mark.parametrize("name", ["ulx3s", "tangmega138k"])

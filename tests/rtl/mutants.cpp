@@ -105,7 +105,8 @@ class Host {
     void request(const Op& op, bool write) {
         dut_->req_i = 1;
         dut_->we_i = write;
-        dut_->fetch_i = op.kind == 'f';
+        // With a write it means nothing.
+        dut_->fetch_i = op.kind == 'f' || (write && op.data % 2 == 1);
         dut_->addr_i = op.addr;
         dut_->wdata_i = op.data;
         tick({true, op.kind == 'c' || op.kind == 'v', op.data, op.mask, op.resp});

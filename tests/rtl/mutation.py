@@ -334,9 +334,14 @@ def keys(script: Script) -> None:
         model.tick = int(script.random.integers(0, 1 << 62)) | ALL
         script.load()
         for _ in range(3):
-            # At once, before the keys of the next tick are there.
+            # At once, before the keys of the next tick are there; and the step has begun all the same.
             mask, actions = script.some()
             expected = script.ring(Mode.RESET_ALL, mask, actions)
+            script.write(script.first("actions"), ALL, REFUSED)
+            script.write(script.first("doorbell") + 1, ALL, REFUSED)
+            script.wait(8)
+            script.write(script.first("actions"), ALL, REFUSED)
+            script.read(script.first("current_states"), answer=REFUSED)
             script.finish()
             script.read_the_same(script.first("status") + Status.CYCLES)
         script.results(expected)
@@ -444,6 +449,8 @@ def busy(script: Script) -> None:
     # The same sequence again, and the mode alone, ring nothing.
     script.write(script.first("doorbell"), Mode.RESET_ALL)
     script.write(script.first("doorbell") + 1, script.sequence)
+    script.write_the_same(script.first("reset_mask"), 0)
+    script.write_the_same(script.first("reset_mask"), 0)
     script.wait(60)
     script.interrupt(True)
     script.mode = Mode.RESET_ALL

@@ -10,10 +10,10 @@ from test_proofs import FORMAL, Fault, broken, check
 
 from pearl_marl.hardware import elaboration, toolchain
 
-NAMES = ("pearl_pkg", "pearl_fifo", "pearl_axi_address", "pearl_axi_slice", "pearl_axi_slave")
+NAMES = ("pearl_pkg", "pearl_fifo", "pearl_axi_address", "pearl_slice", "pearl_axi_slave")
 SLAVE = [path for name in NAMES for path in elaboration.backbone_paths() if path.stem == name]
 # Of induction, and within how many cycles a fault has to show.
-DEPTHS = (2, 14)
+DEPTHS = (2, 20)
 
 
 def check_slave(folder: Path, fault: Fault | None, *only: str) -> str:
@@ -34,9 +34,9 @@ FAULTS = {
     "silent_slave": ("pearl_axi_slave.sv", "state_q   <= Idle;", "state_q   <= Respond;"),
     "stable_b": ("pearl_axi_slave.sv", "if (s_axi_bready) state_d = Idle", "state_d = Idle"),
     "stable_r": ("pearl_axi_slave.sv", "(s_axi_rvalid && s_axi_rready)", "s_axi_rvalid"),
-    "room_for_aw": ("pearl_axi_slice.sv", "ready_o = ready_q", "ready_o = 1'b1"),
-    "room_for_w": ("pearl_axi_slice.sv", "ready_o = ready_q", "ready_o = 1'b1"),
-    "room_for_ar": ("pearl_axi_slice.sv", "ready_o = ready_q", "ready_o = 1'b1"),
+    "room_for_aw": ("pearl_slice.sv", "ready_o = ready_q", "ready_o = 1'b1"),
+    "room_for_w": ("pearl_slice.sv", "ready_o = ready_q", "ready_o = 1'b1"),
+    "room_for_ar": ("pearl_slice.sv", "ready_o = ready_q", "ready_o = 1'b1"),
     "asked_b": ("pearl_axi_slave.sv", "else if (w.last) state_d = Drain", "else state_d = Drain"),
     "asked_r": ("pearl_axi_slave.sv", "state_q == Read && answer_valid", "answer_valid"),
     "id_of_b": ("pearl_axi_slave.sv", "s_axi_bid = id_q", "s_axi_bid = aw.id"),
@@ -100,5 +100,5 @@ def test_no_output_follows_an_input_within_a_cycle(tmp_path: Path) -> None:
 
 
 def test_a_path_from_an_input_to_an_output_is_found(tmp_path: Path) -> None:
-    fault = ("pearl_axi_slice.sv", "ready_o = ready_q", "ready_o = ready_q && valid_i")
+    fault = ("pearl_slice.sv", "ready_o = ready_q", "ready_o = ready_q && valid_i")
     assert followers(tmp_path, fault) == ["s_axi_arready", "s_axi_awready", "s_axi_wready"]

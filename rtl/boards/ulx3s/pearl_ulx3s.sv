@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: MIT
-// The design on a Radiona ULX3S: behind its USB serial port, 3 Mbaud, clocked with 45 MHz.
+// The design on a Radiona ULX3S: behind its USB serial port, 3 Mbaud, clocked with 75 MHz.
 //
 // Ports are named as the board's schematic names its nets; the FTDI chip receives on ftdi_rxd.
 module pearl_ulx3s #(
-    // 45 MHz / 3 Mbaud.
-    parameter int unsigned CLOCKS_PER_BIT = 15
+    // 75 MHz / 3 Mbaud.
+    parameter int unsigned CLOCKS_PER_BIT = 25
 ) (
     input  logic       clk_25mhz,
     input  logic       ftdi_txd,
@@ -15,16 +15,16 @@ module pearl_ulx3s #(
     output logic       wifi_gpio0
 );
 
-  // 25 MHz / 5 * 9; the oscillator runs 13 times as fast, at 585 MHz. The analogue settings are those
-  // that Project Trellis' ecppll gives.
+  // 25 MHz * 3; the oscillator runs 8 times as fast, at 600 MHz. The analogue settings are those that
+  // Project Trellis' ecppll gives.
   logic clk, locked, rst_n;
-  (* FREQUENCY_PIN_CLKI = "25", FREQUENCY_PIN_CLKOP = "45" *)
+  (* FREQUENCY_PIN_CLKI = "25", FREQUENCY_PIN_CLKOP = "75" *)
       (* ICP_CURRENT = "12", LPF_RESISTOR = "8", MFG_ENABLE_FILTEROPAMP = "1", MFG_GMCREF_SEL = "2" *)
   EHXPLLL #(
-      .CLKI_DIV(5),
-      .CLKFB_DIV(9),
-      .CLKOP_DIV(13),
-      .CLKOP_CPHASE(6)
+      .CLKI_DIV(1),
+      .CLKFB_DIV(3),
+      .CLKOP_DIV(8),
+      .CLKOP_CPHASE(4)
   ) u_pll (
       .CLKI(clk_25mhz),
       .CLKFB(clk),

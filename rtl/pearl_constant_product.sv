@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT
 // The low half of the product with a constant, from partial products that fit a multiplier each: they are
 // registered, which a family's multipliers do themselves, and added behind it.
-module pearl_scramble #(
+module pearl_constant_product #(
     parameter logic [31:0] FACTOR = 32'h7FEB_352D
 ) (
     input  logic        clk_i,

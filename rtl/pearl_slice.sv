@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT
 // A register slice in a channel of valid and ready: no output depends on an input of the same cycle.
 // It has two entries, so that a word can pass in every cycle all the same.
-module pearl_axi_slice #(
+module pearl_slice #(
     parameter int unsigned WIDTH = 32
 ) (
     input  logic             clk_i,
