@@ -1,8 +1,8 @@
-// Puts one script of a host at the memory port through a design with many faults in it, one fault at a time.
+// Puts a host's script through a design with many faults in it, one fault at a time.
 //
-// Arguments are the script, the first fault and the last. Fault 0 is none: what it reads where the script says
-// `c` is what the others have to read there. Prints a line for each: its number, and the part of the script
-// in which an answer was wrong, or `-`.
+// Arguments are the script, the first fault and the last. Fault 0 is none: what it is answered where the
+// script says `c` (a read) or `v` (a write) is what the others have to be answered there. Prints a line for
+// each: its number, and the part of the script in which an answer was wrong, or `-`.
 #include <cstdint>
 #include <cstdio>
 #include <cstdlib>
@@ -53,8 +53,8 @@ std::vector<Part> read_script(const char* path) {
     return parts;
 }
 
-// What the sound design read where the script says `c`, in this order; and how many cycles it takes to answer.
-std::vector<uint32_t> learned;
+// What the sound design is answered at each `c` and `v`, and how many cycles an answer takes.
+std::vector<uint64_t> learned;
 size_t latency = 0;
 
 class Host {
@@ -75,7 +75,8 @@ class Host {
     bool run(const Part& part) {
         for (const Op& op : part.ops) {
             switch (op.kind) {
-                case 'w': request(op, true); break;
+                case 'w':
+                case 'v': request(op, true); break;
                 case 'r':
                 case 'f':  // a read for the sake of a write
                 case 'c': request(op, false); break;
@@ -92,7 +93,7 @@ class Host {
                 case 'x': reset(op.addr); break;
             }
             if (!right_) {
-                if (fault_ == 0) fprintf(stderr, "%c %x %x %x %x\n", op.kind, op.addr, op.data, op.mask, op.resp);
+                if (fault_ == 0) std::fprintf(stderr, "%c %x %x\n", op.kind, op.addr, op.data);
                 return false;
             }
         }
@@ -104,10 +105,11 @@ class Host {
     void request(const Op& op, bool write) {
         dut_->req_i = 1;
         dut_->we_i = write;
-        dut_->fetch_i = op.kind == 'f';
+        // With a write it means nothing.
+        dut_->fetch_i = op.kind == 'f' || (write && op.data % 2 == 1);
         dut_->addr_i = op.addr;
         dut_->wdata_i = op.data;
-        tick({true, op.kind == 'c', op.data, op.mask, op.resp});
+        tick({true, op.kind == 'c' || op.kind == 'v', op.data, op.mask, op.resp});
         dut_->req_i = 0;
     }
 
@@ -126,11 +128,11 @@ class Host {
     void check(const Answer& answer) {
         if (dut_->rvalid_o != answer.wanted) right_ = false;
         if (!answer.wanted) return;
-        if (dut_->resp_o != answer.resp) right_ = false;
         if (answer.learn) {
-            if (fault_ == 0) learned.push_back(dut_->rdata_o);
-            else if (dut_->rdata_o != learned.at(learned_++)) right_ = false;
-        } else if ((dut_->rdata_o & answer.mask) != (answer.data & answer.mask)) {
+            const uint64_t found = uint64_t{dut_->resp_o} << 32 | dut_->rdata_o;
+            if (fault_ == 0) learned.push_back(found);
+            else if (found != learned.at(learned_++)) right_ = false;
+        } else if (dut_->resp_o != answer.resp || ((dut_->rdata_o ^ answer.data) & answer.mask) != 0) {
             right_ = false;
         }
     }

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import re
 import subprocess
 from collections import Counter
@@ -110,6 +111,10 @@ class Script:
         """Read what the sound design reads."""
         self.lines.append(f"c {word:x} 0 0 0")
 
+    def write_the_same(self, word: int, value: int) -> None:
+        """Write, and be answered as by the sound design."""
+        self.lines.append(f"v {word:x} {value:x} 0 0")
+
     def wait(self, cycles: int) -> None:
         self.lines.append(f"n {cycles:x}")
 
@@ -127,7 +132,8 @@ class Script:
             self.control(Control.RESET, 1 << int(self.random.integers(32)))
         else:
             self.lines.append("x 1")
-        self.wait(40)
+        for _ in range(40):
+            self.read_the_same(self.first("status") + Status.ERROR)
         self.sequence = self.mode = 0
 
     # ---- Regions ----
@@ -279,11 +285,10 @@ def host_script(build: Build) -> str:
 
     script.part("limits")
     model, n = script.model, layout.n_envs
-    for limit in (0, ALL, 1 << 31, 5):
+    for limit in (0, ALL, 5, *(1 << bit for bit in range(4, 32, 3)), 0x55555555, 0x2AAAAAAA):
         model.max_cycles = limit
-        model.elapsed = script.random.choice(
-            np.array([0, 3, 4, 5, (1 << 31) - 2, (1 << 31) - 1, ALL - 2, ALL - 1, 1 << 20]), n
-        ).astype(np.uint32)
+        below = script.random.choice([1, 1, 2, 2, 3, limit // 2 + 1], n)
+        model.elapsed = np.minimum(np.maximum(limit - below, 0), ALL - 1).astype(np.uint32)
         model.states = [script.random.integers(0, 1 << f.bits, n).astype(f.dtype) for f in spec.state]
         model.ters = script.random.choice([0, 0, 0, 1, 2, 3], n).astype(np.uint8)
         load_states(script)
@@ -294,6 +299,8 @@ def host_script(build: Build) -> str:
         compare_states(script)
 
     busy(script)
+    keys(script)
+    parts_of_the_reset(script)
 
     for soft in (False, True):
         script.part("soft_reset" if soft else "reset")
@@ -313,6 +320,48 @@ def host_script(build: Build) -> str:
             script.results(expected)
             compare_states(script)
     return "\n".join(script.lines) + "\n"
+
+
+def keys(script: Script) -> None:
+    """Change what the random keys are made of while they are being made."""
+    script.part("keys")
+    model = script.model
+    for delay in range(0, 44, 3):
+        model.seed = tuple(int(w) for w in script.random.integers(0, 1 << 32, 2))
+        model.tick = int(script.random.integers(0, 1 << 62))
+        script.load()
+        script.wait(delay)
+        model.tick = int(script.random.integers(0, 1 << 62)) | ALL
+        script.load()
+        for _ in range(3):
+            # At once, before the keys of the next tick are there; and the step has begun all the same.
+            mask, actions = script.some()
+            expected = script.ring(Mode.RESET_ALL, mask, actions)
+            script.write(script.first("actions"), ALL, REFUSED)
+            script.write(script.first("doorbell") + 1, ALL, REFUSED)
+            script.wait(8)
+            script.write(script.first("actions"), ALL, REFUSED)
+            script.read(script.first("current_states"), answer=REFUSED)
+            script.finish()
+            script.read_the_same(script.first("status") + Status.CYCLES)
+        script.results(expected)
+
+
+def parts_of_the_reset(script: Script) -> None:
+    """Fetch the word that resets in a step, and write it then or after it."""
+    script.part("reset_in_parts")
+    for delay in range(0, 60, 4):
+        for gap in (0, 30):
+            expected = script.ring(Mode.RESET_ALL, *script.some())
+            script.wait(delay)
+            script.fetch(Control.RESET)
+            script.wait(gap)
+            script.write_the_same(Control.RESET, 0)
+            script.wait(60)
+            script.interrupt(True)
+            script.read_the_same(script.first("status") + Status.ERROR)
+            script.results(expected)
+            script.registers()
 
 
 def load_states(script: Script) -> None:
@@ -350,6 +399,9 @@ def steps_of(script: Script, base: Mode, max_cycles: int) -> None:
         script.finish()
         script.status(Status.SEQUENCE, script.sequence)
         script.read_the_same(script.first("status") + Status.CYCLES)
+        # Other results than the first word leave the warning.
+        script.read(script.first("observations") + 1, mask=0)
+        script.read(script.first("ters"), mask=0)
         script.status(Status.ERROR, StatusError.TORN_READ)
         script.results(expected)
         script.status(Status.ERROR, 0)
@@ -375,6 +427,10 @@ def busy(script: Script) -> None:
             match error:
                 case 0:
                     script.read(script.first(name), answer=REFUSED)
+                    # Nothing that a step could have lost.
+                    script.write(script.first("rewards"), ALL, REFUSED)
+                    script.fetch(script.first("ters"), answer=REFUSED)
+                    script.write(layout.end("status") // 4, ALL, HOLE)
                 case StatusError.BUSY_WRITE:
                     script.write(script.first(name), ALL, REFUSED)
                     script.write(Control.SEED_0, ALL, REFUSED)
@@ -393,6 +449,8 @@ def busy(script: Script) -> None:
     # The same sequence again, and the mode alone, ring nothing.
     script.write(script.first("doorbell"), Mode.RESET_ALL)
     script.write(script.first("doorbell") + 1, script.sequence)
+    script.write_the_same(script.first("reset_mask"), 0)
+    script.write_the_same(script.first("reset_mask"), 0)
     script.wait(60)
     script.interrupt(True)
     script.mode = Mode.RESET_ALL
@@ -545,23 +603,36 @@ def without_effect(mutants: list[Mutant], folder: Path) -> list[bool]:
 FLIP_FLOP = "$_DFF_P_"
 
 
-if __name__ == "__main__":
+def report(mutants: list[Mutant], by: list[str | None], harmless: list[bool]) -> str:
+    """Return how many faults are noticed and where, and those that are not."""
+    unnoticed = [mutant for mutant, part in zip(mutants, by, strict=True) if part is None]
+    left = [mutant for mutant, proved in zip(unnoticed, harmless, strict=True) if not proved]
+    noticed = len(mutants) - len(unnoticed)
+    lines = [
+        f"{noticed} of {len(mutants)} faults are noticed, {sum(harmless)} are proved to change nothing:",
+        "",
+    ]
+    lines += [f"{count:5d}  {part}" for part, count in Counter(part for part in by if part).most_common()]
+    lines += ["", f"{len(left)} are left:", ""]
+    lines += [f"{mutant.lines}  {mutant.command.removeprefix('mutate ')}" for mutant in left]
+    return "\n".join(lines) + "\n"
+
+
+def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--mutants", type=int, default=1000)
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--mutants", type=int, default=800, help="how many faults")
+    parser.add_argument("--seed", type=int, default=1, help="which ones")
+    parser.add_argument("--out", type=Path, required=True, help="the folder for report.txt and all files")
     given = parser.parse_args()
     given.out.mkdir(parents=True, exist_ok=True)
-    import time
-
-    t = time.time()
     mutants = choose(BUILD, given.out, given.mutants, given.seed)
-    print("chosen", len(mutants), time.time() - t)
     program = compile_mutants(mutants, given.out)
-    print("compiled", time.time() - t)
-    result = caught(program, host_script(BUILD), len(mutants), 2)
-    print("ran", time.time() - t)
-    print(Counter(result))
-    for mutant, by in zip(mutants, result, strict=True):
-        if by is None:
-            print(mutant.lines, "|", mutant.command)
+    by = caught(program, host_script(BUILD), len(mutants), os.cpu_count() or 1)
+    unnoticed = [mutant for mutant, part in zip(mutants, by, strict=True) if part is None]
+    text = report(mutants, by, without_effect(unnoticed, given.out))
+    (given.out / "report.txt").write_text(text)
+    print(text, end="")
+
+
+if __name__ == "__main__":
+    main()
