@@ -176,14 +176,21 @@ def test_large_memories_are_found_in_block_ram(part: str, monkeypatch: pytest.Mo
 @needs_yosys
 def test_a_memory_that_is_not_block_ram_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path) -> None:
     """A memory that is read without a clock edge cannot be block RAM."""
-    files = elaboration.sources(DRAWS)
-    ram = next(path for path in files if path.name == "pearl_memory.sv")
-    text = ram.read_text()
-    assert "rdata_o[low+:BITS] = rdata_q" in text
-    broken = tmp_path / ram.name
-    broken.write_text(text.replace("rdata_o[low+:BITS] = rdata_q", "rdata_o[low+:BITS] = mem[raddr_i]"))
-    swapped = [broken if path == ram else path for path in files]
-    monkeypatch.setattr(elaboration, "sources", lambda *_: swapped)
+    registers = {
+        "pearl_memory.sv": ("rdata_o[low+:BITS] = rdata_q", "rdata_o[low+:BITS] = mem[raddr_i]"),
+        "pearl_ram.sv": ("rdata_o = rdata_q", "rdata_o = rdata"),
+    }
+    files = []
+    for path in elaboration.sources(DRAWS):
+        if path.name in registers:
+            old, new = registers.pop(path.name)
+            text = path.read_text()
+            assert text.count(old) == 1
+            path = tmp_path / path.name
+            path.write_text(text.replace(old, new))
+        files.append(path)
+    assert not registers
+    monkeypatch.setattr(elaboration, "sources", lambda *_: files)
     result = CliRunner().invoke(app, ["synth", *DEEP])
     assert result.exit_code == 1
     assert "u_elapsed.gen_column_rams[0].u_ram" in json.loads(result.stdout)["points"][0]["misplaced"][0]

@@ -17,6 +17,7 @@ import shutil
 import tempfile
 import time
 import xml.etree.ElementTree as ET
+import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib.metadata import version
@@ -62,7 +63,9 @@ every file of a design, and it is made one."""
 
 def build_args() -> list[str]:
     counted = ["--coverage-line", "--coverage-toggle"] if os.environ.get(COVERAGE_VARIABLE) else []
-    return ["--assert", "-Wno-fatal", "--output-split", "0", *counted]
+    # What nobody has set is random, so that no result can lean on it: see _simulate.
+    unknown = ["--x-initial", "unique", "--x-assign", "unique"]
+    return ["--assert", *unknown, "-Wno-fatal", "--output-split", "0", *counted]
 
 
 def _digest(*parts: Any) -> str:
@@ -227,6 +230,7 @@ def _simulate(
     built = build(design)
     runner = get_runner("verilator")
     log, results = folder / "bench.log", folder / "results.xml"
+    seed = 1 + zlib.crc32(json.dumps([bench, arguments]).encode()) % 0x7FFFFFFE
     # The runner raises one or the other when a test fails, or the simulator does. The results say it too.
     with contextlib.suppress(SystemExit, RuntimeError):
         runner.test(
@@ -244,6 +248,8 @@ def _simulate(
                 # cocotb would have pytest rewrite, and so compile anew, every module that is imported.
                 "COCOTB_REWRITE_ASSERTION_FILES": "bench*.py",
             },
+            # Every run begins with other values in what no reset sets, and always with the same.
+            plusargs=["+verilator+rand+reset+2", f"+verilator+seed+{seed}"],
             log_file=log,
             results_xml=str(results),
         )

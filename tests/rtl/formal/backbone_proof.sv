@@ -24,6 +24,8 @@ module backbone_proof
     parameter bit PIPELINED = 1'b1,
     // A step takes no more cycles from its start.
     parameter int unsigned STEP_CYCLES = 20,
+    // The slot; N_ENVS stands for any.
+    parameter int unsigned SLOT = N_ENVS,
     localparam int unsigned WORD_ADDR_BITS = $clog2(region_offset(NumRegions, N_ENVS, PE_NUM, DATA_WL) + 1)
 ) (
     input logic                      clk_i,
@@ -196,6 +198,7 @@ module backbone_proof
   always_comb begin
     assume (choice.slot < 8'(N_ENVS) && group < 8'(GROUPS) && pe < 8'(PE_NUM));
     assume (choice.slot == group * 8'(PE_NUM) + pe);
+    assume (SLOT == N_ENVS || choice.slot == 8'(SLOT));
     assume (choice.bits[0] < 8'(ACTION_BITS) && choice.bits[1] < 8'(OBS_BITS));
     assume (choice.bits[2] < 8'(REWARD_BITS) && choice.bits[3] < 8'(TER_BITS));
   end
