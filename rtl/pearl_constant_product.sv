@@ -6,11 +6,11 @@ module pearl_constant_product #(
 ) (
     input  logic        clk_i,
     input  logic [31:0] x_i,
-    // Of the x_i of the cycle before.
+    // Two cycles later.
     output logic [31:0] product_o
 );
 
-  logic [31:0] low_q;
+  logic [31:0] low_q, product_q;
   logic [15:0] high_low_q, low_high_q;
 
   always_ff @(posedge clk_i) begin
@@ -19,6 +19,7 @@ module pearl_constant_product #(
     low_high_q <= 16'(32'(x_i[15:0]) * 32'(FACTOR[31:16]));
   end
 
-  assign product_o = {low_q[31:16] + high_low_q + low_high_q, low_q[15:0]};
+  always_ff @(posedge clk_i) product_q <= {low_q[31:16] + high_low_q + low_high_q, low_q[15:0]};
+  assign product_o = product_q;
 
 endmodule

@@ -28,8 +28,6 @@ module pearl_draw
       .product_o(second_product)
   );
 
-  // A sum of partial products and an exclusive or are one stage: together they are no longer than the
-  // multiplication.
   always_ff @(posedge clk_i) begin
     first_q  <= fold(slot_i ^ key_a_i, 16);
     second_q <= fold(first_product ^ key_b_i, 15);

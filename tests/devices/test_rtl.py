@@ -187,8 +187,8 @@ def test_a_step_takes_its_bound_and_the_latency(env: str) -> None:
     for actions in case.actions(3):
         device.step(actions)
     latency = elaboration.core_timing(case.spec).latency
-    # Doorbell and first words, memories and packers, 1 more for random draws, up to 2 for last words.
-    assert 12 <= device.cycles - max(layout.groups, *words) - latency <= 15
+    # Doorbell and first words, memories and packers, 3 more for random draws, up to 2 for last words.
+    assert 12 <= device.cycles - max(layout.groups, *words) - latency <= 17
     case.close()
 
 
