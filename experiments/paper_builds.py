@@ -65,8 +65,11 @@ def verdict(build: Build) -> Verdict:
         source = f"synthesised {found['date']} at {found['commit']}"
     else:
         dsp = modelled_dsp(spec, Family.XC7.target).of(layout.pe_num)
-        lacks, unless = _lacks({"bram36": modelled_bram36(layout), "dsp": dsp}), "not synthesised"
-        source = "by its memories and multipliers"
+        lacks, unless = (
+            _lacks({"bram36": modelled_bram36(layout), "dsp": dsp}),
+            "memories and multipliers fit",
+        )
+        source = "not synthesised"
     return Verdict(lacks, f"does not fit: {lacks}" if lacks else unless, source)
 
 

@@ -91,7 +91,7 @@ def main() -> None:
             for step in (found.pipelined, found.serial)
         ]
         size = f"{ours.n_envs:,} | {ours.pe_num} | {ours.data_wl:,}"
-        last = f"{found.factor:.3g} | {found.fits.text}"
+        last = f"{found.factor:.3g} | {found.fits.text} ({found.fits.source})"
         print(f"| {env_id} | {size} | {rates[0]} | {rates[1]} | {last} |")
 
 

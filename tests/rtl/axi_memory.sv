@@ -78,13 +78,21 @@ module axi_memory
 
   always_ff @(posedge clk_i) if (req && we && answer == RespOkay) mem[addr] <= wdata;
 
+  // As at the port, a reset forgets what is under way.
+  logic [PORT_LATENCY:1] valid_q;
+  always_ff @(posedge clk_i) begin
+    if (!rst_ni) valid_q <= '0;
+    else valid_q <= {valid_q[PORT_LATENCY-1:1], req};
+  end
+  assign rvalid = valid_q[PORT_LATENCY];
+
   pearl_delay #(
-      .WIDTH (DATA_WL + 3),
+      .WIDTH (DATA_WL + 2),
       .STAGES(PORT_LATENCY)
   ) u_delay (
       .clk_i,
-      .d_i({req, answer, word}),
-      .d_o({rvalid, resp, rdata})
+      .d_i({answer, word}),
+      .d_o({resp, rdata})
   );
 
 endmodule

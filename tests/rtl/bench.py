@@ -41,9 +41,14 @@ def each_variant(**parameters: Sequence[Any]) -> Callable[[Any], Any]:
 
 async def start(dut: Any, **idle: int) -> None:
     """Start the clock, set inputs to their idle values and go through a reset."""
-    cocotb.start_soon(Clock(dut.clk_i, 10, unit="ns").start())
+    # Its first edge comes when the inputs below are set.
+    cocotb.start_soon(Clock(dut.clk_i, 10, unit="ns").start(start_high=False))
     for name, value in idle.items():
         getattr(dut, name).value = value
+    # A master drives nothing before it is made, and what nobody drives starts at random.
+    for channel in ("aw", "w", "ar"):
+        if hasattr(dut, f"s_axi_{channel}valid"):
+            getattr(dut, f"s_axi_{channel}valid").value = 0
     if hasattr(dut, "rst_ni"):
         await reset(dut)
     await ClockCycles(dut.clk_i, 2)
