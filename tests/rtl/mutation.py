@@ -285,7 +285,7 @@ def host_script(build: Build) -> str:
 
     script.part("limits")
     model, n = script.model, layout.n_envs
-    for limit in (0, ALL, 5, *(1 << bit for bit in range(4, 32, 3)), 0x55555555, 0x2AAAAAAA):
+    for limit in (0, ALL, 5, *(1 << bit for bit in range(32)), 0x55555555, 0x2AAAAAAA):
         model.max_cycles = limit
         below = script.random.choice([1, 1, 2, 2, 3, limit // 2 + 1], n)
         model.elapsed = np.minimum(np.maximum(limit - below, 0), ALL - 1).astype(np.uint32)
@@ -402,6 +402,8 @@ def steps_of(script: Script, base: Mode, max_cycles: int) -> None:
         # Other results than the first word leave the warning.
         script.read(script.first("observations") + 1, mask=0)
         script.read(script.first("ters"), mask=0)
+        script.fetch(script.first("observations"), answer=REFUSED)
+        script.write(script.first("observations"), ALL, REFUSED)
         script.status(Status.ERROR, StatusError.TORN_READ)
         script.results(expected)
         script.status(Status.ERROR, 0)
