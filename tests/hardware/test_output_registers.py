@@ -1,0 +1,87 @@
+"""Which flip-flops become a block's own, and which do not."""
+
+from __future__ import annotations
+
+import copy
+from typing import Any
+
+import pytest
+
+from pearl_marl.hardware.output_registers import absorb
+
+CLOCK, ENABLE, RESET = 2, 3, 4
+
+
+def flip_flop(d: int, q: int) -> dict[str, Any]:
+    return {
+        "type": "TRELLIS_FF",
+        "parameters": {"REGSET": "RESET", "CLKMUX": "CLK", "CEMUX": "CE"},
+        "port_directions": {"CLK": "input", "CE": "input", "DI": "input", "Q": "output"},
+        "connections": {"CLK": [CLOCK], "CE": [ENABLE], "DI": [d], "Q": [q]},
+    }
+
+
+def memory() -> dict[str, Any]:
+    """Two outputs of a block RAM, a flip-flop behind each, and what they drive; a third one drives nothing."""
+    outputs = {"DOB0": [10], "DOB1": [11], "DOB2": [12]}
+    block = {
+        "type": "DP16KD",
+        "parameters": {"REGMODE_B": "NOREG"},
+        "port_directions": {"CLKB": "input", "OCEB": "input", **dict.fromkeys(outputs, "output")},
+        "connections": {"CLKB": [CLOCK], "OCEB": ["1"], **outputs},
+    }
+    cells = {"block": block, "first": flip_flop(10, 20), "second": flip_flop(11, 21)}
+    ports = {
+        "clk_i": {"direction": "input", "bits": [CLOCK]},
+        "q_o": {"direction": "output", "bits": [20, 21]},
+    }
+    return {"cells": cells, "ports": ports}
+
+
+def test_registers_behind_every_output_are_absorbed() -> None:
+    module = memory()
+    assert absorb(module) == 2
+    (block,) = module["cells"].values()
+    assert block["parameters"] == {"REGMODE_B": "OUTREG"}
+    assert block["connections"] == {
+        **{"CLKB": [CLOCK], "OCEB": [ENABLE]},
+        **{"DOB0": [20], "DOB1": [21], "DOB2": [12]},
+    }
+
+
+def test_a_multiplier_is_clocked_then() -> None:
+    module = memory()
+    block = module["cells"]["block"]
+    block["type"], block["parameters"] = "MULT18X18D", {}
+    block["connections"] = {"P0": [10], "P1": [11]}
+    block["port_directions"] = {"P0": "output", "P1": "output"}
+    for name in ("first", "second"):
+        module["cells"][name]["parameters"]["CEMUX"] = "1 "
+    assert absorb(module) == 2
+    assert block["parameters"]["REG_OUTPUT_CLK"] == "CLK0"
+    ties = {"CLK0": [CLOCK], "CE0": ["1"], "RST0": ["0"]}
+    assert block["connections"] == {"P0": [20], "P1": [21], **ties}
+    assert set(ties) < set(block["port_directions"])
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda module: module["ports"]["q_o"]["bits"].append(10),  # an output is used unregistered, too
+        lambda module: module["cells"]["second"].update(type="LUT4"),
+        lambda module: module["cells"]["second"]["connections"].update(DI=[30], LSR=[11]),
+        lambda module: module["cells"]["second"]["connections"].update(CLK=[31]),
+        lambda module: module["cells"]["second"]["connections"].update(CE=[32]),
+        lambda module: module["cells"]["second"]["connections"].update(LSR=[RESET]),
+        lambda module: module["cells"]["second"]["parameters"].update(REGSET="SET"),
+        lambda module: module["cells"]["second"]["parameters"].update(CLKMUX="INV"),
+        lambda module: module["cells"]["second"]["parameters"].update(CEMUX="INV"),
+        lambda module: module["cells"]["block"]["connections"].update(CLKB=[33]),
+    ],
+)
+def test_what_a_block_cannot_do_stays(change: Any) -> None:
+    module = memory()
+    change(module)
+    before = copy.deepcopy(module)
+    assert absorb(module) == 0
+    assert module == before
