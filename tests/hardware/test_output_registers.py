@@ -16,13 +16,13 @@ def flip_flop(d: int, q: int) -> dict[str, Any]:
     return {
         "type": "TRELLIS_FF",
         "parameters": {"REGSET": "RESET", "CLKMUX": "CLK", "CEMUX": "CE"},
-        "port_directions": {"CLK": "input", "CE": "input", "DI": "input", "Q": "output"},
+        "port_directions": {**dict.fromkeys(("CLK", "CE", "DI", "LSR"), "input"), "Q": "output"},
         "connections": {"CLK": [CLOCK], "CE": [ENABLE], "DI": [d], "Q": [q]},
     }
 
 
 def memory() -> dict[str, Any]:
-    """Two outputs of a block RAM, a flip-flop behind each, and what they drive; a third one drives nothing."""
+    """Two outputs of a block RAM, a flip-flop behind each, and what they drive; a third drives nothing."""
     outputs = {"DOB0": [10], "DOB1": [11], "DOB2": [12]}
     block = {
         "type": "DP16KD",
@@ -31,11 +31,7 @@ def memory() -> dict[str, Any]:
         "connections": {"CLKB": [CLOCK], "OCEB": ["1"], **outputs},
     }
     cells = {"block": block, "first": flip_flop(10, 20), "second": flip_flop(11, 21)}
-    ports = {
-        "clk_i": {"direction": "input", "bits": [CLOCK]},
-        "q_o": {"direction": "output", "bits": [20, 21]},
-    }
-    return {"cells": cells, "ports": ports}
+    return {"cells": cells, "ports": {"clk_i": {"bits": [CLOCK]}, "q_o": {"bits": [20, 21]}}}
 
 
 def test_registers_behind_every_output_are_absorbed() -> None:
@@ -43,10 +39,8 @@ def test_registers_behind_every_output_are_absorbed() -> None:
     assert absorb(module) == 2
     (block,) = module["cells"].values()
     assert block["parameters"] == {"REGMODE_B": "OUTREG"}
-    assert block["connections"] == {
-        **{"CLKB": [CLOCK], "OCEB": [ENABLE]},
-        **{"DOB0": [20], "DOB1": [21], "DOB2": [12]},
-    }
+    outputs = {"DOB0": [20], "DOB1": [21], "DOB2": [12]}
+    assert block["connections"] == {"CLKB": [CLOCK], "OCEB": [ENABLE], **outputs}
 
 
 def test_a_multiplier_is_clocked_then() -> None:
