@@ -97,4 +97,11 @@ module pearl_input_bank
       .data_o (row_o)
   );
 
+  always_ff @(posedge clk_i) begin
+    if (rst_ni) begin
+      assert (valid_o || !take_i)
+      else $error("pearl_input_bank: a row was taken that is not there");
+    end
+  end
+
 endmodule
