@@ -160,9 +160,11 @@ async def steps_equal_the_model_in_every_mode(dut: Any) -> None:
                 status = await host.finish()
                 results, tail = await host.results()
                 assert tail == [host.sequence, status[Status.CYCLES], 0]
+                # For other settings, or a tick of another high word, a step waits for new random keys.
+                waits = step == 0 or model.tick & 0xFFFFFFFF == 0
                 expected = model.step(mode, mask, actions)
                 assert results == expected, f"{mode!r}, max_cycles {max_cycles}, step {step}"
-                slowest = max(slowest, status[Status.CYCLES])
+                slowest = max(slowest, 0 if waits else status[Status.CYCLES])
             current = unpack_region(
                 LAYOUT,
                 LAYOUT["current_states"],
