@@ -54,10 +54,10 @@ async def start(dut: Any, **idle: int) -> None:
     await ClockCycles(dut.clk_i, 2)
 
 
-async def reset(dut: Any) -> None:
+async def reset(dut: Any, cycles: int = 1) -> None:
     """Go through a reset, which takes one cycle, and let the pipeline drain."""
     dut.rst_ni.value = 0
-    await ClockCycles(dut.clk_i, 1)
+    await ClockCycles(dut.clk_i, cycles)
     dut.rst_ni.value = 1
     await ClockCycles(dut.clk_i, 20)
 

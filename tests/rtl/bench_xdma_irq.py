@@ -6,7 +6,7 @@ import random
 from typing import Any
 
 import cocotb
-from bench import start
+from bench import reset, start
 from cocotb.triggers import ClockCycles, FallingEdge
 
 
@@ -39,6 +39,12 @@ class Core:
                     waiting = None
 
 
+async def begin(dut: Any) -> None:
+    """Start with a reset that is as long as it takes to come across from the other clock, as a link's is."""
+    await start(dut, irq_i=0, usr_irq_ack_i=0)
+    await reset(dut, 4)
+
+
 async def step(dut: Any, cycles: int) -> None:
     """From the doorbell to the step's end."""
     dut.irq_i.value = 0
@@ -48,7 +54,7 @@ async def step(dut: Any, cycles: int) -> None:
 
 @cocotb.test
 async def a_host_that_waits_gets_one_for_each_step(dut: Any) -> None:
-    await start(dut, irq_i=0, usr_irq_ack_i=0)
+    await begin(dut)
     source = random.Random(1)
     core = Core(dut, lambda: source.randint(1, 30))
     assert dut.usr_irq_req_o.value == 0
@@ -64,7 +70,7 @@ async def a_host_that_waits_gets_one_for_each_step(dut: Any) -> None:
 
 @cocotb.test
 async def a_host_that_polls_breaks_no_rule(dut: Any) -> None:
-    await start(dut, irq_i=0, usr_irq_ack_i=0)
+    await begin(dut)
     source = random.Random(2)
     core = Core(dut, lambda: source.randint(1, 200))
     for _ in range(200):
@@ -82,7 +88,7 @@ async def a_host_that_polls_breaks_no_rule(dut: Any) -> None:
 
 @cocotb.test
 async def what_is_never_sent_is_held(dut: Any) -> None:
-    await start(dut, irq_i=0, usr_irq_ack_i=0)
+    await begin(dut)
     for _ in range(5):
         await step(dut, 20)
         await ClockCycles(dut.clk_i, 20)
