@@ -191,14 +191,15 @@ module backbone_proof
     choice_q <= choice;
   end
 
-  logic [7:0] group, pe;
-  assign group = choice.group;
-  assign pe = choice.pe;
+  localparam bit ANY = SLOT == N_ENVS;
+  logic [7:0] slot, group, pe;
+  assign slot = ANY ? choice.slot : 8'(SLOT);
+  assign group = ANY ? choice.group : 8'(SLOT / PE_NUM);
+  assign pe = ANY ? choice.pe : 8'(SLOT % PE_NUM);
 
   always_comb begin
-    assume (choice.slot < 8'(N_ENVS) && group < 8'(GROUPS) && pe < 8'(PE_NUM));
-    assume (choice.slot == group * 8'(PE_NUM) + pe);
-    assume (SLOT == N_ENVS || choice.slot == 8'(SLOT));
+    assume (slot < 8'(N_ENVS) && group < 8'(GROUPS) && pe < 8'(PE_NUM));
+    assume (slot == group * 8'(PE_NUM) + pe);
     assume (choice.bits[0] < 8'(ACTION_BITS) && choice.bits[1] < 8'(OBS_BITS));
     assume (choice.bits[2] < 8'(REWARD_BITS) && choice.bits[3] < 8'(TER_BITS));
   end
@@ -206,11 +207,11 @@ module backbone_proof
   // ---- Where the map says that they are ----
 
   logic [FIELDS:0][AT_BITS-1:0] at;
-  assign at[0] = AT_BITS'(choice.slot) * AT_BITS'(ACTION_BITS) + AT_BITS'(choice.bits[0]);
-  assign at[1] = AT_BITS'(choice.slot) * AT_BITS'(OBS_BITS) + AT_BITS'(choice.bits[1]);
-  assign at[2] = AT_BITS'(choice.slot) * AT_BITS'(REWARD_BITS) + AT_BITS'(choice.bits[2]);
-  assign at[3] = AT_BITS'(choice.slot) * AT_BITS'(TER_BITS) + AT_BITS'(choice.bits[3]);
-  assign at[4] = AT_BITS'(choice.slot);
+  assign at[0] = AT_BITS'(slot) * AT_BITS'(ACTION_BITS) + AT_BITS'(choice.bits[0]);
+  assign at[1] = AT_BITS'(slot) * AT_BITS'(OBS_BITS) + AT_BITS'(choice.bits[1]);
+  assign at[2] = AT_BITS'(slot) * AT_BITS'(REWARD_BITS) + AT_BITS'(choice.bits[2]);
+  assign at[3] = AT_BITS'(slot) * AT_BITS'(TER_BITS) + AT_BITS'(choice.bits[3]);
+  assign at[4] = AT_BITS'(slot);
 
   localparam int unsigned IN_WORD = $clog2(DATA_WL);
   logic action_bit, obs_bit, reward_bit, ter_bit, mask_bit;
@@ -283,7 +284,7 @@ module backbone_proof
       init_q       <= init;
       elapsed_q    <= elapsed;
       mode_q       <= u_backbone.mode;
-      number_q     <= u_backbone.first_slot + 32'(choice.slot);
+      number_q     <= u_backbone.first_slot + 32'(slot);
       max_cycles_q <= u_backbone.u_registers.max_cycles_q;
       finished_q   <= finished;
     end else if (done) begin
