@@ -129,7 +129,7 @@ def draws_wait(spec: EnvSpec, layout: MemoryMap) -> int:
     written. A link takes longer than they do; the simulated port may not.
     """
     draws = spec.reset_draws + spec.step_draws
-    keys = _DRAW_LATENCY * (1 + draws) + 4 if draws else 0
+    keys = _DRAW_LATENCY * (1 + draws) + 7 if draws else 0
     return max(0, keys - write_cycles(layout) - read_cycles(layout))
 
 
