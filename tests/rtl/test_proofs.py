@@ -184,7 +184,6 @@ ABSTRACT = {
     "pearl_memory.sv": "abstract_memory.sv",
     "pearl_rng.sv": "abstract_draws.sv",
     "pearl_draw.sv": None,  # it stands beside pearl_rng
-    "pearl_scramble.sv": None,
 }
 BUS = ("pearl_top.sv", "pearl_fifo.sv", "pearl_axi_slave.sv", "pearl_axi_address.sv")
 
