@@ -14,6 +14,9 @@ module pearl_reset (
   (* ASYNC_REG = "TRUE" *) logic [1:0] steady_q;
   logic rst_nq;
 
+  // What an FPGA's flip-flops start with: its design begins in reset.
+  initial rst_nq = 1'b0;
+
   always_ff @(posedge clk_i or negedge ready_i) begin
     if (!ready_i) ready_q <= '0;
     else ready_q <= {ready_q[0], 1'b1};

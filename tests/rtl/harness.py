@@ -223,6 +223,9 @@ PASSED, ENDED = "", "SimFailure"
 """Results of a test; of a failed one it is its failure's type, and that one says that the simulator ended."""
 
 
+RESET_BY = 100_000
+"""The time, in picoseconds, by which every bench has reset its design."""
+
 STARTS = 16
 """So many seeds are tried until a simulation gets as far as its reset: about half of them do."""
 
@@ -237,9 +240,10 @@ def _simulate(
     seed = 1 + zlib.crc32(json.dumps([bench, arguments]).encode()) % 0x7FFFFF00
     for start in range(STARTS):
         _run(design, bench, folder, arguments, built, seed + start)
-        # The clock and the reset, too, are random before the bench sets them, at time 0. Until the first edge
-        # of a reset, at 5 ns, assertions may fail: that is no fault of a design that nobody has reset yet.
-        if not re.search(r"\[(0|5000)\] %Error", log.read_text(errors="replace")):
+        # The clock and the reset, too, are random before the bench sets them, at time 0. Until the first
+        # edges of a reset, assertions may fail: that is no fault of a design that nobody has reset yet.
+        failed_at = re.findall(r"\[(\d+)\] %Error", log.read_text(errors="replace"))
+        if all(int(picoseconds) > RESET_BY for picoseconds in failed_at):
             break
     text = "\n".join(log.read_text(errors="replace").splitlines()[-60:])
     if not results.exists():
