@@ -1,22 +1,23 @@
 // SPDX-License-Identifier: MIT
-// The low half of the product with a constant, from partial products that fit a multiplier each: they are
-// registered, which a family's multipliers do themselves, and added behind it.
+// The low half of the product with a constant, from partial products that fit a multiplier each, and are added
+// behind it. There is a register on either side of a multiplier: it may be far away.
 module pearl_constant_product #(
     parameter logic [31:0] FACTOR = 32'h7FEB_352D
 ) (
     input  logic        clk_i,
     input  logic [31:0] x_i,
-    // Two cycles later.
+    // Three cycles later.
     output logic [31:0] product_o
 );
 
-  logic [31:0] low_q, product_q;
+  logic [31:0] x_q, low_q, product_q;
   logic [15:0] high_low_q, low_high_q;
 
   always_ff @(posedge clk_i) begin
-    low_q      <= 32'(x_i[15:0]) * 32'(FACTOR[15:0]);
-    high_low_q <= 16'(32'(x_i[31:16]) * 32'(FACTOR[15:0]));
-    low_high_q <= 16'(32'(x_i[15:0]) * 32'(FACTOR[31:16]));
+    x_q        <= x_i;
+    low_q      <= 32'(x_q[15:0]) * 32'(FACTOR[15:0]);
+    high_low_q <= 16'(32'(x_q[31:16]) * 32'(FACTOR[15:0]));
+    low_high_q <= 16'(32'(x_q[15:0]) * 32'(FACTOR[31:16]));
   end
 
   always_ff @(posedge clk_i) product_q <= {low_q[31:16] + high_low_q + low_high_q, low_q[15:0]};

@@ -1,8 +1,9 @@
 // SPDX-License-Identifier: MIT
 // A memory that the host fills with one stream of bits and the pipeline takes rows from, in order.
 //
-// Words flow through the memory's two registers and the unpacker to a queue of rows, each as soon as there
-// is room behind it. Host and pipeline share the read port: the host is served only while busy_i is low.
+// Words wait in a queue between the memory and the unpacker, and one is read when there is a place for it
+// there: whether the memory is read so depends on a flag alone, however far away the unpacker is.
+// Host and pipeline share the read port: the host is served only while busy_i is low.
 module pearl_input_bank
   import pearl_pkg::*;
 #(
@@ -27,31 +28,40 @@ module pearl_input_bank
     output logic [  DATA_WL-1:0] host_rdata_o
 );
 
-  // A word is in the memory's own register, and at its output.
-  logic read_q, out_q, read_moves, out_moves;
-  logic re, active_q, ended_q, word_ready, row_valid, row_ready;
-  logic [$clog2(WORDS+1)-1:0] count_q;
-  logic [ROW_BITS-1:0] row;
+  // As many places as cycles from when one gets free to when the word that was read for it is in it.
+  localparam int unsigned PLACES = READ_LATENCY + 2;
+  localparam int unsigned PLACE_BITS = $clog2(PLACES + 1);
 
-  assign out_moves = !out_q || word_ready;
-  assign read_moves = !read_q || out_moves;
-  assign re = active_q && read_moves;
+  logic re, active_q, place_q, ended_q, row_valid, row_ready;
+  logic word_valid, word_ready, word_taken;
+  logic [DATA_WL-1:0] word;
+  logic [ROW_BITS-1:0] row;
+  logic [$clog2(WORDS+1)-1:0] count_q;
+  logic [READ_LATENCY-1:0] coming_q;
+  // Places that are neither taken nor promised to a word on its way.
+  logic [PLACE_BITS-1:0] places_d, places_q;
+
+  assign re = active_q && place_q;
+  assign word_taken = word_valid && word_ready;
+  assign places_d = places_q + PLACE_BITS'(word_taken) - PLACE_BITS'(re);
 
   always_ff @(posedge clk_i) begin
     if (!rst_ni || start_i) begin
       active_q <= start_i && rst_ni;
       ended_q  <= 1'b0;
-      read_q   <= 1'b0;
-      out_q    <= 1'b0;
+      coming_q <= '0;
+      place_q  <= 1'b1;
+      places_q <= PLACE_BITS'(PLACES);
       count_q  <= '0;
     end else begin
-      if (read_moves) read_q <= active_q;
-      if (out_moves) out_q <= read_q;
       if (re) begin
         count_q  <= count_q + 1'b1;
         active_q <= 32'(count_q) != WORDS - 1;
       end
-      ended_q <= !active_q && !read_q && (!out_q || word_ready);
+      coming_q <= READ_LATENCY'({coming_q, re});
+      place_q  <= places_d != '0;
+      places_q <= places_d;
+      ended_q  <= !active_q && 32'(places_d) == PLACES;
     end
   end
 
@@ -65,8 +75,20 @@ module pearl_input_bank
       .wdata_i(host_wdata_i),
       .re_i   (busy_i ? re : host_re_i),
       .raddr_i(busy_i ? count_q[ADDR_BITS-1:0] : host_addr_i),
-      .oe_i   (!busy_i || out_moves),
       .rdata_o(host_rdata_o)
+  );
+
+  pearl_fifo #(
+      .WIDTH(DATA_WL),
+      .DEPTH(PLACES)
+  ) u_words (
+      .clk_i,
+      .rst_ni (rst_ni && !start_i),
+      .push_i (coming_q[READ_LATENCY-1]),
+      .data_i (host_rdata_o),
+      .valid_o(word_valid),
+      .data_o (word),
+      .pop_i  (word_taken)
   );
 
   pearl_unpacker #(
@@ -75,9 +97,9 @@ module pearl_input_bank
   ) u_unpacker (
       .clk_i,
       .rst_ni (rst_ni && !start_i),
-      .valid_i(out_q),
+      .valid_i(word_valid),
       .ready_o(word_ready),
-      .word_i (host_rdata_o),
+      .word_i (word),
       .end_i  (ended_q),
       .valid_o(row_valid),
       .ready_i(row_ready),

@@ -31,7 +31,7 @@ module pearl_packer
   // What is left of a word, and a row.
   localparam int unsigned ACC_BITS = ROW_BITS + DATA_WL - UNIT;
 
-  logic word, last_q, room;
+  logic word, last_q, done_q, room;
   logic [index_bits(WORD_UNITS)-1:0] offset;
   logic [ACC_BITS-1:0] acc_q, kept;
   logic [$clog2(WORDS+1)-1:0] count_q;
@@ -49,8 +49,8 @@ module pearl_packer
       .ready_o(room)
   );
 
-  assign done_o = 32'(count_q) == WORDS;
-  assign we_o = (word || last_q) && !done_o;
+  assign done_o = done_q;
+  assign we_o = (word || last_q) && !done_q;
   assign waddr_o = count_q[ADDR_BITS-1:0];
   assign wdata_o = acc_q[DATA_WL-1:0];
   // Zeros in front, since a word may be all that there is.
@@ -65,13 +65,18 @@ module pearl_packer
   always_ff @(posedge clk_i) begin
     if (!rst_ni) begin
       last_q  <= 1'b0;
+      done_q  <= 1'b0;
       count_q <= '0;
     end else if (start_i) begin
       last_q  <= 1'b0;
+      done_q  <= 1'b0;
       count_q <= '0;
     end else begin
       if (valid_i && last_i) last_q <= 1'b1;
-      if (we_o) count_q <= count_q + 1'b1;
+      if (we_o) begin
+        count_q <= count_q + 1'b1;
+        done_q  <= 32'(count_q) == WORDS - 1;
+      end
     end
   end
 

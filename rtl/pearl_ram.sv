@@ -2,8 +2,7 @@
 // A memory with one write port and one read port and a register at its output, which a block RAM may have
 // itself.
 //
-// A word that is read stands at the output READ_LATENCY cycles later and stays until the next one: in the
-// first cycle it comes out of the memory, in the second, which oe_i may put off, it goes to the output.
+// A word that is read stands at the output READ_LATENCY cycles later and stays until the next one.
 module pearl_ram
   import pearl_pkg::index_bits;
 #(
@@ -17,7 +16,6 @@ module pearl_ram
     input  logic [    WIDTH-1:0] wdata_i,
     input  logic                 re_i,
     input  logic [ADDR_BITS-1:0] raddr_i,
-    input  logic                 oe_i,
     output logic [    WIDTH-1:0] rdata_o
 );
 
@@ -36,7 +34,7 @@ module pearl_ram
       .rdata_o(rdata)
   );
 
-  always_ff @(posedge clk_i) if (oe_i) rdata_q <= rdata;
+  always_ff @(posedge clk_i) rdata_q <= rdata;
   assign rdata_o = rdata_q;
 
 endmodule

@@ -62,7 +62,6 @@ module pearl_result_bank
       .wdata_i(wdata),
       .re_i   (host_re_i),
       .raddr_i(host_addr_i),
-      .oe_i   (1'b1),
       .rdata_o(host_rdata_o)
   );
 

@@ -77,7 +77,6 @@ module pearl_row_memory
         .wdata_i(busy_i ? wdata_i[i*DATA_WL+:WIDTH] : host_wdata_i[WIDTH-1:0]),
         .re_i(re),
         .raddr_i(raddr),
-        .oe_i(1'b1),
         .rdata_o(rdata_o[i*DATA_WL+:WIDTH])
     );
     assign words[i] = DATA_WL'(rdata_o[i*DATA_WL+:WIDTH]);

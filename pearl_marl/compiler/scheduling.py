@@ -68,10 +68,10 @@ def scheduled(outputs: Sequence[Output], target: Target) -> Schedule:
         reach.update(dict.fromkeys((i for i in below if width(order[i], used) == 1), width(node, used)))
     delays = [delay + target.fan_out(reach[i]) for i, delay in enumerate(delays)]
     ends = {number[s] for o in outputs for s in sources[o.node]}
-    apart = _too_far(arguments, delays, target.budget)
+    apart = _apart(order, arguments, delays, target)
     early = [0] * len(order)
     for j, below in enumerate(arguments):
-        early[j] = max([0, *(early[i] for i in below), *(early[i] + 1 for i in apart[j])])
+        early[j] = max([0, *(early[i] for i in below), *(early[i] + stages for i, stages in apart[j].items())])
     latency = max((early[i] for i in ends), default=0) + 1
     bits = [used[n].bit_count() for n in order]
     # A multiplier with an adder has registers of its own: two before it, one between them, one behind.
@@ -81,8 +81,8 @@ def scheduled(outputs: Sequence[Output], target: Target) -> Schedule:
     for j in reversed(range(len(order))):
         for i in arguments[j]:
             late[i] = min(late[i], late[j])
-        for i in apart[j]:
-            late[i] = min(late[i], late[j] - 1)
+        for i, stages in apart[j].items():
+            late[i] = min(late[i], late[j] - stages)
     window = list(zip(early, late, strict=True))
     stage = _fewest_registers(
         arguments, apart, ends, bits, latency, window, before, behind, target.family.shift_register
@@ -96,17 +96,33 @@ def scheduled(outputs: Sequence[Output], target: Target) -> Schedule:
     arrival = list(delays)
     for j, below in enumerate(arguments):
         arrival[j] += max((arrival[i] for i in below if stage[i] == stage[j]), default=0)
-    stages, ends_at = (dict(zip(order, numbers, strict=True)) for numbers in (stage, last))
-    return Schedule(order, used, stages, ends_at, latency, max(arrival, default=0.0), target)
+    begins_at, ends_at = (dict(zip(order, numbers, strict=True)) for numbers in (stage, last))
+    return Schedule(order, used, begins_at, ends_at, latency, max(arrival, default=0.0), target)
 
 
-def _too_far(arguments: Sequence[Sequence[int]], delays: Sequence[float], budget: float) -> list[list[int]]:
-    """Return for each operation those before it that have to be in an earlier stage."""
+def _apart(
+    order: Sequence[Node], arguments: Sequence[Sequence[int]], delays: Sequence[float], target: Target
+) -> list[dict[int, int]]:
+    """Return for each operation those before it that have to be in an earlier stage, and how much earlier."""
+    apart = _too_far(arguments, delays, target.budget)
+    if travel := target.family.travel:
+        for j, below in enumerate(arguments):
+            for i in below:
+                if order[j].op == "mul" or order[i].op == "mul":
+                    # The stage of an input does nothing but travel.
+                    apart[j][i] = travel + (order[i].op != "input")
+    return apart
+
+
+def _too_far(
+    arguments: Sequence[Sequence[int]], delays: Sequence[float], budget: float
+) -> list[dict[int, int]]:
+    """Return for each operation those before it that are too long to be in one stage with it: 1 for each."""
     users: list[list[int]] = [[] for _ in arguments]
     for j, below in enumerate(arguments):
         for i in below:
             users[i].append(j)
-    apart: list[list[int]] = [[] for _ in arguments]
+    apart: list[dict[int, int]] = [{} for _ in arguments]
     for i in range(len(arguments)):
         longest, queue, done = {i: delays[i]}, [i], set()
         while queue:
@@ -115,7 +131,7 @@ def _too_far(arguments: Sequence[Sequence[int]], delays: Sequence[float], budget
                 continue
             done.add(j)
             if j != i and longest[j] > budget + 1e-9:
-                apart[j].append(i)
+                apart[j][i] = 1
                 continue  # what is beyond it is further still
             for k in users[j]:
                 longest[k] = max(longest.get(k, 0.0), longest[j] + delays[k])
@@ -125,7 +141,7 @@ def _too_far(arguments: Sequence[Sequence[int]], delays: Sequence[float], budget
 
 def _fewest_registers(
     arguments: Sequence[Sequence[int]],
-    apart: Sequence[Sequence[int]],
+    apart: Sequence[Mapping[int, int]],
     ends: set[int],
     bits: Sequence[int],
     latency: int,
@@ -159,7 +175,7 @@ def _fewest_registers(
     rows: list[tuple[list[tuple[int, float]], float]] = []
     for j, below in enumerate(arguments):
         rows += (([(stage[i], 1), (stage[j], -1)], 0) for i in below)
-        rows += (([(stage[i], 1), (stage[j], -1)], -1) for i in apart[j])
+        rows += (([(stage[i], 1), (stage[j], -1)], -stages) for i, stages in apart[j].items())
     for i in range(count):
         others = sorted(users[i], key=lambda j: window[j])
         if others and i not in ends:
@@ -204,10 +220,12 @@ def _fewest_registers(
     if found.x is None:
         raise DeviceError(f"the stages of the core could not be found: {found.message}")
     # Whichever solution it is, so rounded its stages are still as far apart as they have to be.
-    stages = [math.floor(value + 0.5) for value in found.x[:count]]
+    found_at = [math.floor(value + 0.5) for value in found.x[:count]]
     for j, below in enumerate(arguments):
-        if any(stages[i] > stages[j] for i in below) or any(stages[i] >= stages[j] for i in apart[j]):
+        if any(found_at[i] > found_at[j] for i in below) or any(
+            found_at[i] + stages > found_at[j] for i, stages in apart[j].items()
+        ):
             raise DeviceError(
                 "the stages of the core that were found are not in order; ask for another clock"
             )
-    return stages
+    return found_at

@@ -29,6 +29,8 @@ class Family:
     """Bits of a multiplier's two words, without signs."""
     product: float
     """A multiplication."""
+    travel: int = 0
+    """Stages that a word takes to a multiplier, and its product from there."""
     accumulator: int = 0
     """Bits of the adder behind a multiplier, whose registers are the multiplier's own; 0 if there is none."""
     accumulation: float = 0.0
@@ -43,7 +45,7 @@ class Family:
 
 FAMILIES = {
     "ecp5": Family(
-        register=1.0, level=1.0, carry=0.045, chain=0.9, multiplier=(17, 17), product=5.5, small=5
+        register=1.0, level=1.0, carry=0.045, chain=0.9, multiplier=(17, 17), product=5.5, travel=1, small=5
     ),
     "xc7": Family(
         register=0.9,

@@ -9,13 +9,13 @@ from pearl_marl.hardware import elaboration
 from pearl_marl.memory_map import MemoryMap
 from pearl_marl.spec import EnvSpec
 
-_FIRST_ISSUE = 6
+_FIRST_ISSUE = 7
 """Cycles of a step in which the sequencer starts and the first row of actions comes out of its memory."""
 
 _FETCH = 4
 """Cycles from a group's issue to when cores get its states (``issue_to_core`` of ``rtl/pearl_pkg.sv``)."""
 
-_DRAW_LATENCY = 7
+_DRAW_LATENCY = 9
 """The same for its random draws (``DRAW_LATENCY``), which the states then wait for."""
 
 RESULTS = ("observations", "rewards", "ters")

@@ -14,7 +14,7 @@ from pearl_marl.golden import u32, u64
 
 EDGES = (0, 0xFFFFFFFE, 0xFFFFFFFF, 1 << 32, (1 << 64) - 1)
 # Cycles of a round.
-ROUND = 7
+ROUND = 9
 
 
 def keys(chain: int, seed: tuple[int, int], tick: int, draws: int) -> list[int]:

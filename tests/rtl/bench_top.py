@@ -115,7 +115,7 @@ def cycle_bound() -> int:
     interval = {"CliffWalking": 1, "ShiftAdd": 4}[SPEC.name]
     words = max(LAYOUT[name].words for name in ("actions", "observations", "rewards", "ters"))
     # Doorbell, first words, pipeline and last words.
-    latency = 15 + 4 * interval
+    latency = 16 + 4 * interval
     return int(1.1 * max(LAYOUT.groups * interval, words)) + latency
 
 
@@ -216,7 +216,7 @@ async def status_waits_for_the_last_word(dut: Any) -> None:
     n = LAYOUT.n_envs
     await host.ring(Mode.RESET_ALL, np.zeros(n, bool), np.ones(n, np.uint8))
     done = inside.u_sequencer.busy_o.value == 0
-    for _ in range(cycle_bound() + 20):
+    for _ in range(cycle_bound() + 40):
         await FallingEdge(dut.clk_i)
         done |= inside.u_sequencer.done_o.value == 1
         assert not (done and any(bank.we.value == 1 for bank in banks)), "a word was written after the status"
@@ -341,7 +341,7 @@ async def a_partial_write_does_not_span_the_end_of_a_step(dut: Any) -> None:
     nobody, actions = np.zeros(n, bool), np.zeros(n, np.uint8)
     await host.control(TICK_LOW=0)
     answers = set()
-    for tick in range(1, cycle_bound() + 20):
+    for tick in range(1, cycle_bound() + 40):
         # Even the shortest step is met by a write that waits for the doorbell's to pass.
         ringing = cocotb.start_soon(host.ring(Mode.RESET_ALL, nobody, actions))
         await ClockCycles(dut.clk_i, tick)

@@ -121,7 +121,7 @@ def test_packer_loses_doubles_and_moves_nothing(
 
 PACKER = {
     "lost": ("pearl_packer.sv", "acc_q <= kept | (", "acc_q <= ("),
-    "doubled": ("pearl_packer.sv", "if (we_o) count_q", "if (word) count_q"),
+    "doubled": ("pearl_packer.sv", "if (we_o) begin", "if (word) begin"),
     "reordered": ("pearl_packer.sv", "waddr_o = count_q[ADDR_BITS-1:0]", "waddr_o = ~count_q[ADDR_BITS-1:0]"),
     "overrun": ("pearl_fill.sv", "32'(left) < WORD_UNITS", "32'(left) <= WORD_UNITS"),
     "early": ("pearl_fill.sv", "32'(fill_q) >= WORD_UNITS", "32'(fill_q) + 1 >= WORD_UNITS"),

@@ -112,7 +112,8 @@ def generate(folder: Path, arguments: Sequence[str], code: str, traced: bool) ->
         # The package's own arguments choose C++11, which Verilator 5 cannot be compiled with, take
         # one source file and no parameters, turn tracing on always and lint errors off.
         names = ["--top-module", TOP, "--prefix", f"V{TOP}", "-Mdir", str(folder)]
-        flags = ["-CFLAGS", "-fPIC -DVL_USER_FINISH"]
+        # A table of constants would be one for the whole process, that of the first model that is loaded.
+        flags = ["-CFLAGS", "-fPIC -fno-gnu-unique -DVL_USER_FINISH"]
         toolchain.run(["verilator", "--cc", "--exe", str(wrapper), *names, *flags, *arguments])
 
     template = module.template_cpp.template_cpp
