@@ -17,13 +17,11 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import NamedTuple
 
-from harness import HERE
+from harness import BUS, HERE
 from scenarios import BUILD, host_script
 
 from pearl_marl.hardware import elaboration, toolchain
 from pearl_marl.hardware.build import Build
-
-BUS = ("pearl_top.sv", "pearl_fifo.sv", "pearl_axi_slave.sv", "pearl_axi_address.sv")
 
 FLIP_FLOP = "$_DFF_P_"
 
