@@ -104,37 +104,6 @@ module pearl_top #(
       .ADDR_BITS(BUS_ADDR_BITS),
       .ID_BITS  (BUS_ID_BITS)
   ) u_axi_slave (
-      .clk_i,
-      .rst_ni,
-      .s_axi_awid,
-      .s_axi_awaddr,
-      .s_axi_awlen,
-      .s_axi_awsize,
-      .s_axi_awburst,
-      .s_axi_awvalid,
-      .s_axi_awready,
-      .s_axi_wdata,
-      .s_axi_wstrb,
-      .s_axi_wlast,
-      .s_axi_wvalid,
-      .s_axi_wready,
-      .s_axi_bid,
-      .s_axi_bresp,
-      .s_axi_bvalid,
-      .s_axi_bready,
-      .s_axi_arid,
-      .s_axi_araddr,
-      .s_axi_arlen,
-      .s_axi_arsize,
-      .s_axi_arburst,
-      .s_axi_arvalid,
-      .s_axi_arready,
-      .s_axi_rid,
-      .s_axi_rdata,
-      .s_axi_rresp,
-      .s_axi_rlast,
-      .s_axi_rvalid,
-      .s_axi_rready,
       .req_o   (req),
       .we_o    (we),
       .fetch_o (fetch),
@@ -142,7 +111,9 @@ module pearl_top #(
       .wdata_o (wdata),
       .rvalid_i(rvalid),
       .rdata_i (rdata),
-      .resp_i  (resp)
+      .resp_i  (resp),
+      // Clock, reset and the bus, which have the same names here.
+      .*
   );
 
   pearl_backbone #(

@@ -100,6 +100,10 @@ def _with_needed(top: str, last: list[Path]) -> tuple[Path, ...]:
     return tuple(path for name, path in files.items() if name in needed)
 
 
+BUS = ("pearl_top.sv", "pearl_fifo.sv", "pearl_axi_slave.sv", "pearl_axi_address.sv")
+"""The sources that lie between the bus and the backbone; tests of the backbone alone do without them."""
+
+
 def whole(build: Build) -> Design:
     """The whole design of a build."""
     spec, parameters = build.spec, elaboration.top_parameters(build)

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
-from harness import HERE
+from harness import BUS, HERE
 
 from pearl_marl.hardware import elaboration, toolchain
 
@@ -185,7 +185,6 @@ ABSTRACT = {
     "pearl_rng.sv": "abstract_draws.sv",
     "pearl_draw.sv": None,  # it stands beside pearl_rng
 }
-BUS = ("pearl_top.sv", "pearl_fifo.sv", "pearl_axi_slave.sv", "pearl_axi_address.sv")
 
 
 def check_backbone(folder: Path, what: str, around: Around, fault: Fault | None = None) -> str:

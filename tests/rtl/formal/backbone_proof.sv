@@ -228,33 +228,18 @@ module backbone_proof
   assign ter_bit = u_backbone.u_ters.u_ram.u_memory.content_q[at[3][IN_WORD-1:0]];
   assign mask_bit = u_backbone.u_reset_mask.u_ram.u_memory.content_q[at[4][IN_WORD-1:0]];
 
-  localparam int unsigned STATE_COLUMNS = ceil_div(PE_NUM * SLOT_BITS, DATA_WL);
-  localparam int unsigned INIT_COLUMNS = ceil_div(PE_NUM * STATE_BITS, DATA_WL);
-  localparam int unsigned ELAPSED_COLUMNS = ceil_div(PE_NUM * ELAPSED_BITS, DATA_WL);
-  logic [STATE_COLUMNS*DATA_WL-1:0] state_row;
-  logic [INIT_COLUMNS*DATA_WL-1:0] init_row;
-  logic [ELAPSED_COLUMNS*DATA_WL-1:0] elapsed_row;
-  for (genvar i = 0; i < STATE_COLUMNS; i++) begin : gen_states
-    always_comb begin
-      assume (8'(u_backbone.u_state_path.u_current_states.gen_column_rams[i].u_ram.u_memory.addr) == group);
-    end
-    assign state_row[i*DATA_WL+:DATA_WL] =
-        DATA_WL'(u_backbone.u_state_path.u_current_states.gen_column_rams[i].u_ram.u_memory.content_q);
+  // The row of the slot's group in a row memory: all words of the row, side by side.
+  `define KNOWN_ROW(NAME, MEMORY, SLOT_WIDTH) \
+  logic [ceil_div(PE_NUM * SLOT_WIDTH, DATA_WL)*DATA_WL-1:0] NAME; \
+  for (genvar i = 0; i < $bits(NAME) / DATA_WL; i++) begin : gen_``NAME \
+    always_comb assume (8'(u_backbone.u_state_path.MEMORY.gen_column_rams[i].u_ram.u_memory.addr) == group); \
+    assign NAME[i*DATA_WL+:DATA_WL] = \
+        DATA_WL'(u_backbone.u_state_path.MEMORY.gen_column_rams[i].u_ram.u_memory.content_q); \
   end
-  for (genvar i = 0; i < INIT_COLUMNS; i++) begin : gen_inits
-    always_comb begin
-      assume (8'(u_backbone.u_state_path.u_initial_states.gen_column_rams[i].u_ram.u_memory.addr) == group);
-    end
-    assign init_row[i*DATA_WL+:DATA_WL] =
-        DATA_WL'(u_backbone.u_state_path.u_initial_states.gen_column_rams[i].u_ram.u_memory.content_q);
-  end
-  for (genvar i = 0; i < ELAPSED_COLUMNS; i++) begin : gen_elapsed
-    always_comb begin
-      assume (8'(u_backbone.u_state_path.u_elapsed.gen_column_rams[i].u_ram.u_memory.addr) == group);
-    end
-    assign elapsed_row[i*DATA_WL+:DATA_WL] =
-        DATA_WL'(u_backbone.u_state_path.u_elapsed.gen_column_rams[i].u_ram.u_memory.content_q);
-  end
+  `KNOWN_ROW(state_row, u_current_states, SLOT_BITS)
+  `KNOWN_ROW(init_row, u_initial_states, STATE_BITS)
+  `KNOWN_ROW(elapsed_row, u_elapsed, ELAPSED_BITS)
+  `undef KNOWN_ROW
 
   logic [TER_BITS-1:0] ter;
   logic [STATE_BITS-1:0] state, init;
