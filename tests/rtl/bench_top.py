@@ -115,7 +115,7 @@ def cycle_bound() -> int:
     interval = {"CliffWalking": 1, "ShiftAdd": 4}[SPEC.name]
     words = max(LAYOUT[name].words for name in ("actions", "observations", "rewards", "ters"))
     # Doorbell, first words, pipeline and last words.
-    latency = 16 + 4 * interval
+    latency = 18 + 4 * interval
     return int(1.1 * max(LAYOUT.groups * interval, words)) + latency
 
 

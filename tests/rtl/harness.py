@@ -100,7 +100,7 @@ def _with_needed(top: str, last: list[Path]) -> tuple[Path, ...]:
     return tuple(path for name, path in files.items() if name in needed)
 
 
-BUS = ("pearl_top.sv", "pearl_fifo.sv", "pearl_axi_slave.sv", "pearl_axi_address.sv")
+BUS = ("pearl_top.sv", "pearl_axi_slave.sv", "pearl_axi_address.sv")
 """The sources that lie between the bus and the backbone; tests of the backbone alone do without them."""
 
 
