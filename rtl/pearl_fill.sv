@@ -29,18 +29,37 @@ module pearl_fill
 
   localparam int unsigned FILL_BITS = $clog2(ROW_UNITS + WORD_UNITS);
 
+  // How the fill changes, by whether a row comes in and whether a word goes out.
+  localparam int CHANGE[4] = '{0, -int'(WORD_UNITS), int'(ROW_UNITS), int'(ROW_UNITS) - int'(WORD_UNITS)};
+
+  logic [1:0] change;
+  logic [3:0] words, rooms;
+  logic word_q, room_q;
   logic [FILL_BITS-1:0] fill_q, left;
 
-  assign word_o   = 32'(fill_q) >= WORD_UNITS;
-  assign left     = word_o ? fill_q - FILL_BITS'(WORD_UNITS) : fill_q;
-  assign ready_o  = 32'(left) < WORD_UNITS;
+  assign change   = {row_i, word_q};
+  assign word_o   = word_q;
+  assign left     = word_q ? fill_q - FILL_BITS'(WORD_UNITS) : fill_q;
+  assign ready_o  = room_q;
   // Said to synthesis, which does not know that no row comes at another one.
   assign offset_o = WORD_UNITS == 1 ? '0 : left[OFFSET_BITS-1:0];
 
+  // Compared for each change before it is known whether a row comes: groups are issued by what comes out.
+  for (genvar i = 0; i < 4; i++) begin : gen_change
+    assign words[i] = int'(fill_q) >= int'(WORD_UNITS) - CHANGE[i];
+    assign rooms[i] = int'(fill_q) < 2 * int'(WORD_UNITS) - CHANGE[i];
+  end
+
   always_ff @(posedge clk_i) begin
-    if (!rst_ni) fill_q <= '0;
-    else if (clear_i) fill_q <= '0;
-    else fill_q <= row_i ? left + FILL_BITS'(ROW_UNITS) : left;
+    if (!rst_ni || clear_i) begin
+      word_q <= 1'b0;
+      room_q <= 1'b1;
+      fill_q <= '0;
+    end else begin
+      word_q <= words[change];
+      room_q <= rooms[change];
+      fill_q <= row_i ? left + FILL_BITS'(ROW_UNITS) : left;
+    end
   end
 
 endmodule

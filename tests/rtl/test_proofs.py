@@ -123,8 +123,8 @@ PACKER = {
     "lost": ("pearl_packer.sv", "acc_q <= kept | (", "acc_q <= ("),
     "doubled": ("pearl_packer.sv", "if (we_o) begin", "if (word) begin"),
     "reordered": ("pearl_packer.sv", "waddr_o = count_q[ADDR_BITS-1:0]", "waddr_o = ~count_q[ADDR_BITS-1:0]"),
-    "overrun": ("pearl_fill.sv", "32'(left) < WORD_UNITS", "32'(left) <= WORD_UNITS"),
-    "early": ("pearl_fill.sv", "32'(fill_q) >= WORD_UNITS", "32'(fill_q) + 1 >= WORD_UNITS"),
+    "overrun": ("pearl_fill.sv", "< 2 * int'(WORD_UNITS)", "<= 2 * int'(WORD_UNITS)"),
+    "early": ("pearl_fill.sv", "int'(fill_q) >= int'", "int'(fill_q) + 1 >= int'"),
 }
 
 

@@ -91,6 +91,8 @@ module packer_proof #(
       assert (32'(u_packer.count_q) == words_q && words_q <= WORDS && rows_q <= ROWS);
       assert (u_packer.last_q == (rows_q == ROWS));
       assert (started_q || (rows_q == 0 && words_q == 0 && 32'(u_packer.u_fill.fill_q) == 0));
+      assert (u_packer.u_fill.word_q == (32'(u_packer.u_fill.fill_q) >= DATA_WL / UNIT));
+      assert (u_packer.u_fill.room_q == (32'(u_packer.u_fill.fill_q) < 2 * DATA_WL / UNIT));
       if (!done && started_q) begin
         assert (32'(u_packer.u_fill.fill_q) * UNIT == rows_q * ROW_BITS - words_q * DATA_WL);
         assert (rows_q * ROW_BITS - words_q * DATA_WL <= ROW_BITS + DATA_WL);
