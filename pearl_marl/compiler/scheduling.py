@@ -71,7 +71,8 @@ def scheduled(outputs: Sequence[Output], target: Target) -> Schedule:
     apart = _apart(order, arguments, delays, target)
     early = [0] * len(order)
     for j, below in enumerate(arguments):
-        early[j] = max([0, *(early[i] for i in below), *(early[i] + stages for i, stages in apart[j].items())])
+        later = [early[i] + stages for i, stages in apart[j].items()]
+        early[j] = max([0, *(early[i] for i in below), *later])
     latency = max((early[i] for i in ends), default=0) + 1
     bits = [used[n].bit_count() for n in order]
     # A multiplier with an adder has registers of its own: two before it, one between them, one behind.
