@@ -6,7 +6,7 @@ module pearl_sequencer (
     // A doorbell was accepted.
     input  logic        ring_i,
     input  logic        keys_valid_i,
-    // Every result word has been written.
+    // Every result word has been written; since the last step still, in the cycle of start_o.
     input  logic        results_done_i,
     output logic        busy_o,
     output logic        start_o,
@@ -16,10 +16,14 @@ module pearl_sequencer (
     output logic [31:0] cycles_o
 );
 
-  typedef enum logic [1:0] {
-    Idle,
-    WaitKeys,
-    Running
+  // {start_o, done_o, busy_o, and one to tell two states apart}: what the outputs drive is all over the FPGA, so
+  // they come from registers.
+  typedef enum logic [3:0] {
+    Idle     = 4'b0000,
+    WaitKeys = 4'b0011,
+    Start    = 4'b1010,
+    Running  = 4'b0010,
+    Done     = 4'b0110
   } state_e;
 
   state_e state_d, state_q;
@@ -27,18 +31,12 @@ module pearl_sequencer (
 
   always_comb begin
     state_d = state_q;
-    start_o = 1'b0;
-    done_o  = 1'b0;
     unique case (state_q)
       Idle: if (ring_i) state_d = WaitKeys;
-      WaitKeys: begin
-        start_o = keys_valid_i;
-        if (keys_valid_i) state_d = Running;
-      end
-      Running: begin
-        done_o = results_done_i;
-        if (results_done_i) state_d = Idle;
-      end
+      WaitKeys: if (keys_valid_i) state_d = Start;
+      Start: state_d = Running;
+      Running: if (results_done_i) state_d = Done;
+      Done: state_d = Idle;
       default: state_d = Idle;
     endcase
   end
@@ -54,7 +52,7 @@ module pearl_sequencer (
     end
   end
 
-  assign busy_o   = state_q != Idle;
+  assign {start_o, done_o, busy_o} = state_q[3:1];
   assign cycles_o = cycles_q;
 
   always_ff @(posedge clk_i) begin

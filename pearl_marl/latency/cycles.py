@@ -9,7 +9,7 @@ from pearl_marl.hardware import elaboration
 from pearl_marl.memory_map import MemoryMap
 from pearl_marl.spec import EnvSpec
 
-_FIRST_ISSUE = 7
+_FIRST_ISSUE = 8
 """Cycles of a step in which the sequencer starts and the first row of actions comes out of its memory."""
 
 _FETCH = 4
@@ -42,7 +42,7 @@ def step_cycles(
     timing = elaboration.core_timing(spec, target)
     groups, word = layout.groups, layout.data_wl
     fetch = _DRAW_LATENCY if spec.reset_draws + spec.step_draws else _FETCH
-    to_words = fetch + timing.latency + 2
+    to_words = fetch + timing.latency + 3
 
     def row(name: str) -> int:
         return layout.pe_num * layout[name].slot_bits

@@ -20,19 +20,19 @@ async def a_step_takes_its_course(dut: Any, given: Any) -> None:
         dut.ring_i.value, dut.keys_valid_i.value, dut.results_done_i.value = 1, source.randrange(2), 1
         await ReadOnly()
         assert (dut.busy_o.value, dut.start_o.value, dut.done_o.value) == (0, 0, 0)
-        # The ring's own cycle, those without keys, the start, and those of the pipeline.
-        for cycle in range(1, 2 + keys_after + done_after):
+        # The ring's own cycle, those without keys and one with them, the start, the pipeline's, and one more.
+        started, ended = 2 + keys_after, 2 + keys_after + done_after
+        for cycle in range(1, ended + 2):
             await FallingEdge(dut.clk_i)
-            ended = cycle == 1 + keys_after + done_after
             dut.ring_i.value = 0
             dut.keys_valid_i.value = int(cycle > keys_after)
             # Nor do they before the pipeline has started, when they are of the step before.
-            dut.results_done_i.value = int(ended or cycle <= 1 + keys_after)
+            dut.results_done_i.value = int(cycle >= ended or cycle <= started)
             await ReadOnly()
             assert dut.busy_o.value == 1
-            assert dut.start_o.value == int(cycle == 1 + keys_after)
-            assert dut.done_o.value == int(ended)
-        assert int(dut.cycles_o.value) == 2 + keys_after + done_after
+            assert dut.start_o.value == int(cycle == started)
+            assert dut.done_o.value == int(cycle == ended + 1)
+        assert int(dut.cycles_o.value) == ended + 2
         for _ in range(source.randrange(3)):
             await FallingEdge(dut.clk_i)
             await ReadOnly()

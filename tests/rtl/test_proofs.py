@@ -220,17 +220,17 @@ def check_backbone(folder: Path, what: str, around: Around, fault: Fault | None 
 
 BACKBONES = {
     # The slot alone in the last group; no row divides into words.
-    "last": Around(3, 2, 2, 2, 12, 2, draws=0, latency=1, interval=1, pipelined=True, step_cycles=16, slot=2),
+    "last": Around(3, 2, 2, 2, 12, 2, draws=0, latency=1, interval=1, pipelined=True, step_cycles=17, slot=2),
     # The same of any slot, with random draws and observations that wait for room.
-    "room": Around(3, 2, 2, 2, 36, 2, draws=1, latency=1, interval=1, pipelined=True, step_cycles=19),
+    "room": Around(3, 2, 2, 2, 36, 2, draws=1, latency=1, interval=1, pipelined=True, step_cycles=20),
     # A row of observations is more than a word; a core that takes a slot every third cycle.
-    "interval": Around(5, 2, 3, 2, 20, 2, draws=0, latency=2, interval=3, pipelined=True, step_cycles=26),
-    "serial": Around(3, 2, 3, 2, 12, 2, draws=0, latency=1, interval=1, pipelined=False, step_cycles=24),
+    "interval": Around(5, 2, 3, 2, 20, 2, draws=0, latency=2, interval=3, pipelined=True, step_cycles=27),
+    "serial": Around(3, 2, 3, 2, 12, 2, draws=0, latency=1, interval=1, pipelined=False, step_cycles=25),
     # One slot to a group, and rows that divide into words.
-    "alone": Around(3, 1, 3, 8, 8, 8, draws=0, latency=1, interval=1, pipelined=True, step_cycles=16),
+    "alone": Around(3, 1, 3, 8, 8, 8, draws=0, latency=1, interval=1, pipelined=True, step_cycles=17),
     # A row of actions is more than a word, and so is one of states.
-    "wide": Around(5, 3, 20, 12, 5, 1, draws=1, latency=2, interval=1, pipelined=True, step_cycles=18),
-    "groups": Around(7, 2, 3, 2, 12, 2, draws=2, latency=2, interval=1, pipelined=True, step_cycles=20),
+    "wide": Around(5, 3, 20, 12, 5, 1, draws=1, latency=2, interval=1, pipelined=True, step_cycles=19),
+    "groups": Around(7, 2, 3, 2, 12, 2, draws=2, latency=2, interval=1, pipelined=True, step_cycles=21),
 }
 SAMPLE = "last"
 """What is proved always; the others with --every-proof."""
@@ -275,9 +275,9 @@ IDLES = {
     "region's base": ("pearl_port.sv", "index_q <= located_q.addr - base", "index_q <= located_q.addr"),
 }
 STEPS = {
-    "done at once": ("pearl_sequencer.sv", "done_o = results_done_i", "done_o = 1'b1"),
+    "done at once": ("pearl_sequencer.sv", "if (results_done_i) state_d", "state_d"),
     "done with one bank": ("pearl_backbone.sv", "obs_done && rewards_done && ters_done", "ters_done"),
-    "never done": ("pearl_packer.sv", "(word || last_q) && !done_o", "word && !done_o"),
+    "never done": ("pearl_packer.sv", "(word || last_q) && !done_q", "word && !done_q"),
     "no room": ("pearl_group_reader.sv", "wait_q == '0 && &room", "wait_q == '0"),
     "group twice": ("pearl_group_reader.sv", "active_q <= !last_o", "active_q <= 1'b1"),
     "latency": ("abstract_core.sv", "valid_o = valid_q[LATENCY-1]", "valid_o = valid_i"),

@@ -68,17 +68,16 @@ module backbone_proof
 
   // ---- Between two steps ----
 
-  localparam int unsigned WAIT_KEYS = 1;
-  localparam int unsigned RUNNING = 2;
+  localparam int unsigned IDLE = 0;
+  localparam int unsigned WAIT_KEYS = 3;
 
-  logic start, done, awake, waiting, running, reset, settled, idle;
+  logic start, done, awake, waiting, reset, settled, idle;
   logic [31:0] finished, sequence_number;
   assign start = u_backbone.start;
   assign done = u_backbone.done;
   assign awake = u_backbone.awake_q;
   assign reset = !rst_ni || u_backbone.soft_reset;
-  assign waiting = 32'(u_backbone.u_sequencer.state_q) == WAIT_KEYS;
-  assign running = 32'(u_backbone.u_sequencer.state_q) == RUNNING;
+  assign waiting = 32'(u_backbone.u_sequencer.state_q) == WAIT_KEYS || start;
   assign finished = u_backbone.u_registers.finished_q;
   assign sequence_number = u_backbone.u_registers.sequence_q;
 
@@ -94,7 +93,8 @@ module backbone_proof
   // that are not its own.
   assign settled = waiting ? finished != sequence_number && !irq && u_backbone.u_registers.error_q.torn_read
                            : finished == sequence_number;
-  assign idle = awake && u_backbone.drain_q == '0 && 32'(u_backbone.u_sequencer.state_q) < RUNNING &&
+  assign idle = awake && u_backbone.drain_q == '0 &&
+      (32'(u_backbone.u_sequencer.state_q) == IDLE || waiting) &&
       !u_backbone.u_group_reader.active_q && quiet_q >= TIME_BITS'(FLUSH) && settled;
 
   // ---- The host's accesses ----
