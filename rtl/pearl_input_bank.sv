@@ -33,8 +33,8 @@ module pearl_input_bank
   localparam int unsigned PLACE_BITS = $clog2(PLACES + 1);
 
   logic re, active_q, place_q, ended_q, row_valid, row_ready;
-  logic word_valid, word_ready, word_taken;
-  logic [DATA_WL-1:0] word;
+  logic came_valid, came_ready, came_taken, word_valid, word_ready;
+  logic [DATA_WL-1:0] came, word;
   logic [ROW_BITS-1:0] row;
   logic [$clog2(WORDS+1)-1:0] count_q;
   logic [READ_LATENCY-1:0] coming_q;
@@ -42,8 +42,8 @@ module pearl_input_bank
   logic [PLACE_BITS-1:0] places_d, places_q;
 
   assign re = active_q && place_q;
-  assign word_taken = word_valid && word_ready;
-  assign places_d = places_q + PLACE_BITS'(word_taken) - PLACE_BITS'(re);
+  assign came_taken = came_valid && came_ready;
+  assign places_d = places_q + PLACE_BITS'(came_taken) - PLACE_BITS'(re);
 
   always_ff @(posedge clk_i) begin
     if (!rst_ni || start_i) begin
@@ -61,7 +61,7 @@ module pearl_input_bank
       coming_q <= READ_LATENCY'({coming_q, re});
       place_q  <= places_d != '0;
       places_q <= places_d;
-      ended_q  <= !active_q && 32'(places_d) == PLACES;
+      ended_q  <= !active_q && 32'(places_q) == PLACES && !word_valid;
     end
   end
 
@@ -81,14 +81,28 @@ module pearl_input_bank
   pearl_fifo #(
       .WIDTH(DATA_WL),
       .DEPTH(PLACES)
-  ) u_words (
+  ) u_places (
       .clk_i,
       .rst_ni (rst_ni && !start_i),
       .push_i (coming_q[READ_LATENCY-1]),
       .data_i (host_rdata_o),
+      .valid_o(came_valid),
+      .data_o (came),
+      .pop_i  (came_taken)
+  );
+
+  // Between choosing a place and shifting its word to where it belongs in a row.
+  pearl_slice #(
+      .WIDTH(DATA_WL)
+  ) u_words (
+      .clk_i,
+      .rst_ni (rst_ni && !start_i),
+      .valid_i(came_valid),
+      .ready_o(came_ready),
+      .data_i (came),
       .valid_o(word_valid),
-      .data_o (word),
-      .pop_i  (word_taken)
+      .ready_i(word_ready),
+      .data_o (word)
   );
 
   pearl_unpacker #(

@@ -39,7 +39,7 @@ module pearl_registers
     output mode_t              mode_o,
     output logic  [ 1:0][31:0] seed_o,
     output logic  [63:0]       tick_o,
-    // In the cycle in which seed_o or tick_o may be new; in which tick_o is the next one.
+    // In the cycle in which seed_o or the high word of tick_o may be new; in which only the low word is, by one.
     output logic               keys_stale_o,
     output logic               keys_next_o,
     output logic  [31:0]       first_slot_o,
@@ -66,7 +66,7 @@ module pearl_registers
   logic [DOORBELL_WORDS-1:0] doorbell_we;
   error_t error_q  /* verilator public_flat_rw */;
   error_t error;
-  logic clear, limited_q, stale_q, next_q, new_q;
+  logic clear, limited_q, stale_q, next_q, new_q, carries_q;
 
   assign clear = !rst_ni || draining_i;
 
@@ -88,8 +88,8 @@ module pearl_registers
       stale_q      <= 1'b1;
       next_q       <= 1'b0;
     end else begin
-      stale_q <= control_we_i;
-      next_q  <= done_i;
+      stale_q <= control_we_i || (done_i && carries_q);
+      next_q  <= done_i && !carries_q;
       if (done_i) tick_q <= tick_q + 1'b1;
       if (control_we_i) begin
         if (reaches(CONTROL_SEED_0, index_i)) seed_q[0] <= word_of(CONTROL_SEED_0, wdata_i);
@@ -108,7 +108,9 @@ module pearl_registers
     end
   end
 
+  // Known before done_i comes, some cycles after the tick was written.
   always_ff @(posedge clk_i) begin
+    carries_q <= tick_q[31:0] == '1;
     limited_q <= max_cycles_q != '0;
     limit_q   <= max_cycles_q - 1'b1;
   end

@@ -14,7 +14,7 @@ module pearl_rng
 ) (
     input  logic                   clk_i,
     input  logic                   rst_ni,
-    // In the cycle in which seed_i or tick_i are new; in which tick_i is the next one.
+    // In the cycle in which seed_i or the high word of tick_i may be new; in which only the low word is, by one.
     input  logic                   restart_i,
     input  logic                   next_i,
     input  logic [      1:0][31:0] seed_i,
@@ -33,38 +33,35 @@ module pearl_rng
   localparam int unsigned PHASE_BITS = $clog2(DRAW_LATENCY);
   localparam int unsigned CHAINS = 2;
 
-  // Where the low word of the tick begins anew, the high one is another one.
-  logic restart, resume;
-  assign restart = restart_i || (next_i && tick_i[31:0] == '0);
-  assign resume  = next_i && !restart;
-
-  logic valid_q, resumed_q, chain, chains_turn, last_phase;
+  logic valid_q, resumed_q, chain, chains_turn, last_phase_q;
   logic [ROUND_BITS-1:0] round_d, round_q;
   // The cycle of a round: in its own, what the last round made of a chain comes out, and goes in again.
   logic [PHASE_BITS-1:0] phase_q;
-  logic [31:0] word_d, word_q, state, mixed;
+  logic [31:0] word_q, next_word_q, state, mixed;
   logic [1:0][31:0] kept_q, shared_q;
   logic [1:0][DRAWS-1:0][31:0] keys_q;
 
   assign chain = phase_q[0];
   assign chains_turn = !valid_q && 32'(phase_q) < CHAINS;
-  assign last_phase = 32'(phase_q) == DRAW_LATENCY - 1;
 
   always_comb begin
     round_d = round_q;
-    if (restart) round_d = '0;
-    else if (resume) round_d = ROUND_BITS'(LAST_SHARED);
-    else if (last_phase) round_d = round_q + 1'b1;
+    if (restart_i) round_d = '0;
+    else if (next_i) round_d = ROUND_BITS'(LAST_SHARED);
+    else if (last_phase_q) round_d = round_q + 1'b1;
   end
 
-  always_comb begin
-    unique case (32'(round_d))
-      0: word_d = seed_i[0];
-      1: word_d = seed_i[1];
-      2: word_d = tick_i[63:32];
-      LAST_SHARED: word_d = tick_i[31:0];
-      default: word_d = 32'(round_d) - FIRST_DRAW;
+  // A round is long enough to find the next one's word while it lasts.
+  always_ff @(posedge clk_i) begin
+    unique case (32'(round_q))
+      0: next_word_q <= seed_i[1];
+      1: next_word_q <= tick_i[63:32];
+      2: next_word_q <= tick_i[31:0];
+      default: next_word_q <= 32'(round_q) - LAST_SHARED;
     endcase
+    if (restart_i) word_q <= seed_i[0];
+    else if (next_i) word_q <= tick_i[31:0];
+    else if (last_phase_q) word_q <= next_word_q;
   end
 
   always_comb begin
@@ -83,7 +80,6 @@ module pearl_rng
   );
 
   always_ff @(posedge clk_i) begin
-    word_q <= word_d;
     if (chains_turn) begin
       if (32'(round_q) == LAST_SHARED && !resumed_q) kept_q[chain] <= mixed;
       if (32'(round_q) == FIRST_DRAW) shared_q[chain] <= mixed;
@@ -94,16 +90,18 @@ module pearl_rng
   end
 
   always_ff @(posedge clk_i) begin
-    if (!rst_ni || restart || resume) begin
-      valid_q   <= 1'b0;
-      resumed_q <= rst_ni && resume;
-      phase_q   <= '0;
+    if (!rst_ni || restart_i || next_i) begin
+      valid_q      <= 1'b0;
+      resumed_q    <= rst_ni && !restart_i;
+      phase_q      <= '0;
+      last_phase_q <= 1'b0;
     end else if (!valid_q) begin
-      phase_q <= last_phase ? '0 : phase_q + 1'b1;
+      phase_q <= last_phase_q ? '0 : phase_q + 1'b1;
+      last_phase_q <= 32'(phase_q) == DRAW_LATENCY - 2;
       valid_q <= 32'(round_q) == END && chain;
     end
     if (!rst_ni) round_q <= '0;
-    else if (!valid_q || restart || resume) round_q <= round_d;
+    else if (!valid_q || restart_i || next_i) round_q <= round_d;
   end
 
   assign valid_o = valid_q;

@@ -9,7 +9,7 @@ from pearl_marl.hardware import elaboration
 from pearl_marl.memory_map import MemoryMap
 from pearl_marl.spec import EnvSpec
 
-_FIRST_ISSUE = 8
+_FIRST_ISSUE = 9
 """Cycles of a step in which the sequencer starts and the first row of actions comes out of its memory."""
 
 _FETCH = 4

@@ -47,12 +47,13 @@ async def keys_equal_the_chain(dut: Any, given: Any) -> None:
         # The next ticks, the second one of them of another high word if it is the first case with edges.
         for _ in range(2):
             tick = (tick + 1) & 0xFFFFFFFFFFFFFFFF
+            carries = tick & 0xFFFFFFFF == 0
+            event = dut.restart_i if carries else dut.next_i
             dut.tick_i.value = tick
-            dut.next_i.value = 1
+            event.value = 1
             await FallingEdge(dut.clk_i)
-            dut.next_i.value = 0
-            rounds = 4 if tick & 0xFFFFFFFF == 0 else 1
-            await check(dut, given, seed, tick, ROUND * (rounds + given.draws))
+            event.value = 0
+            await check(dut, given, seed, tick, ROUND * ((4 if carries else 1) + given.draws))
 
 
 async def check(dut: Any, given: Any, seed: tuple[int, int], tick: int, cycles: int) -> None:

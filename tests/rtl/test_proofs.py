@@ -205,13 +205,13 @@ def check_backbone(folder: Path, what: str, around: Around, fault: Fault | None 
         "SLOT": around.n_envs if around.slot is None else around.slot,
     }
     arguments = [f"-D {what}", *(f"-G {name}={value}" for name, value in parameters.items())]
-    flush = around.flush
+    flush, begin = around.flush, around.flush + 3
     # Before the first cycle that is looked at, memory addresses and what else is free are chosen, and what
     # was on its way in the state that a run starts in leaves.
     skip, depth = {
         "PROVE_RESET": (2, flush + 4),
-        "PROVE_IDLE": (flush, flush + 2),
-        "PROVE_STEP": (flush, flush + around.step_cycles + 3),
+        "PROVE_IDLE": (begin, begin + 2),
+        "PROVE_STEP": (begin, begin + around.step_cycles + 3),
     }[what]
     return check(
         folder, "backbone_proof", files, arguments, fault, True, depths=(0, depth), skip=skip, free=True
@@ -220,17 +220,17 @@ def check_backbone(folder: Path, what: str, around: Around, fault: Fault | None 
 
 BACKBONES = {
     # The slot alone in the last group; no row divides into words.
-    "last": Around(3, 2, 2, 2, 12, 2, draws=0, latency=1, interval=1, pipelined=True, step_cycles=17, slot=2),
+    "last": Around(3, 2, 2, 2, 12, 2, draws=0, latency=1, interval=1, pipelined=True, step_cycles=18, slot=2),
     # The same of any slot, with random draws and observations that wait for room.
-    "room": Around(3, 2, 2, 2, 36, 2, draws=1, latency=1, interval=1, pipelined=True, step_cycles=20),
+    "room": Around(3, 2, 2, 2, 36, 2, draws=1, latency=1, interval=1, pipelined=True, step_cycles=21),
     # A row of observations is more than a word; a core that takes a slot every third cycle.
-    "interval": Around(5, 2, 3, 2, 20, 2, draws=0, latency=2, interval=3, pipelined=True, step_cycles=27),
-    "serial": Around(3, 2, 3, 2, 12, 2, draws=0, latency=1, interval=1, pipelined=False, step_cycles=25),
+    "interval": Around(5, 2, 3, 2, 20, 2, draws=0, latency=2, interval=3, pipelined=True, step_cycles=28),
+    "serial": Around(3, 2, 3, 2, 12, 2, draws=0, latency=1, interval=1, pipelined=False, step_cycles=26),
     # One slot to a group, and rows that divide into words.
-    "alone": Around(3, 1, 3, 8, 8, 8, draws=0, latency=1, interval=1, pipelined=True, step_cycles=17),
+    "alone": Around(3, 1, 3, 8, 8, 8, draws=0, latency=1, interval=1, pipelined=True, step_cycles=18),
     # A row of actions is more than a word, and so is one of states.
-    "wide": Around(5, 3, 20, 12, 5, 1, draws=1, latency=2, interval=1, pipelined=True, step_cycles=19),
-    "groups": Around(7, 2, 3, 2, 12, 2, draws=2, latency=2, interval=1, pipelined=True, step_cycles=21),
+    "wide": Around(5, 3, 20, 12, 5, 1, draws=1, latency=2, interval=1, pipelined=True, step_cycles=20),
+    "groups": Around(7, 2, 3, 2, 12, 2, draws=2, latency=2, interval=1, pipelined=True, step_cycles=22),
 }
 SAMPLE = "last"
 """What is proved always; the others with --every-proof."""

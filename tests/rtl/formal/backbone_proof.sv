@@ -2,7 +2,7 @@
 // Of the whole backbone, whatever its core answers and the host does, for ever.
 //
 // Between two steps it is `idle`: nothing is on the state path, and nothing will be before the next start.
-// The runs here start in any state at all. In their first FLUSH cycles no group is issued, so that what
+// The runs here start in any state at all. In their first BEGIN cycles no group is issued, so that what
 // comes then is any idle state (and more). Proofs of a few cycles make up one of all:
 //
 // - PROVE_RESET: after a reset, whatever was before it, the port is busy until the backbone is idle;
@@ -40,6 +40,8 @@ module backbone_proof
   localparam int unsigned GROUPS = ceil_div(N_ENVS, PE_NUM);
   // No group is on its way for longer.
   localparam int unsigned FLUSH = issue_to_core(DRAWS) + LATENCY + 2;
+  // And then no input bank has anything to read: its queue, which may begin out of step with it, has filled up.
+  localparam int unsigned BEGIN = FLUSH + 3;
   localparam int unsigned TIME_BITS = 8;
 
   logic irq, unused_rvalid;
@@ -148,9 +150,9 @@ module backbone_proof
 
 `ifndef PROVE_RESET
   always_comb begin
-    if (now_q < TIME_BITS'(FLUSH)) assume (!u_backbone.issue);
-    if (now_q == TIME_BITS'(FLUSH)) assume (idle);
-    if (now_q >= TIME_BITS'(FLUSH)) assume (!reset);
+    if (now_q < TIME_BITS'(BEGIN)) assume (!u_backbone.issue);
+    if (now_q == TIME_BITS'(BEGIN)) assume (idle);
+    if (now_q >= TIME_BITS'(BEGIN)) assume (!reset);
   end
 `endif
 
@@ -162,8 +164,8 @@ module backbone_proof
     read_q <= u_backbone.host_re[Observations] && u_backbone.host_index == '0 && !u_backbone.busy;
   end
   always_comb begin
-    if (now_q == TIME_BITS'(FLUSH)) assume (!start);
-    if (now_q == TIME_BITS'(FLUSH + 1)) begin
+    if (now_q == TIME_BITS'(BEGIN)) assume (!start);
+    if (now_q == TIME_BITS'(BEGIN + 1)) begin
       assert (idle);
       // Results are right from their first word on, or the status says that they are not.
       assert (u_backbone.u_registers.error_q.torn_read || !warned_q || read_q);
@@ -256,11 +258,11 @@ module backbone_proof
   mode_t mode_q;
   logic [31:0] number_q, max_cycles_q, finished_q;
 
-  always_comb if (now_q == TIME_BITS'(FLUSH)) assume (start);
+  always_comb if (now_q == TIME_BITS'(BEGIN)) assume (start);
 
   always_ff @(posedge clk_i) begin
     over_q <= step_q && done;
-    if (now_q == TIME_BITS'(FLUSH)) begin
+    if (now_q == TIME_BITS'(BEGIN)) begin
       step_q       <= 1'b1;
       action_q     <= action_bit;
       named_q      <= u_backbone.mode.reset_all || (u_backbone.mode.reset_mask && mask_bit);
@@ -368,7 +370,7 @@ module backbone_proof
       end
       assert (finished == finished_q && finished != sequence_number && !irq);
       assert (u_backbone.u_registers.error_q.torn_read);
-      assert (32'(now_q) <= FLUSH + STEP_CYCLES);
+      assert (32'(now_q) <= BEGIN + STEP_CYCLES);
     end
     if (over_q) assert (idle && irq && finished == sequence_number);
   end
