@@ -74,7 +74,7 @@ module pearl_pe
 
   // The counter is read, raised and written while the core ends, which spares the pipeline from carrying
   // it along.
-  logic first_late, hold_late, held_q, truncated_q;
+  logic first_late, hold_late, held_q, truncated_q, brief_q;
   logic [ELAPSED_BITS-1:0] elapsed_q;
   pearl_delay #(
       .WIDTH (2),
@@ -85,12 +85,15 @@ module pearl_pe
       .d_o({first_late, hold_late})
   );
 
+  // Whether a first step is also the last. The limit is there long before.
+  always_ff @(posedge clk_i) brief_q <= limited_i && limit_i == '0;
+
   // The first step of an episode overrules the sum and the comparison instead of clearing what they
   // start from: a mask in front of them would cost a LUT a bit more. Who is held is at a first step.
   always_ff @(posedge clk_i) begin
     elapsed_q <= first_late ? ELAPSED_BITS'(!hold_late) : elapsed_i + 1'b1;
     held_q <= hold_late;
-    truncated_q <= limited_i && !hold_late && (first_late ? limit_i == '0 : elapsed_i >= limit_i);
+    truncated_q <= !hold_late && (first_late ? brief_q : limited_i && elapsed_i >= limit_i);
   end
 
   assign elapsed_o = elapsed_q;
