@@ -15,24 +15,26 @@ from typing import Any
 class _Block:
     """How a kind of cell takes registers: what its outputs start with, and what is set and connected then."""
 
-    output: str
-    clock: str
-    enable: str
+    outputs: tuple[str, ...]
+    clocks: tuple[str, ...]
+    enables: tuple[str, ...]
     parameters: dict[str, str]
     inputs: dict[str, str] = field(default_factory=dict)
 
 
-_BLOCKS = {
-    # Memories are read at port B.
-    "DP16KD": _Block("DOB", "CLKB", "OCEB", {"REGMODE_B": "OUTREG"}),
-    "MULT18X18D": _Block(
-        "P",
-        "CLK0",
-        "CE0",
-        {"REG_OUTPUT_CLK": "CLK0", "REG_OUTPUT_CE": "CE0", "REG_OUTPUT_RST": "RST0", "CLK0_DIV": "ENABLED"},
-        {"RST0": "0"},
-    ),
-}
+# Memories are read at port B.
+_MEMORY = _Block(("DOB",), ("CLKB",), ("OCEB",), {"REGMODE_B": "OUTREG"})
+# A word of 36 bits takes the outputs of both ports.
+_WIDE_MEMORY = _Block(
+    ("DOA", "DOB"), ("CLKA", "CLKB"), ("OCEA", "OCEB"), {"REGMODE_A": "OUTREG", "REGMODE_B": "OUTREG"}
+)
+_MULTIPLIER = _Block(
+    ("P",),
+    ("CLK0",),
+    ("CE0",),
+    {"REG_OUTPUT_CLK": "CLK0", "REG_OUTPUT_CE": "CE0", "REG_OUTPUT_RST": "RST0", "CLK0_DIV": "ENABLED"},
+    {"RST0": "0"},
+)
 
 _Sinks = dict[Any, list[tuple[str, str]]]
 
@@ -44,28 +46,35 @@ def absorb(module: dict[str, Any]) -> int:
     """
     cells, sinks = module["cells"], _sinks(module)
     absorbed = 0
-    for cell in [cell for cell in cells.values() if cell["type"] in _BLOCKS]:
-        block = _BLOCKS[cell["type"]]
+    for cell, block in [(cell, block) for cell in cells.values() if (block := _block(cell))]:
         used = {
             port: sinks[bits[0]]
             for port, bits in cell["connections"].items()
-            if port.removeprefix(block.output).isdigit() and bits and bits[0] in sinks
+            if port.rstrip("0123456789") in block.outputs and bits and bits[0] in sinks
         }
         registers = {port: _register(cells, behind) for port, behind in used.items()}
         controls = {_control(cells[name]) for name in registers.values() if name is not None}
         if None in registers.values() or len(controls) != 1:
             continue
         (clock, enable), connections = controls.pop(), cell["connections"]
-        if connections.get(block.clock, [clock]) != [clock]:
+        if any(connections.get(port, [clock]) != [clock] for port in block.clocks):
             continue
         cell["parameters"].update(block.parameters)
-        for port, bit in {**block.inputs, block.clock: clock, block.enable: enable}.items():
+        controls_of = {**dict.fromkeys(block.clocks, clock), **dict.fromkeys(block.enables, enable)}
+        for port, bit in {**block.inputs, **controls_of}.items():
             connections[port] = [bit]
             cell["port_directions"][port] = "input"
         for port, name in registers.items():
             connections[port] = cells.pop(name)["connections"]["Q"]
             absorbed += 1
     return absorbed
+
+
+def _block(cell: dict[str, Any]) -> _Block | None:
+    """Return how a cell takes registers; ``None`` if it has none."""
+    if cell["type"] == "DP16KD":
+        return _WIDE_MEMORY if int(cell["parameters"]["DATA_WIDTH_B"], 2) == 36 else _MEMORY
+    return _MULTIPLIER if cell["type"] == "MULT18X18D" else None
 
 
 def _sinks(module: dict[str, Any]) -> _Sinks:

@@ -26,7 +26,7 @@ def memory() -> dict[str, Any]:
     outputs = {"DOB0": [10], "DOB1": [11], "DOB2": [12]}
     block = {
         "type": "DP16KD",
-        "parameters": {"REGMODE_B": "NOREG"},
+        "parameters": {"DATA_WIDTH_B": f"{18:b}", "REGMODE_B": "NOREG"},
         "port_directions": {"CLKB": "input", "OCEB": "input", **dict.fromkeys(outputs, "output")},
         "connections": {"CLKB": [CLOCK], "OCEB": ["1"], **outputs},
     }
@@ -38,9 +38,21 @@ def test_registers_behind_every_output_are_absorbed() -> None:
     module = memory()
     assert absorb(module) == 2
     (block,) = module["cells"].values()
-    assert block["parameters"] == {"REGMODE_B": "OUTREG"}
+    assert block["parameters"] == {"DATA_WIDTH_B": f"{18:b}", "REGMODE_B": "OUTREG"}
     outputs = {"DOB0": [20], "DOB1": [21], "DOB2": [12]}
     assert block["connections"] == {"CLKB": [CLOCK], "OCEB": [ENABLE], **outputs}
+
+
+def test_a_wide_word_leaves_a_memory_at_both_ports() -> None:
+    module = memory()
+    block = module["cells"]["block"]
+    block["parameters"] = {"DATA_WIDTH_B": f"{36:b}"}
+    block["connections"] = {"CLKA": [CLOCK], "CLKB": [CLOCK], "DOA0": [10], "DOB0": [11]}
+    block["port_directions"] = {"CLKA": "input", "CLKB": "input", "DOA0": "output", "DOB0": "output"}
+    assert absorb(module) == 2
+    assert block["parameters"] == {"DATA_WIDTH_B": f"{36:b}", "REGMODE_A": "OUTREG", "REGMODE_B": "OUTREG"}
+    assert block["connections"]["OCEA"] == block["connections"]["OCEB"] == [ENABLE]
+    assert (block["connections"]["DOA0"], block["connections"]["DOB0"]) == ([20], [21])
 
 
 def test_a_multiplier_is_clocked_then() -> None:
