@@ -93,7 +93,7 @@ def test_the_papers_loops() -> None:
     loop = loop_cycles(SPEC, memory_map(SPEC, 43008, 256, 1024))
     assert loop.serial == 84 + 252 + 42 + 84 + 2 * 43008
     assert loop.parallel == 84 + 252 + 42 + 84 + 2
-    assert loop.ours == 267, "as measured: docs/hardware.md"
+    assert loop.ours == 271, "as measured: docs/hardware.md"
 
 
 def test_what_is_measured_of_the_host_has_ends_in_it() -> None:
@@ -139,7 +139,7 @@ def test_a_prediction_without_the_pipeline() -> None:
     assert step.compute == pytest.approx(43008 * C / 100e6)
     assert step.device == pytest.approx(step_cycles(SPEC, layout, pipelined=False, target=TARGET) / 100e6)
     # c_r, c_c and c_w of a slot, as Eq. 2 has them; and a step's constant cycles.
-    assert 43008 * (4 + C + 2) <= step.device * 100e6 <= 43008 * (4 + C + 2) + 10
+    assert 43008 * (4 + C + 2) <= step.device * 100e6 <= 43008 * (4 + C + 2) + 14
     # The same on a port that is slower than the link.
     fast = predict(SPEC, layout, Link("fast", 0.0, 1e12, 1e12, ""), HOST, 100e6, pipelined=False)
     assert fast.write == pytest.approx((write_cycles(layout) + 1008 + 8 * WRITE_BURST) / 100e6)
@@ -153,7 +153,7 @@ def test_with_and_without_the_pipeline(monkeypatch: pytest.MonkeyPatch) -> None:
     assert found.factor == pytest.approx(found.serial.total / found.pipelined.total)
     assert found.factor > 2.7, "the least of the paper's"
     rate = pipeline.simulated_rate(SPEC, 70, 1, 32, 100e6, pipelined=False)
-    assert rate == pytest.approx(70 * 100e6 / 569), "docs/latency.md has it measured"
+    assert rate == pytest.approx(70 * 100e6 / 573), "docs/latency.md has it measured"
 
 
 @pytest.mark.usefixtures("quick_host")
