@@ -24,8 +24,8 @@ from pearl_marl.cache import cache_folder
 from pearl_marl.compiler.targets import Target
 from pearl_marl.errors import ArgumentError, DeviceError
 from pearl_marl.hardware import elaboration, toolchain
+from pearl_marl.hardware.block_registers import absorb
 from pearl_marl.hardware.build import Build
-from pearl_marl.hardware.output_registers import absorb
 from pearl_marl.memory_map import MemoryMap
 
 LARGE_BITS = 16 * 1024
@@ -116,7 +116,7 @@ class Placement:
     netlist: str = "write_json netlist.json"
     """Yosys' commands that write what is placed."""
     absorbs: bool = False
-    """Whether flip-flops are moved into the blocks in front of them first: see ``output_registers``."""
+    """Whether flip-flops are moved into the blocks in front of them first: see ``block_registers``."""
     constraints: str = ""
 
 
