@@ -23,7 +23,7 @@ class BatchConfig:
     spec
         The environment.
     n_envs
-        How many slots.
+        How many slots: worlds of ``spec.agents`` agents each.
     autoreset_mode
         ``SAME_STEP`` or ``NEXT_STEP``: when a slot that ended begins its next episode.
     max_cycles
@@ -68,6 +68,11 @@ class BatchConfig:
         object.__setattr__(self, "n_envs", int(n))
         object.__setattr__(self, "first_slot", int(first))
 
+    @property
+    def n_agents(self) -> int:
+        """How many agents the slots have together."""
+        return self.n_envs * self.spec.agents
+
     @cached_property
     def limit(self) -> int:
         """The time limit that holds; 0 for none."""
@@ -78,7 +83,7 @@ class BatchConfig:
         return {
             "environment": self.spec.id,
             "options": dict(self.spec.options),
-            "n_agents": self.n_envs,
+            "n_agents": self.n_agents,
             "autoreset_mode": self.autoreset_mode.value,
             "max_cycles": self.limit,
             "initial_states": self.initial_states,

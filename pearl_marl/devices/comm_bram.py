@@ -24,7 +24,7 @@ from gymnasium.vector import AutoresetMode
 from pearl_marl.batch.config import BatchConfig
 from pearl_marl.batch.results import ResultArrays
 from pearl_marl.batch.slot_memory import SlotMemory
-from pearl_marl.batch.step import Array, BatchStep
+from pearl_marl.batch.step import Array, BatchStep, Seen
 from pearl_marl.compiler.kernels import compile_kernels
 from pearl_marl.devices.base import Device
 from pearl_marl.devices.transport import STAGES, Exchange, Transport, word
@@ -140,7 +140,7 @@ class CommBram(Device):
         edges = itertools.pairwise((began, *self._transport.times, ended))
         return {stage: end - begin for stage, (begin, end) in zip(STAGES, edges, strict=True)}
 
-    def _reset(self, mask: Array | None, seed: int | None) -> Array:
+    def _reset(self, mask: Array | None, seed: int | None) -> Seen:
         if mask is not None:
             before = self._mask.copy()
             self._mask |= mask
@@ -155,7 +155,7 @@ class CommBram(Device):
             self._mask[:] = False
             if self._repeats:
                 every = np.ones(self.config.n_envs, np.bool_)
-                self._start(self._stored, every, self._results.take().obs, use_stored=False)
+                self._start(self._stored, every, self._results.take(), use_stored=False)
                 self._write_region("initial_states", self.config.spec.state, self._stored.state)
             return self._slots()[1]
         except BaseException:
@@ -225,17 +225,17 @@ class CommBram(Device):
             self._resetting = self._ters != 0
         return results
 
-    def _start(self, memory: SlotMemory, mask: Array, obs: Array, *, use_stored: bool) -> None:
+    def _start(self, memory: SlotMemory, mask: Array, results: BatchStep, *, use_stored: bool) -> None:
         """Begin an episode in the masked slots of ``memory``; observe all of its slots."""
         config = self.config
         n, flags = config.n_envs, mask.view(np.uint8)
         self._kernels.reset(
-            memory.bytes, self._stored.bytes, flags, obs, *self.seed, self.tick, config.first_slot,
+            memory.bytes, self._stored.bytes, flags, results.obs, *self.seed, self.tick, config.first_slot,
             use_stored, n, 0, n,
         )  # fmt: skip
 
-    def _slots(self) -> tuple[Array, Array]:
-        """Return the slots' memory as the native device would have it now, and their observations."""
+    def _slots(self) -> tuple[Array, Seen]:
+        """Return the slots' memory as the native device would have it now, and what agents see."""
         self.check_known()
         spec, n = self.config.spec, self.config.n_envs
         memory = SlotMemory(spec, n)
@@ -250,15 +250,15 @@ class CommBram(Device):
             starting = self._mask if self._next_step else self._mask | ended
             if self._next_step:
                 memory.ended[:] = ended
-        obs = self._results.take().obs
-        self._start(memory, starting, obs, use_stored=self._repeats)
-        return memory.bytes, obs
+        results = self._results.take()
+        self._start(memory, starting, results, use_stored=self._repeats)
+        return memory.bytes, results.seen
 
     def _read(self) -> tuple[Array, Array]:
         stored = self._stored.bytes
         return self._slots()[0], stored if self._repeats else stored[:0]
 
-    def _write(self, memory: Array, stored: Array) -> Array:
+    def _write(self, memory: Array, stored: Array) -> Seen:
         spec, slots = self.config.spec, SlotMemory(self.config.spec, self.config.n_envs, memory)
         self._synchronise(spec)
         try:

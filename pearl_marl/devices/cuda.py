@@ -24,7 +24,7 @@ from pearl_marl.batch.actions import limits
 from pearl_marl.batch.config import BatchConfig
 from pearl_marl.batch.results import Layout, ResultArrays
 from pearl_marl.batch.slot_memory import SlotMemory, size
-from pearl_marl.batch.step import Array, BatchStep
+from pearl_marl.batch.step import Array, BatchStep, Seen
 from pearl_marl.compiler.cuda_kernels import THREADS, compile_cuda_kernels, simulated
 from pearl_marl.devices.base import Device
 from pearl_marl.errors import ActionError, ArgumentError, DeviceError
@@ -121,17 +121,17 @@ class Cuda(Device):
         self._launches: dict[tuple[Any, Any], Any] = {}
         self._uploaded: Array | None = None
 
-    def _reset(self, mask: Array | None, seed: int | None) -> Array:
+    def _reset(self, mask: Array | None, seed: int | None) -> Seen:
         self.synchronize()
         use_stored = self._stored is not self._memory
         with _failures():
-            obs = self._observe(mask, again=use_stored and mask is not None)
+            seen = self._observe(mask, again=use_stored and mask is not None)
             if use_stored and mask is None:
                 self._stored.copy_to_device(self._memory, stream=self._stream())
-        return obs
+        return seen
 
-    def _observe(self, mask: Array | None, again: bool) -> Array:
-        """Start the masked slots over (all, if ``None``); return all observations."""
+    def _observe(self, mask: Array | None, again: bool) -> Seen:
+        """Start the masked slots over (all, if ``None``); return what all agents see."""
         n = self.config.n_envs
         flags = np.ones(n, np.uint8) if mask is None else mask.astype(np.uint8)
         flags = self._gpu.to_device(flags, stream=self._stream())
@@ -141,10 +141,10 @@ class Cuda(Device):
             self._kernels.reset, self._memory, self._stored, flags, self._array(block), *place, again, n
         )
         if self._torch is not None:
-            return self._in_tensors(block).obs if self._tensors is None else self._tensors.obs
+            return (self._in_tensors(block) if self._tensors is None else self._tensors).seen
         memory, results = self._arrays.take_block()
         self._parts[0].copy_to_host(self._layout.pieces(memory)[0])
-        return results.obs
+        return results.seen
 
     def _step(self, actions: Array | _OnGpu) -> BatchStep:
         config, layout = self.config, self._layout
@@ -189,7 +189,7 @@ class Cuda(Device):
             memory = self._memory.copy_to_host()
             return memory, memory[:0] if self._stored is self._memory else self._stored.copy_to_host()
 
-    def _write(self, memory: Array, stored: Array) -> Array:
+    def _write(self, memory: Array, stored: Array) -> Seen:
         with _failures():
             self._memory.copy_to_device(memory, stream=self._stream())
             if stored.size:
@@ -233,7 +233,7 @@ class Cuda(Device):
         return block.numpy() if simulated() else self._gpu.as_cuda_array(block, sync=False)
 
     def _in_tensors(self, block: Any) -> BatchStep:
-        return self._layout.arrays(block, self._dtypes)
+        return self._layout.step(self._layout.arrays(block, self._dtypes))
 
     def _on_gpu(self, actions: Any) -> _OnGpu | None:
         """Return actions that are on the GPU as a kernel takes them; ``None`` for those on the host."""

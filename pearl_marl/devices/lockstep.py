@@ -9,12 +9,12 @@ import numpy.typing as npt
 
 from pearl_marl.batch.config import BatchConfig
 from pearl_marl.batch.saved_state import SavedState
-from pearl_marl.batch.step import Array, BatchStep
+from pearl_marl.batch.step import Array, BatchStep, Seen
 from pearl_marl.comparison.divergence import (
     Comparison,
     Divergence,
-    observation_words,
     result_words,
+    seen_words,
     state_of,
     state_words,
 )
@@ -97,24 +97,24 @@ class Lockstep(Device):
             self.device.close()
             raise
 
-    def _reset(self, mask: Array | None, seed: int | None) -> Array:
+    def _reset(self, mask: Array | None, seed: int | None) -> Seen:
         if self._since is not None:  # the first reset of all may have begun different episodes
             self._compare_states()
         copy = None if mask is None else mask.copy()
         return self._restart("reset", lambda device: device.reset(seed, mask), seed=seed, mask=copy)
 
-    def _write(self, memory: Array, stored: Array) -> Array:
+    def _write(self, memory: Array, stored: Array) -> Seen:
         saved = self.saved(memory, stored)
         return self._restart("restore", lambda device: device.restore(saved), saved)
 
     def _restart(
         self, call: str, begin: Callable[[Device], Array], saved: SavedState | None = None, **arguments: Any
-    ) -> Array:
+    ) -> Seen:
         """Reset both devices, or restore what was saved, and compare all there is."""
         previous = None if self._since is None else self.reference.snapshot()
-        ours, theirs = self._both(begin)
+        ours, theirs = self._both(lambda device: Seen(begin(device), device.action_masks, device.alive))
         found = Comparison()
-        found.add(observation_words(self.config.spec, "obs", ours, theirs))
+        found.add(seen_words(self.config.spec, ours, theirs))
         self._add_states(found)
         self.words_compared += found.words
         if found:

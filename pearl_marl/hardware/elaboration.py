@@ -59,8 +59,8 @@ def core_path(spec: EnvSpec, target: Target = TARGET) -> Path:
 
 
 def _generated_core(spec: EnvSpec, target: Target) -> Path:
-    words = spec.state, spec.action, spec.observation, spec.reward, spec.reset_draws, spec.step_draws
-    functions = [fingerprint(function) for function in spec.golden]
+    words = spec.state, spec.action, spec.seen, spec.reward, spec.reset_draws, spec.step_draws, spec.agents
+    functions = [fingerprint(function) for function in spec.functions]
     key = repr((spec.id, spec.options, words, functions, target))
     if key not in _generated:
         _generated[key] = _kept(generated_core(spec, target).text, f"{snake_case(spec.name)}_pe.sv")
