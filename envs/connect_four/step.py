@@ -45,7 +45,8 @@ def step(
     taken = first | second
     # Where a disc comes to lie, in each column that has room: free, and with a disc or the ground below.
     landing = (taken >> COLUMNS | BOTTOM_ROW) & ~taken
-    disc = landing & COLUMN[np.where(turn, action_1, action_0)]
+    action: Word = np.where(turn, action_1, action_0)
+    disc = landing & COLUMN[action]
     own = own | disc
     illegal = disc == 0
     won = has_four(own)

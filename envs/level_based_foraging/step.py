@@ -9,9 +9,9 @@ What looks arbitrary is the package's:
 - A player moves if nobody else wants to be where he would be, not even by staying. Two may change places. And
   one may follow another who then cannot move himself: so two can be in one cell.
 - Food starts neither on an edge nor near other food, so that a player is never beside two of them.
-- Who does not see the whole grid gives places from the top left corner of what he sees, which the grid's upper
-  and left edge cut off. Whether he sees a player goes by these numbers; so near those edges he sees players
-  farther than food.
+- Who does not see the whole grid gives places from the top left corner of what he sees, which the grid's
+  upper and left edge cut off. Whether he sees a player goes by these numbers; so near those edges he sees
+  players farther than food.
 
 Follows https://github.com/semitable/lb-foraging (2.0.0): F. Christianos, L. Schäfer and S. V. Albrecht,
 *Shared Experience Actor-Critic for Multi-Agent Reinforcement Learning*, 2020.
@@ -43,30 +43,45 @@ class Rules(NamedTuple):
     """What the options come to."""
 
     size: int
-    players: int
-    foods: int
-    player_levels: tuple[int, int]
-    """The least and the greatest."""
-    food_levels: tuple[int, int | None]
+    player_levels: tuple[tuple[int, int], ...]
+    """The least and the greatest of each player; who has which is drawn."""
+    food_levels: tuple[tuple[int, int | None], ...]
     """The same; where the greatest is None, it is the sum of the three lowest players' levels."""
     greatest_only: bool
-    """Whether all food is of the greatest level."""
+    """Whether all food is of its greatest level."""
     sight: int
     shows_levels: bool
-    """Whether players see each other's levels."""
+    """Whether players see levels of players."""
     normalized: bool
 
     @property
+    def players(self) -> int:
+        """How many play."""
+        return len(self.player_levels)
+
+    @property
+    def foods(self) -> int:
+        """How many foods there are at most."""
+        return len(self.food_levels)
+
+    @property
+    def strongest(self) -> int:
+        """The greatest level of a player that there can be."""
+        return max(most for _, most in self.player_levels)
+
+    @property
     def most_food(self) -> int:
-        """The greatest level that food can have in any game."""
-        return self.food_levels[1] or min(self.players, 3) * self.player_levels[1]
+        """The greatest level of a food that there can be."""
+        given = [most for _, most in self.food_levels if most is not None]
+        return max(given) if given else sum(sorted(most for _, most in self.player_levels)[:3])
 
     @property
     def least_food(self) -> int:
         """The least."""
-        if self.greatest_only:
-            return self.food_levels[1] or min(self.players, 3) * self.player_levels[0]
-        return self.food_levels[0]
+        if not self.greatest_only:
+            return min(least for least, _ in self.food_levels)
+        given = [most for _, most in self.food_levels if most is not None]
+        return min(given) if given else sum(sorted(least for least, _ in self.player_levels)[:3])
 
     @property
     def sees_all(self) -> bool:
@@ -76,18 +91,23 @@ class Rules(NamedTuple):
     @property
     def limits(self) -> tuple[tuple[int, int], ...]:
         """The least and the greatest of each number that a reward is made of, as :func:`rewards` has them."""
-        weakest, strongest = self.player_levels
-        shared = (weakest, self.players * strongest), (self.least_food, self.foods * self.most_food)
-        return self.player_levels, (self.least_food, self.most_food), *(shared if self.normalized else ())
+        weakest = min(least for least, _ in self.player_levels)
+        own, food = (weakest, self.strongest), (self.least_food, self.most_food)
+        if not self.normalized:
+            return own, food
+        together = sum(most for _, most in self.player_levels)
+        return own, food, (weakest, together), (self.least_food, self.foods * self.most_food)
 
     @property
     def draws(self) -> list[int]:
-        """Which draw decides what at the start: a cell and a level for each player, then for each food."""
-        weakest, strongest = self.player_levels
+        """Which draw makes each decision at the start, in the order of :func:`make_initial`."""
         outcomes: list[int] = []
         for k in range(self.players):
-            outcomes += [self.size**2 - k, strongest - weakest + 1]
-        outcomes += [(self.size - 2) ** 2, self.most_food - self.least_food + 1] * self.foods
+            outcomes += [self.size**2 - k, *([self.players - k] if differ(self.player_levels) else [])]
+            outcomes.append(max(most - least for least, most in self.player_levels) + 1)
+        for k in range(self.foods):
+            outcomes += [(self.size - 2) ** 2, *([self.foods - k] if differ(self.food_levels) else [])]
+            outcomes.append(self.most_food - self.least_food + 1)
         draw, together, result = 0, 1, []
         for n in outcomes:
             together *= n
@@ -95,6 +115,11 @@ class Rules(NamedTuple):
                 draw, together = draw + 1, n
             result.append(draw)
         return result
+
+
+def differ(levels: Sequence[object]) -> bool:
+    """Return whether it matters who has which levels."""
+    return len(set(levels)) > 1
 
 
 def rewards(rules: Rules, penalty: float) -> tuple[float, ...]:
@@ -118,7 +143,9 @@ def make_initial(rules: Rules) -> GoldenFunction:
     lower half serves as the next draw.
     """
     size, inner = rules.size, range(1, rules.size - 1)
-    weakest, strongest = rules.player_levels
+    weakest, strongest = zip(*rules.player_levels, strict=True)
+    lightest, heaviest = zip(*rules.food_levels, strict=True)
+    players_differ, foods_differ = differ(rules.player_levels), differ(rules.food_levels)
 
     def initial(*words: Word) -> tuple[Word, ...]:
         left, order = list(words), iter(rules.draws)
@@ -129,42 +156,57 @@ def make_initial(rules: Rules) -> GoldenFunction:
             left[k] = u32(product)
             return product >> 32
 
-        players: list[Thing] = []
+        state: list[Word] = []
         cells: list[Word] = []
         levels: list[Word] = []
+        which: Word = 0
+        given: list[Word] = []
         free: list[Word] = [sum(1 << column for column in inner)] * size  # a bit a column
         for k in range(rules.players):
-            cell = decide(size * size - k)
-            for taken in cells:
-                cell = cell + (cell >= taken)
-            row, column, level = cell // size, cell % size, weakest + decide(strongest - weakest + 1)
-            players.append((row, column, level))
+            cell = another(decide(size * size - k), cells)
+            row, column = cell // size, cell % size
+            if players_differ:
+                which = another(decide(rules.players - k), given)
+                given = inserted(given, which)
+            level = weakest[which] + decide(strongest[which] - weakest[which] + 1)
+            state += [row, column, level]
             cells, levels = inserted(cells, cell), inserted(levels, level)
             free = [free[r] & ~np.where(row == r, 1 << column, 0) for r in range(size)]
 
-        most = rules.food_levels[1] or sum(levels[:3])
-        least = most if rules.greatest_only else rules.food_levels[0]
+        which, given = 0, []
         foods: list[tuple[Word, Word]] = []
-        total = 0
-        for _ in range(rules.foods):
+        total: Word = 0
+        for k in range(rules.foods):
             counts = [ones(free[r]) for r in inner]
             room = sum(counts)
             row, column = chosen([free[r] for r in inner], counts, decide(room))
+            if foods_differ:
+                which = another(decide(rules.foods - k), given)
+                given = inserted(given, which)
+            most = sum(levels[:3]) if heaviest[0] is None else heaviest[which]
+            least = most if rules.greatest_only else lightest[which]
             level = np.where(room == 0, 0, least + decide(most - least + 1))
             free = [free[r] & ~around(row - r, column) for r in range(size)]
             total = total + level
             # Into its place among the others, which are in order.
             food, placed = (row * size + column, level), []
             for other in foods:
-                later = food[0] < other[0]
-                placed.append(tuple(np.where(later, a, b) for a, b in zip(food, other, strict=True)))
-                food = tuple(np.where(later, b, a) for a, b in zip(food, other, strict=True))
+                first = food[0] < other[0]
+                placed.append((np.where(first, food[0], other[0]), np.where(first, food[1], other[1])))
+                food = np.where(first, other[0], food[0]), np.where(first, other[1], food[1])
             foods = [*placed, food]
-        words = [word for player in players for word in player]
-        words += [word for cell, level in foods for word in (cell // size, cell % size, level)]
-        return *words, *([total] if rules.normalized else [])
+        for cell, level in foods:
+            state += [cell // size, cell % size, level]
+        return *state, *([total] if rules.normalized else [])
 
     return initial
+
+
+def another(rank: Word, taken: Sequence[Word]) -> Word:
+    """Return the number of this rank among those that are not taken; ``taken`` is in order."""
+    for number in taken:
+        rank = rank + (rank >= number)
+    return rank
 
 
 def inserted(numbers: Sequence[Word], number: Word) -> list[Word]:
@@ -186,7 +228,9 @@ def ones(word: Word) -> Word:
 def chosen(lines: Sequence[Word], counts: Sequence[Word], rank: Word) -> tuple[Word, Word]:
     """Return row and column of one of the ones in ``lines``, which are the rows from 1."""
     before: Word = 0
-    row, line, within = 1, 0, 0
+    row: Word = 1
+    line: Word = 0
+    within: Word = 0
     for k, (bits, count) in enumerate(zip(lines, counts, strict=True)):
         here = (rank >= before) & (rank < before + count)
         row, line = np.where(here, k + 1, row), np.where(here, bits, line)
@@ -238,30 +282,31 @@ def make_step(rules: Rules) -> GoldenFunction:
             contested = any_of((r == other[0]) & (c == other[1]) for other in others)
             moved.append((np.where(contested, row, r), np.where(contested, column, c), level))
 
-        # Who loads does not move, so it matters not that some others have.
+        # Who loads does not move, so it does not matter that others have.
         loading = [
             [(action == LOAD) & is_beside(player, food) for food in foods]
             for player, action in zip(players, actions, strict=True)
         ]
-        left, numbers, loaded = [], [(0, 0)] * count, [0] * count
+        left: list[Thing] = []
+        food_of: list[Word] = [0] * count
+        strength_of: list[Word] = [0] * count
+        outcome_of: list[Word] = [NOTHING] * count
         for f, (row, column, level) in enumerate(foods):
             strength = sum(loads[f] * player[2] for loads, player in zip(loading, players, strict=True))
             taken = (level != 0) & (strength >= level)
             left.append((row, column, np.where(taken, 0, level)))
             for k in range(count):
                 here = loading[k][f]
-                numbers[k] = tuple(
-                    np.where(here, new, old) for new, old in zip((level, strength), numbers[k], strict=True)
-                )
-                loaded[k] = np.where(here, np.where(taken, LOADED, FAILED), loaded[k])
+                food_of[k] = np.where(here, level, food_of[k])
+                strength_of[k] = np.where(here, strength, strength_of[k])
+                outcome_of[k] = np.where(here, np.where(taken, LOADED, FAILED), outcome_of[k])
         categories = []
-        for k, (level, strength) in enumerate(numbers):
-            category: Word = 0
-            shared = (strength, state[-1]) if rules.normalized else ()
-            made_of = (players[k][2], level, *shared)
-            for number, (low, high) in zip(made_of, rules.limits, strict=True):
-                category = category * (high - low + 1) + np.clip(number, low, high) - low
-            categories.append(np.where(loaded[k] == LOADED, LOADED + category, loaded[k]))
+        for k, outcome in enumerate(outcome_of):
+            numbers = players[k][2], food_of[k], strength_of[k], state[-1]
+            what: Word = 0
+            for number, (low, high) in zip(numbers, rules.limits, strict=False):
+                what = what * (high - low + 1) + np.clip(number, low, high) - low
+            categories.append(np.where(outcome == LOADED, LOADED + what, outcome))
         over = any_of(level for _, _, level in left) == 0
         after = [word for thing in (*moved, *left) for word in thing]
         return *after, *state[len(after) :], *categories, *[over] * count
@@ -330,16 +375,16 @@ def make_observe(rules: Rules) -> GoldenFunction:
             shown = [a & b for a, b in zip(shown, near, strict=True)]
             others = closed_up(others, [in_sight(r, c) for r, c, _ in others])
         seen = closed_up(placed(foods), shown)
-        words = [word for food in seen for word in food]
+        result = [word for food in seen for word in food]
         for thing in (*placed(players[agent : agent + 1]), *others):
-            words += thing if rules.shows_levels else thing[:2]
-        return tuple(words)
+            result += thing if rules.shows_levels else thing[:2]
+        return tuple(result)
 
     return observe
 
 
 def agent_of(rules: Rules, words: Sequence[Word]) -> int:
-    """Return the agent, the last of an observer's arguments; one that plays alone is not named."""
+    """Return the agent, the last of an observer's words; who plays alone is not named."""
     agent: int = words[-1] if rules.players > 1 else 0
     return agent
 

@@ -12,7 +12,8 @@ import pytest
 from pearl_marl.envs.connect_four.step import CELLS, COLUMNS, has_four, initial, masks, observe, step
 from pettingzoo.classic.connect_four import connect_four
 
-from pearl_marl.golden import call_reference
+import pearl_marl
+from pearl_marl.golden import call_reference, reference
 
 Array = np.ndarray[Any, Any]
 PLAYERS = ("player_0", "player_1")
@@ -78,18 +79,31 @@ def unpacked(boards: tuple[Array, ...]) -> Array:
     return np.stack(planes, -1).reshape(-1, 6, 7, 2)
 
 
+def test_observations_are_unpacked() -> None:
+    spec = pearl_marl.get_spec("ConnectFour")
+    assert spec.unpack is not None
+    boards = np.random.default_rng(0).integers(1 << CELLS, size=(2, 50))
+    rows = np.empty((50, 84), np.int8)
+    for own, other, row in zip(*boards, rows, strict=True):
+        spec.unpack(own, other, row)
+    np.testing.assert_array_equal(rows.reshape(-1, 6, 7, 2), unpacked(tuple(boards)))
+
+
 def compare(moves: int, seed: int) -> Games:
     """Replay PettingZoo's games, all at once, and compare what can be seen after every move."""
     games = played_by_pettingzoo(moves, seed)
-    n = games.actions.shape[1]
+    n, observers, judges = (
+        games.actions.shape[1],
+        *([reference(f, k) for k in range(2)] for f in (observe, masks)),
+    )
     state = [np.full(n, word) for word in call_reference(initial, ())]
     generator = np.random.default_rng(seed + 1)
     for t in range(CELLS + 1):
         now = np.ones(n, bool) if t == 0 else games.played[t - 1]
         for agent in range(2):
-            seen = unpacked(call_reference(lambda *s, agent=agent: observe(*s, agent), state))
+            seen = unpacked(observers[agent](*state))
             np.testing.assert_array_equal(seen[now], games.observations[t, now, agent])
-            legal = np.stack(call_reference(lambda *s, agent=agent: masks(*s, agent), state), 1)
+            legal = np.stack(judges[agent](*state), 1)
             np.testing.assert_array_equal(legal[now], games.masks[t, now, agent])
         if t == CELLS:
             break

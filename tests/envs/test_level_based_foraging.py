@@ -9,18 +9,12 @@ from typing import Any
 import numpy as np
 import pytest
 from lbforaging.foraging import ForagingEnv
-from pearl_marl.envs.level_based_foraging.step import (
-    Rules,
-    chosen,
-    make_initial,
-    make_masks,
-    make_observe,
-    make_step,
-    ones,
-    rewards,
-)
+from pearl_marl.envs.level_based_foraging.step import chosen, ones
 from scipy import stats
 
+import pearl_marl
+from pearl_marl import EnvSpec
+from pearl_marl.errors import ArgumentError
 from pearl_marl.golden import call_reference, reference
 
 Array = np.ndarray[Any, Any]
@@ -59,35 +53,29 @@ CASES = {
         4, 3, 1, observe_agent_levels=False, min_food_level=2, max_food_level=6
     ),
     "7x7-9p-4f-3s": options(7, 9, 4, sight=3, max_food_level=9, penalty=1 / 3, max_episode_steps=30),
-    "9x9-1p-4f-7s": options(9, 1, 4, sight=7, min_player_level=1, max_player_level=3),
+    "9x9-1p-4f-7s": options(9, 1, 4, sight=7, max_player_level=3),
+    "8x8-3p-3f-lists": options(
+        8, 3, 3, min_player_level=[1, 1, 3], max_player_level=[1, 2, 4], max_food_level=[1, 4, 7]
+    ),
 }
 
 
-def rules_of(given: dict[str, Any]) -> Rules:
-    return Rules(
-        size=given["field_size"][0],
-        players=given["players"],
-        foods=given["max_num_food"],
-        player_levels=(given["min_player_level"], given["max_player_level"]),
-        food_levels=(given["min_food_level"], given["max_food_level"]),
-        greatest_only=given["force_coop"],
-        sight=given["sight"],
-        shows_levels=given["observe_agent_levels"],
-        normalized=given["normalize_reward"],
-    )
+def spec_of(given: dict[str, Any]) -> EnvSpec:
+    return pearl_marl.get_spec("LevelBasedForaging").with_options(**given)
 
 
-def started(rules: Rules, n: int, seed: int) -> list[Array]:
+def started(spec: EnvSpec, n: int, seed: int) -> list[Array]:
     """Return the columns of ``n`` starts."""
     generator = np.random.default_rng(seed)
-    draws = generator.integers(1 << 32, size=(max(rules.draws) + 1, n), dtype=np.uint32)
-    return list(call_reference(make_initial(rules), draws))
+    draws = generator.integers(1 << 32, size=(spec.reset_draws, n), dtype=np.uint32)
+    return list(call_reference(spec.golden.initial, draws))
 
 
-def things(rules: Rules, state: list[Array]) -> tuple[Array, Array]:
+def things(spec: EnvSpec, state: list[Array]) -> tuple[Array, Array]:
     """Return row, column and level of the players and of the foods, of shape ``(n, players or foods, 3)``."""
-    every = np.stack(state[: 3 * (rules.players + rules.foods)], 1).reshape(len(state[0]), -1, 3)
-    return every[:, : rules.players], every[:, rules.players :]
+    count = 3 * (spec.agents + spec.options["max_num_food"])
+    every = np.stack(state[:count], 1).reshape(len(state[0]), -1, 3)
+    return every[:, : spec.agents], every[:, spec.agents :]
 
 
 def put(oracle: ForagingEnv, players: Array, foods: Array) -> None:
@@ -108,11 +96,9 @@ def masks_of(oracle: ForagingEnv) -> list[list[bool]]:
     return [[action in valid for action in range(6)] for valid in every]
 
 
-def each_agent(function: Any, rules: Rules) -> Any:
+def each_agent(function: Any, spec: EnvSpec) -> Any:
     """Return what calls a golden function of an agent for all of them; results are ``(n, agents, words)``."""
-    runs = [reference(function)]
-    if rules.players > 1:
-        runs = [reference(lambda *state, k=k: function(*state, k)) for k in range(rules.players)]
+    runs = [reference(function, *agent) for agent in spec.views]
 
     def run(state: list[Array]) -> Array:
         rows = [np.broadcast_arrays(*run(*state), state[0])[:-1] for run in runs]
@@ -123,14 +109,14 @@ def each_agent(function: Any, rules: Rules) -> Any:
 
 def compare(given: dict[str, Any], n: int, seed: int) -> Counter[str]:
     """Play whole episodes, all of ours at once, and compare everything after every step."""
-    rules, limit, generator = rules_of(given), given["max_episode_steps"], np.random.default_rng(seed)
+    spec, limit, generator = spec_of(given), given["max_episode_steps"], np.random.default_rng(seed)
     oracles = [ForagingEnv(**given) for _ in range(n)]
-    state, table = started(rules, n, seed), np.array(rewards(rules, given["penalty"]))
-    players, foods = things(rules, state)
+    state, table = started(spec, n, seed), np.array(spec.rewards)
+    players, foods = things(spec, state)
     for oracle, *start in zip(oracles, players, foods, strict=True):
         put(oracle, *start)
-    observe, masks = each_agent(make_observe(rules), rules), each_agent(make_masks(rules), rules)
-    step, running, seen = reference(make_step(rules)), np.ones(n, bool), Counter[str]()
+    observe, masks = each_agent(spec.golden.observe, spec), each_agent(spec.golden.masks, spec)
+    step, running, seen = reference(spec.golden.step), np.ones(n, bool), Counter[str]()
     ended = np.zeros(n, bool)
     theirs = [oracle._make_gym_obs() for oracle in oracles]
     for t in range(limit + 1):
@@ -141,14 +127,14 @@ def compare(given: dict[str, Any], n: int, seed: int) -> Counter[str]:
         running &= ~ended
         if not running.any():
             break
-        actions = _chosen(generator, rules, state, legal)
-        before, (*state, codes, over) = state, _stepped(step, rules, state, actions)
+        actions = _chosen(generator, spec, state, legal)
+        before, (*state, codes, over) = state, _stepped(step, spec, state, actions)
         ended = over | (t + 1 == limit)
         for i in np.flatnonzero(running):
             theirs[i], paid, done, _, _ = oracles[i].step(actions[i].tolist())
             np.testing.assert_array_equal(table[codes[i]].astype(np.float32), np.float32(paid))
             assert ended[i] == done
-        now, was = things(rules, state)[0][running], things(rules, before)[0][running]
+        now, was = things(spec, state)[0][running], things(spec, before)[0][running]
         seen["steps"] += int(running.sum())
         seen["loads"] += int((codes[running] > 1).sum())
         seen["failures"] += int((codes[running] == 1).sum())
@@ -157,14 +143,14 @@ def compare(given: dict[str, Any], n: int, seed: int) -> Counter[str]:
         stood = (now[..., :2] == was[..., :2]).all(2)
         wanted = np.take_along_axis(legal[running], walked[..., None], 2)[..., 0]
         seen["collisions"] += int((stood & (walked > 0) & (walked < 5) & (wanted == 1)).sum())
-        places = now[..., 0] * rules.size + now[..., 1]
+        places = now[..., 0] * given["field_size"][0] + now[..., 1]
         seen["shared cells"] += int((np.diff(np.sort(places)) == 0).sum())
     return seen
 
 
-def _chosen(generator: np.random.Generator, rules: Rules, state: list[Array], legal: Array) -> Array:
+def _chosen(generator: np.random.Generator, spec: EnvSpec, state: list[Array], legal: Array) -> Array:
     """Choose actions of any kind, also such that are not possible; but often those that lead to a load."""
-    players, foods = things(rules, state)
+    players, foods = things(spec, state)
     food = foods[np.arange(len(foods)), (foods[:, :, 2] > 0).argmax(1)][:, None]
     down, right = np.moveaxis(food[..., :2] - players[..., :2], 2, 0)
     chance = generator.random((3, *down.shape))
@@ -174,15 +160,15 @@ def _chosen(generator: np.random.Generator, rules: Rules, state: list[Array], le
     return np.where(chance[2] < 0.3, generator.integers(6, size=down.shape), nearer)
 
 
-def _stepped(step: Any, rules: Rules, state: list[Array], actions: Array) -> list[Array]:
+def _stepped(step: Any, spec: EnvSpec, state: list[Array], actions: Array) -> list[Array]:
     """Return the state, the categories of all agents, and whether the episode is over."""
     results = step(*state, *actions.T)
-    codes, over = np.stack(results[len(state) : -rules.players], 1), np.stack(results[-rules.players :], 1)
+    codes, over = np.stack(results[len(state) : -spec.agents], 1), np.stack(results[-spec.agents :], 1)
     assert (over == over[:, :1]).all()
     return [*results[: len(state)], codes, over[:, 0] == 1]
 
 
-@pytest.mark.parametrize("episodes", [20, pytest.param(400, marks=pytest.mark.slow)], ids=["few", "many"])
+@pytest.mark.parametrize("episodes", [15, pytest.param(400, marks=pytest.mark.slow)], ids=["few", "many"])
 @pytest.mark.parametrize("name", CASES)
 def test_episodes(name: str, episodes: int) -> None:
     seen = compare(CASES[name], episodes, seed=episodes)
@@ -229,7 +215,9 @@ SPAWNS = {
     "5x5-2p-2f": options(5, 2, 2),
     "8x8-2p-3f": options(8, 2, 3),
     "6x6-4p-2f-coop": options(6, 4, 2, force_coop=True, min_player_level=2, max_player_level=4),
-    "7x7-3p-4f-levels": options(7, 3, 4, min_food_level=3, max_food_level=4),
+    "7x7-3p-4f-lists": options(
+        7, 3, 4, min_player_level=[1, 2, 2], max_player_level=[1, 2, 3], max_food_level=[1, 1, 3, 4]
+    ),
 }
 
 
@@ -237,9 +225,10 @@ SPAWNS = {
 @pytest.mark.parametrize("name", SPAWNS)
 def test_starts_are_distributed_as_in_the_package(name: str, n: int) -> None:
     given = SPAWNS[name]
-    rules = rules_of(given)
-    ours, theirs = things(rules, started(rules, 20 * n, seed=n)), package_starts(given, n, seed=n)
-    size, features = rules.size, {}
+    spec = spec_of(given)
+    ours, theirs = things(spec, started(spec, 20 * n, seed=n)), package_starts(given, n, seed=n)
+    size: int = given["field_size"][0]
+    features: dict[str, dict[str, Array]] = {}
     for who, (players, foods) in {"ours": ours, "theirs": theirs}.items():
         # What found no room may stand anywhere in our list; nobody sees it.
         there = np.argsort(foods[..., 2] == 0, axis=1, kind="stable")[..., None]
@@ -289,10 +278,10 @@ def law(size: int, foods: int) -> dict[tuple[int, ...], float]:
 
 def test_every_start_of_a_small_grid() -> None:
     """The probability of each of them, over many draws."""
-    rules, n = rules_of(options(5, 2, 2)), 500_000
-    expected = law(rules.size, rules.foods)
+    spec, n = spec_of(options(5, 2, 2)), 500_000
+    expected = law(5, 2)
     assert sum(expected.values()) == pytest.approx(1)
-    players, foods = things(rules, started(rules, n, seed=1))
+    players, foods = things(spec, started(spec, n, seed=1))
     food = cells(5, foods)
     assert ((food[:, 0] < food[:, 1]) | (food < 0).any(1)).all()
     food = np.where(food[:, :1] < 0, food[:, ::-1], food)
@@ -322,3 +311,38 @@ def test_every_place_is_as_likely() -> None:
             assert found == [
                 (r + 1, c) for r in range(wide) for c in range(1, wide + 1) if lines[r][i] >> c & 1
             ]
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_spec(name: str) -> None:
+    """The space is the package's, and every word fits its field."""
+    spec_of(CASES[name]).check_golden(spec_of(CASES[name]).functions)
+    assert spec_of(CASES[name]).observation_space == ForagingEnv(**CASES[name]).observation_space[0]
+
+
+REFUSED = {
+    "grid_observation is True; only False is possible": {"grid_observation": True},
+    "field_size is \\(5, 8\\); it must be two equal numbers": {"field_size": (5, 8)},
+    "field_size is 2; it must be an integer from 3": {"field_size": (2, 2)},
+    "players is 0; it must be an integer from 1": {"players": 0},
+    "players is 10; a grid of 3 x 3 has cells for 9": {
+        "players": 10,
+        "field_size": (3, 3),
+        "max_num_food": 1,
+    },
+    "max_player_level is \\[1\\]; it must be one integer or a list of 2": {"max_player_level": [1]},
+    "min_player_level 3 is greater than max_player_level 2, of player 0": {"min_player_level": 3},
+    "min_food_level is 3; max_food_level=None, .* may be 2": {"min_food_level": 3},
+    "these levels make .* lower max_player_level": {"max_player_level": 30},
+    "penalty is nan; it must be a finite number": {"penalty": float("nan")},
+    "force_coop is 1; it must be True or False": {"force_coop": 1},
+    "sight is 0; it must be an integer from 1": {"sight": 0},
+    "max_episode_steps is None": {"max_episode_steps": None},
+}
+
+
+@pytest.mark.parametrize("sentence", REFUSED)
+def test_what_is_refused(sentence: str) -> None:
+    with pytest.raises(ArgumentError, match=sentence) as caught:
+        pearl_marl.get_spec("LevelBasedForaging").with_options(**REFUSED[sentence])
+    assert "\n" not in str(caught.value)
