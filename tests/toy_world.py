@@ -136,3 +136,53 @@ NIM = EnvSpec(
 )
 
 WORLDS: Sequence[EnvSpec] = (MEADOW, NIM)
+
+
+def crowd(agents: int, masked: bool = True, pictures: bool = False) -> EnvSpec:
+    """Return an environment of so many agents who count down, with a reward table."""
+
+    def initial(draw: Word) -> tuple[Word, ...]:
+        return tuple((draw >> k % 29 & 7) + 1 for k in range(agents))
+
+    def step(*words: Word) -> tuple[Word, ...]:
+        counts, actions, draw = words[:agents], words[agents:-1], words[-1]
+        # The dead count on, below 0 and round, which nobody sees; but an action does nothing for them.
+        after = [
+            (count - (draw >> k % 30 & 1) - (action == 2)) & 15
+            for k, (count, action) in enumerate(zip(counts, actions, strict=True))
+        ]
+        return (
+            *after,
+            *((count + 3 * action) % 5 for count, action in zip(after, actions, strict=True)),
+            *(count == 0 for count in after),
+        )
+
+    def observe(*state_and_agent: Word) -> tuple[Word, ...]:
+        state, agent = (state_and_agent, 0) if agents == 1 else (state_and_agent[:-1], state_and_agent[-1])
+        return state[agent], (state[agent] + state[agent - 1]) & 7
+
+    def masks(*state_and_agent: Word) -> tuple[Word, ...]:
+        own, other = observe(*state_and_agent)
+        return 1, other > 2, own > 4
+
+    def unpack(own: Word, other: Word, row: Word) -> None:
+        for k in range(6):
+            row[k] = 1 + (own + other * k) % 3
+
+    return EnvSpec(
+        name="Crowd",
+        version=agents,
+        summary="Count down",
+        state=tuple(Field(f"count_{k}", 4) for k in range(agents)),
+        action=Field("action", 2),
+        observation=(Field("own", 4), Field("other", 3)),
+        reward=Field("category", 3),
+        rewards=(0.0, 1.0, -1.5, 4.0, 0.25),
+        observation_space=Box(0, 3, (2, 3), np.uint8) if pictures else Box(0, 15, (2,), np.float32),
+        action_space=Discrete(3),
+        golden=Golden(initial, step, observe, masks if masked else None),
+        agents=agents,
+        unpack=unpack if pictures else None,
+        reset_draws=1,
+        step_draws=1,
+    )

@@ -66,6 +66,8 @@ class BatchStep(_Results):
     @property
     def arrays(self) -> tuple[Array, ...]:
         """All arrays, as :meth:`of` takes them."""
+        if self.action_masks is None and self._alive is None:
+            return self
         return (*self, *(array for array in (self.action_masks, self._alive) if array is not None))
 
     def each(self, function: Callable[[Array], Any]) -> Self:

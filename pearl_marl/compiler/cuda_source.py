@@ -116,7 +116,8 @@ def cuda_source(spec: EnvSpec) -> str:
     """Return the source of the kernels of ``spec``, for :mod:`pearl_marl.compiler.cuda_kernels` to load."""
     size, columns = spec.observation_size, slot_memory.columns(spec)
     fields = columns[: len(spec.state)]
-    p = Pieces(spec, "observations[row + {}]", f"observations[row : row + {size}]")
+    row = f"observations[row{{0}} : row{{0}} + {size}]"
+    p = Pieces(spec, "observations[row + {}]", row, "masks[mask_row + {}]")
     *memory, elapsed, ended = (f"memory_{c.dtype}[at_{c.name} + i]" for c in columns)
     stored = (f"starts_{c.dtype}[at_{c.name} + i]" for c in fields)
     word = each("word_{}", p.state)

@@ -81,11 +81,10 @@ class Native(Device):
         flags = np.ones(n, np.uint8) if mask is None else mask.astype(np.uint8)
         results = self._results.take()
         use_stored = stored is not self._memory
+        given = self._memory, stored, flags, results.obs
         again = use_stored and mask is not None
         tick, first = self.tick, config.first_slot
-        self._run(
-            self._kernels.reset, (self._memory, stored, flags, results.obs, *self.seed, tick, first, again)
-        )
+        self._run(self._kernels.reset, (*given, *results.arrays[5:], *self.seed, tick, first, again))
         if use_stored and mask is None:
             stored[:] = self._memory
         return results.seen
@@ -96,7 +95,7 @@ class Native(Device):
         given = (self._memory, self._stored, actions, self.reward_table)
         # Concatenated rather than unpacked: at small sizes the call is most of a step.
         place = (self.tick, config.first_slot, config.limit)
-        self._run(self._kernels.step, given + results + self.seed + place + self._mode)
+        self._run(self._kernels.step, given + results.arrays + self.seed + place + self._mode)
         if self._tuning:
             self._tune(time.perf_counter() - began)
         return results

@@ -14,7 +14,7 @@ from pearl_marl.devices.comm_bram import CommBram, identity
 from pearl_marl.devices.transport import Exchange, Transport
 from pearl_marl.hardware.build import Build
 from pearl_marl.hardware.codec import Stream, pack, stream_bytes
-from pearl_marl.memory_map import TER_BITS, MemoryMap, Status
+from pearl_marl.memory_map import MemoryMap, Status
 from pearl_marl.spec import EnvSpec
 
 
@@ -58,8 +58,9 @@ class _Answers(Transport):
         self._layout = layout = build.layout
         self._identity = np.array(identity(build), "<u4").view(np.uint8)
         slots = np.arange(layout.n_envs) % ENDING == 0
-        self._ters = np.zeros(stream_bytes(layout.n_envs, TER_BITS), np.uint8)
-        pack(slots.view(np.uint8), TER_BITS, self._ters, TER_BITS)
+        bits = layout["ters"].slot_bits
+        self._ters = np.zeros(stream_bytes(layout.n_envs, bits), np.uint8)
+        pack(slots.view(np.uint8), 1, self._ters, bits, bits - 1)
         self._ters = self._ters[: layout.size("ters")]
         self.asked = self.answered = 0.0
 

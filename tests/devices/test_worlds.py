@@ -13,12 +13,12 @@ from gymnasium.vector import AutoresetMode
 
 from pearl_marl import rng
 from pearl_marl.batch.saved_state import SavedState
-from pearl_marl.devices import BatchConfig, BatchStep, Device, Reference, Sharded
+from pearl_marl.devices import BatchConfig, BatchStep, Device, Lockstep, Native, Reference, Rtl, Sharded
 from pearl_marl.errors import ActionError, ArgumentError
 from pearl_marl.golden import call_reference
 from pearl_marl.spec import EnvSpec, Field, Golden, Role
 
-from ..toy_world import MEADOW, NIM, SNAIL
+from ..toy_world import MEADOW, NIM, SNAIL, crowd
 
 WORLDS = 17
 SAME, NEXT = AutoresetMode.SAME_STEP, AutoresetMode.NEXT_STEP
@@ -98,11 +98,18 @@ def random_actions(device: Device, chance: np.random.Generator) -> Any:
     return chance.integers(np.tile(most, device.config.n_envs)).astype(spec.action.dtype)
 
 
-@pytest.fixture(params=["reference", "sharded"])
+DEVICES = {
+    "reference": Reference,
+    "native": Native,
+    "sharded": lambda: Sharded([Reference(), Native()], [3, WORLDS - 3]),
+    "lockstep": lambda: Lockstep("native", "reference"),
+    "rtl": lambda: Rtl(pe_num=3),
+}
+
+
+@pytest.fixture(params=DEVICES)
 def device(request: pytest.FixtureRequest) -> Iterator[Device]:
-    made: Device = Reference()
-    if request.param == "sharded":
-        made = Sharded([Reference(), Reference()], [3, WORLDS - 3])
+    made = DEVICES[request.param]()
     yield made
     made.close()
 
@@ -151,6 +158,41 @@ def test_a_restored_state_shows_what_was_seen_and_goes_on(device: Device, mode: 
         np.testing.assert_array_equal(ours, theirs)
     for row, one in zip(rows, expected, strict=True):
         assert_same(again.step(row), one)
+
+
+CROWDS = {
+    "one with masks": crowd(1),
+    "one without": crowd(1, masked=False),
+    "two without masks": crowd(2, masked=False),
+    "pictures": crowd(3, pictures=True),
+    "pictures without masks": crowd(2, masked=False, pictures=True),
+    "as many as fit a byte": crowd(7),
+    "in lanes": crowd(20),
+    "pictures in lanes": crowd(17, pictures=True),
+}
+
+
+@pytest.mark.parametrize("name", CROWDS)
+@pytest.mark.parametrize(
+    "config",
+    [
+        {"autoreset_mode": SAME, "max_cycles": 7},
+        {"autoreset_mode": NEXT, "max_cycles": 7, "initial_states": "stored"},
+        {"autoreset_mode": SAME, "initial_states": "stored", "copy": False},
+        {"autoreset_mode": NEXT},
+    ],
+    ids=["same limited", "next limited stored", "same stored", "next"],
+)
+def test_worlds_of_all_sizes_agree_with_the_reference(name: str, config: dict[str, Any]) -> None:
+    device = open_device(Lockstep("native", "reference"), CROWDS[name], n_envs=2100, **config)
+    chance = np.random.default_rng(4)
+    for tick in range(12):
+        device.step(random_actions(device, chance))
+        if tick == 5:
+            device.reset(mask=chance.random(2100) < 0.5)
+        if tick == 8:
+            device.restore(device.snapshot())
+    device.close()
 
 
 def assert_same(ours: BatchStep, theirs: BatchStep) -> None:
