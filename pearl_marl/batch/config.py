@@ -14,6 +14,18 @@ from pearl_marl.errors import ArgumentError
 from pearl_marl.spec import EnvSpec, check_max_cycles
 
 
+def worlds_of(spec: EnvSpec, n_agents: int) -> int:
+    """Return how many worlds so many agents are; refuse a number that leaves one incomplete."""
+    worlds, left = divmod(n_agents, spec.agents)
+    if left:
+        below = f"{worlds * spec.agents} or " if worlds else ""
+        raise ArgumentError(
+            f"{n_agents} agents of {spec.name}, whose worlds have {spec.agents} each; take {below}"
+            f"{(worlds + 1) * spec.agents}"
+        )
+    return worlds
+
+
 @dataclass(frozen=True, kw_only=True)
 class BatchConfig:
     """What a device is opened for; checked when made.
