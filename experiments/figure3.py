@@ -8,7 +8,7 @@ import gymnasium
 import numpy as np
 
 from pearl_marl.benchmark.paper import TABLE_2, TABLE_2_SOURCE
-from pearl_marl.memory_map import TER_BITS
+from pearl_marl.memory_map import ter_bits
 from pearl_marl.registry import get_spec, names
 from pearl_marl.spec import EnvSpec, word_bits
 
@@ -69,7 +69,7 @@ def _counted(spec: EnvSpec) -> list[Row]:
         "action": (_bits(spec.action_space), spec.action.bits),
         "observation": (_bits(spec.observation_space), word_bits(spec.observation)),
         "reward": (64, spec.reward.bits),
-        "ends": (2 * 8, TER_BITS),
+        "ends": (2 * 8, ter_bits(spec)),
         "state": (64 if as_one else 64 * len(spec.state), word_bits(spec.state)),
     }
     arrays = {

@@ -50,21 +50,23 @@ def uniform_below(draw: Word, n: Word) -> Word:
     return u32((u64(draw) * u64(n)) >> u64(32))
 
 
-def reference(function: GoldenFunction) -> Callable[..., tuple[Any, ...]]:
+def reference(function: GoldenFunction, *agent: int) -> Callable[..., tuple[Any, ...]]:
     """Return what runs a golden function itself on numbers or whole arrays, and always returns a tuple.
 
+    ``agent`` is what :attr:`pearl_marl.spec.EnvSpec.views` has for it, the last argument of a function that
+    tells what one agent of a world sees.
     Results are NumPy's integers or arrays of 64 bits; where those do not hold one, Python's integers.
     """
     again = remade(function, VOCABULARY.meaning) if isinstance(function, types.FunctionType) else function
 
     def run(*arguments: Any) -> tuple[Any, ...]:
-        result = again(*map(Integers.of, arguments))
+        result = again(*map(Integers.of, arguments), *agent)
         words = result if isinstance(result, tuple) else (result,)
         return tuple(Integers.of(word).wide() for word in words)
 
     return run
 
 
-def call_reference(function: GoldenFunction, arguments: Iterable[Any]) -> tuple[Any, ...]:
+def call_reference(function: GoldenFunction, arguments: Iterable[Any], *agent: int) -> tuple[Any, ...]:
     """Call :func:`reference` of a golden function once."""
-    return reference(function)(*arguments)
+    return reference(function, *agent)(*arguments)

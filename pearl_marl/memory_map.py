@@ -24,11 +24,12 @@ Three rules shape it:
     || observations | rewards | ters | status
        ------------ every step -------------
 
-A slot of the current states is its state word and, above it, the two bits of its last result's end
-(``terminated``, then ``truncated``). Control, initial and current states, elapsed, reset mask and
-actions can be written and (but for control) read only while no step runs; results and
-status are read-only. A refused access, and one to a hole in the map, is answered with an error. The one
-word that can be written at any time is ``RESET`` of control.
+A slot of actions, observations and rewards is those of its agents, side by side. A slot of ``ters`` is a bit
+for each agent, whether it has ended in this episode, and one more, whether the time limit is over. A slot of
+the current states is its state word and, above it, these bits of its last step. Control, initial and current
+states, elapsed, reset mask and actions can be written and (but for control) read only while no step runs;
+results and status are read-only. A refused access, and one to a hole in the map, is answered with an error.
+The one word that can be written at any time is ``RESET`` of control.
 """
 
 from __future__ import annotations
@@ -43,7 +44,6 @@ PROTOCOL_VERSION = 2
 MAGIC = 0x4C524150  # "PARL", little-endian
 
 DATA_WIDTHS = (32, 64, 128, 256, 512, 1024)
-TER_BITS = 2
 ELAPSED_BITS = 32
 
 REGION_NAMES = (
@@ -198,6 +198,21 @@ class MemoryMap:
         return start, self.end("status") - start
 
 
+def ter_bits(spec: EnvSpec) -> int:
+    """Return the bits by which a slot's ends are told: one for each agent, and one for the time limit."""
+    return spec.agents + 1
+
+
+def stream_bits(spec: EnvSpec) -> dict[str, int]:
+    """Return the bits that a slot has in the regions of every step."""
+    return {
+        "actions": spec.agents * spec.action.bits,
+        "observations": spec.agents * word_bits(spec.seen),
+        "rewards": spec.agents * spec.reward.bits,
+        "ters": ter_bits(spec),
+    }
+
+
 def memory_map(spec: EnvSpec, n_envs: int, pe_num: int, data_wl: int) -> MemoryMap:
     """Lay out the Comm-BRAM for one build; raise ArgumentError where a size is out of range.
 
@@ -212,16 +227,10 @@ def memory_map(spec: EnvSpec, n_envs: int, pe_num: int, data_wl: int) -> MemoryM
         raise ArgumentError(f"data_wl is {data_wl}; possible are {', '.join(map(str, DATA_WIDTHS))}")
     groups = -(-n_envs // pe_num)
     registers = {"control": len(Control), "doorbell": len(Doorbell), "status": len(Status)}
-    streams = {
-        "reset_mask": 1,
-        "actions": spec.action.bits,
-        "observations": word_bits(spec.observation),
-        "rewards": spec.reward.bits,
-        "ters": TER_BITS,
-    }
+    streams = {"reset_mask": 1, **stream_bits(spec)}
     by_group = {
         "initial_states": word_bits(spec.state),
-        "current_states": word_bits(spec.state) + TER_BITS,
+        "current_states": word_bits(spec.state) + ter_bits(spec),
         "elapsed": ELAPSED_BITS,
     }
     regions: list[Region] = []
@@ -269,7 +278,7 @@ def default_map(
     :func:`pearl_marl.plan.plan` finds out.
     """
     # Every stream has a bank of its own, so the widest sets the pace.
-    widest = max(spec.action.bits, word_bits(spec.observation), spec.reward.bits, TER_BITS)
+    widest = max(stream_bits(spec).values())
     draws = spec.reset_draws + spec.step_draws
     if pe_num is None:
         fed = (data_wl or DATA_WIDTHS[-1]) // widest

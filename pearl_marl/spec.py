@@ -7,7 +7,8 @@ import inspect
 import math
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple, SupportsInt
 
@@ -81,21 +82,47 @@ def word_bits(fields: Sequence[Field]) -> int:
 
 
 class Golden(NamedTuple):
-    """The three functions that are an environment's dynamics, as :mod:`pearl_marl.golden` has them written.
+    """The functions that are an environment's dynamics, as :mod:`pearl_marl.golden` has them written.
 
     Each takes and returns scalars, in the order in which the spec lists its fields::
 
         initial(*reset_draws)             -> *state
         step(*state, action, *step_draws) -> *next_state, reward, terminated
         observe(*state)                   -> *observation
+        masks(*state)                     -> a flag for each action: whether it may be taken
 
     A function of one result returns it bare. Draws are uniform ``u32``;
     ``terminated`` is 0 or 1. Options are constants of the enclosing scope.
+
+    In a world of several agents ``step`` takes all their actions and returns all their rewards, then all
+    their flags ``terminated``, agent 0 first; and ``observe`` and ``masks`` take one argument more, the agent
+    that they are about: a plain ``int``, so that an ``if`` on it is fine::
+
+        step(*state, *actions, *step_draws) -> *next_state, *rewards, *terminated
+        observe(*state, agent)              -> *observation
+        masks(*state, agent)                -> a flag for each action
+
+    ``step`` takes any action of the action space, masked or not.
     """
 
     initial: GoldenFunction
     step: GoldenFunction
     observe: GoldenFunction
+    masks: GoldenFunction | None = None
+
+
+class Role(NamedTuple):
+    """What one agent of a world is called, and the part of the spec's spaces that is its own."""
+
+    name: str
+    observation_space: Space[Any]
+    """As the spec's; of a ``Box`` of one dimension it may be the first elements, and 0 then fills the row."""
+    action_space: Discrete | Box
+    """As the spec's; of a ``Discrete`` it may be the first actions, and masks are 0 for the others."""
+
+
+MAX_AGENTS = 63
+"""Of one world: with one bit more, what is known of who has ended fits a word of 64 bits."""
 
 
 class Grid(NamedTuple):
@@ -134,6 +161,18 @@ class EnvSpec:
         whose action becomes the fixed-point word of the field ``action``.
     golden
         The dynamics.
+    agents
+        How many agents share a state, 1 to :data:`MAX_AGENTS`: a slot is a *world* of so many. ``action``,
+        ``observation`` and ``reward`` are those of one agent; state, draws and time limit are the world's.
+    roles
+        A role for each agent of a world, where they are not all alike. The spaces of the spec are then wide
+        enough for each of them.
+    turns
+        Whether agents take turns: who is not on turn has masks that are all 0, and its action is ignored.
+    masked
+        What becomes of a masked action: ``"stay"`` leaves it to ``golden.step``, by the rules that the spec
+        states; ``"refused"`` makes a step with one raise ActionError, and nothing has moved. An agent whose
+        masks are all 0 may send anything.
     unpack
         For a ``Box`` whose elements are not the observation's fields: ``unpack(*observation, row)`` writes
         the observation of one slot into ``row``, a flat array (of 0 and 1 in ``uint8`` where the space's
@@ -167,6 +206,10 @@ class EnvSpec:
     observation_space: Space[Any]
     action_space: Discrete | Box
     golden: Golden
+    agents: int = 1
+    roles: tuple[Role, ...] = ()
+    turns: bool = False
+    masked: str = "stay"
     unpack: GoldenFunction | None = None
     reset_draws: int = 0
     step_draws: int = 0
@@ -195,7 +238,7 @@ class EnvSpec:
                 f"the spec lists {len(self.observation)}"
             )
         self._check_names("state", self.state, ("elapsed", "ended"))
-        self._check_names("observation", self.observation)
+        self._check_names("observation", self.seen)
         self._check_action()
         if not re.fullmatch(r"[A-Za-z][A-Za-z0-9]*", self.name):
             raise ArgumentError(f"name {self.name!r}: it takes letters and digits, a letter first")
@@ -210,10 +253,11 @@ class EnvSpec:
                 f"{self.name}: {len(self.rewards)} rewards do not fit {self.reward.bits} reward bits"
             )
         check_max_cycles(self.max_cycles)
+        self._check_world()
         # Those of this package are traced by its tests, so that importing it stays quick.
-        self.check_golden([f for f in self.golden if not str(f.__module__).startswith("pearl_marl.envs.")])
+        self.check_golden([f for f in self.functions if not str(f.__module__).startswith("pearl_marl.envs.")])
 
-    def check_golden(self, functions: Sequence[GoldenFunction]) -> None:
+    def check_golden(self, functions: Sequence[GoldenFunction | None]) -> None:
         """Trace some of the golden functions: each takes and returns what the spec says, within its limits.
 
         Raises
@@ -221,24 +265,45 @@ class EnvSpec:
         ArgumentError
             Names the line of the author's file, and says what is wrong there.
         """
-        state = tuple(Argument(f.name, f.bits, f.signed) for f in self.state)
-        action = Argument("action", self.action.bits, self.action.signed)
-        draws = [Argument(f"draw_{k}", 32) for k in range(max(self.reset_draws, self.step_draws))]
-        reward, terminated = _result(self.reward), _result(Field("terminated", 1))
-        if self.rewards is not None and len(self.rewards) <= reward.high:
+
+        def arguments(fields: Iterable[Field]) -> tuple[Argument, ...]:
+            return tuple(Argument(f.name, f.bits, f.signed) for f in fields)
+
+        def results(fields: Iterable[Field]) -> tuple[Result, ...]:
+            return tuple(map(_result, fields))
+
+        draws = tuple(Argument(f"draw_{k}", 32) for k in range(max(self.reset_draws, self.step_draws)))
+        state, rewards = arguments(self.state), results(self.each_agent(self.reward))
+        if self.rewards is not None and len(self.rewards) <= rewards[0].high:
             high, fix = len(self.rewards) - 1, "add a reward, or change the category"
-            reward = Result(reward.name, 0, high, "the table of rewards lists", fix)
-        calls = (
-            (tuple(draws[: self.reset_draws]), tuple(map(_result, self.state))),
+            rewards = tuple(Result(r.name, 0, high, "the table of rewards lists", fix) for r in rewards)
+        actions = arguments(self.each_agent(replace(self.action, name="action")))
+        golden = self.golden
+        calls: list[tuple[GoldenFunction, tuple[Argument, ...], tuple[Result, ...], tuple[int, ...]]] = [
+            (golden.initial, draws[: self.reset_draws], results(self.state), ()),
             (
-                (*state, action, *draws[: self.step_draws]),
-                (*map(_result, self.state), reward, terminated),
+                golden.step,
+                (*state, *actions, *draws[: self.step_draws]),
+                (*results(self.state), *rewards, *results(self.each_agent(TERMINATED))),
+                (),
             ),
-            (state, tuple(map(_result, self.observation))),
-        )
-        for function, (given, due) in zip(self.golden, calls, strict=True):
+        ]
+        for k, agent in enumerate(self.views):
+            role = self.roles[k] if self.roles else None
+            seen = results(self.observation)
+            if role is not None and self.unpack is None:
+                size = _elements(role.observation_space)
+                seen = _none_beyond(seen, size, f"role {role.name!r} has {size} elements, so the others hold")
+            calls.append((golden.observe, state, seen, agent))
+            if golden.masks is not None:
+                flags = results(self.mask_fields)
+                if role is not None:
+                    n = int(role.action_space.n)  # type: ignore[union-attr]  # else there are no masks
+                    flags = _none_beyond(flags, n, f"role {role.name!r} has {n} actions, so the others hold")
+                calls.append((golden.masks, state, flags, agent))
+        for function, given, due, agent in calls:
             if function in functions:
-                check(function, given, due)
+                check(function, given, due, *agent)
 
     def _check_names(self, word: str, fields: Iterable[Field], taken: Iterable[str] = ()) -> None:
         seen: set[str] = set()
@@ -268,6 +333,55 @@ class EnvSpec:
             raise ArgumentError(f"{self.name}: action space {space} is not a Discrete from 0, nor a Box")
         if not fits:
             raise ArgumentError(f"{self.name}: {space} does not fit {word.bits} action bits")
+
+    def _check_world(self) -> None:
+        n, masks = self.agents, self.golden.masks
+        if isinstance(n, bool) or not isinstance(n, int) or not 1 <= n <= MAX_AGENTS:
+            raise ArgumentError(f"{self.name}: agents is {n!r}; a world has 1 to {MAX_AGENTS}")
+        if self.masked not in ("stay", "refused"):
+            raise ArgumentError(f"{self.name}: masked is {self.masked!r}; possible are 'stay' and 'refused'")
+        if masks is None and (self.turns or self.masked == "refused"):
+            what = "turns=True" if self.turns else "masked='refused'"
+            raise ArgumentError(f"{self.name}: {what} goes by masks; give Golden(..., masks=...)")
+        if masks is not None and not isinstance(self.action_space, Discrete):
+            raise ArgumentError(
+                f"{self.name}: masks are for a Discrete action space, not {self.action_space}"
+            )
+        if self.roles and len(self.roles) != n:
+            raise ArgumentError(
+                f"{self.name}: {len(self.roles)} roles for {n} agents; name one for each, or none"
+            )
+        for role in self.roles:
+            _check_part(self, role, "observation", role.observation_space, self.observation_space)
+            _check_part(self, role, "action", role.action_space, self.action_space)
+
+    def each_agent(self, one: Field) -> tuple[Field, ...]:
+        """Return a field of every agent of a world: with the agent's number, where there are several."""
+        if self.agents == 1:
+            return (one,)
+        return tuple(replace(one, name=f"{one.name}_{k}") for k in range(self.agents))
+
+    @cached_property
+    def functions(self) -> tuple[GoldenFunction, ...]:
+        """The golden functions that there are."""
+        return tuple(function for function in self.golden if function is not None)
+
+    @cached_property
+    def views(self) -> tuple[tuple[int, ...], ...]:
+        """For each agent what ``observe`` and ``masks`` take beyond the state: nothing where there is one."""
+        return ((),) if self.agents == 1 else tuple((k,) for k in range(self.agents))
+
+    @cached_property
+    def mask_fields(self) -> tuple[Field, ...]:
+        """The flags that ``masks`` returns, one for each action; empty where there are no masks."""
+        if self.golden.masks is None or not isinstance(self.action_space, Discrete):
+            return ()
+        return tuple(Field(f"mask_{k}", 1) for k in range(int(self.action_space.n)))
+
+    @cached_property
+    def seen(self) -> tuple[Field, ...]:
+        """The fields of the word that a device delivers of an agent: its observation, then its masks."""
+        return (*self.observation, *self.mask_fields)
 
     @property
     def observation_shape(self) -> tuple[int, ...]:
@@ -310,6 +424,35 @@ class EnvSpec:
                 raise ArgumentError(f"unknown argument {name!r}{hint} ({own})")
         assert self.configure is not None
         return self.configure(**{**self.options, **options})
+
+
+TERMINATED = Field("terminated", 1)
+"""What ``golden.step`` tells of an agent's end."""
+
+
+def _elements(space: Space[Any]) -> int:
+    return len(space.spaces) if isinstance(space, Tuple) else math.prod(space.shape or ())
+
+
+def _none_beyond(words: tuple[Result, ...], count: int, limit: str) -> tuple[Result, ...]:
+    """Return what a role is due: after its own words only 0."""
+    others = (Result(word.name, 0, 0, limit, "return 0 for it") for word in words[count:])
+    return (*words[:count], *others)
+
+
+def _check_part(spec: EnvSpec, role: Role, what: str, own: Space[Any], whole: Space[Any]) -> None:
+    """Refuse a role's space that is no part of the spec's."""
+    if isinstance(own, Discrete) and isinstance(whole, Discrete):
+        fits = bool(own.start == whole.start and own.n <= whole.n)
+    elif isinstance(own, Box) and isinstance(whole, Box) and what == "observation" and len(own.shape) == 1:
+        fits = own.dtype == whole.dtype and len(whole.shape) == 1 and own.shape <= whole.shape
+    else:
+        fits = own == whole
+    if not fits:
+        raise ArgumentError(
+            f"{spec.name}: the {what} space of role {role.name!r} is {own}, which is no part of {whole}; the "
+            "spec's is as wide as the widest role's"
+        )
 
 
 def _result(word: Field) -> Result:

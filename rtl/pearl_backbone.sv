@@ -251,7 +251,8 @@ module pearl_backbone
       .DATA_WL    (DATA_WL),
       .II         (INTERVAL),
       .OBS_BITS   (OBS_BITS),
-      .REWARD_BITS(REWARD_BITS)
+      .REWARD_BITS(REWARD_BITS),
+      .TER_BITS   (TER_BITS)
   ) u_group_reader (
       .clk_i,
       .rst_ni      (awake_q),

@@ -10,6 +10,7 @@ module pearl_group_reader
     parameter int unsigned II = 1,
     parameter int unsigned OBS_BITS = 6,
     parameter int unsigned REWARD_BITS = 1,
+    parameter int unsigned TER_BITS = 2,
     localparam int unsigned GROUP_BITS = index_bits(GROUPS)
 ) (
     input  logic                  clk_i,

@@ -16,7 +16,7 @@ module pearl_pe
     input logic                           limited_i,
     input logic  [ELAPSED_BITS-1:0]       limit_i,
     input logic  [  STATE_BITS-1:0]       state_i,
-    // {truncated, terminated} of the slot's previous step.
+    // {truncated, who has ended} after the slot's previous step.
     input logic  [    TER_BITS-1:0]       ter_i,
     input logic  [  STATE_BITS-1:0]       init_i,
     input logic                           reset_i,
@@ -35,7 +35,8 @@ module pearl_pe
 
   logic named, ended, first;
   assign named = mode_i.reset_all || (mode_i.reset_mask && reset_i);
-  assign ended = ter_i != '0;
+  // A slot has ended when all its agents have.
+  assign ended = ter_i[AGENTS] || &ter_i[AGENTS-1:0];
   assign first = named || ended;
 
   // A stored start state replaces the current one here, so a core knows of one kind of start only.
@@ -54,7 +55,7 @@ module pearl_pe
     else valid_q <= valid_i;
   end
 
-  logic terminated;
+  logic [AGENTS-1:0] terminated;
   logic [REWARD_BITS-1:0] reward;
   pearl_core u_core (
       .clk_i,
@@ -96,8 +97,23 @@ module pearl_pe
     truncated_q <= !hold_late && (first_late ? brief_q : limited_i && elapsed_i >= limit_i);
   end
 
+  // Who had ended before this step. An only agent has never: its slot starts afresh then.
+  logic [AGENTS-1:0] gone;
+  if (AGENTS == 1) begin : gen_alone
+    assign gone = '0;
+  end else begin : gen_several
+    pearl_delay #(
+        .WIDTH (AGENTS),
+        .STAGES(LATENCY + 1)
+    ) u_gone (
+        .clk_i,
+        .d_i(first ? AGENTS'(0) : ter_i[AGENTS-1:0]),
+        .d_o(gone)
+    );
+  end
+
   assign elapsed_o = elapsed_q;
   assign reward_o  = held_q ? '0 : reward;
-  assign ter_o     = {truncated_q, terminated && !held_q};
+  assign ter_o     = {truncated_q, held_q ? AGENTS'(0) : gone | terminated};
 
 endmodule

@@ -6,7 +6,6 @@ package pearl_pkg;
   localparam logic [31:0] MAGIC = 32'h4C52_4150;
   localparam int unsigned PROTOCOL_VERSION = 2;
 
-  localparam int unsigned TER_BITS = 2;
   // As wide as MAX_CYCLES, so that every limit the host can write is exact.
   localparam int unsigned ELAPSED_BITS = 32;
 

@@ -13,7 +13,6 @@ import pearl_marl
 from pearl_marl.errors import ArgumentError
 from pearl_marl.memory_map import (
     DATA_WIDTHS,
-    TER_BITS,
     Control,
     Doorbell,
     MemoryMap,
@@ -114,7 +113,7 @@ def test_default_sizes(spec: pearl_marl.EnvSpec, n_envs: int) -> None:
     """As the page on hardware has the rule: a power of two, and twice of it would break a limit."""
     layout = default_map(spec, n_envs)
     draws = spec.reset_draws + spec.step_draws
-    widest = max(spec.action.bits, word_bits(spec.observation), spec.reward.bits, TER_BITS)
+    widest = max(spec.action.bits, word_bits(spec.observation), spec.reward.bits, 2)
 
     def allowed(pe_num: int) -> bool:
         return pe_num <= 128 and pe_num * draws <= 128 and pe_num * widest <= 1024

@@ -19,6 +19,8 @@ from pearl_marl.spec import EnvSpec
 def encode(actions: Any, spec: EnvSpec, target: npt.NDArray[Any], first_slot: int = 0) -> npt.NDArray[Any]:
     """Return actions as the device's words: in ``target``, or as they are if they are words already.
 
+    Of an agent with a role the action is in that role's space.
+
     Parameters
     ----------
     actions
@@ -27,41 +29,66 @@ def encode(actions: Any, spec: EnvSpec, target: npt.NDArray[Any], first_slot: in
     spec, first_slot
         The environment; and the global number of the first slot, for the agents' names.
     target
-        Shape ``(n,)``, dtype ``spec.action.dtype``. After an error its content is of no meaning.
+        Shape ``(n,)``, a row an agent, dtype ``spec.action.dtype``. Of no meaning after an error.
 
     Raises
     ------
     ActionError
         Names the first agent whose action is not in the action space, and the action.
     """
+    first = first_slot * spec.agents
+    words = _encode(actions, spec, target, first)
+    if spec.roles and isinstance(spec.action_space, Discrete):
+        spaces = [role.action_space for role in spec.roles]
+        most = np.array([space.n for space in spaces])  # type: ignore[union-attr]  # as the spec's is
+        beyond = np.flatnonzero((words.reshape(-1, spec.agents) >= most).ravel())
+        if beyond.size:
+            i = int(beyond[0])
+            raise refuse_first([f"agent_{first + i}"], [int(words[i])], spaces[i % spec.agents])
+    return words
+
+
+def refuse_masked(words: npt.NDArray[Any], masks: npt.NDArray[np.int8], first: int = 0) -> None:
+    """Raise ActionError for the first agent, counted from ``first``, whose action is masked.
+
+    Who has masks that are all 0 may send anything.
+    """
+    refused = np.flatnonzero((masks[np.arange(len(words)), words] == 0) & masks.any(1))
+    if refused.size:
+        i = int(refused[0])
+        allowed = ", ".join(map(str, np.flatnonzero(masks[i])))
+        raise ActionError(f"agent_{first + i}: action {words[i]} is masked; it may take {allowed}")
+
+
+def _encode(actions: Any, spec: EnvSpec, target: npt.NDArray[Any], first: int) -> npt.NDArray[Any]:
     space = spec.action_space
     try:
         array = np.asarray(actions)
     except ValueError:  # a ragged list
-        raise refusal(actions, space, len(target), first_slot) from None
+        raise refusal(actions, space, len(target), first) from None
     if isinstance(space, Box):
         scale = 2.0**spec.action.fraction
         if array.shape != (len(target), 1) or array.dtype.kind not in "iuf":
-            raise refusal(actions, space, len(target), first_slot)
+            raise refusal(actions, space, len(target), first)
         numbers = np.array(array[:, 0], np.float64 if array.dtype.itemsize > 4 else np.float32)
         if not _fix(numbers, target, float(space.low[0]), float(space.high[0]), scale):
-            raise refusal(actions, space, len(target), first_slot)
+            raise refusal(actions, space, len(target), first)
         return target
     if array.dtype is target.dtype and array.shape == target.shape and array.flags.carray:
         if _largest(array) >= space.n:
-            raise refusal(actions, space, len(target), first_slot)
+            raise refusal(actions, space, len(target), first)
         return array
     if not array.flags.behaved:  # read-only or unaligned: to Numba other types, and so another compilation
         array = array.copy()
     kind = array.dtype.kind
     if array.shape != target.shape or kind not in "iu":
-        raise refusal(actions, space, len(target), first_slot)
+        raise refusal(actions, space, len(target), first)
     if not array.dtype.isnative or not array.flags.c_contiguous:
         array = np.ascontiguousarray(array, array.dtype.newbyteorder("="))
     # Seen as unsigned, a negative number is a large one: one comparison does for both ends.
     unsigned = array.view(_UNSIGNED[array.itemsize]) if kind == "i" else array
     if _narrow(unsigned, target) >= space.n:
-        raise refusal(actions, space, len(target), first_slot)
+        raise refusal(actions, space, len(target), first)
     return target
 
 
@@ -91,8 +118,8 @@ def why_not(action: Any, space: Discrete | Box) -> str:
     return "" if 0 <= action < space.n else "is out of range"
 
 
-def refusal(actions: Any, space: Discrete | Box, n: int, first_slot: int = 0) -> ActionError:
-    """Return the error for a batch of actions that ``n`` slots cannot take."""
+def refusal(actions: Any, space: Discrete | Box, n: int, first: int = 0) -> ActionError:
+    """Return the error for a batch of actions that ``n`` agents from number ``first`` on cannot take."""
     # What was given tells more than the array that NumPy made of it: [0, 1.5] becomes two floats.
     values = actions.tolist() if isinstance(actions, np.ndarray) else actions
     try:
@@ -102,14 +129,20 @@ def refusal(actions: Any, space: Discrete | Box, n: int, first_slot: int = 0) ->
     whole = (n, *(space.shape or ()))
     if shape != whole:
         return ActionError(f"actions have shape {shape}; {n} agents take {whole}: {limits(space)}")
-    return refuse_first((f"agent_{first_slot + i}" for i in range(n)), values, space)
+    return refuse_first((f"agent_{first + i}" for i in range(n)), values, space)
 
 
 def random_actions(spec: EnvSpec, rng: np.random.Generator, n: int) -> npt.NDArray[Any]:
-    """Return independent uniform actions for ``n`` slots, in the form that costs a step least."""
+    """Return independent uniform actions for ``n`` agents, in the form that costs a step least.
+
+    Each is of its agent's role, where the first is agent 0 of a world; masks are not asked.
+    """
     space = spec.action_space
     if isinstance(space, Box):
         return rng.uniform(space.low, space.high, (n, 1)).astype(np.float32)
+    if spec.roles:
+        most = np.array([role.action_space.n for role in spec.roles])  # type: ignore[union-attr]
+        return rng.integers(np.resize(most, n)).astype(spec.action.dtype)
     return rng.integers(space.n, size=n, dtype=spec.action.dtype)
 
 

@@ -14,6 +14,18 @@ from pearl_marl.errors import ArgumentError
 from pearl_marl.spec import EnvSpec, check_max_cycles
 
 
+def worlds_of(spec: EnvSpec, n_agents: int) -> int:
+    """Return how many worlds so many agents are; refuse a number that leaves one incomplete."""
+    worlds, left = divmod(n_agents, spec.agents)
+    if left:
+        below = f"{worlds * spec.agents} or " if worlds else ""
+        raise ArgumentError(
+            f"{n_agents} agents of {spec.name}, whose worlds have {spec.agents} each; take {below}"
+            f"{(worlds + 1) * spec.agents}"
+        )
+    return worlds
+
+
 @dataclass(frozen=True, kw_only=True)
 class BatchConfig:
     """What a device is opened for; checked when made.
@@ -23,7 +35,7 @@ class BatchConfig:
     spec
         The environment.
     n_envs
-        How many slots.
+        How many slots: worlds of ``spec.agents`` agents each.
     autoreset_mode
         ``SAME_STEP`` or ``NEXT_STEP``: when a slot that ended begins its next episode.
     max_cycles
@@ -68,6 +80,11 @@ class BatchConfig:
         object.__setattr__(self, "n_envs", int(n))
         object.__setattr__(self, "first_slot", int(first))
 
+    @property
+    def n_agents(self) -> int:
+        """How many agents the slots have together."""
+        return self.n_envs * self.spec.agents
+
     @cached_property
     def limit(self) -> int:
         """The time limit that holds; 0 for none."""
@@ -78,7 +95,7 @@ class BatchConfig:
         return {
             "environment": self.spec.id,
             "options": dict(self.spec.options),
-            "n_agents": self.n_envs,
+            "n_agents": self.n_agents,
             "autoreset_mode": self.autoreset_mode.value,
             "max_cycles": self.limit,
             "initial_states": self.initial_states,

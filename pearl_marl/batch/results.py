@@ -19,14 +19,15 @@ from pearl_marl.errors import ArgumentError
 
 
 class Layout:
-    """Where the five arrays of a step's results lie in one block of bytes, each from a cache line on.
+    """Where the arrays of a step's results lie in one block of bytes, each from a cache line on.
 
-    In NEXT_STEP mode the observation of an ending step is the final one, so those have no place of their own.
+    In NEXT_STEP mode the observation of an ending step is the final one, so those have no place of their own;
+    but of an agent that ends before its world it is zeros.
 
     Attributes
     ----------
     shapes, dtypes
-        Of each array, in the order of :class:`BatchStep`.
+        Of each array, in the order of :attr:`BatchStep.arrays`.
     starts
         The first byte of each.
     size
@@ -34,17 +35,22 @@ class Layout:
     """
 
     def __init__(self, config: BatchConfig) -> None:
-        n, spec = config.n_envs, config.spec
+        n, spec = config.n_agents, config.spec
         observation: tuple[tuple[int, ...], Any] = (n, *spec.observation_shape), spec.observation_dtype
         pieces = [observation, ((n,), np.float32), ((n,), np.bool_), ((n,), np.bool_), observation]
+        self.masked = bool(spec.mask_fields)
+        if self.masked:
+            pieces.append(((n, len(spec.mask_fields)), np.int8))
+        if spec.agents > 1:
+            pieces.append(((n,), np.bool_))
         self.shapes = [shape for shape, _ in pieces]
         self.dtypes = [np.dtype(dtype) for _, dtype in pieces]
-        self.starts, self.size = [], 0
-        for shape, dtype in zip(self.shapes, self.dtypes, strict=True):
-            self.starts.append(self.size)
-            self.size += -(-math.prod(shape) * dtype.itemsize // ALIGNMENT) * ALIGNMENT
-        if config.autoreset_mode is AutoresetMode.NEXT_STEP:
-            self.starts[4], self.size = self.starts[0], self.starts[4]
+        self.starts, self.size = [0] * len(pieces), 0
+        *before, final = (*range(4), *range(5, len(pieces)), 4)  # final observations come last
+        shared = config.autoreset_mode is AutoresetMode.NEXT_STEP and spec.agents == 1
+        for i in before if shared else (*before, final):
+            self.starts[i] = self.size
+            self.size += -(-math.prod(self.shapes[i]) * self.dtypes[i].itemsize // ALIGNMENT) * ALIGNMENT
 
     def pieces(self, memory: Any) -> list[Any]:
         """Return the part of a block, of whatever kind, that belongs to each array."""
@@ -53,13 +59,17 @@ class Layout:
             for start, shape, dtype in zip(self.starts, self.shapes, self.dtypes, strict=True)
         ]
 
-    def arrays(self, memory: Any, dtypes: Sequence[Any] | None = None) -> BatchStep:
-        """Return the five arrays in a block of bytes: tensors, where ``dtypes`` are torch's."""
+    def arrays(self, memory: Any, dtypes: Sequence[Any] | None = None) -> tuple[Any, ...]:
+        """Return the arrays in a block of bytes: tensors, where ``dtypes`` are torch's."""
         parts = zip(self.pieces(memory), dtypes or self.dtypes, self.shapes, strict=True)
         arrays = [piece.view(dtype).reshape(shape) for piece, dtype, shape in parts]
         if self.starts[4] == self.starts[0]:
             arrays[4] = arrays[0]
-        return BatchStep(*arrays)
+        return tuple(arrays)
+
+    def step(self, arrays: Sequence[Any]) -> BatchStep:
+        """Return the results in such arrays."""
+        return BatchStep(*arrays) if len(arrays) == 5 else BatchStep.of(arrays, self.masked)
 
 
 def check_memory(config: BatchConfig, more: int = 0) -> None:
@@ -67,8 +77,8 @@ def check_memory(config: BatchConfig, more: int = 0) -> None:
 
     That is what its slots and results take, and ``more`` bytes for each agent that the caller takes besides.
     """
-    n = config.n_envs
-    needed = size(config.spec, n) + Layout(config).size + n * more
+    n = config.n_agents
+    needed = size(config.spec, config.n_envs) + Layout(config).size + n * more
     there = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
     if needed > there:
         raise ArgumentError(
@@ -80,7 +90,7 @@ def check_memory(config: BatchConfig, more: int = 0) -> None:
 class ResultArrays:
     """Hands out arrays for results: with ``config.copy`` ones that nobody else refers to, else the same ones.
 
-    Five array objects stay in every block of memory, so that a step makes no new views.
+    The array objects stay in every block of memory, so that a step makes no new views.
     """
 
     def __init__(self, config: BatchConfig) -> None:
@@ -89,13 +99,13 @@ class ResultArrays:
         self._new = Recycler(self.layout.arrays)
         # Without copies: the one block, and the arrays that every step writes over.
         self._block = None if config.copy else self._new.block(self.layout.size)
-        self._same = None if self._block is None else BatchStep(*self._block.arrays)
+        self._same = None if self._block is None else self.layout.step(self._block.arrays)
 
     def take(self) -> BatchStep:
         """Return arrays to write the next results into; their content is of no meaning."""
-        return self._same or BatchStep(*self._new.block(self.layout.size).arrays)
+        return self._same or self.layout.step(self._new.block(self.layout.size).arrays)
 
     def take_block(self) -> tuple[npt.NDArray[np.uint8], BatchStep]:
         """Do the same; return also the bytes that the arrays lie in, as :attr:`layout` has them."""
         block = self._block or self._new.block(self.layout.size)
-        return block.memory, self._same or BatchStep(*block.arrays)
+        return block.memory, self._same or self.layout.step(block.arrays)

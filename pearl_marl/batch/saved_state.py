@@ -56,13 +56,14 @@ class SavedState:
 
     def cut(self, spec: EnvSpec, slots: slice) -> SavedState:
         """Return the state of some of the slots, for a device that has no others."""
-        first, n = self.identity["first_slot"], self.identity["n_agents"]
-        here = {"n_agents": slots.stop - slots.start, "first_slot": first + slots.start}
+        first, n = self.identity["first_slot"], self.identity["n_agents"] // spec.agents
+        size = slots.stop - slots.start
+        here = {"n_agents": size * spec.agents, "first_slot": first + slots.start}
 
         def part(memory: Bytes) -> Bytes:
             if not memory.size:  # there may be no stored initial states
                 return memory
-            whole, share = SlotMemory(spec, n, memory), SlotMemory(spec, here["n_agents"])
+            whole, share = SlotMemory(spec, n, memory), SlotMemory(spec, size)
             for name, column in share.columns.items():
                 column[:] = whole.columns[name][slots]
             return share.bytes
@@ -72,13 +73,13 @@ class SavedState:
             identity={**self.identity, **here},
             memory=part(self.memory),
             stored=part(self.stored),
-            live=self.live[slots],
+            live=self.live[slots.start * spec.agents : slots.stop * spec.agents],
         )
 
     @classmethod
     def join(cls, spec: EnvSpec, parts: Sequence[SavedState]) -> SavedState:
         """Return the state of the slots of all parts, in their order; the inverse of :meth:`cut`."""
-        sizes = [part.identity["n_agents"] for part in parts]
+        sizes = [part.identity["n_agents"] // spec.agents for part in parts]
 
         def whole(name: str) -> Bytes:
             shares = [getattr(part, name) for part in parts]
@@ -92,7 +93,7 @@ class SavedState:
 
         return replace(
             parts[0],
-            identity={**parts[0].identity, "n_agents": sum(sizes)},
+            identity={**parts[0].identity, "n_agents": sum(sizes) * spec.agents},
             memory=whole("memory"),
             stored=whole("stored"),
             live=np.concatenate([part.live for part in parts]),

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from pearl_marl.spec import EnvSpec
+from pearl_marl.spec import EnvSpec, Field
 
 Array = npt.NDArray[Any]
 Bytes = npt.NDArray[np.uint8]
@@ -32,10 +32,11 @@ def columns(spec: EnvSpec) -> tuple[Column, ...]:
     """Return the columns of a slot: its state fields, its elapsed steps, and whether it ended.
 
     ``elapsed`` counts the steps of the episode, and stays 0 where there is no time limit.
-    ``ended`` is 1 for a slot that will spend its next step resetting (NEXT_STEP mode only).
+    ``ended`` is 1 for a slot that will spend its next step resetting (NEXT_STEP mode only). In a world of
+    several agents, bit ``1 + k`` is set where agent ``k`` has ended and the world goes on.
     """
     names = [(f.name, f.dtype) for f in spec.state]
-    names += [("elapsed", np.dtype(np.uint32)), ("ended", np.dtype(np.uint8))]
+    names += [("elapsed", np.dtype(np.uint32)), ("ended", Field("ended", spec.agents + 1).dtype)]
     result, offset = [], 0
     for name, dtype in names:
         result.append(Column(name, dtype, offset))
@@ -99,8 +100,15 @@ class SlotMemory:
 
     @property
     def ended(self) -> Array:
-        """Which slots spend their next step resetting."""
+        """Which slots spend their next step resetting, and which agents have ended: see :func:`columns`."""
         return self.columns["ended"]
+
+    @property
+    def gone(self) -> npt.NDArray[np.bool_]:
+        """Which agents have ended before their world, shape ``(n, agents)``."""
+        bits = np.arange(1, 1 + self.spec.agents, dtype=self.ended.dtype)
+        gone: npt.NDArray[np.bool_] = (self.ended[:, None] >> bits & 1).astype(np.bool_)
+        return gone
 
     def values(self) -> Array:
         """Return the values of the state fields, shape ``(n, fields)``, in :func:`state_dtype`."""

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -10,35 +11,86 @@ import numpy.typing as npt
 Array = npt.NDArray[Any]
 
 
-class BatchStep(NamedTuple):
-    """The results of one step, a row a slot: NumPy arrays, or tensors of a device that was asked for them.
+class Seen(NamedTuple):
+    """What agents see before a step, a row an agent; each as :class:`BatchStep` has it."""
 
-    Parameters
-    ----------
-    obs
-        Shape ``(n, *spec.observation_shape)``, in the space's dtype (of a ``Tuple`` space a column for each
-        of its spaces). In SAME_STEP mode, where a slot ended, the first observation of its new episode.
-    rewards
-        ``float32``, shape ``(n,)``.
-    terminations, truncations
-        ``bool``, shape ``(n,)``. Both may be set: the last step of a time limit can also reach the goal.
-    final_obs
-        Like ``obs``; where a slot ended, the last observation of that episode. Other rows have no meaning.
-    """
+    obs: Array
+    action_masks: Array | None
+    alive: Array
 
+
+class _Results(NamedTuple):
     obs: Array
     rewards: Array
     terminations: Array
     truncations: Array
     final_obs: Array
 
+
+class BatchStep(_Results):
+    """The results of one step, a row an agent: NumPy arrays, or tensors of a device that was asked for them.
+
+    It is a tuple of five arrays. Agent ``k`` of world ``w`` has row ``w * K + k``, where a world has ``K``.
+
+    Parameters
+    ----------
+    obs
+        Shape ``(n, *spec.observation_shape)``, in the space's dtype (of a ``Tuple`` space a column for each
+        of its spaces). In SAME_STEP mode, where an episode ended, the first observation of the next one.
+        Zeros where an agent has ended before its world.
+    rewards
+        ``float32``, shape ``(n,)``.
+    terminations, truncations
+        ``bool``, shape ``(n,)``. Both may be set: the last step of a time limit can also reach the goal. In a
+        world that goes on, an agent that ended is not told so again.
+    final_obs
+        Like ``obs``; where an agent ended in this step, its last observation. Other rows have no meaning.
+    """
+
+    action_masks: Array | None = None
+    """``int8``, shape ``(n, n_actions)``: which actions may be taken where ``obs`` was seen. Zeros for who is
+    not ``alive``. ``None`` where the environment has no masks."""
+
+    _alive: Array | None = None
+
+    @classmethod
+    def of(cls, arrays: Sequence[Any], masked: bool) -> Self:
+        """Return the results in arrays: the five, masks if there are any, and ``alive`` if it is told."""
+        step = cls(*arrays[:5])
+        if masked:
+            step.action_masks = arrays[5]
+        if len(arrays) > 5 + masked:
+            step._alive = arrays[5 + masked]
+        return step
+
+    @property
+    def arrays(self) -> tuple[Array, ...]:
+        """All arrays, as :meth:`of` takes them."""
+        if self.action_masks is None and self._alive is None:
+            return self
+        return (*self, *(array for array in (self.action_masks, self._alive) if array is not None))
+
+    def each(self, function: Callable[[Array], Any]) -> Self:
+        """Return the same with a function of every array in its place."""
+        return self.of([function(array) for array in self.arrays], self.action_masks is not None)
+
+    @property
+    def alive(self) -> Array:
+        """Who takes part in the next step, ``bool`` of shape ``(n,)``: not who has ended before its world."""
+        return self.terminations | True if self._alive is None else self._alive
+
+    @property
+    def seen(self) -> Seen:
+        """What agents see before the next step."""
+        return Seen(self.obs, self.action_masks, self.alive)
+
     @property
     def ended(self) -> npt.NDArray[np.bool_]:
-        """Which slots' episodes ended in this step, shape ``(n,)``."""
+        """Whose episodes ended in this step, shape ``(n,)``."""
         return self.terminations | self.truncations
 
     def arrivals(self) -> Array:
-        """Return where the step itself took every slot: ``final_obs`` where it ended, else ``obs``."""
+        """Return where the step itself took every agent: ``final_obs`` where it ended, else ``obs``."""
         if not isinstance(self.obs, np.ndarray):  # tensors; to ask which slots ended would wait for them
             final: Any = self.final_obs
             return final.where(self.ended.reshape(-1, *(1,) * (final.ndim - 1)), self.obs)
@@ -49,9 +101,9 @@ class BatchStep(NamedTuple):
         obs[slots] = self.final_obs[slots]
         return obs
 
-    def on_host(self) -> BatchStep:
+    def on_host(self) -> Self:
         """Return the results as NumPy arrays: these, or copies of tensors."""
-        return BatchStep(*map(on_host, self))
+        return self.each(on_host)
 
 
 def on_host(array: Any) -> Array:

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from pearl_marl.batch.saved_state import SavedState
 from pearl_marl.batch.slot_memory import SlotMemory
-from pearl_marl.batch.step import BatchStep
+from pearl_marl.batch.step import BatchStep, Seen
 from pearl_marl.spec import EnvSpec
 
 Array = npt.NDArray[Any]
@@ -54,8 +54,8 @@ class Divergence:
     """Every word of the slot that differs, results before state."""
     state_before: dict[str, int] | None
     """The slot's state words by name, with ``elapsed`` and ``ended``; ``None`` before the first reset."""
-    action: float | None
-    """What the slot was told to do; ``None`` where the call is no step."""
+    action: float | list[float] | None
+    """What the slot was told to do, a list of several agents; ``None`` where the call is no step."""
 
     @property
     def field(self) -> str:
@@ -93,23 +93,44 @@ class Divergence:
 
 
 def result_words(spec: EnvSpec, device: BatchStep, reference: BatchStep) -> Iterator[Words]:
-    """Yield the words of a step's results; final observations where the reference's slots ended."""
-    yield from observation_words(spec, "obs", device.obs, reference.obs)
+    """Yield the words of a step's results; final observations where the reference's agents ended."""
+    yield from seen_words(spec, device.seen, reference.seen)
     for name in ("rewards", "terminations", "truncations"):
-        yield Words(name, getattr(device, name), getattr(reference, name))
-    yield from observation_words(spec, "final_obs", device.final_obs, reference.final_obs, reference.ended)
+        yield from _by_world(spec, Words(name, getattr(device, name), getattr(reference, name)))
+    yield from _observation(spec, "final_obs", device.final_obs, reference.final_obs, reference.ended)
 
 
-def observation_words(
+def seen_words(spec: EnvSpec, device: Seen, reference: Seen) -> Iterator[Words]:
+    """Yield the words of what agents see, and of who is alive in worlds of several."""
+    yield from _observation(spec, "obs", device.obs, reference.obs)
+    if reference.action_masks is not None:
+        assert device.action_masks is not None
+        yield from _by_world(spec, Words("action_masks", device.action_masks, reference.action_masks))
+    if spec.agents > 1:
+        yield from _by_world(spec, Words("alive", device.alive, reference.alive))
+
+
+def _observation(
     spec: EnvSpec, name: str, device: Array, reference: Array, where: Array | None = None
 ) -> Iterator[Words]:
     """Yield the words of an array of observations: one, or as many as the observation has fields."""
     if device.shape != reference.shape or reference.ndim == 1 or spec.unpack is not None:
-        yield Words(name, device, reference, where)
+        yield from _by_world(spec, Words(name, device, reference, where))
         return
     device, reference = (array.reshape(len(array), -1) for array in (device, reference))
     for k, f in enumerate(spec.observation):
-        yield Words(f"{name}.{f.name}", device[:, k], reference[:, k], where)
+        yield from _by_world(spec, Words(f"{name}.{f.name}", device[:, k], reference[:, k], where))
+
+
+def _by_world(spec: EnvSpec, words: Words) -> Iterator[Words]:
+    """Yield words that have a row an agent with a row a world: those of one agent after the other."""
+    if spec.agents == 1 or words.device.shape != words.reference.shape:
+        yield words
+        return
+    for k in range(spec.agents):
+        where = None if words.where is None else words.where[k :: spec.agents]
+        mine, other = words.device[k :: spec.agents], words.reference[k :: spec.agents]
+        yield Words(f"agent {k}: {words.field}", mine, other, where)
 
 
 def state_words(spec: EnvSpec, n: int, device: SavedState, reference: SavedState) -> Iterator[Words]:

@@ -16,14 +16,14 @@ import numpy as np
 from pearl_marl import rng
 from pearl_marl.batch import slot_memory
 from pearl_marl.compiler import pieces
-from pearl_marl.compiler.pieces import Pieces, assign, call, cell_dtype, each, indented, start
+from pearl_marl.compiler.pieces import Pieces, assign, call, cell_dtype, each, indented, start, times
 from pearl_marl.spec import EnvSpec
 
 BLOCK = 2048
 """Slots of a block: what a loop touches then fits a 32 KiB L1 cache. A multiple of 64."""
 
 KNOWN = re.compile(
-    r"np|u32|range|draw|key|initial|golden_step|observe|u?int\d+_[a-z_]+|float\d+_[a-z_]+|[A-Z]+_\w+"
+    r"np|u32|range|draw|key|initial|golden_step|observe|observe_\d+|u?int\d+_[a-z_]+|float\d+_[a-z_]+|[A-Z]+_\w+"
 )
 """Names in the lines of a function that are no variables of the kernel."""
 
@@ -31,14 +31,14 @@ COMPILED = {"unpack", "begin", "show"}
 """Functions that Numba compiles. What calls one stays with Numba, too."""
 
 
-def each_slot(*lines: str) -> list[str]:
-    """Return a loop over the slots of a block."""
-    return ["for i in range(m):", *indented(lines)]
+def each_slot(*lines: str, rows: int = 1) -> list[str]:
+    """Return a loop over the slots of a block, or over their rows where each has several."""
+    return [f"for i in range({times(rows, 'm')}):", *indented(lines)]
 
 
 def part(array: str, dtype: np.dtype[Any] | str, size: int = 1) -> str:
     """Return what belongs to the block of an array that has ``size`` elements a slot."""
-    return f"{dtype}_column({array}, 0, {f'{size} * b' if size > 1 else 'b'})"
+    return f"{dtype}_column({array}, 0, {times(size, 'b')})"
 
 
 class BlockPieces(Pieces):
@@ -47,20 +47,35 @@ class BlockPieces(Pieces):
     size = BLOCK
 
     def __init__(self, spec: EnvSpec) -> None:
-        size = spec.observation_size
-        # A constant stride: LLVM does not vectorise over one that it only knows at run time.
-        element = f"O[{size} * i + {{}}]" if size > 1 else "O[i]"
-        super().__init__(spec, element, f"{cell_dtype(spec)}_row(O, {size} * i, {size})")
+        own, agents, masks = spec.observation_size, spec.agents, len(spec.mask_fields)
+
+        def patterns(agents: int) -> tuple[str, str, str]:
+            # A constant stride: LLVM does not vectorise over one that it only knows at run time.
+            size = own * agents
+            element = f"O[{size} * i + {{}}]" if size > 1 else "O[i]"
+            row = f"{cell_dtype(spec)}_row(O, {size} * i{{}}, {own})"
+            return element, row, f"M[{agents * masks} * i + {{}}]"
+
+        super().__init__(spec, *patterns(agents))
+        # The same of single agents, whatever slot they are in.
+        self.alone = Pieces(spec, *patterns(1))
+        size, element = own * agents, self.element
         self.table = "rates"
         self.flat = spec.unpack is None
         kept = each("F" + element[1:], range(len(spec.observation)))
         self.copy_one = assign(kept, each(element, range(len(spec.observation))))
-        if not self.flat:
+        if not self.flat or agents > 1:
             self.copy_one = [f"for k in range({size}):", f"    F[{size} * i + k] = O[{size} * i + k]"]
         *self.fields, self.elapsed, self.ended = slot_memory.columns(spec)
+        # What a slot that starts over has to forget.
+        self.forget_one, self.forget = ["E[i] = np.uint32(0)"], ["E[i] = uint32_choose(flag[i], 0, E[i])"]
+        if agents > 1:
+            self.forget_one.append(f"N[i] = np.{self.ended.dtype}(0)")
+            self.forget.append(f"N[i] = {self.ended.dtype}_choose(flag[i], 0, N[i])")
         # From about so many on, fewer where a start takes draws, SIMD code for all slots is faster. Not with
-        # large observations, of which all would be made anew.
-        self.few = self.size // (4 + 3 * spec.reset_draws) if self.flat else self.size + 1
+        # large observations, of which all would be made anew, nor those of agents that have ended.
+        self.listed = not self.flat or agents > 1
+        self.few = self.size + 1 if self.listed else self.size // (4 + 3 * spec.reset_draws)
         self.block = each("block_{}[i]", self.state)
         self.take = assign(self.new, each("stored_{}[i]", self.state))
         self.functions: dict[str, list[str]] = {}
@@ -70,16 +85,18 @@ class BlockPieces(Pieces):
             "N": self.column("memory", self.ended),
             "O": part("observations", self.dtype, size),
             "F": part("final_observations", self.dtype, size),
-            "A": part("actions", spec.action.dtype),
-            "R": part("rewards", "float32"),
-            "T": part("terminations", "uint8"),
-            "U": part("truncations", "uint8"),
+            "A": part("actions", spec.action.dtype, agents),
+            "R": part("rewards", "float32", agents),
+            "T": part("terminations", "uint8", agents),
+            "U": part("truncations", "uint8", agents),
+            "M": part("action_masks", "int8", agents * masks),
+            "L": part("alive", "uint8", agents),
             "rates": "float32_column(table, 0, 0)",
             "keys": self.space("uint32", 2 * draws),
             **{f"draw_{d}": f"uint32_column(draws, 0, {self.size * d})" for d in range(draws)},
             "all_draws": "uint32_column(draws, 0, 0)",
             **self.words(),
-            **{f"part_{f.name}": part(f"given_{f.name}", f.dtype) for f in spec.observation},
+            **{f"part_{f.name}": part(f"given_{f.name}", f.dtype, agents) for f in spec.seen},
         }
         """Where words lie, by name; a function is given what that takes."""
 
@@ -139,6 +156,10 @@ class BlockPieces(Pieces):
         """Return the call of a function that is a loop over the slots of a block."""
         return self.apart(name, each_slot(*lines))
 
+    def over_agents(self, name: str, *lines: str) -> list[str]:
+        """Return the call of a function that is a loop over the agents of a block."""
+        return self.apart(name, each_slot(*lines, rows=self.agents))
+
     def compiled(self) -> list[str]:
         """Return the functions that are not loops over slots."""
         return []
@@ -196,7 +217,7 @@ class BlockPieces(Pieces):
 
     def store_one(self) -> list[str]:
         """Return what stores the start of a single slot."""
-        return self.apart("store_start", [*assign(self.block, self.narrow), "E[i] = np.uint32(0)"])
+        return self.apart("store_start", [*assign(self.block, self.narrow), *self.forget_one])
 
     def observed(self) -> list[str]:
         """Return what observes all slots of a block."""
@@ -211,12 +232,12 @@ class BlockPieces(Pieces):
         keep = self.apart("keep_last", self.copy_one)
         one = [*keep, *self.start_one(), *self.store_one(), *self.observed_start()]
         listed = ["for j in range(count):", *indented(["i = np.int64(ended_slots[j])", *one])]
-        if not self.flat:
+        if self.listed:
             return listed
         at_once = [
             *self.over_slots("keep_all_last", *self.copy_one),
             *self.start_over(),
-            *self.over_slots("reset_elapsed", "E[i] = uint32_choose(flag[i], 0, E[i])"),
+            *self.over_slots("reset_elapsed", *self.forget),
             *self.observed(),
         ]
         return [f"if count < {self.few}:", *indented(listed), "else:", *indented(at_once)]
@@ -225,23 +246,30 @@ class BlockPieces(Pieces):
         """Return what starts a single slot and observes it, after another device has ended it."""
         return [*self.apart("keep_last", self.copy_one), *self.start_one(), *self.observed_start()]
 
-    def delivered(self, name: str, words: str) -> list[str]:
-        """Return what turns the words of observations, of a name each, into the observations themselves."""
-        return self.over_slots(name, *self.deliver(each(words, self.observation)))
+    def delivered(self, name: str, words: Sequence[str], agents: int) -> list[str]:
+        """Return what turns the words of observations into the observations themselves, a row an agent."""
+        return self.apart(name, each_slot(*self.alone.deliver(words), rows=agents))
 
     def golden_step(self) -> list[str]:
         """Return the loop over the golden step."""
-        sources = [*self.block, "A[i]", *each("draw_{}[i]", self.step_draws)]
-        results = [*self.new, "r", "t"]
-        step = call("golden_step", sources, results)
-        return self.over_slots("step_all", step, *assign([*self.block, "code[i]", "flag[i]"], results))
+        return self.stepped(self.block, self.new)
+
+    def stepped(self, sources: Sequence[str], results: Sequence[str]) -> list[str]:
+        """Return the loop over the golden step, from words of the state to words of the next one."""
+        outcome = [*self.each_agent("r"), *self.each_agent("t")]
+        given = [*sources, *self.of_agents("A"), *each("draw_{}[i]", self.step_draws)]
+        step = call("golden_step", given, [*self.new, *outcome])
+        ends = self.of_agents("T") if self.agents > 1 else ["flag[i]"]
+        targets = [*self.block, *self.of_agents("code"), *ends]
+        return self.over_slots("step_all", step, *assign(targets, [*results, *outcome]))
 
     def rewards(self) -> list[str]:
         """Return what makes rewards of their codes."""
         if self.categories > 8 or not self.categories:
-            return self.over_slots("reward_all", f"R[i] = {self.reward('code[i]', 'code[i]')}")
+            return self.over_agents("reward_all", f"R[i] = {self.reward('code[i]', 'code[i]')}")
         # A chain of blends; beyond that a gather costs less.
         dtype, others = self.spec.reward.dtype, range(1, self.categories)
         chain = (f"r = float32_choose({dtype}_equal(code[i], {k}), reward_{k}, r)" for k in others)
         lookups = (f"reward_{k} = rates[{k}]" for k in range(self.categories))
-        return self.apart("reward_all", [*lookups, *each_slot("r = reward_0", *chain, "R[i] = r")])
+        loop = each_slot("r = reward_0", *chain, "R[i] = r", rows=self.agents)
+        return self.apart("reward_all", [*lookups, *loop])

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 from pearl_marl.compiler.gating import held
-from pearl_marl.spec import EnvSpec, Field
+from pearl_marl.spec import TERMINATED, EnvSpec, Field, word_bits
 from pearl_marl.tracing.graph import Graph
 from pearl_marl.tracing.nodes import Node
 from pearl_marl.tracing.trace import trace
@@ -42,7 +43,7 @@ def core_graph(spec: EnvSpec) -> CoreGraph:
     graph = Graph()
     first, hold = graph.input("first_i", 1), graph.input("hold_i", 1)
     fields = [graph.input(f"state_i.{f.name}", f.bits, f.signed) for f in spec.state]
-    action = graph.input("action_i", spec.action.bits, spec.action.signed)
+    actions = [graph.input(name, spec.action.bits, spec.action.signed) for name in action_ports(spec)]
     draws = [graph.input(f"rng_i[{k}]", 32) for k in range(spec.reset_draws + spec.step_draws)]
     fresh = _narrowed(graph, trace(graph, spec.golden.initial, draws[: spec.reset_draws]), spec.state)
     start = [graph.choose(first, new, old) for new, old in zip(fresh, fields, strict=True)]
@@ -50,26 +51,39 @@ def core_graph(spec: EnvSpec) -> CoreGraph:
         if node.op not in ("input", "constant"):
             node.name = field.name
         graph.free(node)  # what the step does is seen by values of fields, not of inputs
-    results = trace(graph, spec.golden.step, [*start, action, *draws[spec.reset_draws :]])
-    *moved, reward, terminated = _narrowed(graph, results, [*spec.state, spec.reward, Field("terminated", 1)])
-    after, (reward, terminated) = held(graph, hold, start, moved, [reward, terminated])
+    results = trace(graph, spec.golden.step, [*start, *actions, *draws[spec.reset_draws :]])
+    rewards, ends = spec.each_agent(spec.reward), spec.each_agent(TERMINATED)
+    results = _narrowed(graph, results, [*spec.state, *rewards, *ends])
+    moved, unseen = results[: len(fields)], results[len(fields) :]
+    after, unseen = held(graph, hold, start, moved, unseen)
     after = _narrowed(graph, after, spec.state)
     for node, field in zip(after, spec.state, strict=True):
         if node.name is None and node.op != "constant":
             node.name = f"next_{field.name}"
-    observed = _narrowed(graph, trace(graph, spec.golden.observe, after), spec.observation)
-    outputs = [*_packed("state_o", spec.state, after), *_packed("obs_o", spec.observation, observed)]
-    outputs.append(Output("reward_o", "reward", 0, spec.reward.bits, reward))
-    outputs.append(Output("terminated_o", "terminated", 0, 1, terminated))
+    outputs = _packed("state_o", spec.state, after)
+    offset = 0
+    for agent in spec.views:
+        observed = [node for view in spec.functions[2:] for node in trace(graph, view, after, *agent)]
+        outputs += _packed("obs_o", spec.seen, _narrowed(graph, observed, spec.seen), offset)
+        offset += word_bits(spec.seen)
+    outputs += _packed(
+        "reward_o", spec.each_agent(replace(spec.reward, name="reward")), unseen[: spec.agents]
+    )
+    outputs += _packed("terminated_o", ends, unseen[spec.agents :])
     return CoreGraph(graph, outputs)
+
+
+def action_ports(spec: EnvSpec) -> list[str]:
+    """Return where a core finds the actions of a slot's agents."""
+    return ["action_i"] if spec.agents == 1 else [f"action_i[{k}]" for k in range(spec.agents)]
 
 
 def _narrowed(graph: Graph, nodes: Sequence[Node], fields: Sequence[Field]) -> list[Node]:
     return [graph.wrap(node, f.bits, f.signed) for node, f in zip(nodes, fields, strict=True)]
 
 
-def _packed(port: str, fields: Sequence[Field], nodes: Sequence[Node]) -> list[Output]:
-    outputs, offset = [], 0
+def _packed(port: str, fields: Sequence[Field], nodes: Sequence[Node], offset: int = 0) -> list[Output]:
+    outputs = []
     for field, node in zip(fields, nodes, strict=True):
         outputs.append(Output(port, field.name, offset, field.bits, node))
         offset += field.bits

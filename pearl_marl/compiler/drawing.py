@@ -37,10 +37,11 @@ def drawing(title: str, outputs: Sequence[Output], schedule: Schedule) -> str:
         rows[key] += 1
     lines = [_line(places[s], places[n]) for n in schedule.order for s in below[n]]
     boxes = [_box(places[n], _label(n), width(n, schedule.used), n.op, _hint(n)) for n in schedule.order]
+    several = sum(output.port == "terminated_o" for output in outputs) > 1
     for i, output in enumerate(outputs):
         at = end, MARGIN + i * ROW
         lines += (_line(places[s], at) for s in _sources(output.node, whole=True))
-        whole = output.port in ("reward_o", "terminated_o")  # of one field
+        whole = output.port in ("reward_o", "terminated_o") and not several  # of one field
         label = output.port if whole else f"{output.port}.{output.field}"
         boxes.append(_box(at, label, output.bits, "output", label))
     height = MARGIN + max([*rows.values(), len(outputs)]) * ROW + 20

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 from pearl_marl.compiler import pieces
 from pearl_marl.compiler.block_pieces import BlockPieces, part
+from pearl_marl.compiler.end_pieces import end_pieces
 from pearl_marl.compiler.kernel_template import TEMPLATE
 from pearl_marl.compiler.lane_pieces import LanePieces
 from pearl_marl.compiler.pieces import each
@@ -39,12 +40,14 @@ def kernel_source(spec: EnvSpec) -> str:
 def _source(itself: _Itself) -> str:
     spec = itself.spec
     p = LanePieces(spec) if len(spec.state) > CROWD else BlockPieces(spec)
-    given = each("given_{}", p.observation)
-    size = p.size
+    given, seen = each("given_{}", p.observation), each("given_{}", p.seen)
+    size, ended = p.size, p.ended.dtype
+    several = p.agents > 1
+    shown = (" action_masks," if spec.mask_fields else "") + (" alive," if several else "")
     parts = {
         "golden_functions": golden_functions(spec),
         **p.columns(),
-        "code": [f"code = {p.space(spec.reward.dtype, size)}"],
+        "code": [f"code = {p.space(spec.reward.dtype, p.agents * size)}"],
         "flag": [f"flag = {p.space('uint8', size)}", "flag_words = uint64_column(flag, 0, 0)"],
         "ended_slots": [f"ended_slots = {p.space('uint16', size)}"],
         "resetting": [f"resetting = {p.space('uint8', size)}"],
@@ -55,36 +58,15 @@ def _source(itself: _Itself) -> str:
         "golden_step": p.golden_step(),
         "start_over": p.start_over(),
         "begun": p.over_slots(
-            "begun", "E[i] = uint32_choose(flag[i], 0, E[i])", "N[i] = uint8_choose(flag[i], 0, N[i])"
+            "begun", "E[i] = uint32_choose(flag[i], 0, E[i])", f"N[i] = {ended}_choose(flag[i], 0, N[i])"
         ),
-        "hide": p.over_slots(
-            "hide", "T[i] = uint8_choose(resetting[i], 0, flag[i])", "flag[i] = resetting[i]"
-        ),
-        "flag_terminated": p.over_slots("flag_terminated", "flag[i] = T[i]"),
-        "terminated": p.over_slots("terminated", "T[i] = flag[i]"),
-        "truncated": p.over_slots(
-            "truncated",
-            "e = uint32_choose(resetting[i], 0, uint32_add(E[i], 1))",
-            "late = uint32_at_least(e, limit)",
-            "E[i] = e",
-            "U[i] = late",
-            "flag[i] = uint8_or(flag[i], late)",
-        ),
-        "not_truncated": p.over_slots("not_truncated", "U[i] = np.uint8(0)"),
-        "ending": p.over_slots("ending", "N[i] = flag[i]"),
-        "no_reward": p.over_slots("no_reward", "R[i] = float32_choose(resetting[i], np.float32(0), R[i])"),
-        "delivered_ends": p.over_slots(
-            "delivered_ends",
-            "T[i] = uint8_and(ter[i], 1)",
-            "U[i] = uint8_right(ter[i], 1)",
-            "flag[i] = ter[i]",
-        ),
+        **end_pieces(p),
         "rewards": p.rewards(),
         "observe": p.observed(),
         "restart": p.restart(),
         "start_delivered": p.start_delivered(),
-        "deliver": p.delivered("deliver_all", "given_{}[i]"),
-        "deliver_block": p.delivered("deliver_block", "part_{}[i]"),
+        "deliver": p.delivered("deliver_all", each("given_{}[i]", p.observation), 1),
+        "deliver_block": p.delivered("deliver_block", each("part_{}[i]", p.seen), p.agents),
         "compiled": p.compiled(),
     }
     spaces = p.spaces()
@@ -96,9 +78,15 @@ def _source(itself: _Itself) -> str:
         "BLOCK": str(size),
         "FLAG_WORDS": str(size // 8),
         "PADDED": p.padded,
-        "CODES": part("code_words", spec.reward.dtype),
+        "CODES": part("code_words", spec.reward.dtype, p.agents),
+        "TERS": part("ter_words", ended),
+        "OVER": "np.uint8(N[i] & 1)" if several else "N[i]",
+        "GONE": " gone_words," if several else "",
+        "SHOWN": shown,
         "FEW": str(p.few),
+        "LAST": f"final_observations,{shown}",
         "GIVEN": ", ".join(given),
+        "SEEN": ", ".join(seen),
         "FIRST_GIVEN": given[0],
     }
     return pieces.filled(TEMPLATE, words, parts)

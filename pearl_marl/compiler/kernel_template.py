@@ -22,9 +22,10 @@ $compiled
 
 
 @kernel
-def reset(memory, stored, mask, observations, seed_0, seed_1, tick, first_slot, use_stored, n, lo, hi):
+def reset(memory, stored, mask, observations,$SHOWN seed_0, seed_1, tick, first_slot, use_stored, n, lo, hi):
     $PADDED
     $allocate
+    $gone_delivered
     $reset_keys
     for b in range(lo, hi, $BLOCK):
         m = least($BLOCK, hi - b)
@@ -35,13 +36,15 @@ def reset(memory, stored, mask, observations, seed_0, seed_1, tick, first_slot, 
         $start_over
         $begun
         $observe
+        $gone_at_reset
+        $bury_at_reset
         $store_block
     $release
 
 
 @kernel
 def step(
-    memory, stored, actions, table, observations, rewards, terminations, truncations, final_observations,
+    memory, stored, actions, table, observations, rewards, terminations, truncations, $LAST
     seed_0, seed_1, tick, first_slot, limit, next_step, use_stored, n, lo, hi,
 ):
     $PADDED
@@ -51,6 +54,7 @@ def step(
     $flag
     $ended_slots
     $resetting
+    $gone
     clear(resetting, 0, $BLOCK)
     $step_keys
     # SAME_STEP starts the next episode now, at the next tick; NEXT_STEP starts it within this one.
@@ -67,8 +71,8 @@ def step(
         if next_step:
             $ended
             for i in range(m):
-                resetting[i] = N[i]
-                any_resetting |= N[i]
+                resetting[i] = $OVER
+                any_resetting |= $OVER
 
         $draw_for_step
         $golden_step
@@ -84,7 +88,9 @@ def step(
         else:
             $not_truncated
         $rewards
+        $bury_rewards
         $observe
+        $bury
         if next_step:
             $ending
             if any_resetting:
@@ -118,25 +124,29 @@ def deliver($GIVEN, observations):
 
 @kernel
 def results(
-    $GIVEN, code_words, ter_words, stored, table, observations, rewards, terminations, truncations,
-    final_observations, seed_0, seed_1, tick, first_slot, next_step, use_stored, n, lo, hi,
+    $SEEN, code_words, ter_words,$GONE stored, table, observations, rewards, terminations, truncations,
+    final_observations,$SHOWN seed_0, seed_1, tick, first_slot, next_step, use_stored, n, lo, hi,
 ):
     """Turn a step's words into its results, as `step` has them."""
     $PADDED
     $allocate
     # not 0 where an episode ended; beyond the last slot 0
     $flag
+    $gone_delivered
     $reset_keys
     for b in range(lo, hi, $BLOCK):
         m = least($BLOCK, hi - b)
         slot_0 = first_slot + b
         $load_stored
-        ter = uint8_column(ter_words, 0, b)
+        ter = $TERS
+        $gone_before
         code = $CODES
         $deliver_block
         $rewards
         clear(flag, m, $BLOCK)
         $delivered_ends
+        $bury_rewards
+        $bury
         if next_step:
             continue
         # Few slots end in most steps: eight that did not are one comparison.

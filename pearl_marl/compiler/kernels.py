@@ -40,6 +40,9 @@ DRAWING: dict[str, GoldenFunction] = {"key": rng.key, "draw": rng.draw}
 class Kernels(NamedTuple):
     """The compiled functions of one environment, and the file where their source can be read.
 
+    Results are those of :attr:`pearl_marl.batch.step.BatchStep.arrays`: where there are masks, and worlds of
+    several agents, ``action_masks`` and ``alive`` follow the observations that come last.
+
     ``reset(memory, stored, mask, observations, seed_0, seed_1, tick, first_slot, use_stored, n, lo, hi)``
         starts an episode in every slot of ``lo .. hi - 1`` whose mask is set, and writes the
         observation of every slot of the range.
@@ -51,7 +54,9 @@ class Kernels(NamedTuple):
     ``results(*words, code_words, ter_words, stored, table, observations, rewards, terminations, truncations,
     final_observations, seed_0, seed_1, tick, first_slot, next_step, use_stored, n, lo, hi)``
         does so with all the words of a step: of observations, rewards and ends. Unless ``next_step``,
-        a slot that ended gets the first observation of its next episode, which begins at ``tick``.
+        a slot that ended gets the first observation of its next episode, which begins at ``tick``. Words of
+        observations end with those of masks. Of several agents, ``gone_words`` follow ``ter_words``: the
+        column ``ended`` as it was before the step, 0 for a slot that was resetting.
     ``advance(memory, actions, table, rewards, terminations, n, lo, hi)``
         does the golden step and the rewards alone, for benchmarks.
 

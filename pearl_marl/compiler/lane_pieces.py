@@ -10,6 +10,7 @@ import numpy as np
 
 from pearl_marl.compiler.block_pieces import BlockPieces, each_slot
 from pearl_marl.compiler.pieces import assign, call, each, indented, narrowed, start
+from pearl_marl.compiler.straight_line import observers
 from pearl_marl.spec import EnvSpec
 
 
@@ -22,6 +23,7 @@ class LanePieces(BlockPieces):
     def __init__(self, spec: EnvSpec) -> None:
         self.lane = np.dtype(np.uint64 if any(f.bits > 32 for f in spec.state) else np.uint32)
         super().__init__(spec)
+        self.show = "show(blocks, O, M, i)" if spec.mask_fields else "show(blocks, O, i)"
         self.loaded = narrowed(spec.state, self.block)
         self.written = each(f"np.{self.lane}({{}})", self.new)
 
@@ -51,7 +53,7 @@ class LanePieces(BlockPieces):
         lines = [*self.copies("load"), *self.copies("store")]
         lines += ["", "", "@called", f"def {self.begin}:", *indented(self.begun())]
         if not self.flat:
-            lines += ["", "", "@called_inline", "def show(blocks, O, i):", *indented(self.shown())]
+            lines += ["", "", "@called_inline", f"def {self.show}:", *indented(self.shown())]
         return lines
 
     def copies(self, name: str) -> list[str]:
@@ -83,9 +85,12 @@ class LanePieces(BlockPieces):
 
     def shown(self) -> list[str]:
         """Return what observes a slot by ``unpack``."""
-        observed = each("observed_{}", self.observation)
-        see = self.apart("see", [call("observe", self.loaded, observed)], observed)
-        return [*see, *self.deliver(observed)]
+        lines, observed = [], each("observed_{}", self.seen)
+        for k, name in enumerate(observers(self.spec)):
+            see = name.replace("observe", "see")
+            lines += [*self.apart(see, [call(name, self.loaded, observed)], observed)]
+            lines += self.deliver(observed, k)
+        return lines
 
     def start_over(self) -> list[str]:
         """Return what starts an episode in the slots of the block that are flagged."""
@@ -97,21 +102,18 @@ class LanePieces(BlockPieces):
 
     def store_one(self) -> list[str]:
         """Return what a slot that started has yet to store."""
-        return self.apart("reset_one", ["E[i] = np.uint32(0)"])
+        return self.apart("reset_one", self.forget_one)
 
     def observed(self) -> list[str]:
         """Return what observes all slots of a block."""
-        lines = self.observe(self.loaded) if self.flat else ["show(blocks, O, i)"]
+        lines = self.observe(self.loaded) if self.flat else [self.show]
         return self.over_slots("observe_all", *lines)
 
     def observed_start(self) -> list[str]:
         """Return what observes a slot that has just started."""
-        lines = self.observe(self.loaded) if self.flat else ["show(blocks, O, i)"]
+        lines = self.observe(self.loaded) if self.flat else [self.show]
         return self.apart("observe_start", lines)
 
     def golden_step(self) -> list[str]:
         """Return the loop over the golden step."""
-        sources = [*self.loaded, "A[i]", *each("draw_{}[i]", self.step_draws)]
-        step = call("golden_step", sources, [*self.new, "r", "t"])
-        stored = assign([*self.block, "code[i]", "flag[i]"], [*self.written, "r", "t"])
-        return self.over_slots("step_all", step, *stored)
+        return self.stepped(self.loaded, self.written)

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from pearl_marl.batch import slot_memory
+from pearl_marl.compiler.straight_line import observers
 from pearl_marl.spec import EnvSpec, Field
 
 PREFIXES = {
@@ -86,12 +87,18 @@ def cell_dtype(spec: EnvSpec) -> np.dtype[Any]:
 
 
 class Pieces:
-    """The pieces of one environment. ``element``, a pattern, and ``row`` say where an observation goes."""
+    """The pieces of one environment.
 
-    def __init__(self, spec: EnvSpec, element: str, row: str) -> None:
-        self.spec, self.element, self.row = spec, element, row
+    Patterns say where what the agents of a slot see goes: ``element`` of observations, ``row`` of those that
+    are unpacked (its arguments are what to add to the row's first element and to its end), ``mask`` of masks.
+    """
+
+    def __init__(self, spec: EnvSpec, element: str, row: str, mask: str) -> None:
+        self.spec, self.element, self.row, self.mask = spec, element, row, mask
+        self.agents = spec.agents
         self.state = [f.name for f in spec.state]
         self.observation = [f.name for f in spec.observation]
+        self.seen = [f.name for f in spec.seen]
         self.new = each("new_{}", self.state)
         self.narrow = narrowed(spec.state, self.new)
         self.reset_draws = range(spec.reset_draws)
@@ -102,6 +109,16 @@ class Pieces:
         pad = slot_memory.ALIGNMENT
         self.padded = f"p = (n + {pad - 1}) // {pad} * {pad}  # slots of a column, padded"
 
+    def each_agent(self, name: str) -> list[str]:
+        """Return the names of a variable of every agent of a slot: numbered, where there are several."""
+        return [name] if self.agents == 1 else [f"{name}{k}" for k in range(self.agents)]
+
+    def of_agents(self, array: str) -> list[str]:
+        """Return where a slot's agents have their elements of an array."""
+        if self.agents == 1:
+            return [f"{array}[i]"]
+        return [f"{array}[{self.agents} * i + {k}]" for k in range(self.agents)]
+
     def reward(self, code: str, index: str) -> str:
         """Return the reward of a code, which is ``index`` where rewards are looked up."""
         if self.categories:
@@ -109,18 +126,29 @@ class Pieces:
         return f"np.float32({code})" + _scale("float32", self.spec.reward)
 
     def observe(self, state: Iterable[str]) -> list[str]:
-        """Return what makes the observation of a slot in a state."""
-        observed = each("observed_{}", self.observation)
-        return [call("observe", state, observed), *self.deliver(observed)]
+        """Return what makes the observations and masks of a slot in a state."""
+        lines, state, observed = [], list(state), each("observed_{}", self.seen)
+        for k, name in enumerate(observers(self.spec)):
+            lines += [call(name, state, observed), *self.deliver(observed, k)]
+        return lines
 
-    def deliver(self, words: Iterable[str]) -> list[str]:
-        """Return what makes an observation of its words: element by element, or by ``unpack``."""
-        fields, dtype = self.spec.observation, self.dtype
-        words = narrowed(fields, words)
+    def deliver(self, words: Iterable[str], agent: int = 0) -> list[str]:
+        """Return what makes an observation of its words, element by element or by ``unpack``, and masks."""
+        fields, dtype, size = self.spec.observation, self.dtype, self.spec.observation_size
+        words = list(words)
+        own, flags = narrowed(fields, words[: len(fields)]), words[len(fields) :]
+        places = each(self.mask, range(agent * len(flags), (agent + 1) * len(flags)))
+        masks = assign(places, each("np.int8({})", flags))
         if self.spec.unpack is not None:
-            return [f"unpack({', '.join(words)}, {self.row})"]
-        values = (f"np.{dtype}({w}){_scale(str(dtype), f)}" for w, f in zip(words, fields, strict=True))
-        return assign(each(self.element, range(len(fields))), values)
+            more = f" + {agent * size}" if agent else ""
+            return [f"unpack({', '.join(own)}, {self.row.format(more)})", *masks]
+        values = (f"np.{dtype}({w}){_scale(str(dtype), f)}" for w, f in zip(own, fields, strict=True))
+        return [*assign(each(self.element, range(agent * size, (agent + 1) * size)), values), *masks]
+
+
+def times(count: int, what: str) -> str:
+    """Return a product; where the count is 1, what there is that often."""
+    return what if count == 1 else f"{count} * {what}"
 
 
 def _scale(dtype: str, field: Field) -> str:

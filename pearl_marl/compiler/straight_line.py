@@ -18,7 +18,7 @@ from pearl_marl.compiler import scalar_words
 from pearl_marl.compiler.kernel_bits import kernel_bits
 from pearl_marl.errors import ArgumentError
 from pearl_marl.golden import GoldenFunction
-from pearl_marl.spec import EnvSpec, Field
+from pearl_marl.spec import TERMINATED, EnvSpec, Field
 from pearl_marl.tracing.graph import Graph
 from pearl_marl.tracing.nodes import Node, in_order
 from pearl_marl.tracing.operations import bits_of, wrapped
@@ -34,7 +34,9 @@ MOST_NUMBERS = 16
 
 
 def golden_functions(spec: EnvSpec) -> list[str]:
-    """Return the lines of ``initial()``, ``golden_step()`` and ``observe()``, for ``inlined`` to compile.
+    """Return the lines of ``initial()``, ``golden_step()`` and those of :func:`observers`.
+
+    They are for ``inlined`` to compile. An observer returns masks too, if there are any.
 
     Raises
     ------
@@ -43,24 +45,36 @@ def golden_functions(spec: EnvSpec) -> list[str]:
     """
     draws = [Field(f"draw_{k}", 32) for k in range(spec.reset_draws + spec.step_draws)]
     reset, step = draws[: spec.reset_draws], draws[spec.reset_draws :]
-    results = *spec.state, spec.reward, Field("terminated", 1)
-    return [
-        *_function("initial", spec.golden.initial, reset, spec.state),
-        *_function("golden_step", spec.golden.step, [*spec.state, spec.action, *step], results),
-        *_function("observe", spec.golden.observe, spec.state, spec.observation),
+    given = [*spec.state, *spec.each_agent(spec.action), *step]
+    results = *spec.state, *spec.each_agent(spec.reward), *spec.each_agent(TERMINATED)
+    lines = [
+        *_function("initial", [spec.golden.initial], reset, spec.state),
+        *_function("golden_step", [spec.golden.step], given, results),
     ]
+    for name, agent in zip(observers(spec), spec.views, strict=True):
+        lines += _function(name, spec.functions[2:], spec.state, spec.seen, *agent)
+    return lines
+
+
+def observers(spec: EnvSpec) -> list[str]:
+    """Return the names of the functions that say what an agent sees: one for each agent of a world."""
+    return ["observe"] if spec.agents == 1 else [f"observe_{k}" for k in range(spec.agents)]
 
 
 def _function(
-    name: str, function: GoldenFunction, inputs: Sequence[Field], fields: Sequence[Field]
+    name: str,
+    functions: Sequence[GoldenFunction],
+    inputs: Sequence[Field],
+    fields: Sequence[Field],
+    *agent: int,
 ) -> list[str]:
     graph = Graph(early=False)
     words = [graph.input(f"{k} {f.name}", f.bits, f.signed) for k, f in enumerate(inputs)]
-    traced = trace(graph, function, words)
+    traced = [node for function in functions for node in trace(graph, function, words, *agent)]
     traced = [graph.wrap(node, f.bits, f.signed) for node, f in zip(traced, fields, strict=True)]
     results = list(zip(_with_merged_sums(graph, traced), (str(f.dtype) for f in fields), strict=True))
     types = {word: str(f.dtype) for word, f in zip(words, inputs, strict=True)}
-    writer = _Writer(name, function, types, results)
+    writer = _Writer(name, functions[0], types, results)
     returned = ", ".join(f"np.{type_}({writer.operand(node, type_)})" for node, type_ in results)
     arguments = ", ".join(writer.names[word] for word in words)
     body = [*writer.lines, f"return {returned}"]

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
 
-from pearl_marl.compiler.core_graph import Output
+from pearl_marl.compiler.core_graph import Output, action_ports
 from pearl_marl.compiler.expressions import Expressions, bare, identifier, literal
 from pearl_marl.compiler.scheduling import Schedule
 from pearl_marl.spec import EnvSpec, word_bits
@@ -56,7 +56,7 @@ module {name}_pe
     // Do not step: the result is the state started from and its observation.
     input logic hold_i,
     input state_t state_i,
-    input logic [ACTION_BITS-1:0] action_i,
+    input logic {actions} action_i,
     // The random draws of this slot and step, those for the initial state first.
     input logic [{draws}:0][31:0] rng_i,
 
@@ -64,7 +64,7 @@ module {name}_pe
     output state_t state_o,
     output logic [OBS_BITS-1:0] obs_o,
     output logic [REWARD_BITS-1:0] reward_o,
-    output logic terminated_o
+    output logic {ends}terminated_o
 );
 
   // Only valid bits need a reset: what is not valid is not looked at.
@@ -90,9 +90,13 @@ def system_verilog(
         name=name,
         latency=schedule.latency,
         state_bits=word_bits(spec.state),
-        action_bits=spec.action.bits,
-        obs_bits=word_bits(spec.observation),
-        reward_bits=spec.reward.bits,
+        action_bits=spec.agents * spec.action.bits,
+        obs_bits=spec.agents * word_bits(spec.seen),
+        reward_bits=spec.agents * spec.reward.bits,
+        actions="[ACTION_BITS-1:0]"
+        if spec.agents == 1
+        else f"[{spec.agents - 1}:0][{spec.action.bits - 1}:0]",
+        ends=_range(spec.agents),
         struct="\n".join(f"    logic {_range(f.bits)}{identifier(f.name)};" for f in reversed(spec.state)),
         draws=max(1, spec.reset_draws + spec.step_draws) - 1,
         valid="{valid_q[LATENCY-2:0], valid_i}" if schedule.latency > 1 else "valid_i",
@@ -191,7 +195,8 @@ class _Body:
         """Return what reads the inputs that this core has no use for."""
         known = {n.imm for n in self.schedule.order if n.op == "input"}
         draws = max(1, self.spec.reset_draws + self.spec.step_draws)
-        every = ["first_i", "hold_i", "action_i", *(f"state_i.{f.name}" for f in self.spec.state)]
+        state = (f"state_i.{f.name}" for f in self.spec.state)
+        every = ["first_i", "hold_i", *action_ports(self.spec), *state]
         every += (f"rng_i[{k}]" for k in range(draws))
         names = (
             f"state_i.{identifier(n[8:])}" if n.startswith("state_i.") else n for n in every if n not in known

@@ -23,11 +23,11 @@ import numpy.typing as npt
 
 from pearl_marl import rng
 from pearl_marl.batch import rewards as reward_tables
-from pearl_marl.batch.actions import encode
+from pearl_marl.batch.actions import encode, refuse_masked
 from pearl_marl.batch.config import BatchConfig
 from pearl_marl.batch.saved_state import SavedState
 from pearl_marl.batch.slot_memory import SlotMemory
-from pearl_marl.batch.step import Array, BatchStep
+from pearl_marl.batch.step import Array, BatchStep, Seen, on_host
 from pearl_marl.devices.recovery import CheckpointLog, Position
 from pearl_marl.devices.threads import Threads
 from pearl_marl.errors import ArgumentError, DeviceError, OrderError
@@ -47,6 +47,11 @@ class Device(ABC):
         The position in the random numbers: see :mod:`pearl_marl.rng`.
     reward_table
         The reward of every word of the reward field.
+    action_masks
+        Which actions may be taken in the next step, ``int8`` of shape ``(n, n_actions)``, from the first
+        reset on; ``None`` where the environment has no masks. See :class:`BatchStep`.
+    alive
+        Who takes part in it, ``bool`` of shape ``(n,)``.
     made_with
         The attributes that it had before it was opened, which are the settings of a copy.
     """
@@ -78,6 +83,9 @@ class Device(ABC):
     ready = False
     """Whether the slots have been reset, and not closed, so that they can step."""
 
+    action_masks: Array | None = None
+    alive: Array
+
     config: BatchConfig
     _closed = False
 
@@ -100,7 +108,10 @@ class Device(ABC):
         self.reward_table = table
         self.seed = (0, 0)
         self.tick = 0
-        self._actions = np.empty(config.n_envs, config.spec.action.dtype)
+        self._actions = np.empty(config.n_agents, config.spec.action.dtype)
+        self.alive = np.ones(config.n_agents, np.bool_)
+        # Of one agent without masks nothing has to be remembered from one step to the next.
+        self._remembers = config.spec.agents > 1 or bool(config.spec.mask_fields)
         self._thread = Threads(1, f"pearl-{self.name}")
         # Every step asks for these two, and finds them faster here than on the class.
         self.under_way = None
@@ -114,7 +125,7 @@ class Device(ABC):
         return self
 
     def reset(self, seed: int | None = None, mask: npt.ArrayLike | None = None) -> Array:
-        """Begin new episodes and return every slot's observation.
+        """Begin new episodes and return every agent's observation.
 
         Parameters
         ----------
@@ -149,7 +160,7 @@ class Device(ABC):
             elif chosen is None:
                 self.tick += 1  # or every reset would begin the same episodes
             self.ready = True
-            return self._reset(chosen, seed)
+            return self._shown(self._reset(chosen, seed))
 
     def step(self, actions: npt.ArrayLike) -> BatchStep:
         """Step every slot once.
@@ -157,12 +168,13 @@ class Device(ABC):
         Parameters
         ----------
         actions
-            Of shape ``(n, *action_space.shape)``, each in the action space.
+            Of shape ``(n_agents, *action_space.shape)``, each in the action space.
 
         Raises
         ------
         ActionError
-            Names the first agent whose action is not in the action space. No slot has stepped.
+            Names the first agent whose action is not in the action space, or is masked in an environment that
+            refuses such actions. No slot has stepped.
         OrderError
             Before the first reset, after ``close``, or between ``send`` and ``recv``.
         """
@@ -171,7 +183,7 @@ class Device(ABC):
         return self.step_words(self.encoded(actions))
 
     def step_words(self, words: Array) -> BatchStep:
-        """Step every slot once by its action's word, shape ``(n,)`` in ``spec.action.dtype``; unchecked."""
+        """Step every slot once by its actions' words, a row an agent in ``spec.action.dtype``; unchecked."""
         recovery = self.recovery
         if recovery is not None:
             recovery.before(self, "step_words")
@@ -179,6 +191,8 @@ class Device(ABC):
         if recovery is not None:
             self._after("step_words", words)
         self.tick += 1
+        if self._remembers:
+            self._shown(result.seen)
         return result
 
     def send(self, actions: npt.ArrayLike) -> None:
@@ -201,11 +215,22 @@ class Device(ABC):
                 self.under_way = None
         self._after("step_words", words)
         self.tick += 1
+        if self._remembers:
+            self._shown(result.seen)
         return result
 
     def encoded(self, actions: Any) -> Array:
         """Return actions as :meth:`step_words` takes them, in an array of the device's or the given one."""
-        return encode(actions, self.config.spec, self._actions, self.config.first_slot)
+        spec, first = self.config.spec, self.config.first_slot
+        words = encode(actions, spec, self._actions, first)
+        if spec.masked == "refused":
+            refuse_masked(words, on_host(self.action_masks), first * spec.agents)
+        return words
+
+    def _shown(self, seen: Seen) -> Array:
+        """Remember what the next step goes by; return the observations."""
+        obs, self.action_masks, self.alive = seen
+        return obs
 
     def set_rewards(self, table: npt.ArrayLike) -> None:
         """Replace the reward table, from the next step on: a finite number for each reward category."""
@@ -253,7 +278,7 @@ class Device(ABC):
         )
 
     def restore(self, saved: SavedState) -> Array:
-        """Continue from a snapshot of a batch like this one; return every slot's observation.
+        """Continue from a snapshot of a batch like this one; return every agent's observation.
 
         A snapshot of another one raises SavedStateError, which names what differs. Nothing has changed then.
         """
@@ -263,7 +288,7 @@ class Device(ABC):
             self.seed, self.tick = saved.seed, saved.tick
             self.reward_table = reward_tables.padded(self.config.spec, saved.rewards)
             self.ready = True
-            return self._write(saved.memory, saved.stored)
+            return self._shown(self._write(saved.memory, saved.stored))
 
     def recover(self) -> None:
         """Go on from the last call that succeeded, after one that raised DeviceError.
@@ -388,8 +413,8 @@ class Device(ABC):
         """Get ready to step the slots of ``config``, or raise DeviceError."""
 
     @abstractmethod
-    def _reset(self, mask: Array | None, seed: int | None) -> Array:
-        """Start the masked slots (all, if ``None``) at ``tick``; return all observations.
+    def _reset(self, mask: Array | None, seed: int | None) -> Seen:
+        """Start the masked slots (all, if ``None``) at ``tick``; return what all agents see then.
 
         ``seed`` is what ``self.seed`` was made from, where the random numbers begin anew.
         """
@@ -413,8 +438,8 @@ class Device(ABC):
         """Return the slots' memory and the stored initial states (empty if random), as bytes."""
 
     @abstractmethod
-    def _write(self, memory: Array, stored: Array) -> Array:
-        """Replace both; return all observations."""
+    def _write(self, memory: Array, stored: Array) -> Seen:
+        """Replace both; return what all agents see then."""
 
     def _apply_rewards(self, table: npt.ArrayLike) -> None:  # noqa: B027, as most use the table itself
         """Bring another reward table to where it is used, if that is not ``self.reward_table``."""

@@ -19,12 +19,13 @@ import time
 from abc import abstractmethod
 
 import numpy as np
+import numpy.typing as npt
 from gymnasium.vector import AutoresetMode
 
 from pearl_marl.batch.config import BatchConfig
 from pearl_marl.batch.results import ResultArrays
 from pearl_marl.batch.slot_memory import SlotMemory
-from pearl_marl.batch.step import Array, BatchStep
+from pearl_marl.batch.step import Array, BatchStep, Seen
 from pearl_marl.compiler.kernels import compile_kernels
 from pearl_marl.devices.base import Device
 from pearl_marl.devices.transport import STAGES, Exchange, Transport, word
@@ -36,17 +37,17 @@ from pearl_marl.memory_map import (
     ELAPSED_BITS,
     MAGIC,
     PROTOCOL_VERSION,
-    TER_BITS,
     Control,
     Doorbell,
     MemoryMap,
     Mode,
     Status,
     StatusError,
+    stream_bits,
+    ter_bits,
 )
 from pearl_marl.spec import EnvSpec, Field, word_bits
 
-_TER = Field("ter", TER_BITS)
 _ELAPSED = Field("elapsed", ELAPSED_BITS)
 _IDENTITY = tuple(word for word in Control if word < Control.SEED_0)
 _UNSET = (0, 0, -1, 0, 0)  # settings with a tick that there is none of
@@ -91,11 +92,12 @@ class CommBram(Device):
             self._mode |= Mode.STORED
         # Where each slot starts, if those starts are stored; the kernels get it in any case.
         self._stored = SlotMemory(spec, n)
-        # What the next step has to start afresh, and in NEXT_STEP mode who spends it resetting.
+        # What the next step has to start afresh.
         self._resets_all = False
         self._mask = np.zeros(n, np.bool_)
-        self._resetting = np.zeros(n, np.bool_)
         self._make_buffers(spec, n)
+        # After the last step, as the column of that name in the slots' memory.
+        self._ended: Array = np.zeros(n, self._ters.dtype)
 
     def _make_buffers(self, spec: EnvSpec, n: int) -> None:
         layout = self._layout
@@ -118,9 +120,11 @@ class CommBram(Device):
         doorbell = layout["doorbell"].offset - self._write_base
         self._doorbell = self._written[doorbell : doorbell + 4 * len(Doorbell)].view("<u4")
         self._exchange = Exchange(self._read_base, self._answer[:-8], layout["status"].offset)
-        self._obs_words = [np.empty(n, f.dtype) for f in spec.observation]
-        self._reward_words = np.empty(n, spec.reward.dtype)
-        self._ters = np.empty(n, np.uint8)
+        agents = n * spec.agents
+        self._obs_words = [np.empty(agents, f.dtype) for f in spec.seen]
+        self._reward_words = np.empty(agents, spec.reward.dtype)
+        self._ter = Field("ter", ter_bits(spec))
+        self._ters = np.empty(n, self._ter.dtype)
 
     @property
     def cycles(self) -> int:
@@ -140,7 +144,7 @@ class CommBram(Device):
         edges = itertools.pairwise((began, *self._transport.times, ended))
         return {stage: end - begin for stage, (begin, end) in zip(STAGES, edges, strict=True)}
 
-    def _reset(self, mask: Array | None, seed: int | None) -> Array:
+    def _reset(self, mask: Array | None, seed: int | None) -> Seen:
         if mask is not None:
             before = self._mask.copy()
             self._mask |= mask
@@ -155,7 +159,7 @@ class CommBram(Device):
             self._mask[:] = False
             if self._repeats:
                 every = np.ones(self.config.n_envs, np.bool_)
-                self._start(self._stored, every, self._results.take().obs, use_stored=False)
+                self._start(self._stored, every, self._results.take(), use_stored=False)
                 self._write_region("initial_states", self.config.spec.state, self._stored.state)
             return self._slots()[1]
         except BaseException:
@@ -168,8 +172,10 @@ class CommBram(Device):
         mode, base = self._mode, self._actions_base
         if self._resets_all:
             mode |= Mode.RESET_ALL
+            self._ended[:] = 0
         elif self._mask.any():
             mode |= Mode.RESET_MASK
+            self._ended[self._mask] = 0
             base = self._write_base
             pack(self._mask.view(np.uint8), 1, self._mask_stream, 1)
         action = self.config.spec.action
@@ -208,68 +214,93 @@ class CommBram(Device):
     def _unpack(self) -> BatchStep:
         config, results = self.config, self._results.take()
         spec, n = config.spec, config.n_envs
-        offset, stride = 0, word_bits(spec.observation)
-        for field, words in zip(spec.observation, self._obs_words, strict=True):
+        offset, stride = 0, word_bits(spec.seen)
+        for field, words in zip(spec.seen, self._obs_words, strict=True):
             unpack(self._obs_stream, field.bits, words, stride, offset)
             offset += field.bits
         unpack(self._reward_stream, spec.reward.bits, self._reward_words, spec.reward.bits)
-        unpack(self._ter_stream, TER_BITS, self._ters, TER_BITS)
+        unpack(self._ter_stream, self._ter.bits, self._ters, self._ter.bits)
+        # What agents that ended before do not get is the host's affair.
+        gone: tuple[Array, ...] = ()
+        if spec.agents > 1:
+            gone = (np.where(self._ended & 1, 0, self._ended).astype(self._ended.dtype),)
         # The episode that begins in the hardware's next step begins here in this one.
         self._kernels.results(
-            *self._obs_words, self._reward_words, self._ters, self._stored.bytes, self.reward_table, *results,
-            *self.seed, self.tick + 1, config.first_slot, self._next_step, self._repeats, n, 0, n,
+            *self._obs_words, self._reward_words, self._ters, *gone, self._stored.bytes, self.reward_table,
+            *results.arrays, *self.seed, self.tick + 1, config.first_slot, self._next_step, self._repeats,
+            n, 0, n,
         )  # fmt: skip
         if self._next_step:
-            if not self._resets_all:
-                results.rewards[self._resetting & ~self._mask] = 0
-            self._resetting = self._ters != 0
+            results.rewards.reshape(n, -1)[self._ended & 1 != 0] = 0
+        if self._next_step or spec.agents > 1:
+            self._ended = self._ended_after(self._ters)
         return results
 
-    def _start(self, memory: SlotMemory, mask: Array, obs: Array, *, use_stored: bool) -> None:
+    def _over(self, ters: Array) -> npt.NDArray[np.bool_]:
+        """Return which slots have ended, by the hardware's bits: by the time limit, or as all agents have."""
+        # An only agent's two bits are more than 0 in either case.
+        over: npt.NDArray[np.bool_] = ters >= (1 << self.config.spec.agents) - 1
+        return over
+
+    def _ended_after(self, ters: Array) -> Array:
+        """Return the column ``ended`` of slots with such bits."""
+        over = self._over(ters)
+        if self.config.spec.agents == 1:
+            return (over & self._next_step).view(np.uint8)
+        ended: Array = ters << 1
+        ended[over] = self._next_step
+        return ended
+
+    def _ters_of(self, ended: Array) -> Array:
+        """Return such bits of slots with this column: the inverse."""
+        ters = ended >> 1
+        ters[ended & 1 != 0] = (1 << self.config.spec.agents) - 1
+        return ters
+
+    def _start(self, memory: SlotMemory, mask: Array, results: BatchStep, *, use_stored: bool) -> None:
         """Begin an episode in the masked slots of ``memory``; observe all of its slots."""
         config = self.config
         n, flags = config.n_envs, mask.view(np.uint8)
         self._kernels.reset(
-            memory.bytes, self._stored.bytes, flags, obs, *self.seed, self.tick, config.first_slot,
-            use_stored, n, 0, n,
+            memory.bytes, self._stored.bytes, flags, results.obs, *results.arrays[5:], *self.seed, self.tick,
+            config.first_slot, use_stored, n, 0, n,
         )  # fmt: skip
 
-    def _slots(self) -> tuple[Array, Array]:
-        """Return the slots' memory as the native device would have it now, and their observations."""
+    def _slots(self) -> tuple[Array, Seen]:
+        """Return the slots' memory as the native device would have it now, and what agents see."""
         self.check_known()
         spec, n = self.config.spec, self.config.n_envs
         memory = SlotMemory(spec, n)
         starting = np.ones(n, np.bool_)
         if not self._resets_all:
-            ters = np.empty(n, np.uint8)
-            self._read_region("current_states", (*spec.state, _TER), [*memory.state, ters])
+            ters = np.empty(n, self._ter.dtype)
+            self._read_region("current_states", (*spec.state, self._ter), [*memory.state, ters])
             self._read_region("elapsed", (_ELAPSED,), [memory.elapsed])
             if not self.config.limit:
                 memory.elapsed[:] = 0
-            ended = ters != 0
-            starting = self._mask if self._next_step else self._mask | ended
-            if self._next_step:
-                memory.ended[:] = ended
-        obs = self._results.take().obs
-        self._start(memory, starting, obs, use_stored=self._repeats)
-        return memory.bytes, obs
+            starting = self._mask if self._next_step else self._mask | self._over(ters)
+            memory.ended[:] = self._ended_after(ters)
+        results = self._results.take()
+        self._start(memory, starting, results, use_stored=self._repeats)
+        return memory.bytes, results.seen
 
     def _read(self) -> tuple[Array, Array]:
         stored = self._stored.bytes
         return self._slots()[0], stored if self._repeats else stored[:0]
 
-    def _write(self, memory: Array, stored: Array) -> Array:
+    def _write(self, memory: Array, stored: Array) -> Seen:
         spec, slots = self.config.spec, SlotMemory(self.config.spec, self.config.n_envs, memory)
         self._synchronise(spec)
         try:
             if stored.size:
                 self._stored.bytes[:] = stored
                 self._write_region("initial_states", spec.state, self._stored.state)
-            self._write_region("current_states", (*spec.state, _TER), [*slots.state, slots.ended])
+            ters = self._ters_of(slots.ended)
+            self._write_region("current_states", (*spec.state, self._ter), [*slots.state, ters])
             self._write_region("elapsed", (_ELAPSED,), [slots.elapsed])
             self._resets_all = False
             self._mask[:] = False
-            self._resetting = slots.ended != 0
+            self._ended = slots.ended.copy()
             return self._slots()[1]
         except BaseException:
             self.known = False
@@ -362,7 +393,7 @@ def identity(build: Build) -> tuple[int, ...]:
         layout.pe_num,
         layout.data_wl,
         word_bits(spec.state),
-        word_bits(spec.observation) + spec.reward.bits + TER_BITS,
+        sum(bits for name, bits in stream_bits(spec).items() if name != "actions"),
     )
 
 

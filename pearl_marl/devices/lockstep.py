@@ -9,12 +9,12 @@ import numpy.typing as npt
 
 from pearl_marl.batch.config import BatchConfig
 from pearl_marl.batch.saved_state import SavedState
-from pearl_marl.batch.step import Array, BatchStep
+from pearl_marl.batch.step import Array, BatchStep, Seen
 from pearl_marl.comparison.divergence import (
     Comparison,
     Divergence,
-    observation_words,
     result_words,
+    seen_words,
     state_of,
     state_words,
 )
@@ -22,6 +22,7 @@ from pearl_marl.comparison.replay import Replay
 from pearl_marl.devices.base import Device, count_or_none
 from pearl_marl.devices.by_name import make_host_device
 from pearl_marl.errors import ArgumentError, LockstepError, PearlError
+from pearl_marl.spec import EnvSpec
 
 T = TypeVar("T")
 
@@ -97,24 +98,24 @@ class Lockstep(Device):
             self.device.close()
             raise
 
-    def _reset(self, mask: Array | None, seed: int | None) -> Array:
+    def _reset(self, mask: Array | None, seed: int | None) -> Seen:
         if self._since is not None:  # the first reset of all may have begun different episodes
             self._compare_states()
         copy = None if mask is None else mask.copy()
         return self._restart("reset", lambda device: device.reset(seed, mask), seed=seed, mask=copy)
 
-    def _write(self, memory: Array, stored: Array) -> Array:
+    def _write(self, memory: Array, stored: Array) -> Seen:
         saved = self.saved(memory, stored)
         return self._restart("restore", lambda device: device.restore(saved), saved)
 
     def _restart(
         self, call: str, begin: Callable[[Device], Array], saved: SavedState | None = None, **arguments: Any
-    ) -> Array:
+    ) -> Seen:
         """Reset both devices, or restore what was saved, and compare all there is."""
         previous = None if self._since is None else self.reference.snapshot()
-        ours, theirs = self._both(begin)
+        ours, theirs = self._both(lambda device: Seen(begin(device), device.action_masks, device.alive))
         found = Comparison()
-        found.add(observation_words(self.config.spec, "obs", ours, theirs))
+        found.add(seen_words(self.config.spec, ours, theirs))
         self._add_states(found)
         self.words_compared += found.words
         if found:
@@ -244,8 +245,14 @@ class Lockstep(Device):
             slots=count,
             differences=differences,
             state_before=None if before is None else state_of(spec, n, before, i),
-            action=None if actions is None else spec.action.value(actions[i]),
+            action=None if actions is None else _told(spec, actions, i),
         )
         return LockstepError(
             divergence, Replay(config=self.config, divergence=divergence, before=before, **arguments)
         )
+
+
+def _told(spec: EnvSpec, actions: Array, slot: int) -> float | list[float]:
+    """Return what a slot was told to do: a list where it has several agents."""
+    told = [spec.action.value(word) for word in actions[slot * spec.agents : (slot + 1) * spec.agents]]
+    return told[0] if spec.agents == 1 else told

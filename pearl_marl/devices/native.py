@@ -15,7 +15,7 @@ from gymnasium.vector import AutoresetMode
 from pearl_marl.batch.config import BatchConfig
 from pearl_marl.batch.results import ResultArrays
 from pearl_marl.batch.slot_memory import SlotMemory
-from pearl_marl.batch.step import Array, BatchStep
+from pearl_marl.batch.step import Array, BatchStep, Seen
 from pearl_marl.compiler.block_pieces import BLOCK
 from pearl_marl.compiler.kernels import compile_kernels
 from pearl_marl.devices.base import Device, count_or_none
@@ -75,18 +75,19 @@ class Native(Device):
         for task in tasks:
             task.result()
 
-    def _reset(self, mask: Array | None, seed: int | None) -> Array:
+    def _reset(self, mask: Array | None, seed: int | None) -> Seen:
         config, stored = self.config, self._stored
         n = config.n_envs
         flags = np.ones(n, np.uint8) if mask is None else mask.astype(np.uint8)
-        obs = self._results.take().obs
+        results = self._results.take()
         use_stored = stored is not self._memory
+        given = self._memory, stored, flags, results.obs
         again = use_stored and mask is not None
         tick, first = self.tick, config.first_slot
-        self._run(self._kernels.reset, (self._memory, stored, flags, obs, *self.seed, tick, first, again))
+        self._run(self._kernels.reset, (*given, *results.arrays[5:], *self.seed, tick, first, again))
         if use_stored and mask is None:
             stored[:] = self._memory
-        return obs
+        return results.seen
 
     def _step(self, actions: Array) -> BatchStep:
         config, results = self.config, self._results.take()
@@ -94,7 +95,7 @@ class Native(Device):
         given = (self._memory, self._stored, actions, self.reward_table)
         # Concatenated rather than unpacked: at small sizes the call is most of a step.
         place = (self.tick, config.first_slot, config.limit)
-        self._run(self._kernels.step, given + results + self.seed + place + self._mode)
+        self._run(self._kernels.step, given + results.arrays + self.seed + place + self._mode)
         if self._tuning:
             self._tune(time.perf_counter() - began)
         return results
@@ -118,7 +119,7 @@ class Native(Device):
     def _read(self) -> tuple[Array, Array]:
         return self._memory, self._stored if self._stored is not self._memory else self._memory[:0]
 
-    def _write(self, memory: Array, stored: Array) -> Array:
+    def _write(self, memory: Array, stored: Array) -> Seen:
         self._memory[:] = memory
         if stored.size:
             self._stored[:] = stored

@@ -30,7 +30,7 @@ from gymnasium.vector import AutoresetMode
 from pearl_marl.batch.config import BatchConfig
 from pearl_marl.batch.rewards import categories
 from pearl_marl.batch.saved_state import SavedState
-from pearl_marl.batch.step import Array, BatchStep
+from pearl_marl.batch.step import Array, BatchStep, Seen
 from pearl_marl.compiler.kernel_source import kernel_source
 from pearl_marl.compiler.kernels import kernel_name
 from pearl_marl.devices import cluster
@@ -140,7 +140,7 @@ class _Shard(Device):
         # The state right after a reset, which comes with it: asked for later, it might be lost by then.
         self._fresh: tuple[Array, Array] | None = None
         self._final_obs = np.zeros(
-            (config.n_envs, *config.spec.observation_shape), config.spec.observation_dtype
+            (config.n_agents, *config.spec.observation_shape), config.spec.observation_dtype
         )
         try:
             self._start(config, None)
@@ -149,19 +149,20 @@ class _Shard(Device):
                 f"the actor of a shard ({self.name}) was lost while it started: {error}"
             ) from error
 
-    def _reset(self, mask: Array | None, seed: int | None) -> Array:
+    def _reset(self, mask: Array | None, seed: int | None) -> Seen:
         keeps = mask is None and self.checkpoint_every is not None
-        obs, self._fresh = self._ask("reset", seed, mask, keeps, anew=seed is not None)
-        return obs  # type: ignore[no-any-return]
+        seen, self._fresh = self._ask("reset", seed, mask, keeps, anew=seed is not None)
+        return seen  # type: ignore[no-any-return]
 
     def _step(self, actions: Array) -> BatchStep:
         # Observations may be of a narrower dtype here; Sharded writes them into arrays of the space's.
-        obs, rewards, terminations, truncations, ends = self._ask("step", actions)
+        obs, rewards, terminations, truncations, ends, *others = self._ask("step", actions)
         final_obs = obs
         if ends is not None and len(ends):
             final_obs = self._final_obs
             final_obs[terminations | truncations] = ends
-        return BatchStep(obs, rewards, terminations, truncations, final_obs)
+        arrays = obs, rewards, terminations, truncations, final_obs, *others
+        return BatchStep.of(arrays, bool(self.config.spec.mask_fields))
 
     def _read(self) -> tuple[Array, Array]:
         fresh, self._fresh = self._fresh, None
@@ -170,7 +171,7 @@ class _Shard(Device):
             fresh = saved.memory, saved.stored
         return fresh
 
-    def _write(self, memory: Array, stored: Array) -> Array:
+    def _write(self, memory: Array, stored: Array) -> Seen:
         saved = self.saved(memory, stored)
         return self._ask("restore", self.config.max_cycles, saved, anew=True)  # type: ignore[no-any-return]
 
@@ -247,33 +248,38 @@ class _Host:
         device.checkpoint_every = None  # what is kept here would be lost with the actor
         self._device: Device = device.open(config, rewards)
 
-    def step(self, words: Array) -> tuple[Array, ...]:
+    def step(self, words: Array) -> tuple[Array | None, ...]:
         """Step; return results in as few bytes as they need.
 
-        Observations come in the dtype of :func:`travelling`, and final ones only of slots that ended, one
-        after the other (``None`` in NEXT_STEP mode, where they are the observations themselves).
+        Observations come in the dtype of :func:`travelling`, and final ones only of agents that ended, one
+        after the other (``None`` in NEXT_STEP mode of one agent, where they are the observations).
         """
         # What came through Ray may be read-only, for which kernels would be compiled once more.
         results = self._device.step_words(words.copy())
         ends = None
-        if self._device.config.autoreset_mode is AutoresetMode.SAME_STEP:
+        config = self._device.config
+        if config.autoreset_mode is AutoresetMode.SAME_STEP or config.spec.agents > 1:
             ends = results.final_obs[results.ended].astype(self._travelling, copy=False)
-        return (results.obs.astype(self._travelling, copy=False), *results[1:4], ends)  # type: ignore[return-value]
+        obs = results.obs.astype(self._travelling, copy=False)
+        return (obs, *results[1:4], ends, *results.arrays[5:])
 
     def reset(
         self, seed: int | None, mask: Array | None, keeps: bool
-    ) -> tuple[Array, tuple[Array, Array] | None]:
+    ) -> tuple[Seen, tuple[Array, Array] | None]:
         """Reset; return the state too if it is to be kept."""
-        obs = self._device.reset(seed, None if mask is None else mask.copy())
+        seen = self._seen(self._device.reset(seed, None if mask is None else mask.copy()))
         if not keeps:
-            return obs, None
+            return seen, None
         saved = self._device.snapshot()
-        return obs, (saved.memory, saved.stored)
+        return seen, (saved.memory, saved.stored)
 
-    def restore(self, max_cycles: int | None, saved: SavedState) -> Array:
+    def _seen(self, obs: Array) -> Seen:
+        return Seen(obs, self._device.action_masks, self._device.alive)
+
+    def restore(self, max_cycles: int | None, saved: SavedState) -> Seen:
         """Continue from a snapshot, under the time limit of that moment."""
         self._device.config = replace(self._device.config, max_cycles=max_cycles)
-        return self._device.restore(saved.copy())
+        return self._seen(self._device.restore(saved.copy()))
 
     def call(self, name: str, *arguments: Any) -> Any:
         """Make any other call of the device."""

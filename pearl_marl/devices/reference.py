@@ -17,14 +17,12 @@ from pearl_marl import rng
 from pearl_marl.batch.config import BatchConfig
 from pearl_marl.batch.results import ResultArrays
 from pearl_marl.batch.slot_memory import SlotMemory
-from pearl_marl.batch.step import Array, BatchStep
+from pearl_marl.batch.step import Array, BatchStep, Seen
 from pearl_marl.compiler.kernels import compile_kernels
 from pearl_marl.devices.base import Device
 from pearl_marl.errors import DeviceError
 from pearl_marl.golden import GoldenFunction, reference
-from pearl_marl.spec import Field
-
-_TERMINATED = Field("terminated", 1)
+from pearl_marl.spec import TERMINATED, Field
 
 
 class Reference(Device):
@@ -48,7 +46,7 @@ class Reference(Device):
         if config.initial_states == "stored":
             self._stored = SlotMemory(config.spec, config.n_envs)
 
-    def _reset(self, mask: Array | None, seed: int | None) -> Array:
+    def _reset(self, mask: Array | None, seed: int | None) -> Seen:
         memory = self._memory
         if mask is None:
             self._put(self._random_start(self.tick))
@@ -58,55 +56,60 @@ class Reference(Device):
         else:
             self._put(_chosen(mask, self._start(self.tick), memory.state))
             memory.elapsed[mask] = memory.ended[mask] = 0
-        obs = self._results.take().obs
-        obs[...] = self._observe(self._memory.state)
-        return obs
+        return self._see(self._results.take(), memory.state, memory.gone)
 
     def _step(self, actions: Array) -> BatchStep:
         spec, limit, memory = self.config.spec, self.config.limit, self._memory
         draws = self._draws(self.tick, spec.reset_draws, spec.step_draws)
-        fields = (*spec.state, spec.reward, _TERMINATED)
-        *state, reward, terminated = self._words(spec.golden.step, [*memory.state, actions, *draws], fields)
+        fields = (*spec.state, *spec.each_agent(spec.reward), *spec.each_agent(TERMINATED))
+        given = actions.reshape(-1, spec.agents).T
+        words = self._words(spec.golden.step, [*memory.state, *given, *draws], fields)
+        state, outcome = words[: len(spec.state)], words[len(spec.state) :]
+        reward, terminated = (np.stack(part, 1) for part in (outcome[: spec.agents], outcome[spec.agents :]))
 
         # NEXT_STEP: a slot that ended has run on unseen, and begins now instead.
-        resetting = memory.ended.astype(np.bool_)
+        resetting = (memory.ended & 1).astype(np.bool_)
+        # Agents that have ended while their world goes on have no part in it any more.
+        idle = memory.gone | resetting[:, None]
         if resetting.any():
             state = _chosen(resetting, self._start(self.tick), state)
         elapsed = np.where(resetting, 0, memory.elapsed + 1) if limit else memory.elapsed
-        terminations = terminated.astype(np.bool_) & ~resetting
-        truncations = elapsed >= limit if limit else np.zeros_like(terminations)
-        truncations = truncations & ~resetting
-        ended = terminations | truncations
-        obs = final_obs = self._observe(state)
+        terminations = terminated.astype(np.bool_) & ~idle
+        late = (elapsed >= limit if limit else np.zeros_like(resetting)) & ~resetting
+        gone = memory.gone | terminations
+        ended = gone.all(1) | late
+        gone[ended] = False
+        results = self._results.take()
+        self._see(results, state, gone)
+        final_obs = self._observe(state)
         # SAME_STEP: it begins at once, with the draws of the next step.
         if not self._next_step and ended.any():
             state = _chosen(ended, self._start(self.tick + 1), state)
             elapsed = np.where(ended, 0, elapsed)
-            obs = self._observe(state)
+            self._see(results, state, gone)
 
         # Every golden function has been called: from here on nothing can be refused any more.
+        truncations = late[:, None] & ~idle
         self._put(state)
         memory.elapsed[:] = elapsed
         memory.ended[:] = ended & self._next_step
-        results = self._results.take()
+        for k in range(spec.agents):
+            memory.ended[gone[:, k]] |= memory.ended.dtype.type(1 << 1 + k)
         results.final_obs[...] = final_obs
-        results.obs[...] = obs
-        results.rewards[:] = np.where(resetting, np.float32(0), self._reward_values(reward))
-        results.terminations[:] = terminations
-        results.truncations[:] = truncations
+        results.rewards[:] = np.where(idle, np.float32(0), self._reward_values(reward)).ravel()
+        results.terminations[:] = terminations.ravel()
+        results.truncations[:] = truncations.ravel()
         return results
 
     def _read(self) -> tuple[Array, Array]:
         memory = self._memory.bytes
         return memory, memory[:0] if self._stored is None else self._stored.bytes
 
-    def _write(self, memory: Array, stored: Array) -> Array:
+    def _write(self, memory: Array, stored: Array) -> Seen:
         self._memory.bytes[:] = memory
         if self._stored is not None:
             self._stored.bytes[:] = stored
-        obs = self._results.take().obs
-        obs[...] = self._observe(self._memory.state)
-        return obs
+        return self._see(self._results.take(), self._memory.state, self._memory.gone)
 
     def _close(self) -> None:
         """Nothing is held but memory."""
@@ -127,11 +130,11 @@ class Reference(Device):
         return [rng.draws(self.seed, self._slots, tick, first + k) for k in range(count)]
 
     def _words(
-        self, function: GoldenFunction, arguments: list[Array], fields: tuple[Field, ...]
+        self, function: GoldenFunction, arguments: list[Array], fields: tuple[Field, ...], *agent: int
     ) -> list[Array]:
         """Call a golden function; return a row a slot of each word, in its field's dtype."""
         words = []
-        for word, field in zip(self._call(function)(*arguments), fields, strict=True):
+        for word, field in zip(self._call(function, *agent)(*arguments), fields, strict=True):
             word = np.asarray(word)
             low = -(1 << field.bits - 1) if field.signed else 0
             high = (1 << field.bits - field.signed) - 1
@@ -146,10 +149,34 @@ class Reference(Device):
             words.append(np.broadcast_to(word, self.config.n_envs).astype(field.dtype))
         return words
 
+    def _see(self, results: BatchStep, state: list[Array], gone: Array) -> Seen:
+        """Write what agents see in a state, and who is alive; who is gone sees zeros."""
+        spec, nobody = self.config.spec, gone.ravel()
+        results.obs[...] = self._observe(state)
+        results.obs[nobody] = 0
+        if spec.golden.masks is not None:
+            assert results.action_masks is not None
+            by_agent = [
+                self._words(spec.golden.masks, state, spec.mask_fields, *agent) for agent in spec.views
+            ]
+            results.action_masks[...] = np.stack([np.stack(words, -1) for words in by_agent], 1).reshape(
+                len(nobody), -1
+            )
+            results.action_masks[nobody] = 0
+        if spec.agents > 1:
+            results.alive[...] = ~nobody
+        return results.seen
+
     def _observe(self, state: list[Array]) -> Array:
+        """Return the observations of all agents, those of one world after the other."""
+        shape = self.config.spec.observation_shape
+        by_agent = [self._observe_one(state, *agent) for agent in self.config.spec.views]
+        return np.stack(by_agent, 1).reshape(-1, *shape)
+
+    def _observe_one(self, state: list[Array], *agent: int) -> Array:
         spec = self.config.spec
         dtype: Any = spec.observation_dtype
-        words = self._words(spec.golden.observe, state, spec.observation)
+        words = self._words(spec.golden.observe, state, spec.observation, *agent)
         if spec.unpack is not None:  # a loop over single elements, which only Numba can run
             obs = np.empty((len(self._slots), *spec.observation_shape), dtype)
             self._deliver(*words, obs)

@@ -23,7 +23,7 @@ import numpy.typing as npt
 from pearl_marl.batch.config import BatchConfig
 from pearl_marl.batch.results import ResultArrays
 from pearl_marl.batch.saved_state import SavedState
-from pearl_marl.batch.step import Array, BatchStep
+from pearl_marl.batch.step import Array, BatchStep, Seen
 from pearl_marl.devices.base import Device, count_or_none
 from pearl_marl.devices.by_name import make_distinct
 from pearl_marl.devices.recovery import CHECKPOINT_EVERY, CheckpointLog
@@ -118,26 +118,31 @@ class Sharded(Device):
         first_slot, size = config.first_slot + slots.start, slots.stop - slots.start
         part.open(replace(config, n_envs=size, first_slot=first_slot, copy=False))
 
-    def _reset(self, mask: Array | None, seed: int | None) -> Array:
+    def _reset(self, mask: Array | None, seed: int | None) -> Seen:
         if seed is None:
             self.check_known()
         return self._restart(lambda part, slots: part.reset(seed, None if mask is None else mask[slots]))
 
     def _step(self, actions: Array) -> BatchStep:
         self.check_known()
-        done = self._change(lambda part, slots: part.step_words(actions[slots]))
+        done = self._change(lambda part, slots: part.step_words(actions[self.rows(slots)]))
         results = self._results.take()
         for slots, step in zip(self._slots, done, strict=True):
-            for whole, share in zip(results, step, strict=True):
-                whole[slots] = share
+            for whole, share in zip(results.arrays, step.arrays, strict=True):
+                whole[self.rows(slots)] = share
         return results
+
+    def rows(self, slots: slice) -> slice:
+        """Return the rows that the agents of some slots have."""
+        agents = self.config.spec.agents
+        return slice(slots.start * agents, slots.stop * agents)
 
     def _read(self) -> tuple[Array, Array]:
         self.check_known()
         saved = SavedState.join(self.config.spec, self.on_all(lambda part, _: part.snapshot()))
         return saved.memory, saved.stored
 
-    def _write(self, memory: Array, stored: Array) -> Array:
+    def _write(self, memory: Array, stored: Array) -> Seen:
         saved, spec = self.saved(memory, stored), self.config.spec
 
         def write(part: Device, slots: slice) -> Array:
@@ -168,10 +173,15 @@ class Sharded(Device):
         self.known = True
         return results
 
-    def _restart(self, call: Callable[[Device, slice], Array]) -> Array:
-        """Reset or restore all parts; return all observations."""
+    def _restart(self, call: Callable[[Device, slice], Array]) -> Seen:
+        """Reset or restore all parts; return what agents see."""
         shares = self._change(call)
-        obs = self._results.take().obs
-        for slots, share in zip(self._slots, shares, strict=True):
-            obs[slots] = share
-        return obs
+        results = self._results.take()
+        for part, slots, share in zip(self.parts, self._slots, shares, strict=True):
+            rows = self.rows(slots)
+            results.obs[rows] = share
+            if results.action_masks is not None:
+                results.action_masks[rows] = part.action_masks
+            if self.config.spec.agents > 1:
+                results.alive[rows] = part.alive
+        return results.seen

@@ -21,7 +21,7 @@ from pearl_marl.compiler.loading import fingerprint
 from pearl_marl.compiler.targets import Target
 from pearl_marl.errors import ArgumentError
 from pearl_marl.hardware.build import Build
-from pearl_marl.memory_map import MemoryMap
+from pearl_marl.memory_map import MemoryMap, stream_bits
 from pearl_marl.spec import EnvSpec, snake_case, word_bits
 
 TARGET = Target("xc7", 150.0)
@@ -59,8 +59,8 @@ def core_path(spec: EnvSpec, target: Target = TARGET) -> Path:
 
 
 def _generated_core(spec: EnvSpec, target: Target) -> Path:
-    words = spec.state, spec.action, spec.observation, spec.reward, spec.reset_draws, spec.step_draws
-    functions = [fingerprint(function) for function in spec.golden]
+    words = spec.state, spec.action, spec.seen, spec.reward, spec.reset_draws, spec.step_draws, spec.agents
+    functions = [fingerprint(function) for function in spec.functions]
     key = repr((spec.id, spec.options, words, functions, target))
     if key not in _generated:
         _generated[key] = _kept(generated_core(spec, target).text, f"{snake_case(spec.name)}_pe.sv")
@@ -98,7 +98,7 @@ def core_wrapper(spec: EnvSpec) -> str:
     ArgumentError
         An option, which is a parameter of the core, is not an integer.
     """
-    core = snake_case(spec.name)
+    core, bits = snake_case(spec.name), stream_bits(spec)
     assigned = ", ".join(f".{name}({literal})" for name, literal in core_parameters(spec).items())
     template = resources.files("pearl_marl.rtl") / f"{WRAPPER}.in"
     return template.read_text().format(
@@ -106,9 +106,10 @@ def core_wrapper(spec: EnvSpec) -> str:
         core=core,
         parameters=f" #({assigned})" if assigned else "",
         state_bits=word_bits(spec.state),
-        action_bits=spec.action.bits,
-        obs_bits=word_bits(spec.observation),
-        reward_bits=spec.reward.bits,
+        agents=spec.agents,
+        action_bits=bits["actions"],
+        obs_bits=bits["observations"],
+        reward_bits=bits["rewards"],
         draws=spec.reset_draws + spec.step_draws,
         env_hash=f"32'h{env_hash(spec):08X}",
     )

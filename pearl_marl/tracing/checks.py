@@ -44,17 +44,21 @@ class Result(NamedTuple):
 
 
 @functools.lru_cache
-def check(function: Callable[..., Any], given: Sequence[Argument], due: Sequence[Result]) -> None:
+def check(
+    function: Callable[..., Any], given: Sequence[Argument], due: Sequence[Result], *agent: int
+) -> None:
     """Refuse a golden function that cannot be called with some words, or returns others than it has to.
+
+    ``agent`` is the number of an agent, for a function that takes one after its words.
 
     Raises
     ------
     ArgumentError
         Says what is wrong and in which line of the author's file, with an example where trying finds one.
     """
-    graph, names = Graph(), _parameters(function, given)
+    graph, names = Graph(), _parameters(function, given, agent)
     inputs = {n: graph.input(n, word.bits, word.signed) for n, word in zip(names, given, strict=True)}
-    results = trace(graph, function, list(inputs.values()))
+    results = trace(graph, function, list(inputs.values()), *agent)
     if len(results) != len(due):
         raise ArgumentError(
             f"{place(function)}: {function.__name__}() returns {_count(results, 'word')}, and the spec takes "
@@ -64,18 +68,19 @@ def check(function: Callable[..., Any], given: Sequence[Argument], due: Sequence
         if node.low < word.low or node.high > word.high:
             found = f"{node.low}" if node.low == node.high else f"{node.low} to {node.high}"
             raise ArgumentError(
-                f"{place(function, node.line)}: {function.__name__}() returns {found} for {word.name}, and "
+                f"{place(function, node.line)}: {function.__name__}() returns {found} for {word.name}"
+                f"{''.join(f' of agent {k}' for k in agent)}, and "
                 f"{word.limit} {word.low} to {word.high}; {_example(node, word, inputs)}; {word.fix}"
             )
 
 
-def _parameters(function: Callable[..., Any], given: Sequence[Argument]) -> list[str]:
+def _parameters(function: Callable[..., Any], given: Sequence[Argument], agent: Sequence[int]) -> list[str]:
     """Return the author's names for the words that a function is called with."""
-    names = [word.name for word in given]
+    names = [*(word.name for word in given), *("agent" for _ in agent)]
     if not isinstance(function, types.FunctionType):
         raise ArgumentError(f"{function!r} is no plain Python function, and a golden function is one")
     try:
-        bound = inspect.signature(function).bind(*given).arguments
+        bound = inspect.signature(function).bind(*given, *agent).arguments
     except TypeError as error:
         raise ArgumentError(
             f"{place(function)}: {function.__name__}() is called with {_count(names, 'word')}, "

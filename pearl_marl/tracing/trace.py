@@ -21,8 +21,8 @@ from pearl_marl.tracing.nodes import Node
 from pearl_marl.tracing.words import Cast, Word, node_of, table
 
 
-def trace(graph: Graph, function: Callable[..., Any], arguments: Sequence[Node]) -> list[Node]:
-    """Run a golden function over nodes of a graph; return the nodes of its results.
+def trace(graph: Graph, function: Callable[..., Any], arguments: Sequence[Node], *agent: int) -> list[Node]:
+    """Run a golden function over nodes of a graph, and an agent's number; return the nodes of its results.
 
     Nodes get the names of the variables that they are assigned to, the author's before those of helpers, and
     the lines they are made in.
@@ -34,7 +34,7 @@ def trace(graph: Graph, function: Callable[..., Any], arguments: Sequence[Node])
     """
     if not isinstance(function, types.FunctionType):
         raise ArgumentError(f"{function!r} is no plain Python function, and a golden function is one")
-    words = [Word(graph, node) for node in arguments]
+    words = [*(Word(graph, node) for node in arguments), *agent]
     try:
         inspect.signature(function).bind(*words)
     except TypeError as error:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from pearl_marl.batch.slot_memory import SlotMemory
+from pearl_marl.batch.step import Seen
 from pearl_marl.devices import BatchConfig, BatchStep, Native
 
 Array = np.ndarray[Any, Any]
@@ -47,11 +48,11 @@ class FlipsStart(Native):
         super().__init__()
         self.slot = slot
 
-    def _reset(self, mask: Array | None, seed: int | None) -> Array:
-        obs = super()._reset(mask, seed)
+    def _reset(self, mask: Array | None, seed: int | None) -> Seen:
+        seen = super()._reset(mask, seed)
         if mask is None or mask[self.slot]:
-            flip_bit(obs, self.slot)
-        return obs
+            flip_bit(seen.obs, self.slot)
+        return seen
 
 
 class Forgets(Native):
@@ -59,10 +60,10 @@ class Forgets(Native):
 
     name = "forgets"
 
-    def _write(self, memory: Array, stored: Array) -> Array:
-        obs = super()._write(memory, stored)
+    def _write(self, memory: Array, stored: Array) -> Seen:
+        seen = super()._write(memory, stored)
         SlotMemory(self.config.spec, self.config.n_envs, self._memory).elapsed[3] ^= 1
-        return obs
+        return seen
 
 
 class OtherWidth(Native):

@@ -12,7 +12,7 @@ import numpy as np
 from bench import axi_master, reset, spec_of, start
 from cocotb.triggers import ClockCycles, FallingEdge, with_timeout
 from cocotbext.axi.constants import AxiResp
-from model import ELAPSED, TER, Model, unpack_region
+from model import ELAPSED, Model, unpack_region
 
 from pearl_marl.hardware import elaboration
 from pearl_marl.memory_map import (
@@ -168,7 +168,7 @@ async def steps_equal_the_model_in_every_mode(dut: Any) -> None:
             current = unpack_region(
                 LAYOUT,
                 LAYOUT["current_states"],
-                (*SPEC.state, *TER),
+                (*SPEC.state, *model.ter),
                 await host.read_region("current_states"),
             )
             for column, truth in zip(current, [*model.states, model.ters], strict=True):
@@ -192,7 +192,7 @@ async def a_saved_state_goes_on_where_it_was(dut: Any) -> None:
     model.elapsed = generator.integers(0, 9, n).astype(np.uint32)
     model.ters = generator.integers(0, 4, n).astype(np.uint8)
     await host.load(model)
-    states = model.bytes_of("current_states", (*SPEC.state, *TER), [*model.states, model.ters])
+    states = model.bytes_of("current_states", (*SPEC.state, *model.ter), [*model.states, model.ters])
     await host.write(LAYOUT["current_states"].offset, states)
     assert await host.read_region("current_states") == states
     elapsed = model.bytes_of("elapsed", ELAPSED, [model.elapsed])

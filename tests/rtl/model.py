@@ -10,12 +10,11 @@ import numpy.typing as npt
 from pearl_marl import rng
 from pearl_marl.golden import call_reference
 from pearl_marl.hardware.codec import pack, stream_bytes, unpack
-from pearl_marl.memory_map import ELAPSED_BITS, TER_BITS, MemoryMap, Mode, Region
+from pearl_marl.memory_map import ELAPSED_BITS, MemoryMap, Mode, Region, ter_bits
 from pearl_marl.spec import EnvSpec, Field
 
 Columns = list[npt.NDArray[np.integer]]
 
-TER = (Field("ter", TER_BITS),)
 ELAPSED = (Field("elapsed", ELAPSED_BITS),)
 
 
@@ -64,7 +63,8 @@ class Model:
         self.initial_states: Columns = [np.zeros(n, f.dtype) for f in spec.state]
         self.states: Columns = [np.zeros(n, f.dtype) for f in spec.state]
         self.elapsed = np.zeros(n, np.uint32)
-        self.ters = np.zeros(n, np.uint8)
+        self.ter = (Field("ter", ter_bits(spec)),)
+        self.ters = np.zeros(n, self.ter[0].dtype)
 
     def step(
         self, mode: Mode, mask: npt.NDArray[np.bool_], actions: npt.NDArray[np.uint8]
@@ -73,7 +73,9 @@ class Model:
         spec, n = self.spec, self.layout.n_envs
         slots = np.arange(n) + self.first_slot
         draws = [rng.draws(self.seed, slots, self.tick, i) for i in range(spec.reset_draws + spec.step_draws)]
-        ended = self.ters != 0
+        # A slot has ended by its time limit, or once all its agents have.
+        every = (1 << spec.agents) - 1
+        ended = (self.ters >> spec.agents != 0) | (self.ters & every == every)
         named = (mask & bool(mode & Mode.RESET_MASK)) | bool(mode & Mode.RESET_ALL)
         first = ended | named
         hold = ended & ~named & bool(mode & Mode.NEXT_STEP)
@@ -86,18 +88,28 @@ class Model:
                 for w, f in zip(drawn, spec.state, strict=True)
             ]
         origin = [np.where(first, s, w) for s, w in zip(start, self.states, strict=True)]
-        *moved, reward, terminated = call_reference(
-            spec.golden.step, [*origin, actions, *draws[spec.reset_draws :]]
-        )
+        given = actions.reshape(n, spec.agents).T
+        results = call_reference(spec.golden.step, [*origin, *given, *draws[spec.reset_draws :]])
+        moved, outcome = results[: len(spec.state)], results[len(spec.state) :]
+        rewards, flags = outcome[: spec.agents], outcome[spec.agents :]
         self.states = [np.where(hold, o, m) for o, m in zip(origin, moved, strict=True)]
         self.elapsed = np.where(hold, 0, np.where(first, 0, self.elapsed) + 1).astype(np.uint32)
         truncated = (self.elapsed >= self.max_cycles) & (self.max_cycles != 0) & ~hold
-        self.ters = (2 * truncated + np.where(hold, 0, terminated)).astype(np.uint8)
+        gone = np.where(first, 0, self.ters)
+        for k, flag in enumerate(flags):
+            gone = gone | np.where(hold, 0, flag).astype(self.ters.dtype) << k
+        self.ters = (truncated.astype(self.ters.dtype) << spec.agents | gone).astype(self.ters.dtype)
         self.tick += 1
+        observed = [
+            word
+            for agent in spec.views
+            for view in spec.functions[2:]
+            for word in call_reference(view, self.states, *agent)
+        ]
         columns = {
-            "observations": (spec.observation, list(call_reference(spec.golden.observe, self.states))),
-            "rewards": ((spec.reward,), [np.where(hold, 0, reward)]),
-            "ters": (TER, [self.ters]),
+            "observations": (spec.seen * spec.agents, [np.broadcast_to(word, n) for word in observed]),
+            "rewards": (spec.each_agent(spec.reward), [np.where(hold, 0, reward) for reward in rewards]),
+            "ters": (self.ter, [self.ters]),
         }
         return {name: self.bytes_of(name, *of) for name, of in columns.items()}
 

@@ -6,7 +6,7 @@ Each line is an access, a wait or a reset; mutants.cpp reads them. The model say
 from __future__ import annotations
 
 import numpy as np
-from model import ELAPSED, TER, Model
+from model import ELAPSED, Model
 
 from pearl_marl.hardware.build import Build
 from pearl_marl.memory_map import Control, Mode, Region, Status
@@ -129,7 +129,7 @@ class Script:
 
     def states(self) -> tuple[bytes, bytes]:
         model = self.model
-        states = model.bytes_of("current_states", (*self.spec.state, *TER), [*model.states, model.ters])
+        states = model.bytes_of("current_states", (*self.spec.state, *model.ter), [*model.states, model.ters])
         return states, model.bytes_of("elapsed", ELAPSED, [model.elapsed])
 
 

@@ -176,7 +176,6 @@ def test_package_says_what_the_map_says() -> None:
     assert f"DOORBELL_WORDS={len(memory_map.Doorbell)};" in words
     assert f"STATUS_WORDS={len(memory_map.Status)};" in words
     assert f"PROTOCOL_VERSION={memory_map.PROTOCOL_VERSION};" in words
-    assert f"TER_BITS={memory_map.TER_BITS};" in words
     assert f"ELAPSED_BITS={memory_map.ELAPSED_BITS};" in words
     names = "".join(name.title().replace("_", "") + "," for name in memory_map.REGION_NAMES)
     assert f"{{{names}NumRegions}}region_e;" in words

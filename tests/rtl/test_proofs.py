@@ -158,6 +158,8 @@ class Around:
         stated = {
             "LATENCY": self.latency,
             "II": self.interval,
+            "AGENTS": 1,
+            "TER_BITS": 2,
             "STATE_BITS": self.state,
             "ACTION_BITS": self.action,
             "OBS_BITS": self.observation,

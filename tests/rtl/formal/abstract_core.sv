@@ -16,7 +16,7 @@ module pearl_core
     output logic [ STATE_BITS-1:0]       state_o,
     output logic [   OBS_BITS-1:0]       obs_o,
     output logic [REWARD_BITS-1:0]       reward_o,
-    output logic                         terminated_o
+    output logic [     AGENTS-1:0]       terminated_o
 );
 
   logic [LATENCY-1:0] valid_q;

@@ -1,0 +1,1 @@
+"""ConnectFour: two players drop discs into a grid, and four in a row win."""

@@ -1,0 +1,56 @@
+"""The spec of ConnectFour: two bitboards, and PettingZoo's planes of them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from gymnasium import Env
+from gymnasium.spaces import Box, Discrete
+
+from pearl_marl.golden import Word
+from pearl_marl.spec import EnvSpec, Field, Golden
+
+from .step import CELLS, COLUMNS, ROWS, initial, masks, observe, step
+
+
+def unpack(own: Word, other: Word, row: Any) -> None:
+    """Write PettingZoo's ``(6, 7, 2)`` of row, column and whose disc it is, into ``row``."""
+    for cell in range(CELLS):
+        row[2 * cell] = int(own) >> cell & 1
+        row[2 * cell + 1] = int(other) >> cell & 1
+
+
+def pose(oracle: Env[Any, Any], state: tuple[int, ...]) -> None:
+    """Put PettingZoo's game into ``(first, second, turn)``, for rendering."""
+    first, second, _ = state
+    board = [(first >> cell & 1) + 2 * (second >> cell & 1) for cell in range(CELLS)]
+    oracle.game.board = board  # type: ignore[attr-defined]
+
+
+def configure() -> EnvSpec:
+    """Return the spec; there are no options."""
+    return EnvSpec(
+        name="ConnectFour",
+        version=0,
+        summary="Two players drop discs in turn, and four in a row win",
+        state=(Field("first", CELLS), Field("second", CELLS), Field("turn", 1)),
+        action=Field("column", 3),
+        observation=(Field("own", CELLS), Field("other", CELLS)),
+        reward=Field("reward", 2, signed=True),
+        rewards=None,
+        observation_space=Box(0, 1, (ROWS, COLUMNS, 2), np.int8),
+        action_space=Discrete(COLUMNS),
+        golden=Golden(initial, step, observe, masks),
+        agents=2,
+        turns=True,
+        masked="refused",
+        unpack=unpack,
+        configure=configure,
+        oracle="pearl_marl.envs.connect_four.oracle:PettingZoo/ConnectFour-v3",
+        pose=pose,
+        render_modes=("human", "rgb_array"),
+    )
+
+
+SPEC = configure()

@@ -1,0 +1,1 @@
+"""LevelBasedForaging: players of different levels pick up food, much of it only together."""

@@ -1,0 +1,143 @@
+"""The pieces of the CPU's kernels about ends: whose episode is over, and what is left to see of whom.
+
+A slot's ``flag`` says that its episode is over. In a world of several agents each has a bit in ``gone``, as
+the column ``ended`` has them, and another one in ``gone_before``, which is what it was before the step.
+"""
+
+from __future__ import annotations
+
+from pearl_marl.compiler.block_pieces import BlockPieces, part
+from pearl_marl.compiler.pieces import indented
+
+Parts = dict[str, list[str]]
+
+COUNT = (
+    "e = uint32_choose(resetting[i], 0, uint32_add(E[i], 1))",
+    "late = uint32_at_least(e, limit)",
+    "E[i] = e",
+)
+"""What counts a step, and finds out whether it was the last one that the time limit allows."""
+
+
+def end_pieces(p: BlockPieces) -> Parts:
+    """Return these pieces by the names that the template of the kernels has for them."""
+    return _of_one(p) if p.agents == 1 else _of_several(p)
+
+
+def _of_one(p: BlockPieces) -> Parts:
+    return {
+        "hide": p.over_slots(
+            "hide", "T[i] = uint8_choose(resetting[i], 0, flag[i])", "flag[i] = resetting[i]"
+        ),
+        "flag_terminated": p.over_slots("flag_terminated", "flag[i] = T[i]"),
+        "terminated": p.over_slots("terminated", "T[i] = flag[i]"),
+        "truncated": p.over_slots("truncated", *COUNT, "U[i] = late", "flag[i] = uint8_or(flag[i], late)"),
+        "not_truncated": p.over_slots("not_truncated", "U[i] = np.uint8(0)"),
+        "ending": p.over_slots("ending", "N[i] = flag[i]"),
+        "no_reward": p.over_slots("no_reward", "R[i] = float32_choose(resetting[i], np.float32(0), R[i])"),
+        "delivered_ends": p.over_slots(
+            "delivered_ends",
+            "T[i] = uint8_and(ter[i], 1)",
+            "U[i] = uint8_right(ter[i], 1)",
+            "flag[i] = ter[i]",
+        ),
+        "gone": [],
+        "gone_delivered": [],
+        "gone_before": [],
+        "gone_at_reset": [],
+        "bury_rewards": [],
+        "bury": [],
+        "bury_at_reset": [],
+    }
+
+
+def _of_several(p: BlockPieces) -> Parts:
+    word, agents = str(p.ended.dtype), range(p.agents)
+    every = ((1 << p.agents) - 1) << 1
+    terminated, truncated, rewards = (p.of_agents(array) for array in "TUR")
+
+    def bit(bits: str, k: int) -> str:
+        return f"uint8_and({word}_right({bits}, {k + 1}), 1)"
+
+    def lives(bits: str, k: int) -> str:
+        return f"uint8_xor({bit(bits, k)}, 1)"
+
+    end_agents = ["g = N[i]", "gone_before[i] = g"]
+    for k in agents:
+        end_agents.append(f"t{k} = uint8_and({terminated[k]}, {lives('g', k)})")
+        end_agents.append(f"{terminated[k]} = t{k}")
+    end_agents += [f"g = {word}_or(g, {word}_left(t{k}, {k + 1}))" for k in agents]
+    end_agents += ["gone[i] = g", "N[i] = g", f"flag[i] = {word}_equal(g, {every})"]
+    delivered = ["t = ter[i]", "before = gone_before[i]", f"late = uint8_and({word}_right(t, {p.agents}), 1)"]
+    for k in agents:
+        delivered.append(f"{terminated[k]} = uint8_and({word}_right(t, {k}), {lives('before', k)})")
+        delivered.append(f"{truncated[k]} = uint8_and(late, {lives('before', k)})")
+    delivered += [f"g = {word}_and({word}_left(t, 1), {every})", "gone[i] = g"]
+    delivered.append(f"flag[i] = uint8_or(late, {word}_equal(g, {every}))")
+    scratch = [f"{name} = {p.space(p.ended.dtype, p.size)}" for name in ("gone", "gone_before")]
+    return {
+        "hide": p.over_slots(
+            "hide",
+            *(f"{t} = uint8_choose(resetting[i], 0, {t})" for t in terminated),
+            f"N[i] = {word}_choose(resetting[i], 0, N[i])",
+            "flag[i] = resetting[i]",
+        ),
+        "flag_terminated": p.over_slots("end_agents", *end_agents),
+        "terminated": p.over_slots("end_agents", *end_agents),
+        "truncated": p.over_slots(
+            "truncated",
+            *COUNT,
+            *(f"{truncated[k]} = uint8_and(late, {lives('gone_before[i]', k)})" for k in agents),
+            "flag[i] = uint8_or(flag[i], late)",
+        ),
+        "not_truncated": p.over_agents("not_truncated", "U[i] = np.uint8(0)"),
+        "ending": p.over_slots("ending", f"N[i] = {word}_choose(flag[i], 1, N[i])"),
+        "no_reward": p.over_slots(
+            "no_reward", *(f"{r} = float32_choose(resetting[i], np.float32(0), {r})" for r in rewards)
+        ),
+        "delivered_ends": p.over_slots("delivered_ends", *delivered),
+        "gone": scratch,
+        "gone_delivered": scratch[:1],
+        "gone_before": [f"gone_before = {part('gone_words', p.ended.dtype)}"],
+        "gone_at_reset": p.over_slots("gone_at_reset", f"gone[i] = {word}_and(N[i], {every})"),
+        "bury_rewards": p.over_slots(
+            "bury_rewards",
+            *(
+                f"{r} = float32_choose({bit('gone_before[i]', k)}, np.float32(0), {r})"
+                for k, r in enumerate(rewards)
+            ),
+        ),
+        **_seen_of_several(p, [bit("gone[i]", k) for k in agents], [lives("gone[i]", k) for k in agents]),
+    }
+
+
+def _seen_of_several(p: BlockPieces, gone: list[str], lives: list[str]) -> Parts:
+    """Return what hides what agents that have ended would see, and keeps what they saw last."""
+    own, masks = p.spec.observation_size, len(p.spec.mask_fields)
+    lines = []
+    for k, bit in enumerate(gone):
+        lines.append(f"dead = {bit}")
+        for array, dtype, size in (("O", p.dtype, own), ("M", "int8", masks)):
+            if size:
+                at = f"{array}[{p.agents * size} * i + {k * size} + e]"
+                lines += [f"for e in range({size}):", f"    {at} = {dtype}_choose(dead, 0, {at})"]
+    bury = p.apart("bury", lines)
+    keep = p.apart("keep_last", p.copy_one)
+    alive = p.over_slots(
+        "show_alive",
+        *(
+            f"{place} = uint8_or(flag[i], {alive})"
+            for place, alive in zip(p.of_agents("L"), lives, strict=True)
+        ),
+    )
+    one = [
+        "if flag[i]:",
+        # SAME_STEP keeps it when it starts the next episode.
+        *indented(["if next_step:", *indented(keep)]),
+        "elif gone[i]:",
+        *indented(["if gone[i] != gone_before[i]:", *indented(keep), *bury]),
+    ]
+    return {
+        "bury": [*alive, "for i in range(m):", *indented(one)],
+        "bury_at_reset": [*alive, "for i in range(m):", *indented(["if gone[i]:", *indented(bury)])],
+    }

@@ -1,0 +1,308 @@
+"""Slots with several agents: the rules of their ends, held against a model in plain Python."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from gymnasium.spaces import Box, Discrete
+from gymnasium.vector import AutoresetMode
+
+from pearl_marl import rng
+from pearl_marl.batch.saved_state import SavedState
+from pearl_marl.devices import BatchConfig, BatchStep, Cuda, Device, Lockstep, Native, Reference, Rtl, Sharded
+from pearl_marl.errors import ActionError, ArgumentError
+from pearl_marl.golden import call_reference
+from pearl_marl.spec import EnvSpec, Field, Golden, Role
+
+from ..toy_world import MEADOW, NIM, SNAIL, crowd
+
+WORLDS = 17
+SAME, NEXT = AutoresetMode.SAME_STEP, AutoresetMode.NEXT_STEP
+
+
+class World:
+    """One world of the meadow, by the rules and nothing else."""
+
+    def __init__(self, spec: EnvSpec, slot: int, seed: int) -> None:
+        self.spec, self.slot, self.seed = spec, slot, rng.seed_words(seed)
+        self.next_step_resets = False
+        self.start(0)
+
+    def draws(self, tick: int, first: int, count: int) -> list[Any]:
+        slots = np.array([self.slot])
+        return [int(rng.draws(self.seed, slots, tick, first + k)[0]) for k in range(count)]
+
+    def start(self, tick: int) -> None:
+        draws = self.draws(tick, 0, self.spec.reset_draws)
+        self.state = [int(word) for word in call_reference(self.spec.golden.initial, draws)]
+        self.ended, self.elapsed = [False] * self.spec.agents, 0
+
+    def observed(self, k: int) -> list[int]:
+        return [int(word) for word in call_reference(self.spec.golden.observe, self.state, k)]
+
+    def allowed(self, k: int) -> list[int]:
+        assert self.spec.golden.masks is not None
+        return [int(word) for word in call_reference(self.spec.golden.masks, self.state, k)]
+
+    def step(self, actions: list[int], tick: int, mode: AutoresetMode) -> Iterator[dict[str, Any]]:
+        """Yield what each agent gets."""
+        spec, agents = self.spec, range(self.spec.agents)
+        none = [0] * len(spec.observation), [0] * len(spec.mask_fields)
+        if self.next_step_resets:
+            self.next_step_resets = False
+            self.start(tick)
+            for k in agents:
+                yield {"reward": 0, "ends": (False, False), "alive": True, "obs": self.observed(k),
+                       "masks": self.allowed(k)}  # fmt: skip
+            return
+        draws = self.draws(tick, spec.reset_draws, spec.step_draws)
+        words = [int(w) for w in call_reference(spec.golden.step, [*self.state, *actions, *draws])]
+        count = len(spec.state)
+        self.state, outcome = words[:count], words[count:]
+        rewards, flags = outcome[: spec.agents], outcome[spec.agents :]
+        self.elapsed += 1
+        late = self.elapsed >= (spec.max_cycles or 1 << 40)
+        before = self.ended
+        self.ended = [was or bool(flag) for was, flag in zip(before, flags, strict=True)]
+        over = all(self.ended) or late
+        last = [self.observed(k) for k in agents]
+        if over and mode is SAME:
+            self.start(tick + 1)
+        self.next_step_resets = over and mode is NEXT
+        for k in agents:
+            alive = over or not self.ended[k]
+            yield {
+                "reward": 0 if before[k] else rewards[k] * 2.0**-spec.reward.fraction,
+                "ends": (bool(flags[k]) and not before[k], late and not before[k]),
+                "final": last[k],
+                "alive": alive,
+                "obs": self.observed(k) if alive else none[0],
+                "masks": self.allowed(k) if alive else none[1],
+            }
+
+
+def open_device(device: Device, spec: EnvSpec = MEADOW, mode: AutoresetMode = SAME, **config: Any) -> Device:
+    device.open(BatchConfig(**{"spec": spec, "n_envs": WORLDS, "autoreset_mode": mode, **config}))
+    device.reset(seed=5)
+    return device
+
+
+def random_actions(device: Device, chance: np.random.Generator) -> Any:
+    """Return actions of each agent's role, masked or not."""
+    spec = device.config.spec
+    most = [role.action_space.n for role in spec.roles] or [spec.action_space.n] * spec.agents
+    return chance.integers(np.tile(most, device.config.n_envs)).astype(spec.action.dtype)
+
+
+DEVICES = {
+    "reference": Reference,
+    "native": Native,
+    "sharded": lambda: Sharded([Reference(), Native()], [3, WORLDS - 3]),
+    "lockstep": lambda: Lockstep("native", "reference"),
+    "rtl": lambda: Rtl(pe_num=3),
+    "cuda": Cuda,
+}
+
+
+@pytest.fixture(params=DEVICES)
+def device(request: pytest.FixtureRequest) -> Iterator[Device]:
+    made = DEVICES[request.param]()
+    yield made
+    made.close()
+
+
+@pytest.mark.parametrize("mode", [SAME, NEXT], ids=["same", "next"])
+def test_every_world_goes_by_the_rules(device: Device, mode: AutoresetMode) -> None:
+    open_device(device, mode=mode)
+    worlds = [World(MEADOW, slot, 5) for slot in range(WORLDS)]
+    chance = np.random.default_rng(1)
+    died = truncated = 0
+    for tick in range(60):
+        actions = random_actions(device, chance)
+        step = device.step(actions)
+        assert step.action_masks is not None
+        assert step.action_masks is device.action_masks
+        for w, world in enumerate(worlds):
+            told = world.step(actions[4 * w : 4 * w + 4].tolist(), tick, mode)
+            for i, one in enumerate(told, 4 * w):
+                assert step.rewards[i] == one["reward"], (tick, i)
+                assert (step.terminations[i], step.truncations[i]) == one["ends"], (tick, i)
+                assert step.obs[i].tolist() == one["obs"], (tick, i)
+                assert step.action_masks[i].tolist() == one["masks"], (tick, i)
+                assert step.alive[i] == device.alive[i] == one["alive"], (tick, i)
+                if any(one["ends"]):
+                    assert step.final_obs[i].tolist() == one["final"], (tick, i)
+                died += not one["alive"]
+                truncated += one["ends"][1]
+    assert died > 100
+    assert truncated > 10
+
+
+@pytest.mark.parametrize("mode", [SAME, NEXT], ids=["same", "next"])
+def test_a_restored_state_shows_what_was_seen_and_goes_on(device: Device, mode: AutoresetMode) -> None:
+    open_device(device, mode=mode)
+    chance = np.random.default_rng(2)
+    for _ in range(9):
+        step = device.step(random_actions(device, chance))
+    assert not step.alive.all()
+    seen = [array.copy() for array in step.seen]
+    saved = SavedState.from_bytes(device.snapshot().to_bytes(), device.config.identity())
+    rows = [random_actions(device, chance) for _ in range(12)]
+    expected = [device.step(row).each(np.copy) for row in rows]
+    again = Reference().open(device.config)
+    found = [again.restore(saved), again.action_masks, again.alive]
+    for ours, theirs in zip(found, seen, strict=True):
+        np.testing.assert_array_equal(ours, theirs)
+    for row, one in zip(rows, expected, strict=True):
+        assert_same(again.step(row), one)
+
+
+CROWDS = {
+    "one with masks": crowd(1),
+    "one without": crowd(1, masked=False),
+    "two without masks": crowd(2, masked=False),
+    "pictures": crowd(3, pictures=True),
+    "pictures without masks": crowd(2, masked=False, pictures=True),
+    "as many as fit a byte": crowd(7),
+    "in lanes": crowd(20),
+    "pictures in lanes": crowd(17, pictures=True),
+}
+
+
+@pytest.mark.parametrize("name", CROWDS)
+@pytest.mark.parametrize(
+    "config",
+    [
+        {"autoreset_mode": SAME, "max_cycles": 7},
+        {"autoreset_mode": NEXT, "max_cycles": 7, "initial_states": "stored"},
+        {"autoreset_mode": SAME, "initial_states": "stored", "copy": False},
+        {"autoreset_mode": NEXT},
+    ],
+    ids=["same limited", "next limited stored", "same stored", "next"],
+)
+def test_worlds_of_all_sizes_agree_with_the_reference(name: str, config: dict[str, Any]) -> None:
+    device = open_device(Lockstep("native", "reference"), CROWDS[name], n_envs=2100, **config)
+    chance = np.random.default_rng(4)
+    for tick in range(12):
+        device.step(random_actions(device, chance))
+        if tick == 5:
+            device.reset(mask=chance.random(2100) < 0.5)
+        if tick == 8:
+            device.restore(device.snapshot())
+    device.close()
+
+
+def assert_same(ours: BatchStep, theirs: BatchStep) -> None:
+    for mine, other in zip(
+        ours.arrays[:4] + ours.arrays[5:], theirs.arrays[:4] + theirs.arrays[5:], strict=True
+    ):
+        np.testing.assert_array_equal(mine, other)
+    np.testing.assert_array_equal(ours.final_obs[theirs.ended], theirs.final_obs[theirs.ended])
+
+
+def test_masked_resets_are_of_worlds(device: Device) -> None:
+    open_device(device)
+    chance = np.random.default_rng(3)
+    while device.alive.reshape(WORLDS, 4).all(1).any():
+        device.step(random_actions(device, chance))
+    mask = np.arange(WORLDS) % 2 == 0
+    dead = ~device.alive.reshape(WORLDS, 4)[~mask]
+    device.reset(mask=mask)
+    assert device.alive.reshape(WORLDS, 4)[mask].all()
+    assert (device.alive.reshape(WORLDS, 4)[~mask] == ~dead).all()
+    with pytest.raises(ArgumentError, match=r"bool of shape \(17,\)"):
+        device.reset(mask=np.ones(4 * WORLDS, np.bool_))
+
+
+def test_actions_are_those_of_the_agents_role() -> None:
+    device = open_device(Reference())
+    actions = np.zeros(4 * WORLDS, np.uint8)
+    actions[1] = 4
+    device.step(actions)
+    actions[6] = 3
+    before = device.snapshot().to_bytes()
+    with pytest.raises(ActionError, match=r"agent_6: action 3 is out of range; .* from 0 to 2"):
+        device.step(actions)
+    assert device.snapshot().to_bytes() == before
+
+
+def test_masked_actions_are_refused_where_the_spec_says_so() -> None:
+    device = open_device(Reference(), NIM, first_slot=3)
+    assert device.action_masks is not None
+    while device.action_masks.any(1).sum() == (device.action_masks.sum(1) == 3).sum():
+        device.step(np.zeros(2 * WORLDS, np.uint8))
+    actions = np.where(device.action_masks.any(1), 0, 2)  # who waits may send anything
+    i = int(np.flatnonzero(device.action_masks.any(1) & (device.action_masks[:, 2] == 0))[0])
+    actions[i] = 2
+    before = device.snapshot().to_bytes()
+    with pytest.raises(ActionError, match=rf"agent_{6 + i}: action 2 is masked; it may take 0"):
+        device.step(actions)
+    assert device.snapshot().to_bytes() == before
+
+
+def wrong(error: str, base: EnvSpec = MEADOW, **changes: Any) -> None:
+    with pytest.raises(ArgumentError, match=error):
+        replace(base, **changes)
+
+
+def test_what_a_spec_may_not_say() -> None:
+    wrong(r"agents is 64; a world has 1 to 63", agents=64)
+    wrong(r"agents is True", agents=True)
+    wrong(r"masked is 'no'; possible are 'stay' and 'refused'", masked="no")
+    bare = MEADOW.golden._replace(masks=None)
+    wrong(r"turns=True goes by masks; give Golden\(..., masks=...\)", golden=bare, turns=True)
+    wrong(r"masked='refused' goes by masks", golden=bare, masked="refused")
+    wrong(r"3 roles for 4 agents", roles=MEADOW.roles[:3])
+    wide = Role("bird", Box(0, 31, (5,), np.int16), Discrete(5))
+    wrong(r"the observation space of role 'bird' is .*, which is no part of", roles=(wide, *MEADOW.roles[1:]))
+    many = Role("bird", SNAIL.observation_space, Discrete(6))
+    wrong(r"the action space of role 'bird' is Discrete\(6\)", roles=(many, *MEADOW.roles[1:]))
+    wrong(
+        r"two observation fields are named 'mask_1'",
+        observation=(*MEADOW.observation[:3], Field("mask_1", 5)),
+    )
+    beyond = (
+        r"(other|mask_3) of agent 0, and role 'snail' has \d (elements|actions), so the others hold 0 to 0"
+    )
+    wrong(beyond, roles=(SNAIL,) * 4)
+
+
+def test_golden_functions_are_traced_for_every_agent() -> None:
+    def observe(*words: Any) -> Any:
+        *state, agent = words
+        return state[agent], state[4], state[5], state[6] + (16 if agent == 3 else 0)
+
+    narrow = (*MEADOW.observation[:3], Field("snail", 4))
+    golden = MEADOW.golden._replace(observe=observe)
+    wrong(r"returns 16 to 31 for snail of agent 3, and 4 bits", golden=golden, observation=narrow, roles=())
+
+    def step(heap: Any, turn: Any, first: Any) -> Any:
+        return heap, turn, 0, 0, 0, 0
+
+    wrong(r"step\(\) is called with 4 words, heap, turn, action_0 and action_1", NIM,
+          golden=NIM.golden._replace(step=step))  # fmt: skip
+
+    def short(heap: Any, turn: Any, *actions: Any) -> Any:
+        return heap, turn, 0, 0, 0
+
+    wrong(r"takes 6: heap, turn, outcome_0, outcome_1, terminated_0 and terminated_1", NIM,
+          golden=NIM.golden._replace(step=short))  # fmt: skip
+
+    def alone(heap: Any, turn: Any) -> Any:
+        return heap
+
+    wrong(r"alone\(\) is called with 3 words, heap, turn and agent", NIM,
+          golden=NIM.golden._replace(observe=alone))  # fmt: skip
+
+    def flags(heap: Any, turn: Any, agent: int) -> Any:
+        return 2, 1, 0
+
+    wrong(
+        r"flags\(\) returns 2 for mask_0 of agent 0, and 1 bit holds 0 to 1",
+        NIM,
+        golden=Golden(*NIM.golden[:3], flags),
+    )

@@ -1,0 +1,354 @@
+"""LevelBasedForaging against the package ``lbforaging``: its starts, and what comes of the same actions."""
+
+from __future__ import annotations
+
+import itertools
+from collections import Counter
+from typing import Any
+
+import numpy as np
+import pytest
+from lbforaging.foraging import ForagingEnv
+from pearl_marl.envs.level_based_foraging.step import chosen, ones
+from scipy import stats
+
+import pearl_marl
+from pearl_marl import EnvSpec
+from pearl_marl.errors import ArgumentError
+from pearl_marl.golden import call_reference, reference
+
+Array = np.ndarray[Any, Any]
+STANDARD = {
+    "players": 2,
+    "min_player_level": 1,
+    "max_player_level": 2,
+    "min_food_level": 1,
+    "max_food_level": None,
+    "field_size": (8, 8),
+    "max_num_food": 3,
+    "sight": 8,
+    "max_episode_steps": 50,
+    "force_coop": False,
+    "normalize_reward": True,
+    "observe_agent_levels": True,
+    "penalty": 0.0,
+}
+
+
+def options(size: int, players: int, foods: int, **other: Any) -> dict[str, Any]:
+    shape = {"field_size": (size, size), "players": players, "max_num_food": foods, "sight": size}
+    return STANDARD | shape | other
+
+
+CASES = {
+    "8x8-2p-3f": options(8, 2, 3),
+    "8x8-2p-2f-coop-2s": options(8, 2, 2, sight=2, force_coop=True),
+    "10x10-3p-3f-pen": options(10, 3, 3, penalty=0.1),
+    "5x5-4p-3f-1s": options(5, 4, 3, sight=1, max_player_level=4, penalty=0.35),
+    "15x15-4p-4f-coop-5s": options(15, 4, 4, sight=5, force_coop=True, max_episode_steps=80),
+    "6x6-5p-2f-unnormalized": options(
+        6, 5, 2, normalize_reward=False, min_player_level=2, max_player_level=5
+    ),
+    "4x4-3p-1f-unseen-levels": options(
+        4, 3, 1, observe_agent_levels=False, min_food_level=2, max_food_level=6
+    ),
+    "7x7-9p-4f-3s": options(7, 9, 4, sight=3, max_food_level=9, penalty=1 / 3, max_episode_steps=30),
+    "9x9-1p-4f-7s": options(9, 1, 4, sight=7, max_player_level=3),
+    "8x8-3p-3f-lists": options(
+        8, 3, 3, min_player_level=[1, 1, 2], max_player_level=[1, 2, 3], max_food_level=[1, 4, 7]
+    ),
+}
+
+
+def spec_of(given: dict[str, Any]) -> EnvSpec:
+    return pearl_marl.get_spec("LevelBasedForaging").with_options(**given)
+
+
+def started(spec: EnvSpec, n: int, seed: int) -> list[Array]:
+    """Return the columns of ``n`` starts."""
+    generator = np.random.default_rng(seed)
+    draws = generator.integers(1 << 32, size=(spec.reset_draws, n), dtype=np.uint32)
+    return list(call_reference(spec.golden.initial, draws))
+
+
+def things(spec: EnvSpec, state: list[Array]) -> tuple[Array, Array]:
+    """Return row, column and level of the players and of the foods, of shape ``(n, players or foods, 3)``."""
+    count = 3 * (spec.agents + spec.options["max_num_food"])
+    every = np.stack(state[:count], 1).reshape(len(state[0]), -1, 3)
+    return every[:, : spec.agents], every[:, spec.agents :]
+
+
+def put(oracle: ForagingEnv, players: Array, foods: Array) -> None:
+    """Start the package's game where ours starts."""
+    oracle.field = np.zeros(oracle.field_size, np.int32)
+    for player, (row, column, level) in zip(oracle.players, players.tolist(), strict=True):
+        player.setup((row, column), level, oracle.field_size)
+        player.reward = 0
+    for row, column, level in foods[foods[:, 2] > 0]:
+        oracle.field[row, column] = level
+    oracle._food_spawned = oracle.field.sum()
+    oracle.current_step, oracle._game_over = 0, False
+    oracle._gen_valid_moves()
+
+
+def masks_of(oracle: ForagingEnv) -> list[list[bool]]:
+    every = [{action.value for action in oracle._valid_actions[player]} for player in oracle.players]
+    return [[action in valid for action in range(6)] for valid in every]
+
+
+def each_agent(function: Any, spec: EnvSpec) -> Any:
+    """Return what calls a golden function of an agent for all of them; results are ``(n, agents, words)``."""
+    runs = [reference(function, *agent) for agent in spec.views]
+
+    def run(state: list[Array]) -> Array:
+        rows = [np.broadcast_arrays(*run(*state), state[0])[:-1] for run in runs]
+        return np.stack([np.stack(row, 1) for row in rows], 1)
+
+    return run
+
+
+def compare(given: dict[str, Any], n: int, seed: int) -> Counter[str]:
+    """Play whole episodes, all of ours at once, and compare everything after every step."""
+    spec, limit, generator = spec_of(given), given["max_episode_steps"], np.random.default_rng(seed)
+    oracles = [ForagingEnv(**given) for _ in range(n)]
+    state, table = started(spec, n, seed), np.array(spec.rewards)
+    players, foods = things(spec, state)
+    for oracle, *start in zip(oracles, players, foods, strict=True):
+        put(oracle, *start)
+    observe, masks = each_agent(spec.golden.observe, spec), each_agent(spec.golden.masks, spec)
+    step, running, seen = reference(spec.golden.step), np.ones(n, bool), Counter[str]()
+    ended = np.zeros(n, bool)
+    theirs = [oracle._make_gym_obs() for oracle in oracles]
+    for t in range(limit + 1):
+        ours, legal = observe(state), masks(state)
+        for i in np.flatnonzero(running):
+            np.testing.assert_array_equal(ours[i].astype(np.float32), theirs[i])
+            np.testing.assert_array_equal(legal[i], masks_of(oracles[i]))
+        running &= ~ended
+        if not running.any():
+            break
+        actions = _chosen(generator, spec, state, legal)
+        before, (*state, codes, over) = state, _stepped(step, spec, state, actions)
+        ended = over | (t + 1 == limit)
+        for i in np.flatnonzero(running):
+            theirs[i], paid, done, _, _ = oracles[i].step(actions[i].tolist())
+            np.testing.assert_array_equal(table[codes[i]].astype(np.float32), np.float32(paid))
+            assert ended[i] == done
+        now, was = things(spec, state)[0][running], things(spec, before)[0][running]
+        seen["steps"] += int(running.sum())
+        seen["loads"] += int((codes[running] > 1).sum())
+        seen["failures"] += int((codes[running] == 1).sum())
+        seen["finished"] += int(over[running].sum())
+        walked = actions[running]
+        stood = (now[..., :2] == was[..., :2]).all(2)
+        wanted = np.take_along_axis(legal[running], walked[..., None], 2)[..., 0]
+        seen["collisions"] += int((stood & (walked > 0) & (walked < 5) & (wanted == 1)).sum())
+        places = now[..., 0] * given["field_size"][0] + now[..., 1]
+        seen["shared cells"] += int((np.diff(np.sort(places)) == 0).sum())
+    return seen
+
+
+def _chosen(generator: np.random.Generator, spec: EnvSpec, state: list[Array], legal: Array) -> Array:
+    """Choose actions of any kind, also such that are not possible; but often those that lead to a load."""
+    players, foods = things(spec, state)
+    food = foods[np.arange(len(foods)), (foods[:, :, 2] > 0).argmax(1)][:, None]
+    down, right = np.moveaxis(food[..., :2] - players[..., :2], 2, 0)
+    chance = generator.random((3, *down.shape))
+    along = (down != 0) & ((right == 0) | (chance[0] < 0.5))
+    nearer = np.where(along, np.where(down < 0, 1, 2), np.where(right < 0, 3, 4))
+    nearer = np.where((legal[:, :, 5] == 1) & (chance[1] < 0.9), 5, nearer)
+    return np.where(chance[2] < 0.3, generator.integers(6, size=down.shape), nearer)
+
+
+def _stepped(step: Any, spec: EnvSpec, state: list[Array], actions: Array) -> list[Array]:
+    """Return the state, the categories of all agents, and whether the episode is over."""
+    results = step(*state, *actions.T)
+    codes, over = np.stack(results[len(state) : -spec.agents], 1), np.stack(results[-spec.agents :], 1)
+    assert (over == over[:, :1]).all()
+    return [*results[: len(state)], codes, over[:, 0] == 1]
+
+
+@pytest.mark.parametrize("episodes", [15, pytest.param(400, marks=pytest.mark.slow)], ids=["few", "many"])
+@pytest.mark.parametrize("name", CASES)
+def test_episodes(name: str, episodes: int) -> None:
+    seen = compare(CASES[name], episodes, seed=episodes)
+    print(name, dict(seen))
+    alone = CASES[name]["players"] == 1
+    assert min(seen["loads"], 3 * seen["finished"]) >= 5
+    assert alone or min(seen["failures"], seen["collisions"]) >= 5
+
+
+def package_starts(given: dict[str, Any], n: int, seed: int) -> tuple[Array, Array]:
+    """Return the players and the foods of the package's starts, as :func:`things` does ours."""
+    oracle = ForagingEnv(**given)
+    oracle.seed(seed)
+    starts = []
+    for _ in range(n):
+        for player in oracle.players:
+            player.position = None  # as in a new game: it keeps players from where they were in the last
+        oracle.reset()
+        players = [(*player.position, player.level) for player in oracle.players]
+        foods = [(*cell, oracle.field[*cell]) for cell in np.argwhere(oracle.field)]
+        starts.append(players + foods + [(0, 0, 0)] * (given["max_num_food"] - len(foods)))
+    every = np.array(starts)
+    return every[:, : given["players"]], every[:, given["players"] :]
+
+
+def cells(size: int, every: Array) -> Array:
+    """Return the numbers of the cells that players or foods are in, -1 where there is no food."""
+    return np.where(every[..., 2] > 0, every[..., 0] * size + every[..., 1], -1)
+
+
+def p_same(ours: Array, theirs: Array) -> float:
+    """Return how likely two samples of one distribution differ as much; rare outcomes count as one."""
+    outcomes, which = np.unique(np.concatenate([ours, theirs]), axis=0, return_inverse=True)
+    is_ours = np.arange(len(which)) < len(ours)
+    table = np.array(
+        [np.bincount(which.ravel()[part], minlength=len(outcomes)) for part in (is_ours, ~is_ours)]
+    )
+    rare = table.sum(0) * len(theirs) / len(which) < 10
+    table = np.concatenate([table[:, ~rare], table[:, rare].sum(1, keepdims=True)], 1)
+    return float(stats.chi2_contingency(table[:, table.sum(0) > 0]).pvalue)
+
+
+SPAWNS = {
+    "5x5-2p-2f": options(5, 2, 2),
+    "8x8-2p-3f": options(8, 2, 3),
+    "6x6-4p-2f-coop": options(6, 4, 2, force_coop=True, min_player_level=2, max_player_level=4),
+    "7x7-3p-4f-lists": options(
+        7,
+        3,
+        4,
+        min_player_level=[1, 2, 2],
+        max_player_level=[1, 2, 3],
+        min_food_level=[1, 1, 2, 3],
+        max_food_level=[1, 1, 3, 4],
+    ),
+}
+
+
+@pytest.mark.parametrize("n", [1_500, pytest.param(20_000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("name", SPAWNS)
+def test_starts_are_distributed_as_in_the_package(name: str, n: int) -> None:
+    given = SPAWNS[name]
+    spec = spec_of(given)
+    ours, theirs = things(spec, started(spec, 20 * n, seed=n)), package_starts(given, n, seed=n)
+    size: int = given["field_size"][0]
+    features: dict[str, dict[str, Array]] = {}
+    for who, (players, foods) in {"ours": ours, "theirs": theirs}.items():
+        # What found no room may stand anywhere in our list; nobody sees it.
+        there = np.argsort(foods[..., 2] == 0, axis=1, kind="stable")[..., None]
+        foods = np.take_along_axis(foods, there, 1) * (np.take_along_axis(foods, there, 1)[..., 2:] > 0)
+        walkers, food = cells(size, players), cells(size, foods)
+        levels = players[..., 2]
+        near = np.abs(players[:, :, None, :2] - foods[:, None, :, :2]).sum(-1)
+        features[who] = {
+            "a player's cell": walkers[:, -1],
+            "how players stand to each other": np.diff(players[:, :2, :2], axis=1).reshape(-1, 2),
+            "levels": np.concatenate([levels, foods[..., 2]], 1),
+            "how foods stand to each other": np.diff(foods[:, :2], axis=1).reshape(-1, 3),
+            "the first food's cell": food[:, 0],
+            "how far food is": near.min(2),
+        }
+    p_values = {name: p_same(features["ours"][name], features["theirs"][name]) for name in features["ours"]}
+    print(name, {name: round(p, 3) for name, p in p_values.items()})
+    assert min(p_values.values()) > 0.001
+
+
+def law(size: int, foods: int) -> dict[tuple[int, ...], float]:
+    """Return, for two players, the probability of every start: the players' cells, then the foods' in order.
+
+    As the package says it: a cell is drawn again until it is free, and there is no food near.
+    """
+    inner = [(row, column) for row in range(1, size - 1) for column in range(1, size - 1)]
+    result: dict[tuple[int, ...], float] = Counter()
+
+    def near(a: tuple[int, int], b: tuple[int, int]) -> bool:
+        down, right = abs(a[0] - b[0]), abs(a[1] - b[1])
+        return max(down, right) <= 1 or (down == 0 and right <= 2) or (right == 0 and down <= 2)
+
+    def spawn(players: Any, placed: list[tuple[int, int]], p: float) -> None:
+        free = [c for c in inner if c not in players and not any(near(c, other) for other in placed)]
+        if len(placed) == foods or not free:
+            numbers = sorted(row * size + column for row, column in placed)
+            result[*(row * size + column for row, column in players), *numbers] += p
+        for cell in free if len(placed) < foods else []:
+            spawn(players, [*placed, cell], p / len(free))
+
+    every = list(itertools.product(range(size), repeat=2))
+    pairs = list(itertools.permutations(every, 2))
+    for players in pairs:
+        spawn(players, [], 1 / len(pairs))
+    return result
+
+
+def test_every_start_of_a_small_grid() -> None:
+    """The probability of each of them, over many draws."""
+    spec, n = spec_of(options(5, 2, 2)), 500_000
+    expected = law(5, 2)
+    assert sum(expected.values()) == pytest.approx(1)
+    players, foods = things(spec, started(spec, n, seed=1))
+    food = cells(5, foods)
+    assert ((food[:, 0] < food[:, 1]) | (food < 0).any(1)).all()
+    food = np.where(food[:, :1] < 0, food[:, ::-1], food)
+    codes = np.concatenate([cells(5, players), food], 1) + 1
+    known = [tuple(start) + (-1,) * (4 - len(start)) for start in expected]
+    places = np.ravel_multi_index((np.array(known) + 1).T, (26,) * 4)
+    seen = np.bincount(np.ravel_multi_index(codes.T, (26,) * 4), minlength=26**4)
+    assert seen[places].sum() == n
+    p = stats.chisquare(seen[places], n * np.array(list(expected.values()))).pvalue
+    print(f"{len(expected)} starts: p = {p:.3f}")
+    assert p > 0.001
+
+
+def test_every_place_is_as_likely() -> None:
+    """Of rows of bits, each number below their count is another one of them."""
+    generator = np.random.default_rng(0)
+    for wide in (3, 6, 17, 30):
+        lines = [generator.integers(1 << wide, size=40) << 1 for _ in range(wide)]
+        counts = [call_reference(ones, [line])[0] for line in lines]
+        np.testing.assert_array_equal(counts, [[int(bits).bit_count() for bits in line] for line in lines])
+        total = np.sum(counts, 0)
+        ranks = np.arange(total.max())[:, None]
+        words = [np.broadcast_to(word, (len(ranks), 40)) for word in (*lines, *counts, ranks)]
+        rows, columns = call_reference(lambda *w, k=wide: chosen(w[:k], w[k : 2 * k], w[-1]), words)
+        for i in range(40):
+            found = list(zip(rows[: total[i], i], columns[: total[i], i], strict=True))
+            assert found == [
+                (r + 1, c) for r in range(wide) for c in range(1, wide + 1) if lines[r][i] >> c & 1
+            ]
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_spec(name: str) -> None:
+    """The space is the package's, and every word fits its field."""
+    spec_of(CASES[name]).check_golden(spec_of(CASES[name]).functions)
+    assert spec_of(CASES[name]).observation_space == ForagingEnv(**CASES[name]).observation_space[0]
+
+
+REFUSED = {
+    "grid_observation is True; only False is possible": {"grid_observation": True},
+    "field_size is \\(5, 8\\); it must be two equal numbers": {"field_size": (5, 8)},
+    "field_size is 2; it must be an integer from 3": {"field_size": (2, 2)},
+    "players is 0; it must be an integer from 1": {"players": 0},
+    "players is 10; a grid of 3 x 3 has cells for 9": {
+        "players": 10,
+        "field_size": (3, 3),
+        "max_num_food": 1,
+    },
+    "max_player_level is \\[1\\]; it must be one integer or a list of 2": {"max_player_level": [1]},
+    "min_player_level 3 is greater than max_player_level 2, of player 0": {"min_player_level": 3},
+    "min_food_level is 3; max_food_level=None, .* may be 2": {"min_food_level": 3},
+    "these levels make .* lower max_player_level": {"max_player_level": 30},
+    "penalty is nan; it must be a finite number": {"penalty": float("nan")},
+    "force_coop is 1; it must be True or False": {"force_coop": 1},
+    "sight is 0; it must be an integer from 1": {"sight": 0},
+    "max_episode_steps is None": {"max_episode_steps": None},
+}
+
+
+@pytest.mark.parametrize("sentence", REFUSED)
+def test_what_is_refused(sentence: str) -> None:
+    with pytest.raises(ArgumentError, match=sentence) as caught:
+        pearl_marl.get_spec("LevelBasedForaging").with_options(**REFUSED[sentence])
+    assert "\n" not in str(caught.value)
