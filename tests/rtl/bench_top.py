@@ -87,7 +87,8 @@ class Host:
         """Write reset mask, actions and doorbell in one transfer."""
         model = Model(SPEC, LAYOUT)
         data = model.bytes_of("reset_mask", (SPEC.action.__class__("bit", 1),), [mask.astype(np.uint8)])
-        data += model.bytes_of("actions", (SPEC.action,), [actions])
+        by_agent = list(actions.reshape(len(mask), SPEC.agents).T)
+        data += model.bytes_of("actions", (SPEC.action,) * SPEC.agents, by_agent)
         await self.write(LAYOUT["reset_mask"].offset, data + self.doorbell(mode))
 
     async def finish(self, **kind: Any) -> list[int]:
@@ -112,7 +113,7 @@ class Host:
 
 def cycle_bound() -> int:
     """What a step may cost: its widest stream, 10 %, and the way through the pipeline."""
-    interval = {"CliffWalking": 1, "ShiftAdd": 4}[SPEC.name]
+    interval = {"ShiftAdd": 4}.get(SPEC.name, 1)
     words = max(LAYOUT[name].words for name in ("actions", "observations", "rewards", "ters"))
     # Doorbell, first words, pipeline and last words.
     latency = 18 + 4 * interval
@@ -131,7 +132,7 @@ async def identity_is_readable(dut: Any) -> None:
     assert words[Control.PE_NUM] == LAYOUT.pe_num
     assert words[Control.DATA_WL] == LAYOUT.data_wl
     assert words[Control.STATE_BITS] == word_bits(SPEC.state)
-    assert words[Control.RESULT_BITS] == word_bits(SPEC.observation) + SPEC.reward.bits + 2
+    assert words[Control.RESULT_BITS] == SPEC.agents * (word_bits(SPEC.seen) + SPEC.reward.bits + 1) + 1
     assert words[Control.SEED_0 :] == (0,) * 8
 
 
@@ -155,7 +156,7 @@ async def steps_equal_the_model_in_every_mode(dut: Any) -> None:
                 mode = base | (Mode.RESET_ALL if step == 0 else Mode(0))
                 mode |= Mode.RESET_MASK if generator.random() < 0.4 else Mode(0)
                 mask = generator.random(n) < 0.3
-                actions = generator.integers(0, SPEC.action_space.n, n).astype(np.uint8)
+                actions = generator.integers(0, SPEC.action_space.n, n * SPEC.agents).astype(np.uint8)
                 await host.ring(mode, mask, actions)
                 status = await host.finish()
                 results, tail = await host.results()
@@ -190,7 +191,7 @@ async def a_saved_state_goes_on_where_it_was(dut: Any) -> None:
     model.tick = 77
     model.states = [generator.integers(0, 1 << f.bits, n).astype(f.dtype) for f in SPEC.state]
     model.elapsed = generator.integers(0, 9, n).astype(np.uint32)
-    model.ters = generator.integers(0, 4, n).astype(np.uint8)
+    model.ters = generator.integers(0, 2 << SPEC.agents, n).astype(model.ters.dtype)
     await host.load(model)
     states = model.bytes_of("current_states", (*SPEC.state, *model.ter), [*model.states, model.ters])
     await host.write(LAYOUT["current_states"].offset, states)
@@ -200,7 +201,7 @@ async def a_saved_state_goes_on_where_it_was(dut: Any) -> None:
     assert await host.read_region("elapsed") == elapsed
     nobody = np.zeros(n, bool)
     for _ in range(3):
-        actions = generator.integers(0, SPEC.action_space.n, n).astype(np.uint8)
+        actions = generator.integers(0, SPEC.action_space.n, n * SPEC.agents).astype(np.uint8)
         await host.ring(Mode(0), nobody, actions)
         await host.finish()
         assert (await host.results())[0] == model.step(Mode(0), nobody, actions)
