@@ -215,7 +215,7 @@ async def status_waits_for_the_last_word(dut: Any) -> None:
     inside = dut.u_backbone
     banks = (inside.u_observations, inside.u_rewards, inside.u_ters)
     n = LAYOUT.n_envs
-    await host.ring(Mode.RESET_ALL, np.zeros(n, bool), np.ones(n, np.uint8))
+    await host.ring(Mode.RESET_ALL, np.zeros(n, bool), np.ones(n * SPEC.agents, np.uint8))
     done = inside.u_sequencer.busy_o.value == 0
     for _ in range(cycle_bound() + 40):
         await FallingEdge(dut.clk_i)
@@ -231,7 +231,7 @@ async def a_status_is_of_one_step(dut: Any) -> None:
     await start(dut)
     host = Host(dut)
     n = LAYOUT.n_envs
-    nobody, actions = np.zeros(n, bool), np.zeros(n, np.uint8)
+    nobody, actions = np.zeros(n, bool), np.zeros(n * SPEC.agents, np.uint8)
     for beat in {2, WORD.bit_length() - 1}:
         # Longer than a poll takes, so that the step ends between any two of its words.
         for delay in range(20):
@@ -272,7 +272,7 @@ async def a_running_step_is_left_alone(dut: Any) -> None:
     host = Host(dut)
     model = Model(SPEC, LAYOUT)
     n = LAYOUT.n_envs
-    nobody, actions = np.zeros(n, bool), np.ones(n, np.uint8)
+    nobody, actions = np.zeros(n, bool), np.ones(n * SPEC.agents, np.uint8)
 
     async def ring() -> dict[str, bytes]:
         await host.ring(Mode.RESET_ALL, nobody, actions)
@@ -316,7 +316,7 @@ async def a_step_between_two_reads_is_noticed(dut: Any) -> None:
     host = Host(dut)
     await host.control(SEED_0=0)
     n = LAYOUT.n_envs
-    nobody, actions = np.zeros(n, bool), np.zeros(n, np.uint8)
+    nobody, actions = np.zeros(n, bool), np.zeros(n * SPEC.agents, np.uint8)
     base, length = LAYOUT.step_read
     for begun in range(WORD, LAYOUT["status"].offset - base, WORD):
         await host.ring(Mode.RESET_ALL, nobody, actions)
@@ -339,7 +339,7 @@ async def a_partial_write_does_not_span_the_end_of_a_step(dut: Any) -> None:
     await start(dut)
     host = Host(dut)
     n = LAYOUT.n_envs
-    nobody, actions = np.zeros(n, bool), np.zeros(n, np.uint8)
+    nobody, actions = np.zeros(n, bool), np.zeros(n * SPEC.agents, np.uint8)
     await host.control(TICK_LOW=0)
     answers = set()
     for tick in range(1, cycle_bound() + 40):
@@ -364,7 +364,7 @@ async def a_reset_ends_a_step_at_any_time(dut: Any) -> None:
     host = Host(dut)
     model = Model(SPEC, LAYOUT)
     n = LAYOUT.n_envs
-    nobody, actions = np.zeros(n, bool), np.ones(n, np.uint8)
+    nobody, actions = np.zeros(n, bool), np.ones(n * SPEC.agents, np.uint8)
     for delay in range(40):
         await host.control(MAX_CYCLES=1, TICK_LOW=7, RESET=0)
         ringing = cocotb.start_soon(host.ring(Mode.RESET_ALL, nobody, actions))
