@@ -27,11 +27,11 @@ from pearl_marl.testing import (
 
 from ..devices.boards import OwnBoard
 from ..toy import TOYS
-from ..toy_world import MEADOW
+from ..toy_world import FREE_FOUR, MEADOW
 
 
 class TestEnvironments(ContractSuite):
-    environments = tuple(pearl_marl.envs())
+    environments = tuple(name for name in pearl_marl.envs() if pearl_marl.get_spec(name).agents == 1)
     devices = ("native", "rtl")
 
     @pytest.mark.slow
@@ -72,7 +72,7 @@ class TestSlowDevices(ContractSuite):
 class TestWorlds(DeviceSuite):
     """Slots of several agents, wherever they step."""
 
-    environments = (MEADOW.name,)
+    environments = (MEADOW.name, "LevelBasedForaging", FREE_FOUR.name)
     devices = ("native", "rtl", "lockstep", "reference")
 
 
