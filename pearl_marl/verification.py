@@ -11,7 +11,8 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium.vector import AutoresetMode
 
-from pearl_marl.batch.actions import random_actions
+from pearl_marl.batch.actions import encode, random_actions
+from pearl_marl.batch.config import worlds_of
 from pearl_marl.comparison.replay import Replay
 from pearl_marl.devices import BatchConfig, Lockstep
 from pearl_marl.errors import LockstepError
@@ -51,7 +52,7 @@ def runs(
     starts = ["random", "stored"] if initial_states is None else [initial_states]
     limited = [False, True] if max_cycles is None else [True]
     combinations = list(product(modes, starts, limited))
-    result = []
+    result, worlds = [], worlds_of(spec, n_agents)
     for i, (mode, start, limit) in enumerate(combinations):
         share = max(1, steps // len(combinations) + (i < steps % len(combinations)))
         cycles = max_cycles
@@ -59,7 +60,7 @@ def runs(
             cycles = min(max(1, share // 2), spec.max_cycles or share) if limit else 0
         config = BatchConfig(
             spec=spec,
-            n_envs=n_agents,
+            n_envs=worlds,
             autoreset_mode=mode,
             initial_states=start,
             max_cycles=cycles,
@@ -77,9 +78,11 @@ def verify(run: Run, lockstep: Lockstep, seed: int) -> Iterator[Run]:
     lockstep.open(run.config)
     try:
         lockstep.reset(seed)
+        words = np.empty(run.config.n_agents, run.config.spec.action.dtype)
         half = np.random.default_rng(seed).random(run.config.n_envs) < 0.5
-        for actions in sticky_actions(run.config.spec, run.config.n_envs, run.steps, seed):
-            step = lockstep.step(actions)
+        for actions in sticky_actions(run.config.spec, run.config.n_agents, run.steps, seed):
+            # As words, since masked actions have to do the same on both too.
+            step = lockstep.step_words(encode(actions, run.config.spec, words))
             run.taken += 1
             run.episodes += int(np.count_nonzero(step.ended))
             run.truncated += int(np.count_nonzero(step.truncations & ~step.terminations))

@@ -28,6 +28,7 @@ import pearl_marl
 from pearl_marl import cli, registry
 
 from .toy import TOYS
+from .toy_world import WORLDS
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -96,6 +97,8 @@ def toys() -> Iterator[None]:
     with mock.patch.dict(registry._specs()):
         for spec in TOYS:
             pearl_marl.register(spec)
+        for spec in WORLDS:  # which Gymnasium knows nothing of
+            registry.register(spec)
         yield
 
 

@@ -81,11 +81,11 @@ def configure(
             raise ArgumentError(f"{name} is {flag!r}; it must be True or False")
     if not isinstance(penalty, Real) or isinstance(penalty, bool) or not math.isfinite(penalty):
         raise ArgumentError(f"penalty is {penalty!r}; it must be a finite number")
-    _integer("players", players, PLAYERS)
-    _integer("max_num_food", max_num_food, FOODS)
-    _integer("max_episode_steps", max_episode_steps, (1, (1 << 32) - 1))
+    players = _integer("players", players, PLAYERS)
+    max_num_food = _integer("max_num_food", max_num_food, FOODS)
+    max_episode_steps = _integer("max_episode_steps", max_episode_steps, (1, (1 << 32) - 1))
+    sight = None if sight is None else _integer("sight", sight, (1, 1 << 16))
     size = _size(field_size)
-    sees = size if sight is None else _integer("sight", sight, (1, 1 << 16))
     least_food = _levels("min_food_level", min_food_level, max_num_food)
     most_food = None if max_food_level is None else _levels("max_food_level", max_food_level, max_num_food)
     rules = Rules(
@@ -97,7 +97,7 @@ def configure(
         ),
         food_levels=_ranges("food", least_food, most_food or (None,) * max_num_food),
         greatest_only=force_coop,
-        sight=sees,
+        sight=size if sight is None else sight,
         shows_levels=observe_agent_levels,
         normalized=normalize_reward,
     )

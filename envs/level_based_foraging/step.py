@@ -169,6 +169,7 @@ def make_initial(rules: Rules) -> GoldenFunction:
                 which = another(decide(rules.players - k), given)
                 given = inserted(given, which)
             level = weakest[which] + decide(strongest[which] - weakest[which] + 1)
+            level = np.minimum(level, rules.strongest)  # it is no more, which the compiler cannot see
             state += [row, column, level]
             cells, levels = inserted(cells, cell), inserted(levels, level)
             free = [free[r] & ~np.where(row == r, 1 << column, 0) for r in range(size)]
@@ -185,7 +186,8 @@ def make_initial(rules: Rules) -> GoldenFunction:
                 given = inserted(given, which)
             most = sum(levels[:3]) if heaviest[0] is None else heaviest[which]
             least = most if rules.greatest_only else lightest[which]
-            level = np.where(room == 0, 0, least + decide(most - least + 1))
+            level = np.minimum(least + decide(most - least + 1), rules.most_food)
+            level = np.where(room == 0, 0, level)
             free = [free[r] & ~around(row - r, column) for r in range(size)]
             total = total + level
             # Into its place among the others, which are in order.

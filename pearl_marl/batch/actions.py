@@ -133,10 +133,16 @@ def refusal(actions: Any, space: Discrete | Box, n: int, first: int = 0) -> Acti
 
 
 def random_actions(spec: EnvSpec, rng: np.random.Generator, n: int) -> npt.NDArray[Any]:
-    """Return independent uniform actions for ``n`` agents, in the form that costs a step least."""
+    """Return independent uniform actions for ``n`` agents, in the form that costs a step least.
+
+    Each is of its agent's role, where the first is agent 0 of a world; masks are not asked.
+    """
     space = spec.action_space
     if isinstance(space, Box):
         return rng.uniform(space.low, space.high, (n, 1)).astype(np.float32)
+    if spec.roles:
+        most = np.array([role.action_space.n for role in spec.roles])  # type: ignore[union-attr]
+        return rng.integers(np.resize(most, n)).astype(spec.action.dtype)
     return rng.integers(space.n, size=n, dtype=spec.action.dtype)
 
 

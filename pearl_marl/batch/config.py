@@ -14,7 +14,7 @@ from pearl_marl.errors import ArgumentError
 from pearl_marl.spec import EnvSpec, check_max_cycles
 
 
-def worlds_for(spec: EnvSpec, n_agents: int | None) -> int:
+def worlds_of(spec: EnvSpec, n_agents: int | None) -> int:
     """Return how many slots have so many agents together; ``None`` is one of them.
 
     Raises ArgumentError where the worlds of the environment cannot have so many: names those next to it that

@@ -45,15 +45,12 @@ class Layout:
             pieces.append(((n,), np.bool_))
         self.shapes = [shape for shape, _ in pieces]
         self.dtypes = [np.dtype(dtype) for _, dtype in pieces]
-        self.starts, self.size = [], 0
-        for shape, dtype in zip(self.shapes, self.dtypes, strict=True):
-            self.starts.append(self.size)
-            self.size += -(-math.prod(shape) * dtype.itemsize // ALIGNMENT) * ALIGNMENT
-        if config.autoreset_mode is AutoresetMode.NEXT_STEP and spec.agents == 1:
-            # Moved down are masks, if there are any.
-            spared = self.starts[5] - self.starts[4] if self.masked else self.size - self.starts[4]
-            self.starts[4:] = [self.starts[0], *(start - spared for start in self.starts[5:])]
-            self.size -= spared
+        self.starts, self.size = [0] * len(pieces), 0
+        *before, final = (*range(4), *range(5, len(pieces)), 4)  # final observations come last
+        shared = config.autoreset_mode is AutoresetMode.NEXT_STEP and spec.agents == 1
+        for i in before if shared else (*before, final):
+            self.starts[i] = self.size
+            self.size += -(-math.prod(self.shapes[i]) * self.dtypes[i].itemsize // ALIGNMENT) * ALIGNMENT
 
     def pieces(self, memory: Any) -> list[Any]:
         """Return the part of a block, of whatever kind, that belongs to each array."""

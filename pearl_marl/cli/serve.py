@@ -45,7 +45,7 @@ def command(
     facts = {
         "environment": board.spec.id,
         "options": dict(board.spec.options),
-        "n_agents": layout.n_envs,
+        "n_agents": layout.n_envs * board.spec.agents,
         "pe_num": layout.pe_num,
         "data_wl": layout.data_wl,
         "path": path,

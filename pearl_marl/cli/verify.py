@@ -164,7 +164,8 @@ def _replay(recorded_call: Replay, device: str | None, reference: str | None, as
             }
         )
     else:
-        agents = f"{recorded_call.config.n_envs:,} agent{'s' * (recorded_call.config.n_envs != 1)}"
+        n = recorded_call.config.n_agents
+        agents = f"{n:,} agent{'s' * (n != 1)}"
         text = f"Recorded, replayed here with {agents}:\n{recorded}\n"
         console.print(text, markup=False, soft_wrap=True)
         _say(error, f"The divergence is gone: {device} agrees with {reference} in every word of this call.")

@@ -54,8 +54,8 @@ class Divergence:
     """Every word of the slot that differs, results before state."""
     state_before: dict[str, int] | None
     """The slot's state words by name, with ``elapsed`` and ``ended``; ``None`` before the first reset."""
-    action: float | None
-    """What the slot was told to do; ``None`` where the call is no step."""
+    action: float | list[float] | None
+    """What the slot was told to do, a list of several agents; ``None`` where the call is no step."""
 
     @property
     def field(self) -> str:

@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium.vector import AutoresetMode
 
-from pearl_marl.batch.config import BatchConfig
+from pearl_marl.batch.config import BatchConfig, worlds_of
 from pearl_marl.batch.saved_state import SavedState
 from pearl_marl.comparison.divergence import Divergence
 from pearl_marl.errors import ArgumentError, PearlError
@@ -46,7 +46,9 @@ class Replay:
         config = replace(self.config, n_envs=1, first_slot=self.divergence.slot)
         i = self.divergence.slot - self.config.first_slot
         before = None if self.before is None else self.before.cut(self.config.spec, slice(i, i + 1))
-        actions, mask = (None if a is None else a[i : i + 1].copy() for a in (self.actions, self.mask))
+        agents = self.config.spec.agents
+        actions = None if self.actions is None else self.actions[i * agents : (i + 1) * agents].copy()
+        mask = None if self.mask is None else self.mask[i : i + 1].copy()
         return replace(self, config=config, before=before, actions=actions, mask=mask)
 
     def write(self, path: Path) -> None:
@@ -96,7 +98,7 @@ class Replay:
             raise ArgumentError(f"it is of {batch['environment']}; here is {spec.id}")
         config = BatchConfig(
             spec=spec,
-            n_envs=batch["n_agents"],
+            n_envs=worlds_of(spec, batch["n_agents"]),
             autoreset_mode=AutoresetMode(batch["autoreset_mode"]),
             max_cycles=batch["max_cycles"],
             initial_states=batch["initial_states"],

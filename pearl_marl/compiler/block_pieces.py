@@ -16,7 +16,7 @@ import numpy as np
 from pearl_marl import rng
 from pearl_marl.batch import slot_memory
 from pearl_marl.compiler import pieces
-from pearl_marl.compiler.pieces import Pieces, assign, call, cell_dtype, each, indented, start
+from pearl_marl.compiler.pieces import Pieces, assign, call, cell_dtype, each, indented, start, times
 from pearl_marl.spec import EnvSpec
 
 BLOCK = 2048
@@ -34,11 +34,6 @@ COMPILED = {"unpack", "begin", "show"}
 def each_slot(*lines: str, rows: int = 1) -> list[str]:
     """Return a loop over the slots of a block, or over their rows where each has several."""
     return [f"for i in range({times(rows, 'm')}):", *indented(lines)]
-
-
-def times(count: int, what: str) -> str:
-    """Return a product; where the count is 1, what there is that often."""
-    return what if count == 1 else f"{count} * {what}"
 
 
 def part(array: str, dtype: np.dtype[Any] | str, size: int = 1) -> str:
@@ -165,12 +160,6 @@ class BlockPieces(Pieces):
         """Return the call of a function that is a loop over the agents of a block."""
         return self.apart(name, each_slot(*lines, rows=self.agents))
 
-    def of_agents(self, array: str) -> list[str]:
-        """Return where a slot's agents have their elements of an array."""
-        if self.agents == 1:
-            return [f"{array}[i]"]
-        return [f"{array}[{self.agents} * i + {k}]" for k in range(self.agents)]
-
     def compiled(self) -> list[str]:
         """Return the functions that are not loops over slots."""
         return []
@@ -267,7 +256,7 @@ class BlockPieces(Pieces):
 
     def stepped(self, sources: Sequence[str], results: Sequence[str]) -> list[str]:
         """Return the loop over the golden step, from words of the state to words of the next one."""
-        outcome = [*self.rewards_of, *self.ends_of]
+        outcome = [*self.each_agent("r"), *self.each_agent("t")]
         given = [*sources, *self.of_agents("A"), *each("draw_{}[i]", self.step_draws)]
         step = call("golden_step", given, [*self.new, *outcome])
         ends = self.of_agents("T") if self.agents > 1 else ["flag[i]"]

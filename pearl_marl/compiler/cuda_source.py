@@ -8,6 +8,7 @@ neighbouring slots, and each field is a column, so the loads and stores of a war
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterable
 
 from gymnasium.spaces import Box
@@ -15,7 +16,7 @@ from gymnasium.spaces import Box
 from pearl_marl import rng
 from pearl_marl.batch import slot_memory
 from pearl_marl.compiler import pieces
-from pearl_marl.compiler.pieces import Pieces, assign, each
+from pearl_marl.compiler.pieces import Pieces, assign, each, indented, times
 from pearl_marl.compiler.straight_line import golden_functions
 from pearl_marl.spec import EnvSpec
 
@@ -30,26 +31,28 @@ $golden_functions
 
 
 @kernel
-def reset(memory, stored, mask, results, seed_0, seed_1, tick, first_slot, use_stored, n):
+def reset(memory, stored, mask, results,$SHOWN seed_0, seed_1, tick, first_slot, use_stored, n):
     reset_tick = tick
     $columns
     $starts_and_results
     $reset_keys
     for i in range(cuda.grid(1), n, cuda.gridsize(1)):
         slot = u32(first_slot + i)
+        $mask_row
         $load
         if mask[i]:
             $start
             $store
             $ELAPSED = np.uint32(0)
-            $ENDED = np.uint8(0)
+            $ENDED = np.$ENDED_DTYPE(0)
         row = $SIZE * i
         $observe
+        $bury_at_reset
 
 
 @kernel
 def step(
-    memory, stored, actions, table, results, wrong, rewards_at, terminations_at, truncations_at, final_at,
+    memory, stored, actions, table, results, wrong, rewards_at, terminations_at, truncations_at, $LAST
     seed_0, seed_1, tick, first_slot, limit, next_step, use_stored, numbers, n,
 ):
     # SAME_STEP starts the next episode now, at the next tick; NEXT_STEP starts it within this one.
@@ -62,37 +65,10 @@ def step(
     $step_keys
     for i in range(cuda.grid(1), n, cuda.gridsize(1)):
         slot = u32(first_slot + i)
+        $mask_row
         $load
         $action
-        if refused:
-            cuda.atomic.min(wrong, 0, (tick << 32) + i)
-        elapsed = $ELAPSED
-        late = np.uint8(0)
-        if next_step and $ENDED:
-            $start
-            reward = np.float32(0)
-            terminated = np.uint8(0)
-            elapsed = np.uint32(0)
-        else:
-            $golden_step
-            if limit:
-                elapsed = np.uint32(elapsed + np.uint32(1))
-                late = np.uint8(elapsed >= np.uint32(limit))
-        rewards[reward_0 + i] = reward
-        results[terminations_at + i] = terminated
-        results[truncations_at + i] = late
-        over = np.uint8(terminated | late)
-        if next_step:
-            $ENDED = over
-        elif over:
-            row = final_0 + $SIZE * i
-            $observe
-            $start
-            elapsed = np.uint32(0)
-        $store
-        $ELAPSED = elapsed
-        row = $SIZE * i
-        $observe
+        $step
 
 
 @kernel
@@ -104,12 +80,21 @@ def advance(memory, actions, table, rewards, terminations, n):
     for i in range(cuda.grid(1), n, cuda.gridsize(1)):
         slot = u32(i)
         $load
-        a = actions[i]
+        $words
         $golden_step
         $store
-        rewards[i] = reward
-        terminations[i] = terminated
+        $outcome
 '''
+
+
+Lines = list[str]
+
+COUNT = (
+    "if limit:",
+    "    elapsed = np.uint32(elapsed + np.uint32(1))",
+    "    late = np.uint8(elapsed >= np.uint32(limit))",
+)
+"""What counts a step, and finds out whether it was the last one that the time limit allows."""
 
 
 def cuda_source(spec: EnvSpec) -> str:
@@ -123,32 +108,153 @@ def cuda_source(spec: EnvSpec) -> str:
     word = each("word_{}", p.state)
     narrow = assign(word, p.narrow)
     initial = pieces.call("initial", each("d{}", p.reset_draws), p.new)
-    arguments = [*word, "a", *each("d{}", p.step_draws)]
-    code = f"np.{spec.reward.dtype}(code)"
+    actions = p.each_agent("a")
+    arguments = [*word, *actions, *each("d{}", p.step_draws)]
+    codes, ends = p.each_agent("code"), p.each_agent("t")
+    code = (f"np.{spec.reward.dtype}({word})" for word in codes)
     at = (f"at_{c.name} = p // {c.dtype.itemsize} * {c.bytes_before}" for c in columns)
-    results = f"observations = results.view(np.{p.dtype})"
+    results = [f"observations = results.view(np.{p.dtype})"]
+    masks = len(spec.mask_fields)
+    if masks:
+        results.append("masks = results.view(np.int8)")
+    store, observe = assign(memory, word), p.observe(word)
+    start = pieces.start(assign(word, stored), [*_draws(p.reset_draws), initial, *narrow])
+    golden_step = [
+        *_draws(p.step_draws),
+        pieces.call("golden_step", arguments, [*p.new, *codes, *ends]),
+        *narrow,
+        *assign(p.each_agent("reward"), (p.reward(word, f"np.int64({word})") for word in code)),
+        *assign(p.each_agent("terminated"), each("np.uint8({})", ends)),
+    ]
+    ended_dtype = columns[-1].dtype
+    several = _Several(p, str(ended_dtype)) if spec.agents > 1 else None
+    ending = several.lines if several else _one
     parts = {
         "golden_functions": golden_functions(spec),
         "columns": [p.padded, *at, *_views("memory_{0} = memory.view(np.{0})", columns)],
-        "starts_and_results": [*_views("starts_{0} = stored.view(np.{0})", fields), results],
+        "starts_and_results": [*_views("starts_{0} = stored.view(np.{0})", fields), *results],
         "reset_keys": _keys(spec, p.reset_draws),
         "step_keys": _keys(spec, range(p.step_draws.stop)),
+        "mask_row": [f"mask_row = masks_at + {times(spec.agents * masks, 'i')}"] if masks else [],
         "load": assign(word, memory),
-        "store": assign(memory, word),
-        "start": pieces.start(assign(word, stored), [*_draws(p.reset_draws), initial, *narrow]),
-        "action": _action(spec),
-        "golden_step": [
-            *_draws(p.step_draws),
-            pieces.call("golden_step", arguments, [*p.new, "code", "t"]),
-            *narrow,
-            f"reward = {p.reward(code, f'np.int64({code})')}",
-            "terminated = np.uint8(t)",
+        "store": store,
+        "start": start,
+        "action": _action(spec, p),
+        "words": assign(actions, p.of_agents("actions")),
+        "golden_step": golden_step,
+        "step": ending(golden_step, start, store, observe),
+        "observe": observe,
+        "bury_at_reset": several.at_reset() if several else [],
+        "outcome": [
+            *assign(p.of_agents("rewards"), p.each_agent("reward")),
+            *assign(p.of_agents("terminations"), p.each_agent("terminated")),
         ],
-        "observe": p.observe(word),
     }
-    element = str(spec.observation_dtype.itemsize)
-    words = {"NAME": spec.name, "SIZE": str(size), "ELEMENT": element, "ELAPSED": elapsed, "ENDED": ended}
+    shown = (" masks_at," if masks else "") + (" alive_at," if several else "")
+    words = {
+        "NAME": spec.name,
+        "SIZE": str(spec.agents * size),
+        "ELEMENT": str(spec.observation_dtype.itemsize),
+        "ELAPSED": elapsed,
+        "ENDED_DTYPE": str(ended_dtype),
+        "ENDED": ended,
+        "SHOWN": shown,
+        "LAST": f"final_at,{shown}",
+    }
+    for name in ("step", "bury_at_reset"):
+        parts[name] = [re.sub(r"\$([A-Z_]+)", lambda match: words[match[1]], line) for line in parts[name]]
     return pieces.filled(TEMPLATE, words, parts)
+
+
+def _one(golden_step: Lines, start: Lines, store: Lines, observe: Lines) -> Lines:
+    """Return a step of a slot that has one agent, which ends when the agent does."""
+    return [
+        "elapsed = $ELAPSED",
+        "late = np.uint8(0)",
+        "if next_step and $ENDED:",
+        *indented([*start, "reward = np.float32(0)", "terminated = np.uint8(0)", "elapsed = np.uint32(0)"]),
+        "else:",
+        *indented([*golden_step, *COUNT]),
+        "rewards[reward_0 + i] = reward",
+        "results[terminations_at + i] = terminated",
+        "results[truncations_at + i] = late",
+        "over = np.uint8(terminated | late)",
+        "if next_step:",
+        "    $ENDED = over",
+        "elif over:",
+        *indented(["row = final_0 + $SIZE * i", *observe, *start, "elapsed = np.uint32(0)"]),
+        *store,
+        "$ELAPSED = elapsed",
+        "row = $SIZE * i",
+        *observe,
+    ]
+
+
+class _Several:
+    """What is about the ends of several agents: a bit of each is in ``gone``, as in the column ``ended``."""
+
+    def __init__(self, p: Pieces, dtype: str) -> None:
+        self.p, self.dtype, self.every = p, dtype, ((1 << p.agents) - 1) << 1
+
+    def lines(self, golden_step: Lines, start: Lines, store: Lines, observe: Lines) -> Lines:
+        """Return a step of a slot, which ends when all agents have."""
+        p, agents = self.p, range(self.p.agents)
+        ended = []
+        for k in agents:
+            ended += [
+                f"was = {self._bit('before', k)}",
+                f"terminated{k} = np.uint8(terminated{k} & (was ^ 1))",
+                f"gone = np.{self.dtype}(gone | np.{self.dtype}(terminated{k}) << np.{self.dtype}({k + 1}))",
+                f"rewards[reward_0 + {p.agents} * i + {k}] = np.float32(0) if was else reward{k}",
+                f"results[terminations_at + {p.agents} * i + {k}] = terminated{k}",
+                f"results[truncations_at + {p.agents} * i + {k}] = np.uint8(late & (was ^ 1))",
+            ]
+        rest = assign(p.each_agent("reward"), ["np.float32(0)"] * p.agents)
+        rest += assign(p.each_agent("terminated"), ["np.uint8(0)"] * p.agents)
+        size = p.agents * p.spec.observation_size
+        keep = ["last = final_0 + $SIZE * i", f"for e in range({size}):"]
+        keep.append("    observations[last + e] = observations[row + e]")
+        return [
+            "elapsed = $ELAPSED",
+            "late = np.uint8(0)",
+            f"before = np.{self.dtype}($ENDED & np.{self.dtype}({self.every}))",
+            "if next_step and $ENDED & 1:",
+            *indented([*start, *rest, "elapsed = np.uint32(0)"]),
+            "else:",
+            *indented([*golden_step, *COUNT]),
+            "gone = before",
+            *ended,
+            f"over = np.uint8(late | (gone == np.{self.dtype}({self.every})))",
+            "row = $SIZE * i",
+            *observe,
+            "if over or gone != before:",
+            *indented(keep),
+            "if over:",
+            *indented([f"gone = np.{self.dtype}(0)", "if not next_step:"]),
+            *indented(indented([*start, "elapsed = np.uint32(0)", *observe])),
+            *store,
+            "$ELAPSED = elapsed",
+            f"$ENDED = np.{self.dtype}(over) if next_step and over else gone",
+            *self._hidden(),
+        ]
+
+    def at_reset(self) -> Lines:
+        """Return what hides what agents that have ended would see."""
+        return [f"gone = np.{self.dtype}($ENDED & np.{self.dtype}({self.every}))", *self._hidden()]
+
+    def _bit(self, word: str, k: int) -> str:
+        return f"np.uint8({word} >> np.{self.dtype}({k + 1}) & np.{self.dtype}(1))"
+
+    def _hidden(self) -> Lines:
+        p, lines = self.p, []
+        own, masks = p.spec.observation_size, len(p.spec.mask_fields)
+        for k in range(p.agents):
+            hide = [f"for e in range({own}):", f"    observations[row + {k * own} + e] = np.{p.dtype}(0)"]
+            if masks:
+                hide += [f"for e in range({masks}):", f"    masks[mask_row + {k * masks} + e] = np.int8(0)"]
+            lines += [f"dead = {self._bit('gone', k)}", "if dead:", *indented(hide)]
+            lines.append(f"results[alive_at + {p.agents} * i + {k}] = np.uint8(dead ^ 1)")
+        return lines
 
 
 def _views(pattern: str, columns: Iterable[slot_memory.Column]) -> list[str]:
@@ -174,23 +280,28 @@ def _keys(spec: EnvSpec, draws: range) -> list[str]:
     ]
 
 
-def _action(spec: EnvSpec) -> list[str]:
-    """Return what makes a word ``a`` of a slot's action, and says whether it is ``refused``."""
-    space, dtype = spec.action_space, spec.action.dtype
-    lines = ["given = actions[i]", f"a = np.{dtype}(0)"]
-    if not isinstance(space, Box):
-        refused = f"refused = given < 0 or given >= {space.n}"
-        return [*lines, refused, "if not refused:", f"    a = np.{dtype}(given)"]
-    low, high, scale = float(space.low[0]), float(space.high[0]), 2.0**spec.action.fraction
-    return [
-        *lines,
-        "number = np.float64(given)",
-        # NaN is refused too.
-        f"refused = numbers and not (number >= {low!r} and number <= {high!r})",
-        "if refused:",
-        f"    a = np.{dtype}({math.floor(low * scale + 0.5)})",
-        "elif numbers:",
-        f"    a = np.{dtype}(math.floor(number * {scale!r} + 0.5))",
-        "else:",
-        f"    a = np.{dtype}(given)",
-    ]
+def _action(spec: EnvSpec, p: Pieces) -> Lines:
+    """Return what makes words of a slot's actions, and notes those that are out of range."""
+    dtype, lines = spec.action.dtype, []
+    for k, (a, given) in enumerate(zip(p.each_agent("a"), p.of_agents("actions"), strict=True)):
+        space = spec.roles[k].action_space if spec.roles else spec.action_space
+        lines += [f"given = {given}", f"{a} = np.{dtype}(0)"]
+        if isinstance(space, Box):
+            low, high, scale = float(space.low[0]), float(space.high[0]), 2.0**spec.action.fraction
+            lines += [
+                "number = np.float64(given)",
+                # NaN is refused too.
+                f"refused = numbers and not (number >= {low!r} and number <= {high!r})",
+                "if refused:",
+                f"    {a} = np.{dtype}({math.floor(low * scale + 0.5)})",
+                "elif numbers:",
+                f"    {a} = np.{dtype}(math.floor(number * {scale!r} + 0.5))",
+                "else:",
+                f"    {a} = np.{dtype}(given)",
+            ]
+        else:
+            refused = f"refused = given < 0 or given >= {space.n}"
+            lines += [refused, "if not refused:", f"    {a} = np.{dtype}(given)"]
+        agent = times(p.agents, "i") + (f" + {k}" if k else "")
+        lines += ["if refused:", f"    cuda.atomic.min(wrong, 0, (tick << 32) + {agent})"]
+    return lines

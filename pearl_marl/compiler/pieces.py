@@ -99,8 +99,6 @@ class Pieces:
         self.state = [f.name for f in spec.state]
         self.observation = [f.name for f in spec.observation]
         self.seen = [f.name for f in spec.seen]
-        self.rewards_of = [f"r{k}" for k in range(self.agents)] if self.agents > 1 else ["r"]
-        self.ends_of = [f"t{k}" for k in range(self.agents)] if self.agents > 1 else ["t"]
         self.new = each("new_{}", self.state)
         self.narrow = narrowed(spec.state, self.new)
         self.reset_draws = range(spec.reset_draws)
@@ -110,6 +108,16 @@ class Pieces:
         self.dtype = cell_dtype(spec)
         pad = slot_memory.ALIGNMENT
         self.padded = f"p = (n + {pad - 1}) // {pad} * {pad}  # slots of a column, padded"
+
+    def each_agent(self, name: str) -> list[str]:
+        """Return the names of a variable of every agent of a slot: numbered, where there are several."""
+        return [name] if self.agents == 1 else [f"{name}{k}" for k in range(self.agents)]
+
+    def of_agents(self, array: str) -> list[str]:
+        """Return where a slot's agents have their elements of an array."""
+        if self.agents == 1:
+            return [f"{array}[i]"]
+        return [f"{array}[{self.agents} * i + {k}]" for k in range(self.agents)]
 
     def reward(self, code: str, index: str) -> str:
         """Return the reward of a code, which is ``index`` where rewards are looked up."""
@@ -136,6 +144,11 @@ class Pieces:
             return [f"unpack({', '.join(own)}, {self.row.format(more)})", *masks]
         values = (f"np.{dtype}({w}){_scale(str(dtype), f)}" for w, f in zip(own, fields, strict=True))
         return [*assign(each(self.element, range(agent * size, (agent + 1) * size)), values), *masks]
+
+
+def times(count: int, what: str) -> str:
+    """Return a product; where the count is 1, what there is that often."""
+    return what if count == 1 else f"{count} * {what}"
 
 
 def _scale(dtype: str, field: Field) -> str:

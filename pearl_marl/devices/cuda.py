@@ -24,7 +24,7 @@ from pearl_marl.batch.actions import limits
 from pearl_marl.batch.config import BatchConfig
 from pearl_marl.batch.results import Layout, ResultArrays
 from pearl_marl.batch.slot_memory import SlotMemory, size
-from pearl_marl.batch.step import Array, BatchStep, Seen
+from pearl_marl.batch.step import Array, BatchStep, Seen, on_host
 from pearl_marl.compiler.cuda_kernels import THREADS, compile_cuda_kernels, simulated
 from pearl_marl.devices.base import Device
 from pearl_marl.errors import ActionError, ArgumentError, DeviceError
@@ -66,6 +66,10 @@ class Cuda(Device):
 
     def encoded(self, actions: Any) -> Any:
         """Return actions as a step takes them: words on the host, or what is on the GPU already."""
+        if self._torch is not None and self.config.spec.masked == "refused":
+            # Masks are looked at on the host, so it has to wait for the actions too.
+            actions = on_host(actions) if isinstance(actions, self._torch.Tensor) else actions
+            return super().encoded(actions)
         given = self._on_gpu(actions)
         return super().encoded(actions) if given is None else given
 
@@ -83,11 +87,13 @@ class Cuda(Device):
             if first == NOTHING_REFUSED:
                 return
             self._wrong.copy_to_device(np.array([NOTHING_REFUSED]))
-        tick, slot = divmod(first, 1 << 32)
+        tick, row = divmod(first, 1 << 32)
+        spec = self.config.spec
+        space = spec.roles[row % spec.agents].action_space if spec.roles else spec.action_space
         raise ActionError(
-            f"agent_{self.config.first_slot + slot}: its action at step {tick}, which was on the GPU, is out "
-            f"of range; {limits(self.config.spec.action_space)}. The slot took the least one instead, and "
-            "all since follows from that"
+            f"agent_{self.config.first_slot * spec.agents + row}: its action at step {tick}, which was on "
+            f"the GPU, is out of range; {limits(space)}. The slot took the least one instead, and all since "
+            "follows from that"
         )
 
     def _open(self, config: BatchConfig) -> None:
@@ -103,7 +109,7 @@ class Cuda(Device):
             # Without stored initial states the kernels get the memory itself, and do not look.
             stored = config.initial_states == "stored"
             self._stored = self._gpu.to_device(SlotMemory(spec, n).bytes) if stored else self._memory
-            self._words = self._gpu.device_array(n, spec.action.dtype)
+            self._words = self._gpu.device_array(config.n_agents, spec.action.dtype)
             self._wrong = self._gpu.to_device(np.array([NOTHING_REFUSED]))
             if self._torch is None:
                 self._arrays = ResultArrays(config)
@@ -136,14 +142,15 @@ class Cuda(Device):
         flags = np.ones(n, np.uint8) if mask is None else mask.astype(np.uint8)
         flags = self._gpu.to_device(flags, stream=self._stream())
         block = self._block if self._block is not None else self._new_block()
-        place = (*self.seed, self.tick, self.config.first_slot)
+        place = (*self._layout.starts[5:], *self.seed, self.tick, self.config.first_slot)
         self._launch(
             self._kernels.reset, self._memory, self._stored, flags, self._array(block), *place, again, n
         )
         if self._torch is not None:
             return (self._in_tensors(block) if self._tensors is None else self._tensors).seen
         memory, results = self._arrays.take_block()
-        self._parts[0].copy_to_host(self._layout.pieces(memory)[0])
+        for i in (0, *range(5, len(self._parts))):
+            self._parts[i].copy_to_host(self._layout.pieces(memory)[i])
         return results.seen
 
     def _step(self, actions: Array | _OnGpu) -> BatchStep:
@@ -171,7 +178,7 @@ class Cuda(Device):
                 return self._in_tensors(block) if self._tensors is None else self._tensors
             memory, results = self._arrays.take_block()
             self._seen.copy_to_host(memory[: self._seen.size])
-            if not self._next_step and results.ended.any():
+            if layout.starts[4] and results.ended.any():
                 self._parts[4].copy_to_host(layout.pieces(memory)[4])
         return results
 
@@ -250,7 +257,7 @@ class Cuda(Device):
                 raise ActionError("actions on the GPU are not contiguous; copy them into an array that is")
         else:
             return None
-        space, n = self.config.spec.action_space, self.config.n_envs
+        space, n = self.config.spec.action_space, self.config.n_agents
         whole = (n, *(space.shape or ()))
         if tuple(array.shape) != whole:
             raise ActionError(
@@ -304,7 +311,8 @@ def memory_needed(config: BatchConfig, results: str = "numpy") -> int:
     stored = slots if config.initial_states == "stored" else 0
     # Tensors that are kept for one step only are two blocks: the last step's, and those of the next.
     blocks = 2 if results == "torch" and config.copy else 1
-    others = config.n_envs * (config.spec.action.dtype.itemsize + 1)  # actions, and a reset's mask
+    # Actions, and a reset's mask.
+    others = config.n_agents * config.spec.action.dtype.itemsize + config.n_envs
     return slots + stored + blocks * Layout(config).size + others
 
 

@@ -22,6 +22,7 @@ from pearl_marl.comparison.replay import Replay
 from pearl_marl.devices.base import Device, count_or_none
 from pearl_marl.devices.by_name import make_host_device
 from pearl_marl.errors import ArgumentError, LockstepError, PearlError
+from pearl_marl.spec import EnvSpec
 
 T = TypeVar("T")
 
@@ -244,8 +245,14 @@ class Lockstep(Device):
             slots=count,
             differences=differences,
             state_before=None if before is None else state_of(spec, n, before, i),
-            action=None if actions is None else spec.action.value(actions[i]),
+            action=None if actions is None else _told(spec, actions, i),
         )
         return LockstepError(
             divergence, Replay(config=self.config, divergence=divergence, before=before, **arguments)
         )
+
+
+def _told(spec: EnvSpec, actions: Array, slot: int) -> float | list[float]:
+    """Return what a slot was told to do: a list where it has several agents."""
+    told = [spec.action.value(word) for word in actions[slot * spec.agents : (slot + 1) * spec.agents]]
+    return told[0] if spec.agents == 1 else told

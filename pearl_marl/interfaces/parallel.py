@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium.spaces import Box, Discrete
 
-from pearl_marl.batch.config import worlds_for
+from pearl_marl.batch.config import worlds_of
 from pearl_marl.batch.results import check_memory
 from pearl_marl.batch.saved_state import SavedState
 from pearl_marl.batch.slot_memory import state_dtype
@@ -283,7 +283,7 @@ def parallel_env(
         raise ArgumentError(f"autoreset is {autoreset!r}; it must be True or False")
     config = BatchConfig(
         spec=spec,
-        n_envs=worlds_for(spec, n_agents),
+        n_envs=worlds_of(spec, n_agents),
         max_cycles=max_cycles,
         initial_states=initial_states,
         copy=copy,

@@ -15,7 +15,7 @@ from pearl_marl.devices.transport import Exchange, Transport
 from pearl_marl.hardware.build import Build
 from pearl_marl.hardware.codec import Stream, pack, stream_bytes
 from pearl_marl.memory_map import MemoryMap, Status
-from pearl_marl.spec import EnvSpec
+from pearl_marl.spec import EnvSpec, Field
 
 
 class HostTimes(NamedTuple):
@@ -39,7 +39,7 @@ def measure_host(spec: EnvSpec, n_envs: int, rounds: int = 200) -> HostTimes:
     device = NoHardware().open(BatchConfig(spec=spec, n_envs=n_envs, copy=False))
     answers = device.answers
     device.reset(seed=0)
-    actions = random_actions(spec, np.random.default_rng(0), n_envs)
+    actions = random_actions(spec, np.random.default_rng(0), n_envs * spec.agents)
     times = []
     for _ in range(rounds + 2):  # the first ones load the code
         began = time.thread_time()
@@ -57,10 +57,11 @@ class _Answers(Transport):
     def __init__(self, build: Build) -> None:
         self._layout = layout = build.layout
         self._identity = np.array(identity(build), "<u4").view(np.uint8)
-        slots = np.arange(layout.n_envs) % ENDING == 0
-        bits = layout["ters"].slot_bits
-        self._ters = np.zeros(stream_bytes(layout.n_envs, bits), np.uint8)
-        pack(slots.view(np.uint8), 1, self._ters, bits, bits - 1)
+        ter = Field("ter", layout["ters"].slot_bits)
+        all_agents = ter.dtype.type((1 << build.spec.agents) - 1)
+        ters = np.where(np.arange(layout.n_envs) % ENDING == 0, all_agents, ter.dtype.type(0))
+        self._ters = np.zeros(stream_bytes(layout.n_envs, ter.bits), np.uint8)
+        pack(ters, ter.bits, self._ters, ter.bits)
         self._ters = self._ters[: layout.size("ters")]
         self.asked = self.answered = 0.0
 

@@ -34,7 +34,7 @@ from pearl_marl.testing.case import (  # noqa: E402
     rows,
     trajectory,
 )
-from pearl_marl.testing.suite import ContractSuite  # noqa: E402
+from pearl_marl.testing.suite import ContractSuite, DeviceSuite  # noqa: E402
 
 __all__ = [
     "HALF",
@@ -42,6 +42,7 @@ __all__ = [
     "STEPS",
     "Case",
     "ContractSuite",
+    "DeviceSuite",
     "assert_same_step",
     "assert_same_trajectory",
     "make_device",

@@ -115,20 +115,24 @@ class Case:
         return thing
 
     def actions(self, steps: int = STEPS, n: int = SIZE, seed: int = 0) -> Array:
-        """Return random actions, a batch a step; those of fewer slots are the first columns."""
-        flat = random_actions(self.spec, np.random.default_rng(seed), n * steps)
-        return np.ascontiguousarray(flat.reshape(n, steps, *flat.shape[1:]).swapaxes(0, 1))
+        """Return random actions of ``n`` slots, a batch a step; those of fewer are the first columns."""
+        agents = self.spec.agents
+        flat = random_actions(self.spec, np.random.default_rng(seed), n * steps * agents)
+        by_slot = flat.reshape(n, steps, agents, *flat.shape[1:]).swapaxes(0, 1)
+        return np.ascontiguousarray(by_slot.reshape(steps, n * agents, *flat.shape[1:]))
 
     def habits(self, steps: int = STEPS, n: int = SIZE) -> Array:
         """Return actions that favour one for each slot, so that episodes of many lengths end."""
         space, actions = self.spec.action_space, self.actions(steps, n)
+        n_agents = n * self.spec.agents
         habit: Array
         if isinstance(space, Discrete):
-            habit = (np.arange(n) % space.n).astype(actions.dtype)
+            most = [role.action_space.n for role in self.spec.roles] or [space.n]  # type: ignore[union-attr]
+            habit = (np.arange(n_agents) % np.resize(most, n_agents)).astype(actions.dtype)
         else:
-            habit = np.linspace(space.low, space.high, n, dtype=actions.dtype)
-        chosen = np.random.default_rng(1).random((steps, n)) < 0.5
-        return np.where(chosen.reshape(steps, n, *(1,) * (actions.ndim - 2)), habit, actions)
+            habit = np.linspace(space.low, space.high, n_agents, dtype=actions.dtype)
+        chosen = np.random.default_rng(1).random((steps, n_agents)) < 0.5
+        return np.where(chosen.reshape(steps, n_agents, *(1,) * (actions.ndim - 2)), habit, actions)
 
     def close(self) -> None:
         """Close all that was made here."""
@@ -150,6 +154,9 @@ def assert_same_step(ours: BatchStep, theirs: BatchStep, where: str = "") -> Non
         assert mine.dtype == other.dtype, f"{where} {name}"
         np.testing.assert_array_equal(mine, other, f"{where} {name}")
     np.testing.assert_array_equal(ours.final_obs[ended], theirs.final_obs[ended], f"{where} final_obs")
+    for mine, other in zip(ours.arrays[5:], theirs.arrays[5:], strict=True):
+        assert mine.dtype == other.dtype, where
+        np.testing.assert_array_equal(mine, other, f"{where} action_masks or alive")
 
 
 def assert_same_trajectory(first: list[BatchStep], second: list[BatchStep]) -> None:
@@ -171,9 +178,9 @@ def assert_same_dicts(ours: Any, theirs: Any) -> None:
                 assert np.array_equal(value, other[agent]), agent
 
 
-def rows(results: list[BatchStep], start: int, stop: int) -> list[BatchStep]:
-    """Return the part of a trajectory that belongs to slots ``start .. stop - 1``."""
-    return [BatchStep(*(array[start:stop] for array in step)) for step in results]
+def rows(results: list[BatchStep], start: int, stop: int, agents: int = 1) -> list[BatchStep]:
+    """Return the part of a trajectory that belongs to slots ``start .. stop - 1``, of so many agents each."""
+    return [step.each(lambda array: array[start * agents : stop * agents]) for step in results]
 
 
 def names_of(n: int) -> list[str]:

@@ -58,26 +58,26 @@ class DeterminismContract:
 
     def test_a_larger_batch_begins_with_the_smaller_one(self, case: Case) -> None:
         """Slot 5 of a million is slot 5 of ten."""
-        *smaller, largest = case.sizes
+        (*smaller, largest), k = case.sizes, case.spec.agents
         actions = case.actions(12, largest)
         obs, whole = run(case.open(largest, max_cycles=5), actions)
-        assert obs.shape[0] == largest
+        assert obs.shape[0] == largest * k
         for n in smaller:
-            obs_small, part = run(case.open(n, max_cycles=5), actions[:, :n].copy())
-            np.testing.assert_array_equal(obs[:n], obs_small)
-            assert_same_trajectory(rows(whole, 0, n), part)
+            obs_small, part = run(case.open(n, max_cycles=5), actions[:, : n * k].copy())
+            np.testing.assert_array_equal(obs[: n * k], obs_small)
+            assert_same_trajectory(rows(whole, 0, n, k), part)
         assert np.any([step.ended for step in whole], axis=0).all(), "with a limit of 5, everyone ended once"
 
     def test_a_split_batch_equals_the_whole(self, case: Case) -> None:
         """Two devices can share the slots of a run."""
-        actions = case.actions()
+        actions, k = case.actions(), case.spec.agents
         obs, whole = run(case.open(max_cycles=9), actions)
         for split in case.splits:
             for start, stop in ((0, split), (split, SIZE)):
                 part = case.open(stop - start, first_slot=start, max_cycles=9)
-                part_obs, steps = run(part, actions[:, start:stop].copy())
-                np.testing.assert_array_equal(obs[start:stop], part_obs)
-                assert_same_trajectory(rows(whole, start, stop), steps)
+                part_obs, steps = run(part, actions[:, start * k : stop * k].copy())
+                np.testing.assert_array_equal(obs[start * k : stop * k], part_obs)
+                assert_same_trajectory(rows(whole, start, stop, k), steps)
 
     def test_the_last_slots_that_random_numbers_know(self, case: Case) -> None:
         """Slot numbers are 32 bits wide, so these would wrap where one of them was kept signed."""
@@ -90,15 +90,15 @@ class DeterminismContract:
 
     def test_threads_change_nothing(self, native: Case) -> None:
         """Nor how the slots fall to them: in equal shares, or with a remainder."""
-        largest = 6143
+        largest, k = 6143, native.spec.agents
         actions = native.actions(15, largest)
         config: dict[str, Any] = {"spec": native.spec, "max_cycles": 4}
         _, alone = run(Native(threads=1).open(BatchConfig(n_envs=largest, **config)), actions)
         for n in (5000, 4096, largest):
             for threads in (2, 3):
                 device = Native(threads=threads).open(BatchConfig(n_envs=n, **config))
-                _, steps = run(device, actions[:, :n].copy())
-                assert_same_trajectory(steps, rows(alone, 0, n))
+                _, steps = run(device, actions[:, : n * k].copy())
+                assert_same_trajectory(steps, rows(alone, 0, n, k))
                 device.close()
 
     def test_send_and_recv_are_step_in_two_halves(self, case: Case) -> None:

@@ -36,9 +36,9 @@ class GoldenContract:
         """The reference runs them on arrays, cocotb and a reader on scalars."""
         n, generator = 5, np.random.default_rng(3)
 
-        def run(function: Callable[..., Any], arguments: list[Array]) -> list[Array]:
-            whole = [np.broadcast_to(word, n) for word in call_reference(function, arguments)]
-            one_by_one = [call_reference(function, [a[i] for a in arguments]) for i in range(n)]
+        def run(function: Callable[..., Any], arguments: list[Array], *agent: int) -> list[Array]:
+            whole = [np.broadcast_to(word, n) for word in call_reference(function, arguments, *agent)]
+            one_by_one = [call_reference(function, [a[i] for a in arguments], *agent) for i in range(n)]
             for k, word in enumerate(whole):
                 np.testing.assert_array_equal(word, [words[k] for words in one_by_one])
             return whole
@@ -48,9 +48,12 @@ class GoldenContract:
 
         state = run(spec.golden.initial, draws(spec.reset_draws))
         for _ in range(20):
-            actions = encode(random_actions(spec, generator, n), spec, np.empty(n, spec.action.dtype))
-            *state, _, _ = run(spec.golden.step, [*state, actions, *draws(spec.step_draws)])
-            run(spec.golden.observe, state)
+            words = np.empty(n * spec.agents, spec.action.dtype)
+            actions = encode(random_actions(spec, generator, len(words)), spec, words).reshape(n, -1).T
+            state = run(spec.golden.step, [*state, *actions, *draws(spec.step_draws)])[: len(spec.state)]
+            for agent in spec.views:
+                for view in spec.functions[2:]:
+                    run(view, state, *agent)
 
     def test_golden_functions_suit_the_spec(self, spec: EnvSpec) -> None:
         """As many words in and out as it says, all of them within their fields and the table of rewards.
@@ -68,8 +71,10 @@ class GoldenContract:
         n, steps = 256, 80
         device = Reference().open(BatchConfig(spec=spec, n_envs=n, autoreset_mode=mode))
         assert contains_all(spec.observation_space, device.reset(seed=1))
-        for actions in sticky_actions(spec, n, steps, seed=2):
-            assert contains_all(spec.observation_space, device.step(actions).obs)
+        words = np.empty(n * spec.agents, spec.action.dtype)
+        for actions in sticky_actions(spec, len(words), steps, seed=2):
+            step = device.step_words(encode(actions, spec, words))
+            assert contains_all(spec.observation_space, step.obs[step.alive])
         device.close()
 
     def test_spaces_equal_the_oracles(self, spec: EnvSpec) -> None:

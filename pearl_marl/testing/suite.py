@@ -1,4 +1,4 @@
-"""The whole contract as one class, to be subclassed over environments and devices."""
+"""The contract as a class, or what of it is about devices, to be subclassed over environments and devices."""
 
 from __future__ import annotations
 
@@ -19,17 +19,8 @@ from pearl_marl.testing.saved_states import SavedStatesContract
 from pearl_marl.testing.spaces import SpacesContract
 
 
-class ContractSuite(
-    GoldenContract,
-    AgreementContract,
-    SpacesContract,
-    LifetimesContract,
-    DeterminismContract,
-    SavedStatesContract,
-    BuffersContract,
-    InterfacesContract,
-):
-    """Every test of the contract; a subclass named ``Test...`` says of what.
+class DeviceSuite(GoldenContract, AgreementContract, DeterminismContract):
+    """The tests of the contract that need no interface; a subclass named ``Test...`` says of what.
 
     Attributes
     ----------
@@ -70,3 +61,14 @@ class ContractSuite(
         case = Case(env_id, "native")
         yield case
         case.close()
+
+
+class ContractSuite(
+    DeviceSuite,
+    SpacesContract,
+    LifetimesContract,
+    SavedStatesContract,
+    BuffersContract,
+    InterfacesContract,
+):
+    """Every test of the contract; a subclass says of what, as one of :class:`DeviceSuite` does."""

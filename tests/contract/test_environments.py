@@ -19,6 +19,7 @@ from pearl_marl.testing import (
     STEPS,
     Case,
     ContractSuite,
+    DeviceSuite,
     assert_same_trajectory,
     rows,
     trajectory,
@@ -26,6 +27,7 @@ from pearl_marl.testing import (
 
 from ..devices.boards import OwnBoard
 from ..toy import TOYS
+from ..toy_world import MEADOW
 
 
 class TestEnvironments(ContractSuite):
@@ -66,6 +68,14 @@ class TestSlowDevices(ContractSuite):
     devices = ("reference", "lockstep")
 
 
+@pytest.mark.usefixtures("toys")
+class TestWorlds(DeviceSuite):
+    """Slots of several agents, wherever they step."""
+
+    environments = (MEADOW.name,)
+    devices = ("native", "rtl", "lockstep", "reference")
+
+
 class ShortCase(Case):
     """Steps are few, as a simulated GPU takes a hundredth of a second for each."""
 
@@ -102,6 +112,15 @@ class TestGpuEnvironments(ContractSuite):
     """
 
     environments = tuple(pearl_marl.envs())
+    devices = ("cuda",)
+
+
+@pytest.mark.simulatable
+@pytest.mark.usefixtures("toys")
+class TestGpuWorlds(DeviceSuite):
+    """Slots of several agents on a GPU; ``tests/devices/test_worlds.py`` has a few of them simulated."""
+
+    environments = (MEADOW.name,)
     devices = ("cuda",)
 
 

@@ -13,7 +13,7 @@ from gymnasium.vector import AutoresetMode
 
 from pearl_marl import rng
 from pearl_marl.batch.saved_state import SavedState
-from pearl_marl.devices import BatchConfig, BatchStep, Device, Lockstep, Native, Reference, Rtl, Sharded
+from pearl_marl.devices import BatchConfig, BatchStep, Cuda, Device, Lockstep, Native, Reference, Rtl, Sharded
 from pearl_marl.errors import ActionError, ArgumentError
 from pearl_marl.golden import call_reference
 from pearl_marl.spec import EnvSpec, Field, Golden, Role
@@ -104,6 +104,7 @@ DEVICES = {
     "sharded": lambda: Sharded([Reference(), Native()], [3, WORLDS - 3]),
     "lockstep": lambda: Lockstep("native", "reference"),
     "rtl": lambda: Rtl(pe_num=3),
+    "cuda": Cuda,
 }
 
 

@@ -14,6 +14,7 @@ from pettingzoo.classic.connect_four import connect_four
 
 import pearl_marl
 from pearl_marl.golden import call_reference, reference
+from pearl_marl.rendering import OracleRenderer
 
 Array = np.ndarray[Any, Any]
 PLAYERS = ("player_0", "player_1")
@@ -160,3 +161,14 @@ def test_an_illegal_move_ends_the_game_as_in_pettingzoo(mover: int) -> None:
     assert [reward_0, reward_1][mover] == -1
     # An action that is none does the same.
     assert call_reference(step, [*state, 7, 7])[3:] == (reward_0, reward_1, 1, 1)
+
+
+def test_pictures_are_pettingzoos() -> None:
+    oracle, state = connect_four.raw_env(render_mode="rgb_array"), call_reference(initial, ())
+    oracle.reset()
+    drawn = OracleRenderer(pearl_marl.get_spec("ConnectFour"), "rgb_array")
+    for action in (3, 3, 2, 6, 0):
+        oracle.step(action)
+        *state, _, _, _, _ = call_reference(step, [*state, action, action])
+    np.testing.assert_array_equal(drawn.render(np.array(state)), oracle.render())
+    drawn.close()

@@ -55,7 +55,7 @@ CASES = {
     "7x7-9p-4f-3s": options(7, 9, 4, sight=3, max_food_level=9, penalty=1 / 3, max_episode_steps=30),
     "9x9-1p-4f-7s": options(9, 1, 4, sight=7, max_player_level=3),
     "8x8-3p-3f-lists": options(
-        8, 3, 3, min_player_level=[1, 1, 3], max_player_level=[1, 2, 4], max_food_level=[1, 4, 7]
+        8, 3, 3, min_player_level=[1, 1, 2], max_player_level=[1, 2, 3], max_food_level=[1, 4, 7]
     ),
 }
 
@@ -216,7 +216,13 @@ SPAWNS = {
     "8x8-2p-3f": options(8, 2, 3),
     "6x6-4p-2f-coop": options(6, 4, 2, force_coop=True, min_player_level=2, max_player_level=4),
     "7x7-3p-4f-lists": options(
-        7, 3, 4, min_player_level=[1, 2, 2], max_player_level=[1, 2, 3], max_food_level=[1, 1, 3, 4]
+        7,
+        3,
+        4,
+        min_player_level=[1, 2, 2],
+        max_player_level=[1, 2, 3],
+        min_food_level=[1, 1, 2, 3],
+        max_food_level=[1, 1, 3, 4],
     ),
 }
 
