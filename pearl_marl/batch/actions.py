@@ -155,6 +155,13 @@ def random_numbers(space: Discrete | Box, draws: npt.NDArray[np.uint32]) -> npt.
     return numbers
 
 
+def random_allowed(masks: npt.NDArray[np.int8], draws: npt.NDArray[np.uint32]) -> npt.NDArray[Any]:
+    """Return an action for each uniform ``u32`` that its masks allow; 0 where they allow none."""
+    which = uniform_below(draws, masks.sum(1, dtype=np.uint64))
+    numbers: npt.NDArray[Any] = (masks.cumsum(1) > which[:, None]).argmax(1)
+    return numbers
+
+
 def limits(space: Discrete | Box) -> str:
     """Return in words what a space takes."""
     if isinstance(space, Box):
