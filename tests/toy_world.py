@@ -12,12 +12,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 from gymnasium.spaces import Box, Discrete
 
-from pearl_marl import EnvSpec, get_spec
+from pearl_marl import EnvSpec
 from pearl_marl.golden import Word, uniform_below
 from pearl_marl.spec import Field, Golden, Role
 
@@ -136,10 +135,7 @@ NIM = EnvSpec(
     reset_draws=1,
 )
 
-# A masked move is not refused here but ends the game, as the golden step has it: so it takes any actions.
-FREE_FOUR = replace(get_spec("ConnectFour"), name="FreeFour", masked="stay")
-
-WORLDS: Sequence[EnvSpec] = (MEADOW, NIM, FREE_FOUR)
+WORLDS: Sequence[EnvSpec] = (MEADOW, NIM)
 
 
 def crowd(agents: int, masked: bool = True, pictures: bool = False) -> EnvSpec:

@@ -27,11 +27,11 @@ from pearl_marl.testing import (
 
 from ..devices.boards import OwnBoard
 from ..toy import TOYS
-from ..toy_world import FREE_FOUR, MEADOW
+from ..toy_world import MEADOW
 
 
 class TestEnvironments(ContractSuite):
-    environments = tuple(name for name in pearl_marl.envs() if pearl_marl.get_spec(name).agents == 1)
+    environments = tuple(pearl_marl.envs())
     devices = ("native", "rtl")
 
     @pytest.mark.slow
@@ -72,7 +72,7 @@ class TestSlowDevices(ContractSuite):
 class TestWorlds(DeviceSuite):
     """Slots of several agents, wherever they step."""
 
-    environments = (MEADOW.name, "LevelBasedForaging", FREE_FOUR.name)
+    environments = (MEADOW.name,)
     devices = ("native", "rtl", "lockstep", "reference")
 
 
