@@ -38,8 +38,9 @@ from .observations import (
     pad_observations_v0,
     reshape_v0,
     resize_v1,
+    world_observations_v0,
 )
-from .rewards import clip_reward_v0, reward_lambda_v0
+from .rewards import clip_reward_v0, reward_lambda_v0, shared_reward_v0
 from .statistics import normalize_observation_v0, normalize_reward_v0
 
 
@@ -126,7 +127,9 @@ __all__ = [
     "rllib_vector_env",
     "sb3_vec_env",
     "scale_actions_v0",
+    "shared_reward_v0",
     "sticky_actions_v0",
+    "world_observations_v0",
 ]
 
 

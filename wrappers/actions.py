@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 from gymnasium.spaces import Box, Discrete, Space
 
-from pearl_marl.batch.actions import random_numbers
+from pearl_marl.batch.actions import random_allowed, random_numbers
 from pearl_marl.batch.step import Array, BatchStep
 from pearl_marl.errors import ArgumentError
 from pearl_marl.interfaces.batch import Batch, Mask
 
-from .base import box, wrap
+from .base import box, differing, wrap
 from .transform import Slots, Transform
 
 
@@ -99,9 +99,26 @@ def scale_actions_v0(env: Batch, scale: float) -> Any:
     return wrap(env, make)
 
 
+class _PaddedActions(Transform):
+    """Action 0 in place of those beyond an agent's own space."""
+
+    def __init__(self, batch: Batch, space: Space[Any], action_space: Any) -> None:
+        super().__init__(batch, space, action_space)
+        self.world = batch.world.shown(None, action_space)
+        own: list[Any] = [role.action_space for role in batch.world.roles]
+        self._counts = np.tile([part.n for part in own], self.n // batch.world.agents)
+
+    def actions(self, actions: Array) -> Array:
+        self.check(actions)
+        return np.where(actions < self._counts, actions, actions.dtype.type(0))
+
+
 def pad_action_space_v0(env: Batch) -> Any:
-    """Pad action spaces to the largest agent's. Here all are alike, so this returns ``env`` as it is."""
-    return env
+    """Pad action spaces to the widest role's; what is beyond an agent's own becomes action 0.
+
+    Where all agents are alike this returns ``env`` as it is.
+    """
+    return wrap(env, _PaddedActions) if differing(env, "action_space") else env
 
 
 class _NoNans(Transform):
@@ -142,7 +159,10 @@ class _NanNoop(_NoNans):
 
 class _NanRandom(_NoNans):
     def instead(self, slots: Slots) -> Array:
-        return random_numbers(self.action_space, self.draws()[slots])
+        draws, masks = self.draws()[slots], self.batch.action_masks
+        return (
+            random_numbers(self.action_space, draws) if masks is None else random_allowed(masks[slots], draws)
+        )
 
 
 def nan_noop_v0(env: Batch, no_op_action: Any) -> Any:
@@ -164,7 +184,10 @@ def nan_zeros_v0(env: Batch) -> Any:
 
 
 def nan_random_v0(env: Batch) -> Any:
-    """Take a random action where one is not a number, drawn for each agent and step from the seed."""
+    """Take a random action where one is not a number, drawn for each agent and step from the seed.
+
+    Where there are masks, it is one that may be taken.
+    """
     return wrap(env, _NanRandom)
 
 
@@ -183,6 +206,9 @@ class _Sticky(Transform):
     def actions(self, actions: Array) -> Array:
         self.check(actions)  # or whether a bad one is refused would be left to chance
         sticks = np.flatnonzero(self._may_stick & (self.draws() < self._below))
+        masks = self.batch.action_masks
+        if masks is not None:
+            sticks = sticks[masks[sticks, self._taken[sticks]] != 0]
         self._given = actions.astype(self._taken.dtype)
         self._given[sticks] = self._taken[sticks]
         return self._given
@@ -200,7 +226,8 @@ class _Sticky(Transform):
 def sticky_actions_v0(env: Batch, repeat_action_probability: float) -> Any:
     """Repeat an agent's last action with a probability, drawn for each agent and step from the seed.
 
-    SuperSuit draws the same for every agent if there is a seed.
+    Where there are masks, one that is masked now is not repeated. SuperSuit draws the same for every agent if
+    there is a seed.
     """
     if not 0 <= repeat_action_probability < 1:
         raise ArgumentError(

@@ -34,15 +34,46 @@ def wrap(env: Batch, make: Callable[..., Transform], *arguments: Any) -> Any:
     -------
     An environment of the same interface.
     """
+    unwrapped: Any = checked(env).unwrapped
+    make_host_device(unwrapped.device)  # a transform is NumPy's work
+    transform = make(env, env.slot_observation_space, env.slot_action_space, *arguments)
+    _check_roles(env, transform)
+    wrapped = WrappedParallelEnv if isinstance(env, ParallelInterface) else WrappedVectorEnv
+    return wrapped(env, transform)
+
+
+def checked(env: Any) -> Any:
+    """Return an environment of this package, or refuse what is none."""
     if not isinstance(env, (ParallelInterface, VectorInterface)):
         raise ArgumentError(
             f"{type(env).__name__} is no environment of this package; for others, SuperSuit has this wrapper"
         )
-    unwrapped: Any = env.unwrapped
-    make_host_device(unwrapped.device)  # a transform is NumPy's work
-    transform = make(env, env.slot_observation_space, env.slot_action_space, *arguments)
-    wrapped = WrappedParallelEnv if isinstance(env, ParallelInterface) else WrappedVectorEnv
-    return wrapped(env, transform)
+    return env
+
+
+def differing(env: Batch, what: str) -> list[str]:
+    """Return the names of the roles whose ``what``, a space, is not that of the rows in arrays."""
+    whole = getattr(checked(env), f"slot_{what}")
+    return sorted({role.name for role in env.world.roles if getattr(role, what) != whole})
+
+
+def _check_roles(env: Any, transform: Transform) -> None:
+    """Refuse a change that is one to all agents alike where they are not, or that masks do not follow."""
+    name = env.unwrapped.device.config.spec.name
+    for what, shown, pad in (
+        ("observation_space", transform.observation_space, "pad_observations_v0"),
+        ("action_space", transform.action_space, "pad_action_space_v0"),
+    ):
+        if shown is not getattr(env, f"slot_{what}") and (roles := differing(env, what)):
+            raise ArgumentError(
+                f"this wrapper would mix roles, and in {name} {' and '.join(roles)} have another {what} than "
+                f"the widest: put {pad} inside it"
+            )
+    if env.world.masked and transform.action_space is not env.slot_action_space:
+        raise ArgumentError(
+            f"this wrapper changes the action space, and {name} has masks of {env.slot_action_space}, which "
+            "do not follow: change actions before you give them"
+        )
 
 
 def box(space: Space[Any], name: str, what: str = "observations") -> Box:

@@ -26,6 +26,11 @@ class _FrameSkip(Transform):
                 "frame_skip_v0 does not work in NEXT_STEP mode, whose slots spend a step resetting: "
                 "make the environment with autoreset_mode='SameStep'"
             )
+        if batch.world.masked == "refused":
+            raise ArgumentError(
+                "frame_skip_v0 does not work where masked actions are refused: an action may be masked by "
+                "the time it is to be repeated"
+            )
         self._low, self._high = low, high
 
     def take(self, actions: Array) -> BatchStep:
@@ -34,7 +39,7 @@ class _FrameSkip(Transform):
             count += int(uniform_below(self.draws()[:1], self._high - count + 1)[0])
         step = super().take(actions)
         rewards, terminations, truncations, final_obs = (self.new.copy(array) for array in step[1:])
-        over, started = step.ended, False
+        over, started = self.world.begins(step), False
         for _ in range(1, count):
             if over.all() or not self.batch.live.any():  # where agents leave, nobody may be left to step
                 break
@@ -45,10 +50,10 @@ class _FrameSkip(Transform):
             now = np.flatnonzero(step.ended & running)
             terminations[now], truncations[now] = step.terminations[now], step.truncations[now]
             final_obs[now] = step.final_obs[now]
-            over[now] = True
-        # Slots that ended on the way have gone on into their next episodes: those begin here instead.
-        obs = self.batch.reset_slots(over) if started else step.obs
-        return BatchStep(obs, rewards, terminations, truncations, final_obs)
+            over |= self.world.begins(step)
+        # Worlds that ended on the way have gone on into their next episodes: those begin here instead.
+        obs = self.batch.reset_slots(over[:: self.world.agents]) if started else step.obs
+        return self.carried(step, obs, rewards, terminations, truncations, final_obs)
 
 
 def frame_skip_v0(env: Batch, num_frames: int | tuple[int, int]) -> Any:
@@ -102,7 +107,12 @@ class _BlackDeath(Transform):
         obs[~alive] = 0
         rewards[~alive] = 0
         over = ~self._present
-        return BatchStep(obs, rewards, self._terminated & over, self._truncated & over, obs)
+        return self.carried(step, obs, rewards, self._terminated & over, self._truncated & over, obs)
+
+    @property
+    def action_masks(self) -> Array | None:
+        masks = self.batch.action_masks
+        return None if masks is None else np.where(self.batch.live[:, None], masks, np.int8(0))
 
     def restored(self, obs: Array) -> Array:
         obs = obs.copy()

@@ -11,13 +11,14 @@ from pearl_marl.cache import compiled
 
 @compiled
 def appended(obs: Any, numbers: Any, out: Any) -> None:
-    """Write each row of ``obs``, shape ``(n, rows, k)``, with its slot's number after the ``k`` elements."""
+    """Write each row of ``obs``, shape ``(n, rows, k)``, with an agent's numbers after ``k`` elements."""
     n, rows, width = obs.shape
     for i in range(n):
         for row in range(rows):
             for c in range(width):
                 out[i, row, c] = obs[i, row, c]
-            out[i, row, width] = numbers[i]
+            for c in range(numbers.shape[1]):
+                out[i, row, width + c] = numbers[i, c]
 
 
 @compiled

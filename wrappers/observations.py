@@ -10,12 +10,12 @@ import numpy.typing as npt
 from gymnasium.spaces import Box, Discrete, Space
 
 from pearl_marl.batch.recycling import Recycler
-from pearl_marl.batch.step import Array
+from pearl_marl.batch.step import Array, BatchStep
 from pearl_marl.errors import ArgumentError
 from pearl_marl.interfaces.batch import Batch
 
 from . import kernels
-from .base import box, with_zeros, wrap
+from .base import box, checked, differing, with_zeros, wrap
 from .transform import Slots, Transform
 
 Change = Callable[[Array], Array]
@@ -189,66 +189,85 @@ def _mixed(obs: Array, axis: int, new: int) -> Array:
 
 
 def agent_indicator_v0(env: Batch, type_only: bool = False) -> Any:
-    """Show each agent which one it is.
+    """Show each agent which one of its world it is.
 
-    A ``Discrete`` observation becomes ``observation * n + agent``, as SuperSuit has it. A ``Box`` gets
-    one more element (a picture one more channel) that grows evenly from 0 for the first agent to 1 for
-    the last; SuperSuit appends a one-hot vector, which for 43,008 agents would be 43,008 wide.
+    As in SuperSuit, a ``Discrete`` observation becomes ``observation * k + agent``, and a ``Box`` gets ``k``
+    more elements (a picture ``k`` more channels), of which the agent's own is 1 (SuperSuit: the greatest that
+    the space has) and the others 0.
+
+    Where a world has one agent, it shows which of all it is. A ``Box`` then gets one more element that grows
+    evenly from 0 for the first to 1 for the last: a one-hot vector of 43,008 agents would be 43,008 wide.
 
     Parameters
     ----------
     type_only
-        Show the type in the agent's name instead. All agents here are of one type, so nothing changes.
+        Show the agent's role instead. Where all agents are alike, nothing changes.
     """
-    if type_only:
+    names = [role.name for role in checked(env).world.roles]
+    kinds = sorted(set(names), key=names.index)
+    if type_only and len(kinds) < 2:
         return env
 
     def make(batch: Batch, space: Space[Any], action_space: Any) -> Transform:
-        n = batch.batch_size
-        shown, change = (
-            _numbered(space, n)
-            if isinstance(space, Discrete)
-            else _with_number(box(space, "agent_indicator_v0"), n)
-        )
+        n, k = batch.batch_size, batch.world.agents
+        which = np.arange(n) % k if k > 1 else np.arange(n)
+        if type_only:
+            which = np.array([kinds.index(name) for name in names])[which]
+        count = int(which.max()) + 1
+        if isinstance(space, Discrete):
+            numbered, change = _numbered(space, count, which)
+            return _Mapped(batch, numbered, action_space, change)
+        share = which[:, None] / max(n - 1, 1)
+        numbers = share if k == 1 else (which[:, None] == np.arange(count)).astype(np.float64)
+        shown, change = _with_numbers(box(space, "agent_indicator_v0"), numbers)
         return _Mapped(batch, shown, action_space, change)
 
     return wrap(env, make)
 
 
-def _numbered(space: Discrete, n: int) -> tuple[Discrete, Change]:
-    """Return the space of ``observation * n + agent``, and what computes it."""
+def _numbered(space: Discrete, n: int, which: Array) -> tuple[Discrete, Change]:
+    """Return the space of ``observation * n + which``, and what computes it."""
     if int(space.n) * n >= 1 << 63:
         raise ArgumentError(f"{space} times {n} agents does not fit 63 bits")
-    agents = np.arange(n)
-    return Discrete(int(space.n) * n, start=int(space.start) * n), lambda obs: obs * n + agents
+    return Discrete(int(space.n) * n, start=int(space.start) * n), lambda obs: obs * n + which
 
 
-def _with_number(space: Box, n: int) -> tuple[Box, Change]:
-    """Return the space of observations with one element more, from 0 to 1, and what appends it."""
+def _with_numbers(space: Box, numbers: Array) -> tuple[Box, Change]:
+    """Return the space of observations with more elements, from 0 to 1, and what appends an agent's row."""
     if not 1 <= len(space.shape) <= 3:
         raise ArgumentError(f"agent_indicator_v0 takes vectors and pictures, not shape {space.shape}")
     # A picture without channels gets an axis for them.
     one: tuple[int, ...] = (*space.shape, 1) if len(space.shape) == 2 else space.shape
     kind = space.dtype if space.dtype.kind == "f" else np.dtype(np.float32)
     new = Recycler()
-    numbers = (np.arange(n) / max(n - 1, 1)).astype(kind)
+    n, more = numbers.shape
+    numbers = numbers.astype(kind)
     rows, width = int(np.prod(one[:-1])), one[-1]
 
     def change(obs: Array) -> Array:
-        out = new.empty((n, *one[:-1], width + 1), kind)
-        kernels.appended(obs.reshape(n, rows, width), numbers, out.reshape(n, rows, width + 1))
+        out = new.empty((n, *one[:-1], width + more), kind)
+        kernels.appended(obs.reshape(n, rows, width), numbers, out.reshape(n, rows, width + more))
         return out
 
     low, high = (
-        np.insert(bound.reshape(one).astype(kind), width, end, axis=-1)
+        np.concatenate([bound.reshape(one).astype(kind), np.full((*one[:-1], more), end, kind)], -1)
         for bound, end in ((space.low, 0), (space.high, 1))
     )
     return Box(low, high, dtype=kind.type), change
 
 
+class _Padded(Transform):
+    def __init__(self, batch: Batch, space: Space[Any], action_space: Any) -> None:
+        super().__init__(batch, with_zeros(space), action_space)
+        self.world = batch.world.shown(self.observation_space, None)
+
+
 def pad_observations_v0(env: Batch) -> Any:
-    """Pad observations to the largest agent's. Here all are alike, so this returns ``env`` as it is."""
-    return env
+    """Pad observations with zeros to the widest role's.
+
+    Where all agents are alike this returns ``env`` as it is.
+    """
+    return wrap(env, _Padded) if differing(env, "observation_space") else env
 
 
 class _Window(Transform):
@@ -343,6 +362,37 @@ class _NumberStack(_Window):
         for age in range(self._frames - 1, -1, -1):
             out *= self._n_values
             out += self._frame(age, slots)
+
+
+class _Together(Transform):
+    """What all agents of a world see."""
+
+    def observe(self, obs: Array) -> Array:
+        k = self.world.agents
+        together = self.new.empty((self.n, k, *obs.shape[1:]), obs.dtype)
+        together.reshape(-1, k, *together.shape[1:])[...] = obs.reshape(-1, 1, k, *obs.shape[1:])
+        return together
+
+    def ends(self, step: BatchStep) -> Array:
+        # Beside those that ended, what the others of their world saw; who was dead, nothing.
+        last = self.new.copy(self.arrivals(step))
+        last[~self.acting] = 0
+        return last
+
+
+def world_observations_v0(env: Batch) -> Any:
+    """Show each agent what all ``k`` agents of its world observe, in a ``Box`` of shape ``(k, ...)``.
+
+    Those of dead agents are zeros.
+    """
+
+    def make(batch: Batch, space: Space[Any], action_space: Any) -> Transform:
+        old, k = box(space, "world_observations_v0"), batch.world.agents
+        low, high = (np.stack([bound] * k) for bound in (old.low, old.high))
+        shown = with_zeros(Box(low, high, dtype=old.dtype.type))
+        return _Together(batch, shown, action_space)
+
+    return wrap(env, make)
 
 
 def frame_stack_v1(env: Batch, stack_size: int = 4, stack_dim: int = -1) -> Any:

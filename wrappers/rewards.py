@@ -42,6 +42,19 @@ def reward_lambda_v0(env: Batch, change_reward_fn: Callable[[Array], Array]) -> 
     return wrap(env, _Mapped, change)
 
 
+class _Shared(Transform):
+    def rewards(self, step: BatchStep) -> Array:
+        rewards = step.rewards.reshape(-1, self.world.agents)
+        shared: Array = rewards.sum(1, dtype=np.float32).repeat(self.world.agents)
+        shared[~self.acting] = 0
+        return shared
+
+
+def shared_reward_v0(env: Batch) -> Any:
+    """Give every agent the sum of the rewards in its world, as a team; the dead get none."""
+    return wrap(env, _Shared)
+
+
 def clip_reward_v0(env: Batch, lower_bound: float = -1, upper_bound: float = 1) -> Any:
     """Move rewards beyond two bounds to the bounds."""
     if not lower_bound <= upper_bound:

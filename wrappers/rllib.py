@@ -68,7 +68,7 @@ def rllib_vector_env(env_id: str, *, wrap: Callable[[Any], Any] | None = None, *
 
 
 def rllib_multi_agent_env(
-    env_id: str, n_agents: int, *, wrap: Callable[[Any], Any] | None = None, **arguments: Any
+    env_id: str, n_agents: int | None = None, *, wrap: Callable[[Any], Any] | None = None, **arguments: Any
 ) -> Creator:
     """Return the maker of multi-agent environments for RLlib's env runners.
 

@@ -23,6 +23,8 @@ from pearl_marl.interfaces.batch import Batch
 from pearl_marl.interfaces.parallel_interface import ParallelInterface
 from pearl_marl.interfaces.vector_interface import VectorInterface
 
+from .base import differing
+
 Array = npt.NDArray[Any]
 
 RENDERED_SLOTS = 16
@@ -50,7 +52,11 @@ def sb3_vec_env(env: Any, *, staggered: bool = False) -> PearlVecEnv:
 
 
 class PearlVecEnv(VecEnv):
-    """Many slots of one environment as a Stable-Baselines3 ``VecEnv``; made by :func:`sb3_vec_env`.
+    """The agents of one environment as a Stable-Baselines3 ``VecEnv``; made by :func:`sb3_vec_env`.
+
+    Each agent is an environment to SB3, whose policy all of them share. One that ended before its world sees
+    zeros until that starts over, and is done once more then. Masks are not observed: ``MaskablePPO`` of
+    sb3-contrib asks for them.
 
     Observations are arrays of the device's, which later steps leave alone. Observations in a ``Tuple``
     of ``Discrete`` spaces, which SB3 has not, become ``MultiDiscrete``. Rewards are ``float32``.
@@ -111,8 +117,10 @@ class PearlVecEnv(VecEnv):
         if self._actions is None:
             raise OrderError("step_wait() without a step under way: call step_async(actions) first")
         actions, self._actions = self._actions, None
+        dead = ~self.env.alive if self.env.world.agents > 1 else np.False_
         step = self.env.step_batch(actions)
-        return self._own(step.obs), step.rewards, step.ended, self._infos(step)
+        dones = step.ended | (dead & step.alive) if dead.any() else step.ended
+        return self._own(step.obs), step.rewards, dones, self._infos(step)
 
     def _infos(self, step: BatchStep) -> list[dict[str, Any]]:
         """Count a step; return what SB3 is told of the episodes that it ended."""
@@ -172,6 +180,8 @@ class PearlVecEnv(VecEnv):
         self, method_name: str, *method_args: Any, indices: VecEnvIndices = None, **method_kwargs: Any
     ) -> list[Any]:
         """Call a method of the environment, which holds all slots, once; return its result for each slot."""
+        if method_name == "action_masks" and self.env.world.masked:  # as sb3-contrib has it of single ones
+            return [self.env.action_masks[slot] for slot in self._get_indices(indices)]
         self._refuse_some("env_method", indices)
         result = getattr(self.env, method_name)(*method_args, **method_kwargs)
         return [result] * self.num_envs
@@ -188,13 +198,13 @@ class PearlVecEnv(VecEnv):
         return [found for _ in self._get_indices(indices)]
 
     def get_images(self) -> Sequence[Array | None]:
-        """Return images of the first slots, 16 at the most."""
+        """Return images of the first worlds, 16 at the most."""
         if self.render_mode != "rgb_array":
             raise OrderError(
                 f"images with render_mode {self.render_mode!r}: "
                 "make the environment by parallel_env(..., render_mode='rgb_array')"
             )
-        agents = self.env.possible_agents[:RENDERED_SLOTS]
+        agents = self.env.possible_agents[:: self.env.world.agents][:RENDERED_SLOTS]
         return [self.env.render(agent) for agent in agents]
 
     def _own(self, obs: Array) -> Array:
@@ -206,8 +216,8 @@ class PearlVecEnv(VecEnv):
         """Let every slot's episode seem some steps old, evenly from none to one less than the limit."""
         device = self.env.unwrapped.device
         saved = device.snapshot()
-        elapsed = SlotMemory(device.config.spec, self.num_envs, saved.memory).elapsed
-        elapsed[:] = np.linspace(0, device.config.limit, self.num_envs, endpoint=False)
+        elapsed = SlotMemory(device.config.spec, device.config.n_envs, saved.memory).elapsed
+        elapsed[:] = np.linspace(0, device.config.limit, device.config.n_envs, endpoint=False)
         device.restore(saved)
 
     def _refuse_some(self, call: str, indices: VecEnvIndices) -> None:
@@ -233,6 +243,12 @@ def _checked(env: Any) -> Batch:
                 "end: make the environment with autoreset_mode='SameStep'"
             )
     if isinstance(env, Batch):
+        roles = sorted({*differing(env, "observation_space"), *differing(env, "action_space")})
+        if roles:
+            raise ArgumentError(
+                f"SB3 has one policy for all agents, and {' and '.join(roles)} have other spaces than the "
+                "widest: put pad_observations_v0 and pad_action_space_v0 around the environment"
+            )
         return env
     raise ArgumentError(
         f"{type(env).__name__} is no environment of this package; sb3_vec_env takes those of "

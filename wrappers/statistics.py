@@ -69,12 +69,15 @@ class _NormalisedObservation(_Normalised):
         super().__init__(batch, new, action_space, int(np.prod(old.shape)), epsilon)
 
     def reset(self, obs: Array, seed: int | None, mask: Mask | None = None) -> Array:
-        self.update(obs, np.ones(self.n, np.bool_) if mask is None else mask)
+        self.update(obs, np.ones(self.n, np.bool_) if mask is None else self.world.rows(mask))
         return super().reset(obs, seed, mask)
 
     def results(self, step: BatchStep) -> BatchStep:
         # What is counted is what is seen; the ends of episodes are not where the next begins at once.
-        self.update(step.obs if self.batch.autoreset else step.arrivals(), self.acting)
+        if self.batch.autoreset:
+            self.update(step.obs, self.batch.alive)
+        else:
+            self.update(step.arrivals(), self.acting)
         return super().results(step)
 
     def observe(self, obs: Array) -> Array:

@@ -30,13 +30,15 @@ class Transform:
     Attributes
     ----------
     batch, n
-        What it is put around, and how many slots that has.
+        What it is put around, and how many agents that has.
     observation_space, action_space
-        One slot's spaces, with the change.
+        One agent's spaces, with the change; of roles, the widest.
+    world
+        How agents share states, with the change.
     action_kinds
         The kinds of dtype that actions may have.
     acting
-        Which slots' agents are there at the beginning of the step under way: :attr:`live` of the batch.
+        Who acts in the step under way: is there, and not dead.
     resetting
         Which slots spend the step resetting; in NEXT_STEP mode only.
     memory
@@ -51,6 +53,10 @@ class Transform:
     def __init__(self, batch: Batch, observation_space: Space[Any], action_space: Discrete | Box) -> None:
         self.batch, self.n = batch, batch.batch_size
         self.observation_space, self.action_space = observation_space, action_space
+        self.world = batch.world.shown(
+            None if observation_space is batch.slot_observation_space else observation_space,
+            None if action_space is batch.slot_action_space else action_space,
+        )
         inside: Transform | None = getattr(batch, "transform", None)
         # Whom to ask about actions that are handed through.
         self._taker = inside if inside is not None and inside.action_space is action_space else None
@@ -73,28 +79,35 @@ class Transform:
         return self.batch.live
 
     @property
+    def action_masks(self) -> Array | None:
+        """Which actions may be taken in the next step: as the batch has it."""
+        return self.batch.action_masks
+
+    @property
     def ready(self) -> bool:
         """Whether there has been a reset."""
         return self._seed is not None
 
     def reset(self, obs: Array, seed: int | None, mask: Mask | None = None) -> Array:
-        """Take up that masked slots (all, if ``None``) begin an episode with ``obs``; return what to show."""
+        """Take up that worlds (all, or those masked) begin an episode with ``obs``; return what to show."""
         if seed is not None:
             self._seed, self._tick = rng.seed_words(seed), 0
         elif self._seed is None:
             self._seed = rng.seed_words(secrets.randbits(64))
-        began = np.arange(self.n) if mask is None else np.flatnonzero(mask)
+        began = np.arange(self.n) if mask is None else np.flatnonzero(self.world.rows(mask))
         self.resetting[began] = False
         self.episode_began(began)
         if not self.keeps_history:
-            return self.observe(obs)
+            return self._without_the_dead(self.observe(obs))
         self.begin(obs, began)
-        return self.show()
+        return self._without_the_dead(self.show())
 
     def step(self, actions: npt.ArrayLike) -> BatchStep:
         """Step every slot once."""
         actions = self.actions(self.given(actions))
         self.acting = self.batch.live
+        if self.world.agents > 1:
+            self.acting = self.acting & self.batch.alive
         step = self.take(actions)
         self._tick += 1
         return self.results(step)
@@ -142,11 +155,28 @@ class Transform:
             self.resetting[:] = step.ended
             obs = final_obs = self._shown_next_step(step.obs, began)
         else:
-            began = np.flatnonzero(step.ended)
+            began = np.flatnonzero(self.world.begins(step))
             obs, final_obs = self._shown_same_step(step, began)
+            obs = self._without_the_dead(obs)
         if began.size:
             self.episode_began(began)
-        return BatchStep(obs, rewards, step.terminations, step.truncations, final_obs)
+        return self.carried(step, obs, rewards, step.terminations, step.truncations, final_obs)
+
+    def carried(self, step: BatchStep, *arrays: Array) -> BatchStep:
+        """Return results in place of a step's, with the masks and who is alive as they are now."""
+        if len(step.arrays) == len(arrays):
+            return BatchStep(*arrays)
+        masks = self.action_masks
+        alive = (self.batch.alive,) if self.world.agents > 1 else ()
+        return BatchStep.of((*arrays, *(() if masks is None else (masks,)), *alive), masks is not None)
+
+    def _without_the_dead(self, obs: Array) -> Array:
+        """Return observations in which the dead see zeros."""
+        if self.world.agents == 1 or (dead := ~self.batch.alive).sum() == 0:
+            return obs
+        obs = self.new.copy(obs)
+        obs[dead] = 0
+        return obs
 
     def _shown_next_step(self, obs: Array, began: Slots) -> Array:
         """Return what to show of a step in which some slots did nothing but begin."""
@@ -160,7 +190,7 @@ class Transform:
         """Return what to show of a step that some slots ended and began in, and of where they ended."""
         if not self.keeps_history:
             obs = self.observe(step.obs)
-            return obs, self.observe(step.final_obs) if began.size else obs
+            return obs, self.observe(self.ends(step)) if step.ended.any() else obs
         self.push(self.arrivals(step))
         obs = self.show()
         if not began.size:
@@ -178,6 +208,10 @@ class Transform:
         obs = self.new.copy(step.obs)
         obs[slots] = step.final_obs.take(slots, 0)
         return obs
+
+    def ends(self, step: BatchStep) -> Array:
+        """Return what :meth:`observe` gets of a step's ends."""
+        return step.final_obs
 
     def actions(self, actions: Array) -> Array:
         """Return the actions to take instead. They may yet be refused: nothing is to change here."""
@@ -230,4 +264,4 @@ class Transform:
 
     def restored(self, obs: Array) -> Array:
         """Return what to show after :meth:`restore`, where the batch shows ``obs``."""
-        return self.show() if self.keeps_history else self.observe(obs)
+        return self._without_the_dead(self.show() if self.keeps_history else self.observe(obs))

@@ -40,6 +40,17 @@ class _Wrapped:
         return self.transform.ready and bool(self.env.ready)
 
     @property
+    def alive(self) -> Mask:
+        """Who takes part in the next step, as the environment has it."""
+        alive: Mask = self.env.alive
+        return alive
+
+    @property
+    def action_masks(self) -> Array | None:
+        """Which actions may be taken in the next step: the transform says."""
+        return self.transform.action_masks
+
+    @property
     def unwrapped(self) -> Any:
         """The environment inside all wrappers."""
         return self.env.unwrapped
@@ -52,14 +63,14 @@ class WrappedParallelEnv(_Wrapped, ParallelInterface):
         self.env, self.transform = env, transform
         self.metadata, self.render_mode = env.metadata, env.render_mode
         spaces = transform.observation_space, transform.action_space
-        super().__init__(env.possible_agents, *spaces, transform.action_kinds, env.autoreset)
+        super().__init__(env.possible_agents, *spaces, transform.action_kinds, env.autoreset, transform.world)
 
     def reset_batch(self, seed: int | None = None) -> Array:
         """Begin an episode for every agent; return observations of shape ``(n_agents, ...)``."""
         return self.transform.reset(self.env.reset_batch(seed), seed)
 
     def reset_slots(self, mask: Mask) -> Array:
-        """Begin an episode in the masked slots; return all observations."""
+        """Begin an episode in the masked worlds; return all observations."""
         return self.transform.reset(self.env.reset_slots(mask), None, mask)
 
     def step_slots(self, actions: npt.ArrayLike) -> BatchStep:
@@ -116,7 +127,8 @@ class WrappedVectorEnv(_Wrapped, VectorInterface):
     def __init__(self, env: Any, transform: Transform) -> None:
         self.env, self.transform = env, transform
         mode = env.metadata["autoreset_mode"]
-        super().__init__(env.num_envs, transform.observation_space, transform.action_space, mode)
+        spaces = transform.observation_space, transform.action_space
+        super().__init__(env.num_envs, *spaces, mode, transform.world)
         self.spec, self.render_mode = env.spec, env.render_mode
 
     def reset_batch(self, seed: int | None = None, mask: npt.ArrayLike | None = None) -> Array:

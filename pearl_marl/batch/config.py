@@ -14,16 +14,23 @@ from pearl_marl.errors import ArgumentError
 from pearl_marl.spec import EnvSpec, check_max_cycles
 
 
-def worlds_of(spec: EnvSpec, n_agents: int) -> int:
-    """Return how many worlds so many agents are; refuse a number that leaves one incomplete."""
-    worlds, left = divmod(n_agents, spec.agents)
-    if left:
-        below = f"{worlds * spec.agents} or " if worlds else ""
+def worlds_of(spec: EnvSpec, n_agents: int | None) -> int:
+    """Return how many slots have so many agents together; ``None`` is one of them.
+
+    Raises ArgumentError where the worlds of the environment cannot have so many: names those next to it that
+    they can.
+    """
+    k = spec.agents
+    if n_agents is None:
+        return 1
+    if k == 1 or isinstance(n_agents, bool) or not isinstance(n_agents, (int, np.integer)) or n_agents < 1:
+        return n_agents  # BatchConfig says what is wrong
+    if n_agents % k:
+        low = max(n_agents // k, 1) * k
         raise ArgumentError(
-            f"{n_agents} agents of {spec.name}, whose worlds have {spec.agents} each; take {below}"
-            f"{(worlds + 1) * spec.agents}"
+            f"n_agents is {n_agents}, and a world of {spec.name} has {k} agents; {low} and {low + k} fit"
         )
-    return worlds
+    return int(n_agents) // k
 
 
 @dataclass(frozen=True, kw_only=True)

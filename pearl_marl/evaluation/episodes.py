@@ -12,7 +12,7 @@ from pearl_marl.batch.step import BatchStep
 
 
 class Ended(NamedTuple):
-    """The episodes that ended in one step, an element each: whose slots, in order, returns and lengths.
+    """The episodes that ended in one step, an element each: whose, in order, returns and lengths.
 
     ``truncated`` is whether nothing but the time limit ended them.
     """
@@ -28,21 +28,25 @@ NONE = Ended(np.zeros(0, np.intp), np.zeros(0), np.zeros(0, np.int64), np.zeros(
 
 
 class RunningEpisodes:
-    """Return and length of the episode so far, of each of ``n`` slots."""
+    """Return and length of the episode so far, of each of ``n`` agents."""
 
     def __init__(self, n: int) -> None:
         self._returns = np.zeros(n, np.float64)
         self._starts = np.zeros(n, np.int64)
         self._steps = 0
+        self._dead = NONE.slots
 
     def clear(self) -> None:
         """Begin an episode in every slot."""
         self._returns[:] = self._starts[:] = self._steps = 0
+        self._dead = NONE.slots
 
     def add(self, step: BatchStep) -> Ended:
         """Count one step of every slot; return the episodes that it ended."""
         self._steps += 1
         self._returns += step.rewards
+        self._starts[self._dead] = self._steps  # their next episode begins with that of their world
+        self._dead = np.flatnonzero(~step.alive)
         slots = np.flatnonzero(step.ended)
         if not slots.size:
             return NONE

@@ -121,14 +121,18 @@ def python_values(array: npt.NDArray[Any]) -> list[Any]:
 
 
 def ended_infos(
-    final_obs: npt.NDArray[Any], observations: Callable[[npt.NDArray[Any]], list[Any]]
+    final_obs: npt.NDArray[Any],
+    observations: Callable[[npt.NDArray[Any], npt.NDArray[np.intp]], Sequence[Any]],
 ) -> Callable[[npt.NDArray[np.bool_]], list[dict[str, Any]]]:
-    """Return the maker of an infos dict, whose array tells which agents ended."""
+    """Return the maker of an infos dict, whose array tells which agents ended.
+
+    ``observations`` makes those of some agents, given the rows and whose they are.
+    """
 
     def infos(ended: npt.NDArray[np.bool_]) -> list[dict[str, Any]]:
         result: list[dict[str, Any]] = [{} for _ in range(len(ended))]
         slots = np.flatnonzero(ended)
-        for slot, final in zip(slots.tolist(), observations(final_obs[slots]), strict=True):
+        for slot, final in zip(slots.tolist(), observations(final_obs[slots], slots), strict=True):
             result[slot]["final_obs"] = final
         return result
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -11,15 +11,56 @@ from gymnasium.spaces import Box, Discrete, Space
 from gymnasium.vector import AutoresetMode
 
 from pearl_marl.batch.step import Array, BatchStep
+from pearl_marl.spec import EnvSpec, Role
 
 Mask = npt.NDArray[np.bool_]
 
 
+class World(NamedTuple):
+    """What agents that share a state have in common; every world of a batch is alike."""
+
+    agents: int = 1
+    """How many share one."""
+    roles: tuple[Role, ...] = ()
+    """A role for each of them; empty where they are all alike."""
+    masked: str = ""
+    """What becomes of masked actions: see :class:`EnvSpec`. Empty where there are no masks."""
+
+    @classmethod
+    def of(cls, spec: EnvSpec) -> World:
+        """Return the worlds of an environment."""
+        return cls(spec.agents, spec.roles, spec.masked if spec.mask_fields else "")
+
+    def shown(self, observations: Space[Any] | None, actions: Discrete | Box | None) -> World:
+        """Return the same where everybody has these spaces; ``None`` leaves those of the roles."""
+        roles = (
+            Role(role.name, observations or role.observation_space, actions or role.action_space)
+            for role in self.roles
+        )
+        return self._replace(roles=tuple(roles))
+
+    def rows(self, worlds: Mask) -> Mask:
+        """Return a mask of agents, from one of worlds."""
+        return worlds if self.agents == 1 else worlds.repeat(self.agents)
+
+    def begins(self, step: BatchStep) -> Mask:
+        """Return whose world has begun its next episode in a step, a row an agent: in SAME_STEP mode only."""
+        if self.agents == 1:
+            return step.ended
+        # Where somebody ended and nobody is dead, everybody has begun again.
+        ended, alive = (array.reshape(-1, self.agents) for array in (step.ended, step.alive))
+        begins: Any = ended.any(1) & alive.all(1)
+        return self.rows(begins)
+
+
 class Batch:
-    """A batch of slots: every environment of this package is one, of either interface, wrapped or not."""
+    """A batch of agents: every environment of this package is one, of either interface, wrapped or not."""
 
     batch_size: int
-    """How many slots."""
+    """How many agents: worlds times the agents of one. A *slot* is here the row of an agent."""
+
+    world: World
+    """How agents share states."""
 
     slot_observation_space: Space[Any]
     """The space of one slot's observation."""
@@ -46,6 +87,16 @@ class Batch:
 
     @property
     @abstractmethod
+    def alive(self) -> Mask:
+        """Who takes part in the next step: see :class:`BatchStep`."""
+
+    @property
+    @abstractmethod
+    def action_masks(self) -> Array | None:
+        """Which actions may be taken in it: see :class:`BatchStep`. ``None`` where there are no masks."""
+
+    @property
+    @abstractmethod
     def ready(self) -> bool:
         """Whether a step is possible: after the first reset, and until closed."""
 
@@ -59,4 +110,4 @@ class Batch:
 
     @abstractmethod
     def reset_slots(self, mask: Mask) -> Array:
-        """Begin an episode in the masked slots; return all observations."""
+        """Begin an episode in the masked worlds, shape ``(worlds,)``; return all observations."""

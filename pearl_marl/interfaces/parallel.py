@@ -1,4 +1,4 @@
-"""The PettingZoo interface: every slot is an agent of one ``ParallelEnv``."""
+"""The PettingZoo interface: the agents of all slots are those of one ``ParallelEnv``."""
 
 from __future__ import annotations
 
@@ -12,13 +12,14 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium.spaces import Box, Discrete
 
+from pearl_marl.batch.config import worlds_of
 from pearl_marl.batch.results import check_memory
 from pearl_marl.batch.saved_state import SavedState
 from pearl_marl.batch.slot_memory import state_dtype
 from pearl_marl.batch.step import Array, on_host
 from pearl_marl.devices import BatchConfig, BatchStep, Device, make_device
 from pearl_marl.errors import ArgumentError, OrderError
-from pearl_marl.interfaces.batch import Mask
+from pearl_marl.interfaces.batch import Mask, World
 from pearl_marl.interfaces.parallel_interface import ParallelInterface
 from pearl_marl.registry import get_spec
 from pearl_marl.rendering import OracleRenderer, check_render_mode
@@ -29,7 +30,10 @@ NAME_BYTES = 200
 
 
 class PearlParallelEnv(ParallelInterface):
-    """Many slots of one environment as the agents of a PettingZoo ``ParallelEnv``.
+    """Many slots of one environment, whose agents are those of a PettingZoo ``ParallelEnv``.
+
+    A slot is a *world*: it has one agent, or several that share its state. Agents ``agent_0`` to
+    ``agent_{K-1}`` are in the first, ``world`` is ``i // K``.
 
     Make one with :func:`parallel_env`. The five results of :meth:`step` are dicts that are filled
     on first use (:class:`pearl_marl.interfaces.agent_dict.AgentDict`); their ``.array`` is what the device
@@ -38,6 +42,10 @@ class PearlParallelEnv(ParallelInterface):
     With ``autoreset=True`` agents stay: one whose episode ended finds itself at the start of the
     next, and ``infos[agent]["final_obs"]`` holds where the old one ended. With ``autoreset=False``
     it leaves ``agents`` until the next :meth:`reset`, as PettingZoo's own environments do.
+
+    A world starts over when all its agents have ended. With ``autoreset=True``, one that has ended before
+    its world stays in ``agents`` and is *dead* until then: its action is ignored, its observation zeros and
+    its reward 0, as ``alive`` says.
 
     ``spec`` is its :class:`pearl_marl.spec.EnvSpec`, ``device`` the :class:`pearl_marl.devices.Device` that
     steps the slots. ``np_random`` is a ``numpy.random.Generator`` from the seed of :meth:`reset`, for other
@@ -51,12 +59,12 @@ class PearlParallelEnv(ParallelInterface):
         check_render_mode(spec, render_mode)
         check_memory(config, NAME_BYTES)
         super().__init__(
-            [f"agent_{i}" for i in range(config.n_envs)],
+            [f"agent_{i}" for i in range(config.n_agents)],
             # Copies, or seeding one environment's spaces would seed another's.
-            deepcopy(spec.observation_space),
-            deepcopy(spec.action_space),
+            *deepcopy((spec.observation_space, spec.action_space)),
             "iu" if isinstance(spec.action_space, Discrete) else "iuf",
             autoreset,
+            deepcopy(World.of(spec)),
         )
         self.spec = spec
         self.device = device.open(config, rewards)
@@ -68,11 +76,11 @@ class PearlParallelEnv(ParallelInterface):
             "is_parallelizable": True,
         }
         # Nobody is there before the first reset. Arrays of `live` are replaced, never written into.
-        self._all = np.ones(config.n_envs, np.bool_)
+        self._all = np.ones(config.n_agents, np.bool_)
         self._live = ~self._all
         self.np_random = np.random.default_rng()
         self._renderer: OracleRenderer | None = None
-        self._rendered_slot = 0
+        self._rendered_world = 0
 
     @property
     def max_cycles(self) -> int:
@@ -99,6 +107,16 @@ class PearlParallelEnv(ParallelInterface):
         return self._live
 
     @property
+    def alive(self) -> Mask:
+        """Who takes part in the next step: all but those that are dead. Shape ``(n_agents,)``."""
+        return self.device.alive
+
+    @property
+    def action_masks(self) -> Array | None:
+        """Which actions may be taken in the next step: see :class:`pearl_marl.devices.BatchStep`."""
+        return self.device.action_masks
+
+    @property
     def ready(self) -> bool:
         """Whether a step is possible: after the first reset, and until closed."""
         return self.device.ready
@@ -108,7 +126,7 @@ class PearlParallelEnv(ParallelInterface):
         return self._stepped(self.device.step(actions))
 
     def reset_slots(self, mask: Mask) -> Array:
-        """Begin an episode in the masked slots; return all observations."""
+        """Begin an episode in the masked worlds, shape ``(n_worlds,)``; return all observations."""
         return self.device.reset(mask=mask)
 
     def send(self, actions: npt.ArrayLike) -> None:
@@ -134,14 +152,14 @@ class PearlParallelEnv(ParallelInterface):
         return result
 
     def state(self) -> Array:
-        """Return the state of every slot, shape ``(n_agents, fields)``, as ``state_space`` has it."""
+        """Return the state of every world, shape ``(n_worlds, fields)``, as ``state_space`` has it."""
         return self.device.state()
 
     @functools.cached_property
     def state_space(self) -> Box:
         """The space of :meth:`state`."""
         low, high = zip(*((f.low, f.high) for f in self.spec.state), strict=True)
-        shape = self.batch_size, 1
+        shape = self.n_worlds, 1
         dtype = state_dtype(self.spec)
         return Box(
             np.tile(np.array(low, dtype), shape), np.tile(np.array(high, dtype), shape), dtype=dtype.type
@@ -154,7 +172,7 @@ class PearlParallelEnv(ParallelInterface):
         return replace(saved, identity=self._identity(), live=live.view(np.uint8)).to_bytes()
 
     def load_state(self, blob: bytes) -> Array:
-        """Continue from what :meth:`save_state` returned, bit for bit; return the observation of every slot.
+        """Continue from what :meth:`save_state` returned, bit for bit; return every agent's observation.
 
         Raises
         ------
@@ -181,7 +199,7 @@ class PearlParallelEnv(ParallelInterface):
         self.device.set_rewards(table)
 
     def render(self, agent: str | None = None) -> Any:
-        """Draw ``agent``, now and later (``"agent_0"`` at first), with the renderer of the oracle.
+        """Draw an agent's world, now and later (``"agent_0"``'s at first), with the renderer of the oracle.
 
         Returns an image of shape ``(height, width, 3)`` for ``"rgb_array"``, a string for ``"ansi"``, and
         ``None`` for ``"human"``, which draws by itself after every step.
@@ -198,8 +216,8 @@ class PearlParallelEnv(ParallelInterface):
                 )
             if not self._live[slot]:
                 raise OrderError(f"render({agent!r}): its episode has ended, and it has left until reset()")
-            self._rendered_slot = slot
-        state = self.device.state()[self._rendered_slot]
+            self._rendered_world = slot // self.world.agents
+        state = self.device.state()[self._rendered_world]
         if self._renderer is None:
             self._renderer = OracleRenderer(self.spec, self.render_mode)
         return self._renderer.render(state)
@@ -217,7 +235,7 @@ class PearlParallelEnv(ParallelInterface):
 
 def parallel_env(
     env_id: str,
-    n_agents: int = 1,
+    n_agents: int | None = None,
     *,
     device: str | Device = "native",
     autoreset: bool = True,
@@ -228,14 +246,14 @@ def parallel_env(
     copy: bool = True,
     **options: Any,
 ) -> PearlParallelEnv:
-    """Make an environment whose slots are the agents of a PettingZoo ``ParallelEnv``.
+    """Make an environment whose agents are those of a PettingZoo ``ParallelEnv``.
 
     Parameters
     ----------
     env_id
         A name of :func:`pearl_marl.envs`, in any case.
     n_agents
-        How many slots.
+        How many agents, a multiple of how many share a world; by default those of one world.
     device
         A name or a configured device of :mod:`pearl_marl.devices`.
     autoreset
@@ -264,6 +282,10 @@ def parallel_env(
     if not isinstance(autoreset, bool):
         raise ArgumentError(f"autoreset is {autoreset!r}; it must be True or False")
     config = BatchConfig(
-        spec=spec, n_envs=n_agents, max_cycles=max_cycles, initial_states=initial_states, copy=copy
+        spec=spec,
+        n_envs=worlds_of(spec, n_agents),
+        max_cycles=max_cycles,
+        initial_states=initial_states,
+        copy=copy,
     )
     return PearlParallelEnv(config, make_device(device), rewards, autoreset, render_mode)

@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from itertools import cycle
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import pettingzoo
-from gymnasium.spaces import Box, Discrete, Space
+from gymnasium.spaces import Box, Dict, Discrete, Space
 from gymnasium.vector import AutoresetMode
 
 from pearl_marl.batch.actions import refuse_first
 from pearl_marl.batch.step import Array, BatchStep, on_host
 from pearl_marl.errors import ActionError, OrderError
 from pearl_marl.interfaces.agent_dict import AgentDict, ended_infos, observations_in, python_values
-from pearl_marl.interfaces.batch import Batch, Mask
+from pearl_marl.interfaces.batch import Batch, Mask, World
+from pearl_marl.spec import Role
 
 
 class ParallelInterface(pettingzoo.ParallelEnv, Batch):  # type: ignore[misc]
@@ -35,13 +37,18 @@ class ParallelInterface(pettingzoo.ParallelEnv, Batch):  # type: ignore[misc]
         action_space: Discrete | Box,
         action_kinds: str,
         autoreset: bool,
+        world: World,
     ) -> None:
         self.possible_agents = agents
         self.slots = {agent: slot for slot, agent in enumerate(agents)}
         self.batch_size = len(agents)
         self.slot_observation_space, self.slot_action_space = observation_space, action_space
-        self.autoreset = autoreset
-        self._observations = observations_in(observation_space)
+        self.autoreset, self.world = autoreset, world
+        # One agent's after the other in a world, or the one that is everybody's.
+        self._roles = world.roles or (Role("agent", observation_space, action_space),)
+        spaces = [self._observation_space(role) for role in self._roles]
+        self._observation_spaces = [spaces[self._roles.index(role)] for role in self._roles]
+        self._rows = observations_in(observation_space)
         self._action_shape, self._action_kinds = action_space.shape or (), action_kinds
         # An action that is possible, for whom nobody has one.
         self._idle: Any = action_space.low if isinstance(action_space, Box) else int(action_space.start)
@@ -58,13 +65,40 @@ class ParallelInterface(pettingzoo.ParallelEnv, Batch):  # type: ignore[misc]
         self._name_who_is_there()
         return self._agents
 
+    @property
+    def agents_per_world(self) -> int:
+        """How many agents share a state. Agent ``i`` is in world ``i // agents_per_world``."""
+        return self.world.agents
+
+    @property
+    def n_worlds(self) -> int:
+        """How many states there are."""
+        return self.batch_size // self.world.agents
+
+    def role(self, agent: str) -> str:
+        """Return the name of an agent's role; ``"agent"`` where all are alike."""
+        return self._roles[self._place(agent)].name
+
     def observation_space(self, agent: str) -> Space[Any]:
-        """Return the observation space, one object for all agents."""
-        return self.slot_observation_space
+        """Return an agent's observation space, one object for all agents of its role.
+
+        Where there are masks it is a ``Dict`` of ``"observation"`` and ``"action_mask"``.
+        """
+        return self._observation_spaces[self._place(agent)]
 
     def action_space(self, agent: str) -> Space[Any]:
-        """Return the action space, one object for all agents."""
-        return self.slot_action_space
+        """Return an agent's action space, one object for all agents of its role."""
+        return self._roles[self._place(agent)].action_space
+
+    def _place(self, agent: str) -> int:
+        """Return where in its world an agent is, if that matters."""
+        return self.slots[agent] % len(self._roles) if len(self._roles) > 1 else 0
+
+    def _observation_space(self, role: Role) -> Space[Any]:
+        if not self.world.masked:
+            return role.observation_space
+        n: Any = getattr(role.action_space, "n", 0)
+        return Dict({"observation": role.observation_space, "action_mask": Box(0, 1, (n,), np.int8)})
 
     def step_batch(self, actions: npt.ArrayLike) -> BatchStep:
         """Step every slot once, without any dict.
@@ -73,7 +107,7 @@ class ParallelInterface(pettingzoo.ParallelEnv, Batch):  # type: ignore[misc]
         ----------
         actions
             Shape ``(n_agents, *action_space.shape)``; integers cost least in the dtype of ``spec.action``.
-            What they hold for agents that have left is ignored.
+            What they hold for agents that have left, or are dead, is ignored.
 
         Returns
         -------
@@ -81,7 +115,7 @@ class ParallelInterface(pettingzoo.ParallelEnv, Batch):  # type: ignore[misc]
         autoreset, the slots of agents that left run on, and their rows have no meaning; in the step in
         which an agent ends, ``obs`` is already its slot's next start (``arrivals()`` is where it ended).
         """
-        if self.live is not self._everybody:
+        if self.live is not self._everybody or self.world.agents > 1:
             actions = self.filled(actions)
         return self.step_slots(actions)
 
@@ -90,9 +124,10 @@ class ParallelInterface(pettingzoo.ParallelEnv, Batch):  # type: ignore[misc]
         """Do what :meth:`step_batch` does, with possible actions for agents that have left."""
 
     def filled(self, actions: npt.ArrayLike) -> npt.ArrayLike:
-        """Return actions with a possible one where an agent has left: nobody looks at what was there."""
+        """Return actions with a possible one for who has left or is dead: nobody looks at what was there."""
         live = self.live
-        if live.all():
+        acting = live if self.world.agents == 1 else live & on_host(self.alive)
+        if acting.all():
             self._everybody = live
             return actions
         if self.ready and not live.any():
@@ -104,7 +139,10 @@ class ParallelInterface(pettingzoo.ParallelEnv, Batch):  # type: ignore[misc]
             return actions
         if not self._are_actions(array, self.batch_size):
             return actions
-        return np.where(live.reshape(-1, *(1,) * len(self._action_shape)), array, self._idle)
+        idle = self._idle
+        if self.world.masked:  # who has left may be in a world that runs on, and is not to be refused
+            idle = on_host(self.action_masks).argmax(1).astype(array.dtype)
+        return np.where(acting.reshape(-1, *(1,) * len(self._action_shape)), array, idle)
 
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
@@ -115,10 +153,11 @@ class ParallelInterface(pettingzoo.ParallelEnv, Batch):  # type: ignore[misc]
         accepted as PettingZoo asks, and not used.
         """
         obs = on_host(self.reset_batch(seed))
+        masks = on_host(self.action_masks) if self.world.masked else None
         nobody = np.zeros(len(obs), np.bool_)
         return (
-            AgentDict(self._name_who_is_there(), obs, self._observations),
-            AgentDict(self.possible_agents, nobody, ended_infos(obs, self._observations)),
+            AgentDict(self._name_who_is_there(), obs, self._shown(masks)),
+            AgentDict(self.possible_agents, nobody, ended_infos(obs, self._shown_last)),
         )
 
     def step(self, actions: Mapping[str, Any] | npt.ArrayLike) -> tuple[dict[str, Any], ...]:
@@ -132,13 +171,15 @@ class ParallelInterface(pettingzoo.ParallelEnv, Batch):  # type: ignore[misc]
 
         Returns
         -------
-        Observations (NumPy scalars, tuples of them, or arrays), rewards (``float``), terminations and
-        truncations (``bool``) and infos, each a dict by agent; all empty for ``{}`` once no agent is left.
+        Observations (NumPy scalars, tuples of them, or arrays; with masks, a dict of ``"observation"`` and
+        ``"action_mask"``), rewards (``float``), terminations and truncations (``bool``) and infos, each a
+        dict by agent; all empty for ``{}`` once no agent is left. The mask of an agent that ends is 0.
 
         Raises
         ------
         ActionError
-            Names the first agent whose action is missing, unexpected or out of range.
+            Names the first agent whose action is missing, unexpected, out of range, or masked in an
+            environment that refuses such. Nothing has moved.
         OrderError
             Before ``reset``, after ``close``, or once every agent has left.
         """
@@ -151,20 +192,57 @@ class ParallelInterface(pettingzoo.ParallelEnv, Batch):  # type: ignore[misc]
             given = self._action_array(agents, actions)
         result = self.step_batch(given).on_host()
         obs, rewards, terminations, truncations, final_obs = result
-        ended = result.ended
+        ended, masks, here = result.ended, result.action_masks, None
         if not self.autoreset:
             # Here an agent that ended sees its last observation, and nothing of what its slot does next.
             obs = result.arrivals()
+            if masks is not None:
+                masks = np.where(ended[:, None], np.int8(0), masks)
             ended = np.zeros(len(agents), np.bool_)
             if len(agents) < len(live):
-                obs, rewards, terminations, truncations = (a[live] for a in (obs, *result[1:4]))
+                here = np.flatnonzero(live)
+                obs, rewards, terminations, truncations = (a[here] for a in (obs, *result[1:4]))
+                masks = None if masks is None else masks[here]
         return (
-            AgentDict(agents, obs, self._observations),
+            AgentDict(agents, obs, self._shown(masks, here)),
             AgentDict(agents, rewards, python_values),
             AgentDict(agents, terminations, python_values),
             AgentDict(agents, truncations, python_values),
-            AgentDict(agents, ended, ended_infos(final_obs, self._observations)),
+            AgentDict(agents, ended, ended_infos(final_obs, self._shown_last)),
         )
+
+    def _shown(self, masks: Array | None, slots: Array | None = None) -> Callable[[Array], Sequence[Any]]:
+        """Return what makes observations of the rows of all agents, or of those in ``slots``."""
+        if masks is None and len(self._roles) == 1:
+            return self._rows
+        # A role's observation may be the first elements of the row, and its actions those of the mask.
+        seen = [_first(role.observation_space, self.slot_observation_space) for role in self._roles]
+        allowed = [slice(getattr(role.action_space, "n", 0)) for role in self._roles]
+
+        def each(parts: list[Any]) -> Iterable[Any]:
+            if slots is None:
+                return cycle(parts)
+            return [parts[slot % len(parts)] for slot in slots.tolist()]
+
+        def shown(rows: Array) -> Sequence[Any]:
+            values = self._rows(rows)
+            if any(seen):
+                pairs = zip(values, each(seen), strict=False)
+                values = [value if part is None else value[part] for value, part in pairs]
+            if masks is None:
+                return values
+            return [
+                {"observation": value, "action_mask": mask[part]}
+                for value, mask, part in zip(values, masks, each(allowed), strict=False)
+            ]
+
+        return shown
+
+    def _shown_last(self, rows: Array, slots: Array) -> Sequence[Any]:
+        """Return the last observations of those in ``slots``, who may do nothing any more."""
+        n: Any = getattr(self.slot_action_space, "n", 0)
+        masks = np.zeros((len(rows), n), np.int8) if self.world.masked else None
+        return self._shown(masks, slots)(rows)
 
     def _action_array(self, agents: tuple[str, ...], actions: Mapping[str, Any]) -> Array:
         """Return a dict's actions as an array over all slots; the rows of agents that left hold anything."""
@@ -209,3 +287,8 @@ class ParallelInterface(pettingzoo.ParallelEnv, Batch):  # type: ignore[misc]
             self._agents = list(self._here)
             self._named = live
         return self._here
+
+
+def _first(own: Space[Any], whole: Space[Any]) -> slice | None:
+    """Return which elements of a row are a role's; ``None`` for all."""
+    return None if own.shape == whole.shape else slice((own.shape or (0,))[0])

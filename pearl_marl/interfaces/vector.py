@@ -12,6 +12,7 @@ from gymnasium.vector import AutoresetMode
 from pearl_marl.batch.step import Array
 from pearl_marl.devices import BatchConfig, BatchStep, Device, make_device
 from pearl_marl.errors import ArgumentError
+from pearl_marl.interfaces.batch import World
 from pearl_marl.interfaces.vector_interface import Shown, VectorInterface, slot_autoreset_mode
 from pearl_marl.registry import get_spec
 
@@ -45,7 +46,7 @@ class PearlVectorEnv(VectorInterface):
         self.device = device.open(config, rewards)
         # Copies, or seeding one environment's spaces would seed another's.
         spaces = deepcopy(spec.observation_space), deepcopy(spec.action_space)
-        super().__init__(config.n_envs, *spaces, autoreset_mode)
+        super().__init__(config.n_envs, *spaces, autoreset_mode, World.of(spec))
 
     def reset_batch(self, seed: int | None = None, mask: npt.ArrayLike | None = None) -> Array:
         """See :class:`VectorInterface`."""
@@ -67,6 +68,11 @@ class PearlVectorEnv(VectorInterface):
     def recover(self) -> None:
         """See :meth:`pearl_marl.PearlParallelEnv.recover`."""
         self.device.recover()
+
+    @property
+    def action_masks(self) -> Array | None:
+        """Which actions may be taken in the next step: see :class:`pearl_marl.devices.BatchStep`."""
+        return self.device.action_masks
 
     @property
     def ready(self) -> bool:
@@ -106,7 +112,7 @@ def make_vec(
     Raises
     ------
     ArgumentError
-        An argument is not possible: names it, its value and what is.
+        An argument is not possible: names it, its value and what is. Or agents share worlds.
     DeviceError
         The device is not available.
     """
@@ -116,6 +122,11 @@ def make_vec(
         possible = ", ".join(repr(mode.value) for mode in AutoresetMode)
         raise ArgumentError(f"autoreset_mode is {autoreset_mode!r}; possible are {possible}") from None
     spec = get_spec(env_id).with_options(inspect.signature(make_vec).parameters, **options)
+    if spec.agents > 1:
+        raise ArgumentError(
+            f"{spec.name} has worlds of {spec.agents} agents, which a VectorEnv has no form for: "
+            f"call pearl_marl.parallel_env({spec.name!r}, n_agents=...) instead"
+        )
     config = BatchConfig(
         spec=spec,
         n_envs=num_envs,

@@ -14,7 +14,7 @@ from gymnasium.vector.utils import batch_space
 from pearl_marl.batch.step import Array, BatchStep, on_host
 from pearl_marl.errors import ArgumentError, OrderError
 from pearl_marl.interfaces.agent_dict import observations_in
-from pearl_marl.interfaces.batch import Batch, Mask
+from pearl_marl.interfaces.batch import Batch, Mask, World
 
 Observations = Array | tuple[Array, ...]
 """Of all slots, as Gymnasium batches them: those of a ``Tuple`` space are a tuple of arrays."""
@@ -32,9 +32,15 @@ class VectorInterface(VectorEnv[Any, Any, Any], Batch):
     """A ``VectorEnv`` made of a batch's methods; ``mode`` is what it does with those that ended."""
 
     def __init__(
-        self, num_envs: int, observation_space: Space[Any], action_space: Discrete | Box, mode: AutoresetMode
+        self,
+        num_envs: int,
+        observation_space: Space[Any],
+        action_space: Discrete | Box,
+        mode: AutoresetMode,
+        world: World,
     ) -> None:
         self.num_envs = self.batch_size = num_envs
+        self.world = world
         self.metadata = {"autoreset_mode": mode, "render_modes": []}
         self.single_observation_space = self.slot_observation_space = observation_space
         self.single_action_space: Space[Any] = action_space
@@ -53,6 +59,11 @@ class VectorInterface(VectorEnv[Any, Any, Any], Batch):
     @property
     def live(self) -> Mask:
         """Everybody: nobody leaves."""
+        return self._everybody
+
+    @property
+    def alive(self) -> Mask:
+        """Everybody: a slot has one agent."""
         return self._everybody
 
     @abstractmethod

@@ -231,7 +231,7 @@ def test_kinds_of_values() -> None:
     pairs = observations_in(Tuple((Discrete(5), Discrete(6))))
     assert pairs(square.astype(int)) == [(0, 1), (2, 3), (4, 5)]
     assert [type(v) for v in python_values(np.array([True, False]))] == [bool, bool]
-    infos = ended_infos(square, rows)(np.array([False, True, False]))
+    infos = ended_infos(square, lambda array, _: rows(array))(np.array([False, True, False]))
     assert infos[0] == infos[2] == {}
     assert infos[0] is not infos[2], "a wrapper may write into each of them"
     np.testing.assert_array_equal(infos[1]["final_obs"], square[1])
