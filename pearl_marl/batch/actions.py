@@ -53,9 +53,8 @@ def refuse_masked(words: npt.NDArray[Any], masks: npt.NDArray[np.int8], first: i
 
     Who has masks that are all 0 may send anything.
     """
-    refused = np.flatnonzero((masks[np.arange(len(words)), words] == 0) & masks.any(1))
-    if refused.size:
-        i = int(refused[0])
+    i = _refused(words, masks)
+    if i >= 0:
         allowed = ", ".join(map(str, np.flatnonzero(masks[i])))
         raise ActionError(f"agent_{first + i}: action {words[i]} is masked; it may take {allowed}")
 
@@ -132,12 +131,17 @@ def refusal(actions: Any, space: Discrete | Box, n: int, first: int = 0) -> Acti
     return refuse_first((f"agent_{first + i}" for i in range(n)), values, space)
 
 
-def random_actions(spec: EnvSpec, rng: np.random.Generator, n: int) -> npt.NDArray[Any]:
+def random_actions(
+    spec: EnvSpec, rng: np.random.Generator, n: int, masks: npt.NDArray[np.int8] | None = None
+) -> npt.NDArray[Any]:
     """Return independent uniform actions for ``n`` agents, in the form that costs a step least.
 
-    Each is of its agent's role, where the first is agent 0 of a world; masks are not asked.
+    Each is of its agent's role, where the first is agent 0 of a world; and one of those that its mask allows,
+    where ``masks`` are given. Who has masks that are all 0 takes action 0, which does nothing.
     """
     space = spec.action_space
+    if masks is not None:
+        return random_allowed(masks, rng.integers(1 << 32, size=n, dtype=np.uint32), spec.action.dtype)
     if isinstance(space, Box):
         return rng.uniform(space.low, space.high, (n, 1)).astype(np.float32)
     if spec.roles:
@@ -155,11 +159,11 @@ def random_numbers(space: Discrete | Box, draws: npt.NDArray[np.uint32]) -> npt.
     return numbers
 
 
-def random_allowed(masks: npt.NDArray[np.int8], draws: npt.NDArray[np.uint32]) -> npt.NDArray[Any]:
+def random_allowed(
+    masks: npt.NDArray[np.int8], draws: npt.NDArray[np.uint32], dtype: npt.DTypeLike = np.int64
+) -> npt.NDArray[Any]:
     """Return an action for each uniform ``u32`` that its masks allow; 0 where they allow none."""
-    which = uniform_below(draws, masks.sum(1, dtype=np.uint64))
-    numbers: npt.NDArray[Any] = (masks.cumsum(1) > which[:, None]).argmax(1)
-    return numbers
+    return _allowed(masks, draws, np.empty(len(masks), dtype))  # type: ignore[no-any-return]
 
 
 def limits(space: Discrete | Box) -> str:
@@ -201,3 +205,32 @@ def _narrow(source: Any, target: Any) -> Any:
         largest = max(largest, source[i])
         target[i] = target.dtype.type(source[i])
     return np.uint64(largest)
+
+
+@compiled
+def _refused(words: Any, masks: Any) -> Any:
+    """Return the first row whose word is masked while another is not; -1 if there is none."""
+    for i in range(words.size):
+        if masks[i, words[i]] == 0:
+            for k in range(masks.shape[1]):
+                if masks[i, k]:
+                    return i
+    return -1
+
+
+@compiled
+def _allowed(masks: Any, draws: Any, target: Any) -> Any:
+    """Write into each row of ``target`` one of the actions that its mask allows, by a uniform ``u32``."""
+    n, size = masks.shape
+    for i in range(n):
+        count = 0
+        for k in range(size):
+            count += masks[i, k]
+        rank = np.int64(draws[i]) * count >> 32
+        # How many actions come before the one of this rank: without a branch, which would be a coin's toss.
+        before, chosen = 0, 0
+        for k in range(size):
+            before += masks[i, k]
+            chosen += before <= rank
+        target[i] = target.dtype.type(chosen if count else 0)
+    return target

@@ -11,11 +11,12 @@ import numpy as np
 import numpy.typing as npt
 
 from pearl_marl.batch.actions import encode, random_actions
+from pearl_marl.batch.config import worlds_of
 from pearl_marl.batch.results import check_memory
 from pearl_marl.batch.rewards import padded
 from pearl_marl.batch.slot_memory import SlotMemory
-from pearl_marl.batch.step import Array
-from pearl_marl.benchmark.measure import Contender, Step, UnavailableError
+from pearl_marl.batch.step import Array, on_host
+from pearl_marl.benchmark.measure import Contender, Game, Step, UnavailableError
 from pearl_marl.benchmark.peers import peers
 from pearl_marl.compiler import cuda_kernels
 from pearl_marl.compiler.kernels import compile_kernels
@@ -29,14 +30,16 @@ one_thread = partial(Native, threads=1)
 
 
 def contenders(spec: EnvSpec, n: int) -> list[Contender]:
-    """Return this package at each of its levels, and its peers, for one environment."""
-    check_memory(BatchConfig(spec=spec, n_envs=n))
+    """Return this package at each of its levels, and its peers, for ``n`` agents of one environment."""
+    check_memory(BatchConfig(spec=spec, n_envs=worlds_of(spec, n)))
     actions = random_actions(spec, np.random.default_rng(0), n)
     kernel = "golden step and float32 rewards; no observations, no resets"
+    if spec.mask_fields:
+        kernel += "; actions legal or not"
     checked = "all result arrays, checked actions"
     kept = f"{checked}, yours to keep"
     unread, read = (partial(_pettingzoo, read=read) for read in (False, True))
-    here: list[tuple[str, str, Callable[[EnvSpec, Array], Step]]] = [
+    here: list[tuple[str, str, Callable[[EnvSpec, Array], Step | Game]]] = [
         ("kernel only", kernel, _kernel),
         ("step_batch, copy=False", f"{checked}; one thread", partial(_batch, copy=False)),
         ("step_batch", f"{kept}; one thread", _batch),
@@ -64,13 +67,31 @@ def contenders(spec: EnvSpec, n: int) -> list[Contender]:
 
 
 def _kernel(spec: EnvSpec, actions: Array) -> Step:
-    n = len(actions)
+    n, worlds = len(actions), worlds_of(spec, len(actions))
     words = encode(actions, spec, np.empty(n, spec.action.dtype))
     kernels = compile_kernels(spec)
-    memory = SlotMemory(spec, n).bytes
+    memory = SlotMemory(spec, worlds).bytes
     table = padded(spec, spec.rewards or ())
     rewards, terminations = np.empty(n, np.float32), np.empty(n, np.uint8)
-    return lambda: kernels.advance(memory, words, table, rewards, terminations, n, 0, n)
+    return lambda: kernels.advance(memory, words, table, rewards, terminations, worlds, 0, worlds)
+
+
+def _repeated(
+    spec: EnvSpec,
+    env: Any,
+    actions: Array,
+    step: Callable[[Any], Any],
+    given: Callable[[Array], Any] = lambda actions: actions,
+) -> Step | Game:
+    """Return what takes the same actions again and again; where there are masks, legal ones of every step.
+
+    ``given`` makes of them what ``step`` is called with.
+    """
+    if not spec.mask_fields:
+        always = given(actions)
+        return lambda: step(always)
+    rng, n = np.random.default_rng(0), len(actions)
+    return Game(lambda: given(random_actions(spec, rng, n, on_host(env.device.action_masks))), step)
 
 
 def _batch(
@@ -79,14 +100,15 @@ def _batch(
     device: Callable[[], Device] = one_thread,
     copy: bool = True,
     dtype: npt.DTypeLike | None = None,
-) -> Step:
+) -> Step | Game:
     env = parallel_env(spec.name, len(actions), device=device(), copy=copy, **spec.options)
     env.reset_batch(seed=0)
-    given = actions.astype(dtype or spec.action.dtype)
-    return lambda: env.step_batch(given)
+    return _repeated(
+        spec, env, actions, env.step_batch, lambda given: given.astype(dtype or spec.action.dtype)
+    )
 
 
-def simulated(spec: EnvSpec, actions: Array, device: Callable[[], Rtl] = Rtl) -> Step:
+def simulated(spec: EnvSpec, actions: Array, device: Callable[[], Rtl] = Rtl) -> Step | Game:
     """Return the step of a simulated device, which not every machine can build."""
     try:
         return _batch(spec, actions, device, copy=False, dtype=actions.dtype)
@@ -94,26 +116,39 @@ def simulated(spec: EnvSpec, actions: Array, device: Callable[[], Rtl] = Rtl) ->
         raise UnavailableError(str(error).splitlines()[0]) from None
 
 
-def _pettingzoo(spec: EnvSpec, actions: Array, read: bool) -> Step:
+def _pettingzoo(spec: EnvSpec, actions: Array, read: bool) -> Step | Game:
     env = parallel_env(spec.name, len(actions), device=one_thread(), **spec.options)
     env.reset(seed=0)
     if not read:
-        return lambda: env.step(actions)
-    by_agent = dict(zip(env.possible_agents, actions.tolist(), strict=True))
-    return lambda: [len(dict(results)) for results in env.step(by_agent)]
+        return _repeated(spec, env, actions, env.step)
+    return _repeated(
+        spec,
+        env,
+        actions,
+        lambda by_agent: [len(dict(results)) for results in env.step(by_agent)],
+        lambda given: dict(zip(env.possible_agents, given.tolist(), strict=True)),
+    )
 
 
-def _vector(spec: EnvSpec, actions: Array) -> Step:
+def _vector(spec: EnvSpec, actions: Array) -> Step | Game:
+    if spec.agents > 1:
+        raise UnavailableError(
+            f"Gymnasium's vector form has one agent each; worlds of {spec.name} have several"
+        )
     envs = make_vec(spec.name, len(actions), device=one_thread(), **spec.options)
     envs.reset(seed=0)
-    given = actions.astype(np.int64)
-    return lambda: envs.step(given)
+    return _repeated(spec, envs, actions, envs.step, lambda given: given.astype(np.int64))
 
 
 def _filling(spec: EnvSpec, actions: Array) -> Step:
-    device = one_thread().open(BatchConfig(spec=spec, n_envs=len(actions), copy=False))
+    worlds = worlds_of(spec, len(actions))
+    device = one_thread().open(BatchConfig(spec=spec, n_envs=worlds, copy=False))
     device.reset(seed=0)
-    arrays = device.step(actions)[:4]
+    masks = device.action_masks
+    if masks is not None:
+        actions = random_actions(spec, np.random.default_rng(0), len(actions), masks)
+    step = device.step(actions)
+    arrays = step.arrays[:4] + step.arrays[5:]  # of final observations few are written
 
     def write() -> None:
         for array in arrays:
@@ -138,17 +173,17 @@ def _gpu() -> Any:
 
 
 def _gpu_kernel(spec: EnvSpec, actions: Array) -> Step:
-    module, n = _gpu(), len(actions)
+    module, n, worlds = _gpu(), len(actions), worlds_of(spec, len(actions))
     advance = cuda_kernels.compile_cuda_kernels(spec).advance
-    memory = module.to_device(SlotMemory(spec, n).bytes)
+    memory = module.to_device(SlotMemory(spec, worlds).bytes)
     words = module.to_device(encode(actions, spec, np.empty(n, spec.action.dtype)))
     table = module.to_device(padded(spec, spec.rewards or ()) if spec.rewards else np.zeros(1, np.float32))
     rewards, terminations = module.device_array(n, np.float32), module.device_array(n, np.uint8)
-    launch = advance[cuda.grid(module, n)]
-    return lambda: launch(memory, words, table, rewards, terminations, n)
+    launch = advance[cuda.grid(module, worlds)]
+    return lambda: launch(memory, words, table, rewards, terminations, worlds)
 
 
-def _tensors(spec: EnvSpec, actions: Array) -> Step:
+def _tensors(spec: EnvSpec, actions: Array) -> Step | Game:
     _gpu()
     try:
         env = parallel_env(spec.name, len(actions), device=Cuda(results="torch"), **spec.options)
@@ -157,5 +192,4 @@ def _tensors(spec: EnvSpec, actions: Array) -> Step:
         raise UnavailableError(str(error)) from None
     import torch
 
-    given = torch.from_numpy(actions).cuda()
-    return lambda: env.step_batch(given)
+    return _repeated(spec, env, actions, env.step_batch, lambda given: torch.from_numpy(given).cuda())

@@ -13,7 +13,7 @@ from typing import Any
 def machine() -> dict[str, Any]:
     """Return what a figure has to name to be repeatable: processor, cores, versions."""
     versions = {}
-    for package in ("pearl-marl", "numpy", "numba", "gymnasium", "pettingzoo", "envpool"):
+    for package in ("pearl-marl", "numpy", "numba", "gymnasium", "pettingzoo", "envpool", "lbforaging"):
         with suppress(metadata.PackageNotFoundError):
             versions[package] = metadata.version(package)
     return {

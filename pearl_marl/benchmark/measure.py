@@ -15,13 +15,24 @@ Step = Callable[[], Any]
 """Steps every slot once."""
 
 
+@dataclass
+class Game:
+    """What steps every slot once where legal actions differ from step to step.
+
+    ``choose`` returns actions, which is not timed, and ``step`` takes them.
+    """
+
+    choose: Callable[[], Any]
+    step: Callable[[Any], Any]
+
+
 class UnavailableError(Exception):
     """A contender cannot run here; the message says why, for the table."""
 
 
 @dataclass
 class Contender:
-    """Something to time: ``make`` returns the function that steps all ``n`` slots once.
+    """Something to time: ``make`` returns what steps all ``n`` slots, or agents of worlds, once.
 
     ``counts`` says what one of its steps includes: which sport this is. ``wait`` waits for what steps have
     only started.
@@ -30,7 +41,7 @@ class Contender:
     name: str
     counts: str
     n: int
-    make: Callable[[], Step]
+    make: Callable[[], Step | Game]
     ours: bool = False
     wait: Callable[[], Any] = lambda: None
     unavailable: str | None = None
@@ -59,7 +70,7 @@ def measure(contenders: list[Contender], rounds: int, seconds: float) -> Iterato
 
     Fills their ``seconds``; those that cannot run get ``unavailable`` instead.
     """
-    running: list[tuple[Contender, Step, int]] = []
+    running: list[tuple[Contender, Step | Game, int]] = []
     for contender in contenders:
         yield contender.name
         try:
@@ -67,8 +78,7 @@ def measure(contenders: list[Contender], rounds: int, seconds: float) -> Iterato
         except UnavailableError as error:
             contender.unavailable = str(error)
             continue
-        step()  # compilation and first use of memory
-        contender.wait()
+        _time(step, 1, contender.wait)  # compilation and first use of memory
         running.append((contender, step, max(1, round(seconds / _time(step, 1, contender.wait)))))
     for _ in range(rounds):
         for contender, step, count in running:
@@ -76,12 +86,23 @@ def measure(contenders: list[Contender], rounds: int, seconds: float) -> Iterato
             contender.seconds.append(_time(step, count, contender.wait))
 
 
-def _time(step: Step, count: int, wait: Callable[[], Any]) -> float:
+def _time(step: Step | Game, count: int, wait: Callable[[], Any]) -> float:
+    if isinstance(step, Game):
+        return sum(_time_chosen(step, wait) for _ in range(count)) / count
     began = time.perf_counter()
     for _ in range(count):
         step()
     wait()
     return (time.perf_counter() - began) / count
+
+
+def _time_chosen(game: Game, wait: Callable[[], Any]) -> float:
+    actions = game.choose()
+    wait()
+    began = time.perf_counter()
+    game.step(actions)
+    wait()
+    return time.perf_counter() - began
 
 
 def rate(steps_per_second: float) -> str:

@@ -1,10 +1,11 @@
-"""Other libraries of batched environments: EnvPool, Gymnasium's vector environments, MinAtar."""
+"""Others that step environments: EnvPool, Gymnasium's vector environments, and the packages of games."""
 
 from __future__ import annotations
 
 import importlib
+import random
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
 from importlib import metadata
@@ -14,8 +15,8 @@ import gymnasium
 import numpy as np
 import numpy.typing as npt
 
-from pearl_marl.batch.actions import random_actions
-from pearl_marl.benchmark.measure import Contender, Step, UnavailableError
+from pearl_marl.batch.actions import random_actions, random_allowed
+from pearl_marl.benchmark.measure import Contender, Game, Step, UnavailableError
 from pearl_marl.spec import EnvSpec
 
 GYMNASIUM_SYNC_LIMIT = 1024
@@ -25,18 +26,31 @@ GYMNASIUM_ASYNC_LIMIT = 16
 """A process each: with more, the machine runs out of cores long before we run out of patience."""
 
 
+ENVPOOL_GAMES = {"ConnectFour": "ConnectFour-v1", "LevelBasedForaging": "LevelBasedForaging-v0"}
+"""What EnvPool calls its environments that have several agents, by our names."""
+
+ENVPOOL_SEEDED = (1, 2, 6)
+"""The first version of EnvPool whose games of foraging start differently. It takes Python 3.12."""
+
+
 def peers(spec: EnvSpec, n: int) -> list[Contender]:
     """Return the peers; one that has no such environment says so when it is made."""
     sync, asynchronous = min(n, GYMNASIUM_SYNC_LIMIT), min(n, GYMNASIUM_ASYNC_LIMIT)
     arrays = "all result arrays"
     processes, own = (partial(_vectorised, mode=mode) for mode in ("async", "vector_entry_point"))
-    rows: list[tuple[str, str, int, Callable[[EnvSpec, int], Step]]] = [
-        ("EnvPool, sync", f"{arrays}; all cores", n, _envpool),
-        ("Gymnasium SyncVectorEnv", f"{arrays}; one thread", sync, partial(_vectorised, mode="sync")),
-        ("Gymnasium AsyncVectorEnv", f"{arrays}; a process a slot", asynchronous, processes),
-        ("Gymnasium's own vectorisation", f"{arrays}; NumPy, one thread", n, own),
-        ("MinAtar", "observations, rewards, ends; Python, one thread", sync, _minatar),
+    rows: list[tuple[str, str, int, Callable[[EnvSpec, int], Step | Game]]] = [
+        ("EnvPool, sync", f"{arrays}; all cores{_envpool_game(spec)}", n, _envpool)
     ]
+    if spec.agents > 1:
+        few = max(sync // spec.agents, 1) * spec.agents
+        rows += [(name, counts, few, make) for name, counts, make in PACKAGES.get(spec.name, ())]
+    else:
+        rows += [
+            ("Gymnasium SyncVectorEnv", f"{arrays}; one thread", sync, partial(_vectorised, mode="sync")),
+            ("Gymnasium AsyncVectorEnv", f"{arrays}; a process a slot", asynchronous, processes),
+            ("Gymnasium's own vectorisation", f"{arrays}; NumPy, one thread", n, own),
+            ("MinAtar", "observations, rewards, ends; Python, one thread", sync, _minatar),
+        ]
     return [Contender(name, counts, count, partial(make, spec, count)) for name, counts, count, make in rows]
 
 
@@ -59,12 +73,28 @@ def _required(spec: EnvSpec, package: str) -> str:
     return spec.oracle
 
 
-def _envpool(spec: EnvSpec, n: int) -> Step:
+def _envpool_game(spec: EnvSpec) -> str:
+    """Return what EnvPool's form of a game differs in from ours, and what it counts."""
+    if spec.name == "ConnectFour":
+        return "; the mask of who is on turn"
+    if spec.name != "LevelBasedForaging":
+        return ""
+    text = "; Jumanji's rules: 2 foods, which take both players, and 100 steps"
+    try:
+        version = metadata.version("envpool")
+    except metadata.PackageNotFoundError:
+        return text
+    seeded = tuple(map(int, version.split(".")[:3])) >= ENVPOOL_SEEDED
+    return text if seeded else f"{text}; EnvPool {version} starts every game alike"
+
+
+def _envpool(spec: EnvSpec, n: int) -> Step | Game:
     try:
         import envpool
     except ImportError:
         raise UnavailableError("not installed: pip install 'pearl-marl[bench]'") from None
-    name, options = _required(spec, "EnvPool"), dict(spec.options)
+    name = ENVPOOL_GAMES.get(spec.name) or _required(spec, "EnvPool")
+    options = dict(spec.options)
     known = envpool.list_all_envs()
     if name not in known:  # it may have another version of it
         family = name.rpartition("-v")[0]
@@ -73,11 +103,97 @@ def _envpool(spec: EnvSpec, n: int) -> Step:
         raise UnavailableError(f"EnvPool {metadata.version('envpool')} has no {family}")
     if spec.configure is not None and options != spec.configure().options:
         raise UnavailableError(f"measured with default options only, not {options}")
-    envs = envpool.make(name, env_type="gymnasium", num_envs=n)
+    envs = envpool.make(name, env_type="gymnasium", num_envs=n // spec.agents)
     with quiet_spaces():
-        envs.reset()
+        obs, infos = envs.reset()
+        if spec.agents > 1:
+            return _envpool_worlds(envs, obs, infos)
         given = _actions(spec, n, envs.action_space.dtype)
     return lambda: envs.step(given)
+
+
+def _envpool_worlds(envs: Any, obs: Any, infos: Any) -> Game:
+    """Return what steps EnvPool's games: an action a game where players take turns, else one a player."""
+    rng, dtype = np.random.default_rng(0), envs.action_space.dtype
+    seen = [obs, infos]
+
+    def choose() -> tuple[npt.NDArray[Any], Any]:
+        obs, infos = seen
+        turns = "legal_action_mask" in infos
+        masks = infos["legal_action_mask"] if turns else obs["action_mask"]
+        each = masks.reshape(-1, masks.shape[-1]).view(np.int8)
+        actions = random_allowed(each, rng.integers(1 << 32, size=len(each), dtype=np.uint32), dtype)
+        # Games may come back in any order.
+        return actions.reshape(masks.shape[:-1]), infos["env_id"]
+
+    def step(chosen: tuple[npt.NDArray[Any], Any]) -> None:
+        seen[0], *_, seen[1] = envs.step(*chosen)
+
+    return Game(choose, step)
+
+
+def _foraging(spec: EnvSpec, count: int) -> Game:
+    try:
+        from lbforaging.foraging import ForagingEnv
+    except ImportError:
+        raise UnavailableError("not installed: pip install lbforaging") from None
+    options = dict(spec.options)
+    options["sight"] = options["sight"] or max(options["field_size"])
+    games = [ForagingEnv(**options) for _ in range(count // spec.agents)]
+    for i, game in enumerate(games):
+        game.reset(seed=i)
+    chance = random.Random(0)
+
+    def choose() -> list[Any]:
+        return [chance.choice(game.get_valid_actions()) for game in games]
+
+    def step(actions: Sequence[Any]) -> None:
+        for game, action in zip(games, actions, strict=True):
+            _, _, ended, _, _ = game.step(action)
+            if ended:
+                game.reset()
+
+    return Game(choose, step)
+
+
+def _connect_four(spec: EnvSpec, count: int) -> Game:
+    try:
+        from pettingzoo.classic.connect_four.connect_four import raw_env
+    except ImportError:
+        raise UnavailableError("not installed: pip install pettingzoo") from None
+    games = [raw_env() for _ in range(count // spec.agents)]
+    seen = []
+    for i, game in enumerate(games):
+        game.reset(seed=i)
+        seen.append(game.last()[0])
+    chance = random.Random(0)
+
+    def choose() -> list[int]:
+        return [chance.choice(np.flatnonzero(obs["action_mask"]).tolist()) for obs in seen]
+
+    def step(actions: Sequence[int]) -> None:
+        for i, action in enumerate(actions):
+            game = games[i]
+            game.step(action)
+            seen[i], _, ended, _, _ = game.last()
+            if ended:
+                game.reset()
+                seen[i] = game.last()[0]
+
+    return Game(choose, step)
+
+
+PACKAGES = {
+    "ConnectFour": [
+        (
+            "PettingZoo connect_four_v3",
+            "observation, mask, reward, end of who is on turn; no wrappers that check; Python, one thread",
+            _connect_four,
+        )
+    ],
+    "LevelBasedForaging": [("lbforaging", "observations, rewards, ends; Python, one thread", _foraging)],
+}
+"""The packages whose games ours are, by our names: name, what is counted, and what steps it."""
 
 
 def _vectorised(spec: EnvSpec, count: int, mode: str) -> Step:

@@ -32,6 +32,8 @@ OTHERS = {
     "Gymnasium SyncVectorEnv": "Sync",
     "Gymnasium's own vectorisation": "NumPy",
     "MinAtar": "MinAtar",
+    "lbforaging": "lbforaging",
+    "PettingZoo connect_four_v3": "PettingZoo",
 }
 """The contenders of ``--all``, by name, with the words for them in its table."""
 
@@ -51,7 +53,7 @@ def command(
     out: common.Out = None,
     as_json: common.AsJson = False,
 ) -> None:
-    """Measure steps per second against Gymnasium's vector environments and EnvPool."""
+    """Measure steps per second against EnvPool, Gymnasium's vector environments and the games' packages."""
     if every:
         if env_id is not None or option:
             raise ArgumentError("--all takes every environment as it is: leave out ENV and --option")
@@ -59,14 +61,21 @@ def command(
         return
     spec = common.spec_of(env_id or "CliffWalking", option)
     rows = contenders(spec, n_agents)
-    small = [c for c in contenders(spec, 1) if c.ours and c.name in ("kernel only", "step_batch, copy=False")]
+    small = [
+        c
+        for c in contenders(spec, spec.agents)
+        if c.ours and c.name in ("kernel only", "step_batch, copy=False")
+    ]
     result = _measured(spec, n_agents, rows, small, rounds, seconds)
     if common.delivered(result, as_json, out, f"bench_{spec.name}_{n_agents}.json"):
         return
     console.print(_table(spec.id, rows))
+    if result["steps_of"] is not None:
+        console.print(f"{result['steps_of']} {result['actions']}")
     kernel, batch = (c.seconds_per_step for c in small)
+    one = "One agent" if spec.agents == 1 else f"One world of {spec.agents} agents"
     console.print(
-        f"One agent: step_batch takes {duration(batch)}, of which the call of a kernel {duration(kernel)}; "
+        f"{one}: step_batch takes {duration(batch)}, of which the call of a kernel {duration(kernel)}; "
         f"so {duration(batch - kernel)} are checks and bookkeeping."
     )
     _print_machine(result["machine"])
@@ -91,7 +100,7 @@ def _every(n_agents: int, rounds: int, seconds: float, out: Path | None, as_json
     console.print(grid)
     console.print(
         "x is step_batch over that peer; Sync and NumPy are Gymnasium's SyncVectorEnv and its own vectorised "
-        "form. What each counts: `pearl bench ENV`.",
+        "form, PettingZoo its connect_four_v3. What each counts: `pearl bench ENV`.",
         style="dim",
     )
     _print_machine(results[0]["machine"])
@@ -121,12 +130,27 @@ def _measured(
     return {
         "environment": spec.id,
         "options": dict(spec.options),
+        "agents_per_world": spec.agents,
+        **_counted(spec, n),
         "date": datetime.date.today().isoformat(),
         "machine": machine(),
         "rounds": rounds,
         "contenders": [c.row() for c in rows],
         "one_agent": [c.row() for c in small],
     }
+
+
+def _counted(spec: EnvSpec, n: int) -> dict[str, str | None]:
+    """Return what is counted as a step, where worlds have several agents, and which actions are taken."""
+    worlds, steps = n // spec.agents, None
+    if spec.agents > 1:
+        which = ", whoever is on turn" if spec.turns else ""
+        k = spec.agents
+        steps = f"{worlds:,} worlds of {k} agents: a step of a world is {k} agent-steps{which}."
+    actions = "The same random actions again and again."
+    if spec.mask_fields:
+        actions = "Everyone takes random legal actions, and choosing them is not timed."
+    return {"steps_of": steps, "actions": actions}
 
 
 def _print_machine(facts: dict[str, Any]) -> None:

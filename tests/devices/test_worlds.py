@@ -236,8 +236,8 @@ def test_a_word_that_differs_is_told_with_its_agent() -> None:
 
 def test_agents_come_in_whole_worlds() -> None:
     assert worlds_of(MEADOW, 12) == 3
-    for n, fix in ((10, "8 or 12"), (3, "4")):
-        with pytest.raises(ArgumentError, match=rf"{n} agents of Meadow, .* have 4 each; take {fix}$"):
+    for n, fit in ((10, "8 and 12"), (3, "4 and 8")):
+        with pytest.raises(ArgumentError, match=rf"{n}, and a world of Meadow has 4 agents; {fit} fit$"):
             worlds_of(MEADOW, n)
 
 

@@ -1,0 +1,134 @@
+"""`pearl bench`: what it says it counts, and that everybody plays by the rules."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pearl_marl import get_spec
+from pearl_marl.benchmark import contenders, peers
+from pearl_marl.benchmark.measure import Contender, Game, UnavailableError, measure
+
+from ..toy_world import MEADOW
+
+Pearl = Callable[..., tuple[int, str, str]]
+PACKAGE = {"ConnectFour": "PettingZoo connect_four_v3", "LevelBasedForaging": "lbforaging"}
+
+
+@pytest.fixture(autouse=True)
+def no_simulator(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It takes a minute to build, and its own tests step it."""
+
+    def refuse(*_: Any) -> None:
+        raise UnavailableError("not in this test")
+
+    monkeypatch.setattr(contenders, "simulated", refuse)
+
+
+@pytest.mark.parametrize("name", PACKAGE)
+def test_games_beside_envpool_and_their_package(pearl: Pearl, name: str) -> None:
+    pytest.importorskip("envpool")
+    pytest.importorskip("lbforaging")
+    status, out, err = pearl("bench", name, "--n-agents", 8, "--rounds", 1, "--seconds", 0, "--json")
+    assert status == 0, err
+    result = json.loads(out)
+    assert result["steps_of"].startswith("4 worlds of 2 agents: a step of a world is 2 agent-steps")
+    assert result["actions"] == "Everyone takes random legal actions, and choosing them is not timed."
+    rows = {row["name"]: row for row in result["contenders"]}
+    for timed in (
+        "kernel only",
+        "step_batch",
+        "PettingZoo step, dict actions",
+        "EnvPool, sync",
+        PACKAGE[name],
+    ):
+        row = rows[timed]
+        assert row["n"] == 8
+        seconds = row["microseconds_per_step"] * 1e-6
+        assert row["steps_per_second"] == pytest.approx(8 / seconds), "as many as there are agents"
+    assert "Gymnasium SyncVectorEnv" not in rows
+    assert "one agent each" in rows["Gymnasium VectorEnv step"]["unavailable"]
+    assert [row["n"] for row in result["one_agent"]] == [2, 2], "a world"
+    assert {"envpool", "lbforaging"} <= set(result["machine"]["versions"])
+
+
+def test_what_is_counted_is_said(pearl: Pearl) -> None:
+    status, out, err = pearl("bench", "ConnectFour", "--n-agents", 8, "--rounds", 1, "--seconds", 0)
+    assert status == 0, err
+    said = " ".join(out.split())
+    assert "4 worlds of 2 agents: a step of a world is 2 agent-steps, whoever is on turn." in said
+    assert "choosing them is not timed" in said
+    assert "One world of 2 agents: step_batch takes" in said
+
+
+def test_only_whole_worlds(pearl: Pearl) -> None:
+    status, _, err = pearl("bench", "ConnectFour", "--n-agents", 7)
+    assert status == 2
+    assert "6 and 8 fit" in err
+
+
+def games(name: str, n: int) -> dict[str, Game]:
+    """Return the contenders that choose actions, by their names."""
+    made = {}
+    for contender in contenders.contenders(get_spec(name), n):
+        try:
+            step = contender.make()
+        except UnavailableError:
+            continue
+        if isinstance(step, Game):
+            made[contender.name] = step
+    return made
+
+
+@pytest.mark.parametrize("name", PACKAGE)
+def test_everybody_takes_legal_actions(name: str) -> None:
+    """Ours are refused if they are not; of EnvPool and the packages it is looked at what comes of them."""
+    for game in games(name, 64).values():
+        for _ in range(60):
+            game.step(game.choose())
+
+
+def test_nobody_drops_a_disc_into_a_full_column_of_envpool() -> None:
+    """Its games may come back in any order, and one that ended starts anew in its next step."""
+    envpool = pytest.importorskip("envpool")
+    envs = envpool.make("ConnectFour-v1", env_type="gymnasium", num_envs=64)
+    seen: Counter[str] = Counter()
+
+    class Watched:
+        action_space = envs.action_space
+
+        def step(self, actions: Any, worlds: Any) -> Any:
+            assert not (~over & (boards[:, 0] >= 0)[np.arange(64), actions[np.argsort(worlds)]]).any()
+            result = envs.step(actions, worlds)
+            order = result[4]["env_id"]
+            boards[order], over[order] = result[4]["board"], result[2]
+            seen["ended"] += int(over.sum())
+            return result
+
+    boards, over = np.full((64, 6, 7), -1), np.zeros(64, np.bool_)
+    game = peers._envpool_worlds(Watched(), *envs.reset())
+    for _ in range(60):
+        game.step(game.choose())
+    assert seen["ended"]
+
+
+def test_choosing_is_not_timed() -> None:
+    log: list[str] = []
+    game = Game(lambda: log.append("choose"), lambda actions: log.append("step"))
+    contender = Contender("game", "", 2, lambda: game, wait=lambda: log.append("wait"))
+    list(measure([contender], rounds=2, seconds=0))
+    assert log == ["choose", "wait", "step", "wait"] * 4
+    assert len(contender.seconds) == 2
+
+
+def test_other_worlds_have_no_peers() -> None:
+    (only,) = peers.peers(MEADOW, 8)
+    assert only.name == "EnvPool, sync"
+    pytest.importorskip("envpool")
+    with pytest.raises(UnavailableError, match="EnvPool has no Meadow"):
+        only.make()
