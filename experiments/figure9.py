@@ -56,6 +56,8 @@ BUILDS = {
     "Taxi": (8, 32),
     "Blackjack": (4, 64),
     "CartPole": (1, 128),
+    "ConnectFour": (4, 128),
+    "LevelBasedForaging": (1, 128),
     "MountainCar": (1, 64),
     "Pendulum": (1, 128),
     "Seaquest": (1, 512),

@@ -47,8 +47,9 @@ def collect(quick: bool, progress: Progress) -> list[Row]:
         rows.append(row_of("simulated", "stated by the core, checked by its bench in simulation", **common))
         if not quick:
             rows.append(_placed(spec, common))
-        quoted = {"environment": spec.name, "compute_ns": paper.COMPUTE_NS[spec.name]}
-        rows.append(row_of("quoted", paper.COMPUTE_NS_SOURCE, **quoted))
+        if spec.name in paper.COMPUTE_NS:
+            quoted = {"environment": spec.name, "compute_ns": paper.COMPUTE_NS[spec.name]}
+            rows.append(row_of("quoted", paper.COMPUTE_NS_SOURCE, **quoted))
     return rows
 
 

@@ -239,4 +239,4 @@ def test_agents_that_share_a_state(pearl):
     assert "native is bit-exact with reference over 6,400 agent-steps" in out
     status, _, err = pearl("verify", "Meadow", "--n-agents", 42)
     assert status == 2
-    assert "42 agents of Meadow, whose worlds have 4 each; take 40 or 44" in err
+    assert "n_agents is 42, and a world of Meadow has 4 agents; 40 and 44 fit" in err

@@ -170,13 +170,14 @@ def test_peek_and_cycles() -> None:
     device = opened(Rtl(4, 32))
     device.step(ACTIONS[0])
     assert device.peek("irq_o") == 1
-    assert device.cycles == 18
+    assert device.cycles == 22
     with pytest.raises(DeviceError, match=r"no signal 'u_backbone.nothing'; open the device with trace="):
         device.peek("u_backbone.nothing")
     device.close()
 
 
-@pytest.mark.parametrize("env", [*names()])
+# Random actions of who refuses masked ones would have to follow the game.
+@pytest.mark.parametrize("env", [name for name in names() if get_spec(name).masked != "refused"])
 def test_a_step_takes_its_bound_and_the_latency(env: str) -> None:
     """And no more than a constant, on the model that the contract is tested on: nothing stalls."""
     case = Case(env, "rtl")
@@ -187,8 +188,8 @@ def test_a_step_takes_its_bound_and_the_latency(env: str) -> None:
     for actions in case.actions(3):
         device.step(actions)
     latency = elaboration.core_timing(case.spec).latency
-    # Doorbell and first words, memories and packers, 3 more for random draws, up to 2 for last words.
-    assert 12 <= device.cycles - max(layout.groups, *words) - latency <= 17
+    # Doorbell and first words, memories and packers, 5 more for random draws, up to 2 for last words.
+    assert 16 <= device.cycles - max(layout.groups, *words) - latency <= 23
     case.close()
 
 

@@ -116,7 +116,7 @@ def cycle_bound() -> int:
     interval = {"ShiftAdd": 4}.get(SPEC.name, 1)
     words = max(LAYOUT[name].words for name in ("actions", "observations", "rewards", "ters"))
     # Doorbell, first words, pipeline and last words.
-    latency = 18 + 4 * interval
+    latency = 22 + 4 * interval
     return int(1.1 * max(LAYOUT.groups * interval, words)) + latency
 
 
