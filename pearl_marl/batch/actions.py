@@ -53,9 +53,8 @@ def refuse_masked(words: npt.NDArray[Any], masks: npt.NDArray[np.int8], first: i
 
     Who has masks that are all 0 may send anything.
     """
-    refused = np.flatnonzero((masks[np.arange(len(words)), words] == 0) & masks.any(1))
-    if refused.size:
-        i = int(refused[0])
+    i = _first_masked(words, masks)
+    if i < len(words):
         allowed = ", ".join(map(str, np.flatnonzero(masks[i])))
         raise ActionError(f"agent_{first + i}: action {words[i]} is masked; it may take {allowed}")
 
@@ -180,6 +179,15 @@ def _largest(source: Any) -> Any:
     for i in range(source.size):
         largest = max(largest, source[i])
     return largest
+
+
+@compiled
+def _first_masked(words: Any, masks: Any) -> Any:
+    """Return the first row whose action is masked, and not all others too; else how many rows there are."""
+    for i in range(words.size):
+        if masks[i, words[i]] == 0 and masks[i].any():
+            return i
+    return words.size
 
 
 @compiled
