@@ -177,7 +177,7 @@ def crowd(agents: int, masked: bool = True, pictures: bool = False) -> EnvSpec:
         action=Field("action", 2),
         observation=(Field("own", 4), Field("other", 3)),
         reward=Field("category", 3),
-        rewards=(0.0, 1.0, -1.5, 4.0, 0.25),
+        rewards=(0.5, 1.0, -1.5, 4.0, 0.25),
         observation_space=Box(0, 3, (2, 3), np.uint8) if pictures else Box(0, 15, (2,), np.float32),
         action_space=Discrete(3),
         golden=Golden(initial, step, observe, masks if masked else None),

@@ -7,9 +7,12 @@ the column ``ended`` has them, and another one in ``gone_before``, which is what
 from __future__ import annotations
 
 from pearl_marl.compiler.block_pieces import BlockPieces, part
-from pearl_marl.compiler.pieces import indented
+from pearl_marl.compiler.pieces import assign, each, indented
 
 Parts = dict[str, list[str]]
+
+LONG = 16
+"""Elements of an observation from which on they are hidden by a loop; it would take longer for a few."""
 
 COUNT = (
     "e = uint32_choose(resetting[i], 0, uint32_add(E[i], 1))",
@@ -118,9 +121,13 @@ def _seen_of_several(p: BlockPieces, gone: list[str], lives: list[str]) -> Parts
     for k, bit in enumerate(gone):
         lines.append(f"dead = {bit}")
         for array, dtype, size in (("O", p.dtype, own), ("M", "int8", masks)):
-            if size:
-                at = f"{array}[{p.agents * size} * i + {k * size} + e]"
-                lines += [f"for e in range({size}):", f"    {at} = {dtype}_choose(dead, 0, {at})"]
+            at = f"{array}[{p.agents * size} * i + {{}}]"
+            if size > LONG:
+                of_one = at.format(f"{k * size} + e")
+                lines += [f"for e in range({size}):", f"    {of_one} = {dtype}_choose(dead, 0, {of_one})"]
+            else:
+                places = each(at, range(k * size, (k + 1) * size))
+                lines += assign(places, (f"{dtype}_choose(dead, 0, {place})" for place in places))
     bury = p.apart("bury", lines)
     keep = p.apart("keep_last", p.copy_one)
     alive = p.over_slots(

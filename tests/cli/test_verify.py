@@ -230,3 +230,13 @@ def test_sticky_actions_are_all_there_is():
 
 def test_a_device_in_a_folder_has_a_file_name():
     assert in_file_name("xdma:/dev/shm/my board") == "xdma_dev_shm_my_board"
+
+
+@pytest.mark.usefixtures("toys")
+def test_agents_that_share_a_state(pearl):
+    status, out, err = pearl("verify", "Meadow", "--n-agents", 40, "--steps", 160)
+    assert status == 0, err
+    assert "native is bit-exact with reference over 6,400 agent-steps" in out
+    status, _, err = pearl("verify", "Meadow", "--n-agents", 42)
+    assert status == 2
+    assert "42 agents of Meadow, whose worlds have 4 each; take 40 or 44" in err

@@ -11,14 +11,16 @@ import pytest
 from gymnasium.spaces import Box, Discrete
 from gymnasium.vector import AutoresetMode
 
-from pearl_marl import rng
+from pearl_marl import rng, verification
+from pearl_marl.batch.config import worlds_of
 from pearl_marl.batch.saved_state import SavedState
 from pearl_marl.devices import BatchConfig, BatchStep, Cuda, Device, Lockstep, Native, Reference, Rtl, Sharded
-from pearl_marl.errors import ActionError, ArgumentError
+from pearl_marl.errors import ActionError, ArgumentError, LockstepError
 from pearl_marl.golden import call_reference
 from pearl_marl.spec import EnvSpec, Field, Golden, Role
 
 from ..toy_world import MEADOW, NIM, SNAIL, crowd
+from .broken import Flips
 
 WORLDS = 17
 SAME, NEXT = AutoresetMode.SAME_STEP, AutoresetMode.NEXT_STEP
@@ -193,6 +195,66 @@ def test_worlds_of_all_sizes_agree_with_the_reference(name: str, config: dict[st
             device.reset(mask=chance.random(2100) < 0.5)
         if tick == 8:
             device.restore(device.snapshot())
+    device.close()
+
+
+@pytest.mark.parametrize("mode", [SAME, NEXT], ids=["same", "next"])
+@pytest.mark.parametrize("name", ["pictures", "one with masks"])
+@pytest.mark.parametrize("where", ["rtl", "cuda"])
+def test_what_golden_functions_say_of_the_dead_does_not_matter(
+    where: str, name: str, mode: AutoresetMode
+) -> None:
+    """Here they say all sorts of things, and that they are alive again."""
+    device = Lockstep(DEVICES[where](), "reference")
+    open_device(device, CROWDS[name], mode, n_envs=20, max_cycles=15)
+    chance = np.random.default_rng(6)
+    for tick in range(25):
+        device.step(random_actions(device, chance))
+        if tick == 12:
+            device.reset(mask=chance.random(20) < 0.5)
+        if tick == 17:
+            device.restore(device.snapshot())
+    device.close()
+
+
+def test_a_word_that_differs_is_told_with_its_agent() -> None:
+    device = open_device(Lockstep(Flips("rewards", tick=3, slot=6), "reference"))
+    chance = np.random.default_rng(7)
+    for _ in range(3):
+        device.step(random_actions(device, chance))
+    actions = random_actions(device, chance)
+    with pytest.raises(LockstepError) as caught:
+        device.step(actions)
+    error = caught.value
+    assert (error.step, error.slot, error.field) == (3, 1, "agent 2: rewards")
+    assert error.divergence.action == actions[4:8].tolist()
+    alone = error.replay.alone()
+    assert alone.config.n_envs == 1
+    assert verification.replay(alone, Lockstep("native", "reference")) is None
+    device.close()
+
+
+def test_agents_come_in_whole_worlds() -> None:
+    assert worlds_of(MEADOW, 12) == 3
+    for n, fix in ((10, "8 or 12"), (3, "4")):
+        with pytest.raises(ArgumentError, match=rf"{n} agents of Meadow, .* have 4 each; take {fix}$"):
+            worlds_of(MEADOW, n)
+
+
+def test_a_device_that_recovers_knows_who_is_alive() -> None:
+    device = open_device(Sharded(["native", "native"], checkpoint_every=4))
+    twin = open_device(Reference())
+    chance = np.random.default_rng(8)
+    for _ in range(9):
+        actions = random_actions(device, chance)
+        device.step(actions)
+        twin.step(actions)
+    device.alive = np.ones_like(device.alive)
+    device.recover()
+    np.testing.assert_array_equal(device.alive, twin.alive)
+    np.testing.assert_array_equal(device.action_masks, twin.action_masks)
+    actions = random_actions(device, chance)
+    assert_same(device.step(actions), twin.step(actions))
     device.close()
 
 

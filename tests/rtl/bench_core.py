@@ -31,7 +31,7 @@ async def every_case_equals_the_golden_step(dut: Any, given: Any) -> None:
         draws[chosen, column] = generator.choice(edges, np.count_nonzero(chosen))
     due = golden(spec, states, actions, first, hold, draws)
     random_words = [sum(d << (32 * i) for i, d in enumerate(row)) for row in draws.tolist()]
-    action_words = join([actions], (spec.action,), count)
+    action_words = join(actions.T, (spec.action,) * spec.agents, count)
     inputs = list(zip(states, action_words, first.tolist(), hold.tolist(), random_words, strict=True))
     await FallingEdge(dut.clk_i)
     for cycle in range(given.ii * count + given.latency):

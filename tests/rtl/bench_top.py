@@ -87,7 +87,8 @@ class Host:
         """Write reset mask, actions and doorbell in one transfer."""
         model = Model(SPEC, LAYOUT)
         data = model.bytes_of("reset_mask", (SPEC.action.__class__("bit", 1),), [mask.astype(np.uint8)])
-        data += model.bytes_of("actions", (SPEC.action,), [actions])
+        by_agent = list(actions.reshape(len(mask), SPEC.agents).T)
+        data += model.bytes_of("actions", (SPEC.action,) * SPEC.agents, by_agent)
         await self.write(LAYOUT["reset_mask"].offset, data + self.doorbell(mode))
 
     async def finish(self, **kind: Any) -> list[int]:
@@ -112,7 +113,7 @@ class Host:
 
 def cycle_bound() -> int:
     """What a step may cost: its widest stream, 10 %, and the way through the pipeline."""
-    interval = {"CliffWalking": 1, "ShiftAdd": 4}[SPEC.name]
+    interval = {"ShiftAdd": 4}.get(SPEC.name, 1)
     words = max(LAYOUT[name].words for name in ("actions", "observations", "rewards", "ters"))
     # Doorbell, first words, pipeline and last words.
     latency = 18 + 4 * interval
@@ -131,7 +132,7 @@ async def identity_is_readable(dut: Any) -> None:
     assert words[Control.PE_NUM] == LAYOUT.pe_num
     assert words[Control.DATA_WL] == LAYOUT.data_wl
     assert words[Control.STATE_BITS] == word_bits(SPEC.state)
-    assert words[Control.RESULT_BITS] == word_bits(SPEC.observation) + SPEC.reward.bits + 2
+    assert words[Control.RESULT_BITS] == SPEC.agents * (word_bits(SPEC.seen) + SPEC.reward.bits + 1) + 1
     assert words[Control.SEED_0 :] == (0,) * 8
 
 
@@ -155,7 +156,7 @@ async def steps_equal_the_model_in_every_mode(dut: Any) -> None:
                 mode = base | (Mode.RESET_ALL if step == 0 else Mode(0))
                 mode |= Mode.RESET_MASK if generator.random() < 0.4 else Mode(0)
                 mask = generator.random(n) < 0.3
-                actions = generator.integers(0, SPEC.action_space.n, n).astype(np.uint8)
+                actions = generator.integers(0, SPEC.action_space.n, n * SPEC.agents).astype(np.uint8)
                 await host.ring(mode, mask, actions)
                 status = await host.finish()
                 results, tail = await host.results()
@@ -190,7 +191,7 @@ async def a_saved_state_goes_on_where_it_was(dut: Any) -> None:
     model.tick = 77
     model.states = [generator.integers(0, 1 << f.bits, n).astype(f.dtype) for f in SPEC.state]
     model.elapsed = generator.integers(0, 9, n).astype(np.uint32)
-    model.ters = generator.integers(0, 4, n).astype(np.uint8)
+    model.ters = generator.integers(0, 2 << SPEC.agents, n).astype(model.ters.dtype)
     await host.load(model)
     states = model.bytes_of("current_states", (*SPEC.state, *model.ter), [*model.states, model.ters])
     await host.write(LAYOUT["current_states"].offset, states)
@@ -200,7 +201,7 @@ async def a_saved_state_goes_on_where_it_was(dut: Any) -> None:
     assert await host.read_region("elapsed") == elapsed
     nobody = np.zeros(n, bool)
     for _ in range(3):
-        actions = generator.integers(0, SPEC.action_space.n, n).astype(np.uint8)
+        actions = generator.integers(0, SPEC.action_space.n, n * SPEC.agents).astype(np.uint8)
         await host.ring(Mode(0), nobody, actions)
         await host.finish()
         assert (await host.results())[0] == model.step(Mode(0), nobody, actions)
@@ -214,7 +215,7 @@ async def status_waits_for_the_last_word(dut: Any) -> None:
     inside = dut.u_backbone
     banks = (inside.u_observations, inside.u_rewards, inside.u_ters)
     n = LAYOUT.n_envs
-    await host.ring(Mode.RESET_ALL, np.zeros(n, bool), np.ones(n, np.uint8))
+    await host.ring(Mode.RESET_ALL, np.zeros(n, bool), np.ones(n * SPEC.agents, np.uint8))
     done = inside.u_sequencer.busy_o.value == 0
     for _ in range(cycle_bound() + 40):
         await FallingEdge(dut.clk_i)
@@ -230,7 +231,7 @@ async def a_status_is_of_one_step(dut: Any) -> None:
     await start(dut)
     host = Host(dut)
     n = LAYOUT.n_envs
-    nobody, actions = np.zeros(n, bool), np.zeros(n, np.uint8)
+    nobody, actions = np.zeros(n, bool), np.zeros(n * SPEC.agents, np.uint8)
     for beat in {2, WORD.bit_length() - 1}:
         # Longer than a poll takes, so that the step ends between any two of its words.
         for delay in range(20):
@@ -271,7 +272,7 @@ async def a_running_step_is_left_alone(dut: Any) -> None:
     host = Host(dut)
     model = Model(SPEC, LAYOUT)
     n = LAYOUT.n_envs
-    nobody, actions = np.zeros(n, bool), np.ones(n, np.uint8)
+    nobody, actions = np.zeros(n, bool), np.ones(n * SPEC.agents, np.uint8)
 
     async def ring() -> dict[str, bytes]:
         await host.ring(Mode.RESET_ALL, nobody, actions)
@@ -315,7 +316,7 @@ async def a_step_between_two_reads_is_noticed(dut: Any) -> None:
     host = Host(dut)
     await host.control(SEED_0=0)
     n = LAYOUT.n_envs
-    nobody, actions = np.zeros(n, bool), np.zeros(n, np.uint8)
+    nobody, actions = np.zeros(n, bool), np.zeros(n * SPEC.agents, np.uint8)
     base, length = LAYOUT.step_read
     for begun in range(WORD, LAYOUT["status"].offset - base, WORD):
         await host.ring(Mode.RESET_ALL, nobody, actions)
@@ -338,7 +339,7 @@ async def a_partial_write_does_not_span_the_end_of_a_step(dut: Any) -> None:
     await start(dut)
     host = Host(dut)
     n = LAYOUT.n_envs
-    nobody, actions = np.zeros(n, bool), np.zeros(n, np.uint8)
+    nobody, actions = np.zeros(n, bool), np.zeros(n * SPEC.agents, np.uint8)
     await host.control(TICK_LOW=0)
     answers = set()
     for tick in range(1, cycle_bound() + 40):
@@ -363,7 +364,7 @@ async def a_reset_ends_a_step_at_any_time(dut: Any) -> None:
     host = Host(dut)
     model = Model(SPEC, LAYOUT)
     n = LAYOUT.n_envs
-    nobody, actions = np.zeros(n, bool), np.ones(n, np.uint8)
+    nobody, actions = np.zeros(n, bool), np.ones(n * SPEC.agents, np.uint8)
     for delay in range(40):
         await host.control(MAX_CYCLES=1, TICK_LOW=7, RESET=0)
         ringing = cocotb.start_soon(host.ring(Mode.RESET_ALL, nobody, actions))

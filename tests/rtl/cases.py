@@ -10,7 +10,7 @@ from gymnasium.spaces import Box
 
 from pearl_marl.compiler.core_graph import core_graph
 from pearl_marl.golden import call_reference
-from pearl_marl.spec import EnvSpec, Field, word_bits
+from pearl_marl.spec import TERMINATED, EnvSpec, Field, word_bits
 from pearl_marl.tracing.nodes import Node
 
 
@@ -56,39 +56,46 @@ def golden(
         np.where(first, new, old).astype(field.dtype)
         for new, old, field in zip(drawn, split(states, spec.state), spec.state, strict=True)
     ]
-    act = actions.astype(spec.action.dtype)
-    *moved, reward, terminated = call_reference(spec.golden.step, [*origin, act, *words[spec.reset_draws :]])
+    act = actions.astype(spec.action.dtype).T
+    results = call_reference(spec.golden.step, [*origin, *act, *words[spec.reset_draws :]])
+    moved, outcome = results[: len(spec.state)], results[len(spec.state) :]
+    rewards, ends = outcome[: spec.agents], outcome[spec.agents :]
     after = [
         np.where(hold, old, new).astype(field.dtype)
         for old, new, field in zip(origin, moved, spec.state, strict=True)
     ]
-    observed = call_reference(spec.golden.observe, after)
+    views = [(view, agent) for agent in spec.views for view in spec.functions[2:]]
+    observed = [word for view, agent in views for word in call_reference(view, after, *agent)]
     return {
         "state_o": join(after, spec.state, n),
-        "obs_o": join(observed, spec.observation, n),
-        "reward_o": join([reward], (spec.reward,), n),
-        "terminated_o": join([terminated], (Field("terminated", 1),), n),
+        "obs_o": join(observed, spec.seen * spec.agents, n),
+        "reward_o": join(rewards, (spec.reward,) * spec.agents, n),
+        "terminated_o": join(ends, (TERMINATED,) * spec.agents, n),
     }
 
 
 def all_cases(
     spec: EnvSpec, limit: int, generator: np.random.Generator
 ) -> tuple[list[int], np.ndarray, np.ndarray, np.ndarray]:
-    """Return states, actions, ``first`` and ``hold`` of every case, or of as many as the limit allows."""
+    """Return states, actions, ``first`` and ``hold`` of every case, or of as many as the limit allows.
+
+    Actions have a column for each agent of a slot.
+    """
     bits, space = word_bits(spec.state), spec.action_space
     if isinstance(space, Box):
         scale = 2**spec.action.fraction
         least, most = (round(float(bound[0]) * scale) for bound in (space.low, space.high))
     else:
         least, most = 0, int(space.n) - 1
-    if (most - least + 1) * 4 << bits <= limit:
+    if (most - least + 1) ** spec.agents * 4 << bits <= limit:
         flags = (False, True)
-        cases = itertools.product(range(1 << bits), range(least, most + 1), flags, flags)
+        actions = itertools.product(range(least, most + 1), repeat=spec.agents)
+        cases = itertools.product(range(1 << bits), actions, flags, flags)
         states, *rest = zip(*cases, strict=True)
         return (list(states), *map(np.array, rest))
     states = [int.from_bytes(generator.bytes(-(-bits // 8))) >> -bits % 8 for _ in range(limit)]
     first, hold = generator.random((2, limit)) < 0.25
-    return states, generator.integers(least, most, size=limit, endpoint=True), first, hold
+    return states, generator.integers(least, most, (limit, spec.agents), endpoint=True), first, hold
 
 
 def edge_draws(spec: EnvSpec) -> list[int]:

@@ -18,7 +18,7 @@ from hypothesis import given, note, settings
 from hypothesis import strategies as st
 from random_steps import random_spec
 
-from pearl_marl.compiler.core_graph import Output, core_graph
+from pearl_marl.compiler.core_graph import Output, action_ports, core_graph
 from pearl_marl.compiler.cores import generated_core
 from pearl_marl.compiler.lowering import lowered
 from pearl_marl.compiler.scheduling import scheduled
@@ -67,7 +67,8 @@ def assert_means(spec: EnvSpec, outputs: Iterable[Output], count: int) -> None:
     due = golden(spec, states, actions, first, hold, draws)
     columns = [column.tolist() for column in split(states, spec.state)]
     for i in generator.permutation(len(states))[:count]:
-        inputs = {"first_i": int(first[i]), "hold_i": int(hold[i]), "action_i": int(actions[i])}
+        inputs = {"first_i": int(first[i]), "hold_i": int(hold[i])}
+        inputs |= dict(zip(action_ports(spec), actions[i].tolist(), strict=True))
         inputs |= {f"state_i.{f.name}": c[i] for f, c in zip(spec.state, columns, strict=True)}
         inputs |= {f"rng_i[{k}]": int(draw) for k, draw in enumerate(draws[i])}
         found = values([output.node for output in outputs], inputs)
@@ -81,9 +82,9 @@ def assert_means(spec: EnvSpec, outputs: Iterable[Output], count: int) -> None:
             assert words[port] == due[port][i], f"{port} of {inputs}"
 
 
-@pytest.mark.parametrize(("env", "options"), CASES)
+@pytest.mark.parametrize(("env", "options"), [*CASES, ("Meadow", {}), ("Nim", {})])
 def test_graphs_mean_the_golden_functions(env: str, options: dict[str, Any]) -> None:
-    spec = get_spec(env).with_options(**options)
+    spec = spec_of(env, options)
     spec.check_golden(spec.golden)
     graph, outputs = core_graph(spec)
     assert_means(spec, outputs, 60)
@@ -104,7 +105,8 @@ def test_random_golden_functions(chance: random.Random) -> None:
 
 FIRST = [(env, all_options[0], elaboration.TARGET) for env, all_options in OPTIONS.items()]
 OTHERS = [(env, options) for env, options in CASES if options is not OPTIONS[env][0]]
-ENVIRONMENTS = FIRST + [(*case, TARGETS[i * 4 % len(TARGETS)]) for i, case in enumerate(OTHERS)]
+WORLDS = [("Meadow", {}, elaboration.TARGET), ("Nim", {}, Target("ecp5", 150))]
+ENVIRONMENTS = FIRST + WORLDS + [(*case, TARGETS[i * 4 % len(TARGETS)]) for i, case in enumerate(OTHERS)]
 """As simulated devices have them; and with other options, for every family and clock."""
 
 RANDOM: list[tuple[str, dict[str, Any], Target]] = [

@@ -35,7 +35,8 @@ def lint(design: Design, **parameters: int) -> None:
 
 
 @pytest.mark.parametrize(
-    ("env", "size"), [*((env, size) for env in (*names(), "ShiftAdd") for size in SIZES), *LARGE]
+    ("env", "size"),
+    [*((env, size) for env in (*names(), "ShiftAdd", "Meadow", "Nim") for size in SIZES), *LARGE],
 )
 def test_lint_is_clean(env: str, size: tuple[int, int, int]) -> None:
     spec = spec_of(env, {})

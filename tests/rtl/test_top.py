@@ -25,6 +25,7 @@ from pearl_marl.hardware.build import Build
         ("CliffWalking", {}, (40, 16, 1024), 0.0, 4),
         ("ShiftAdd", {}, (23, 5, 64), 0.0, 6),
         ("ShiftAdd", {}, (260, 4, 32), 0.1, 4),
+        ("Meadow", {}, (23, 5, 64), 0.1, 6),
     ],
     ids=lambda value: "-".join(map(str, value)) if isinstance(value, tuple) else None,
 )
