@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pearl_marl.batch.actions import encode
+from pearl_marl.batch.config import worlds_of
 from pearl_marl.batch.results import check_memory
 from pearl_marl.batch.step import BatchStep, on_host
 from pearl_marl.devices import BatchConfig, Device, make_device
@@ -80,7 +81,8 @@ class Evaluation:
             raise ArgumentError(f"the number of episodes is {episodes}; it must be at least 1")
         if max_cycles is None:
             max_cycles = spec.max_cycles or LIMIT
-        self.config = BatchConfig(spec=spec, n_envs=n_agents, max_cycles=max_cycles, copy=False)
+        worlds = worlds_of(spec, n_agents)
+        self.config = BatchConfig(spec=spec, n_envs=worlds, max_cycles=max_cycles, copy=False)
         check_memory(self.config, 48)  # what is noted of an agent
         self.episodes = n_agents if episodes is None else episodes
         self.device = make_device(device)
@@ -117,7 +119,7 @@ class Evaluation:
             The device is a lockstep, and its two devices part.
         """
         spec = self.config.spec
-        words = np.empty(self.config.n_envs, spec.action.dtype)
+        words = np.empty(self.config.n_agents, spec.action.dtype)
         self.device.open(self.config)
         try:
             stages = self.device.timed()
@@ -170,7 +172,7 @@ class Evaluation:
             "environment": self.config.spec.id,
             "options": dict(self.config.spec.options),
             "device": self.device.name,
-            "n_agents": self.config.n_envs,
+            "n_agents": self.config.n_agents,
             "seed": self.seed,
             "max_cycles": self.config.limit,
             "steps": self.steps,
