@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from pearl_marl.batch.actions import encode
 from pearl_marl.batch.config import worlds_of
 from pearl_marl.batch.results import check_memory
 from pearl_marl.batch.step import BatchStep, on_host
@@ -81,8 +80,9 @@ class Evaluation:
             raise ArgumentError(f"the number of episodes is {episodes}; it must be at least 1")
         if max_cycles is None:
             max_cycles = spec.max_cycles or LIMIT
-        worlds = worlds_of(spec, n_agents)
-        self.config = BatchConfig(spec=spec, n_envs=worlds, max_cycles=max_cycles, copy=False)
+        self.config = BatchConfig(
+            spec=spec, n_envs=worlds_of(spec, n_agents), max_cycles=max_cycles, copy=False
+        )
         check_memory(self.config, 48)  # what is noted of an agent
         self.episodes = n_agents if episodes is None else episodes
         self.device = make_device(device)
@@ -118,34 +118,37 @@ class Evaluation:
         LockstepError
             The device is a lockstep, and its two devices part.
         """
-        spec = self.config.spec
-        words = np.empty(self.config.n_agents, spec.action.dtype)
         self.device.open(self.config)
         try:
             stages = self.device.timed()
-            obs = on_host(self.device.reset(self.seed))
-            self._add(obs)
+            seen = self._seen(self.device.reset(self.seed))
+            self._add(*seen)
             remaining = self.episodes
             while remaining:
                 began = time.perf_counter()
-                actions = self._policy(obs)
+                actions = self._policy(*seen)
                 chosen = time.perf_counter()
-                encoded = encode(actions, spec, words)
+                encoded = self.device.encoded(actions)
                 checked = time.perf_counter() - chosen
                 step = self.device.step_words(encoded).on_host()
                 packed = checked + stages.get("pack", 0.0)
                 self._seconds.append({"policy": chosen - began, **stages, "pack": packed})
                 if self.device.cycles is not None:
                     self._cycles.add(self.device.cycles)
-                self._add(encoded, *step[:4], step.final_obs[step.ended])
+                seen = self._seen(step.obs)
+                self._add(encoded, *step[:4], step.final_obs[step.ended], *seen[1:])
                 counted = self._count(step)
                 remaining -= counted
-                obs = step.obs
                 yield from (None,) * counted
             if self.device.words_compared is not None:
                 self.device.snapshot()  # compares the states after the last step
         finally:
             self.device.close()
+
+    def _seen(self, obs: Array) -> tuple[Array, ...]:
+        """Return what the policy is called with: observations, and masks if there are any."""
+        masks = self.device.action_masks
+        return (on_host(obs),) if masks is None else (on_host(obs), on_host(masks))
 
     def _add(self, *arrays: Array) -> None:
         for array in arrays:

@@ -22,8 +22,11 @@ from pearl_marl.errors import ArgumentError
 from pearl_marl.spec import EnvSpec
 
 Array = npt.NDArray[Any]
-Policy = Callable[[Array], Any]
-"""Observations, shape ``(n, *observation_shape)``, in; actions, shape ``(n, *action_space.shape)``, out."""
+Policy = Callable[..., Any]
+"""Observations, shape ``(n, *observation_shape)``, in; actions, shape ``(n, *action_space.shape)``, out.
+
+Where the environment has masks, they are a second argument, shape ``(n, n_actions)``.
+"""
 
 RANDOM = "random"
 
@@ -34,10 +37,10 @@ def load_policy(name: str, spec: EnvSpec, seed: int = 0) -> Policy:
     Parameters
     ----------
     name
-        ``"random"``: uniform actions. ``FILE.npy`` or ``FILE.npz`` (its array ``q``): a table of action
-        values, of shape ``(*observations, actions)``; the greedy policy. ``FILE.zip``: a model of
-        Stable-Baselines3, without exploration. A folder of ``pearl train``, or its ``policy.safetensors``:
-        the best actions. ``MODULE:FUNCTION`` or ``FILE.py:FUNCTION``: a function.
+        ``"random"``: uniform actions, of those that masks allow. ``FILE.npy`` or ``FILE.npz`` (its array
+        ``q``): a table of action values, of shape ``(*observations, actions)``; the greedy policy.
+        ``FILE.zip``: a model of Stable-Baselines3, without exploration. A folder of ``pearl train``, or its
+        ``policy.safetensors``: the best actions. ``MODULE:FUNCTION`` or ``FILE.py:FUNCTION``: a function.
     spec
         The environment it is for.
     seed
@@ -52,7 +55,7 @@ def load_policy(name: str, spec: EnvSpec, seed: int = 0) -> Policy:
         if seed < 0:
             raise ArgumentError(f"seed is {seed}; it must be a non-negative integer")
         rng = np.random.default_rng(seed)
-        return lambda observations: random_actions(spec, rng, len(observations))
+        return lambda observations, masks=None: random_actions(spec, rng, len(observations), masks)
     path = Path(name)
     if name and path.is_dir():
         path /= "policy.safetensors"
@@ -102,8 +105,8 @@ def table_policy(table: npt.ArrayLike, spec: EnvSpec) -> Policy:
         )
     greedy = values.argmax(axis=-1).astype(spec.action.dtype)
     if isinstance(space, Tuple):
-        return lambda observations: greedy[tuple(observations.T)]
-    return lambda observations: greedy[observations]
+        return lambda observations, _=None: greedy[tuple(observations.T)]
+    return lambda observations, _=None: greedy[observations]
 
 
 def _table(path: Path, spec: EnvSpec) -> Policy:
@@ -159,7 +162,7 @@ def _stable_baselines3(path: Path, spec: EnvSpec) -> Policy:
         observations = MultiDiscrete([part.n for part in observations.spaces])  # type: ignore[attr-defined]
     _check_space(path, "observations", model.observation_space, observations)
     _check_space(path, "actions", model.action_space, spec.action_space)
-    return lambda observations: model.predict(observations, deterministic=True)[0]
+    return lambda observations, _=None: model.predict(observations, deterministic=True)[0]
 
 
 def _check_space(path: Path, what: str, theirs: Any, ours: Any) -> None:
@@ -176,7 +179,7 @@ def _trained(path: Path, spec: EnvSpec) -> Policy:
         raise ArgumentError(f"{path} takes {error.name}: pip install 'pearl-marl[train]'") from None
     _check_space(path, "observations", found.spec.observation_space, spec.observation_space)
     _check_space(path, "actions", found.spec.action_space, spec.action_space)
-    return found.choose
+    return lambda observations, _=None: found.choose(observations)
 
 
 _LOADERS: dict[tuple[str, ...], Callable[[Path, EnvSpec], Policy]] = {

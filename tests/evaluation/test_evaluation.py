@@ -148,6 +148,26 @@ def digest(device: Device, **options: Any) -> str:
     return found
 
 
+@pytest.mark.parametrize("name", ["ConnectFour", "LevelBasedForaging"])
+def test_policies_of_games_are_shown_masks(name: str) -> None:
+    """And every agent counts its episodes; the reference comes to the same."""
+    digests = set()
+    for device in ("native", "reference"):
+        evaluation = Evaluation(get_spec(name), load_policy("random", get_spec(name)), 8, device, episodes=12)
+        for _ in evaluation.run():
+            pass
+        digests.add(evaluation.summary()["digest"])
+        assert len(evaluation.returns) == 12
+    assert len(digests) == 1
+
+
+def test_masked_actions_of_a_policy_are_refused() -> None:
+    spec = get_spec("ConnectFour")
+    evaluation = Evaluation(spec, lambda _, masks: np.zeros(len(masks), np.uint8), 8)
+    with pytest.raises(ActionError, match="action 0 is masked"):
+        list(evaluation.run())
+
+
 def test_a_digest_sees_every_word() -> None:
     assert digest(Native()) == digest(Native(2))
     others = [digest(Native(), seed=1), digest(Native(), max_cycles=1)]

@@ -24,6 +24,14 @@ def test_random_actions_are_those_of_the_seed() -> None:
     assert (drawn[0] != drawn[2]).any()
 
 
+def test_random_actions_are_allowed_ones() -> None:
+    masks = np.tile(np.array([[0, 1, 0, 0, 1, 0, 0], [0, 0, 0, 0, 0, 0, 0]], np.int8), (50, 1))
+    policy = load_policy("random", get_spec("ConnectFour"), 3)
+    actions = policy(np.zeros((100, 6, 7, 2), np.int8), masks)
+    assert set(actions[::2]) == {1, 4}
+    assert set(actions[1::2]) == {0}, "who is not on turn"
+
+
 def test_a_table_is_followed_greedily() -> None:
     table = np.random.default_rng(0).random((48, 4))
     table[7] = 1.0  # equal: the first
