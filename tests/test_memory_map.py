@@ -59,10 +59,10 @@ def test_regions(case: tuple[pearl_marl.EnvSpec, MemoryMap]) -> None:
         address = layout.end(region.name)
     widths = {
         "initial_states": word_bits(spec.state),
-        "actions": spec.action.bits,
-        "observations": word_bits(spec.observation),
-        "rewards": spec.reward.bits,
-        "ters": 2,
+        "actions": spec.agents * spec.action.bits,
+        "observations": spec.agents * (word_bits(spec.observation) + len(spec.mask_fields)),
+        "rewards": spec.agents * spec.reward.bits,
+        "ters": spec.agents + 1,
         "reset_mask": 1,
     }
     assert {name: layout[name].slot_bits for name in widths} == widths
@@ -113,7 +113,10 @@ def test_default_sizes(spec: pearl_marl.EnvSpec, n_envs: int) -> None:
     """As the page on hardware has the rule: a power of two, and twice of it would break a limit."""
     layout = default_map(spec, n_envs)
     draws = spec.reset_draws + spec.step_draws
-    widest = max(spec.action.bits, word_bits(spec.observation), spec.reward.bits, 2)
+    seen = word_bits(spec.observation) + len(spec.mask_fields)
+    widest = max(
+        *(spec.agents * bits for bits in (spec.action.bits, seen, spec.reward.bits)), spec.agents + 1
+    )
 
     def allowed(pe_num: int) -> bool:
         return pe_num <= 128 and pe_num * draws <= 128 and pe_num * widest <= 1024

@@ -139,8 +139,11 @@ class _Trained(nn.Module):
         """Return the best actions."""
         raise NotImplementedError
 
-    def choose(self, obs: Array) -> Array:
-        """Return the best action for each observation, as ``step_batch`` takes them."""
+    def choose(self, obs: Array, action_masks: Array | None = None) -> Array:
+        """Return the best action for each observation, as ``step_batch`` takes them.
+
+        Masks change nothing: policies are trained where a masked action is the environment's affair.
+        """
         where = next(self.buffers()).device
         actions: Array = self.best(torch.from_numpy(obs).to(where)).cpu().numpy()
         return actions

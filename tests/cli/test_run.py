@@ -120,7 +120,7 @@ class TestVideo:
         path = tmp_path / "new" / "film.gif"
         status, out, err = pearl("run", env, "--n-agents", n, "--steps", 12, "--video", path)
         assert status == 0, err
-        assert f"Wrote {path}" in " ".join(out.split()).replace("/ ", "/")
+        assert f"Wrote{path}" in "".join(out.split())  # a long path is broken where lines end
         with images.open(path) as film:
             assert film.format == "GIF"
             assert 5 < film.n_frames <= 12

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import inspect
 import random
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from pearl_marl.compiler import llvm_functions, llvm_words, scalar_words
-from pearl_marl.compiler.straight_line import golden_functions
+from pearl_marl.compiler.straight_line import golden_functions, observers
 from pearl_marl.errors import ArgumentError
 from pearl_marl.golden import call_reference
 from pearl_marl.registry import get_spec, names
@@ -54,7 +54,7 @@ def compiled(spec: EnvSpec) -> dict[str, Any]:
     scope: dict[str, Any] = {"np": np, "inlined": llvm_functions.inlined, **llvm_words.operations()}
     exec("\n".join(golden_functions(spec)), scope)
     result = {}
-    for name in ("initial", "golden_step", "observe"):
+    for name in ("initial", "golden_step", *observers(spec)):
         _, *parameters = inspect.signature(scope[name]).parameters
         arguments = ", ".join(parameters)
         exec(f"def call({arguments}): return {name}({arguments})", scope)
@@ -68,20 +68,24 @@ def assert_means_the_golden_functions(
     found = functions(spec)
     draws = [Field(f"draw_{k}", 32) for k in range(spec.reset_draws + spec.step_draws)]
     # Words, whatever they stand for.
-    plain = [Field(f.name, f.bits, f.signed) for f in (*spec.state, spec.action)]
-    given = {
-        "initial": draws[: spec.reset_draws],
-        "golden_step": [*plain, *draws[spec.reset_draws :]],
-        "observe": plain[:-1],
-    }
-    golden = {"initial": spec.golden.initial, "golden_step": spec.golden.step, "observe": spec.golden.observe}
-    for name, fields in given.items():
+    state = [Field(f.name, f.bits, f.signed) for f in spec.state]
+    actions = [Field(f.name, f.bits, f.signed) for f in spec.each_agent(spec.action)]
+    steps = [*state, *actions, *draws[spec.reset_draws :]]
+    calls: list[tuple[str, Sequence[Any], list[Field], tuple[int, ...]]] = [
+        ("initial", [spec.golden.initial], draws[: spec.reset_draws], ()),
+        ("golden_step", [spec.golden.step], steps, ()),
+    ]
+    calls += [
+        (name, spec.functions[2:], state, agent)
+        for name, agent in zip(observers(spec), spec.views, strict=True)
+    ]
+    for name, golden, fields, agent in calls:
         for _ in range(CASES):
             words = [word(chance, field) for field in fields]
             with np.errstate(over="ignore"):
                 result = found[name](*words)
             results = result if isinstance(result, tuple) else (result,)
-            due = call_reference(golden[name], words)
+            due = [x for function in golden for x in call_reference(function, words, *agent)]
             assert [int(x) for x in results] == [int(x) for x in due], f"{name}{tuple(words)}"
 
 

@@ -39,13 +39,14 @@ class TestEnvironments(ContractSuite):
         # A million, but no more than 100 MB of observations.
         row = native.spec.observation_size * native.spec.observation_dtype.itemsize
         n, small = min(1_000_000, 100_000_000 // row), 1000
+        agents = native.spec.agents
         actions = native.actions(12, n)
         runs = []
         for size in (n, small):
             device = native.open(size, max_cycles=5)
             device.reset(seed=8)
-            runs.append(trajectory(device, actions[:, :size].copy()))
-        assert_same_trajectory(rows(runs[0], 0, small), runs[1])
+            runs.append(trajectory(device, actions[:, : size * agents].copy()))
+        assert_same_trajectory(rows(runs[0], 0, small, agents), runs[1])
 
 
 @pytest.mark.usefixtures("toys")

@@ -95,7 +95,8 @@ class _Proof:
         assert match
         names = [f.name for f in self.spec.state]
         fields = self.spec.state[: names.index(match[2])] if match[2] else ()
-        low = 32 * int(match[3] or 0) + sum(f.bits for f in fields)
+        each = self.spec.action.bits if match[1] == "action_i" else 32
+        low = each * int(match[3] or 0) + sum(f.bits for f in fields)
         return z3.Extract(low + node.bits - 1, low, self._port_at(match[1], 0))
 
     def _used(self, node: Node) -> int:
