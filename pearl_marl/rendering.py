@@ -1,8 +1,10 @@
-"""Pictures: one slot through the oracle's own renderer, and all of them as a heat map."""
+"""Pictures: one world through the oracle's own renderer, several as a film, and all of them as a heat map."""
 
 from __future__ import annotations
 
 import contextlib
+import math
+import os
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -16,11 +18,17 @@ from pearl_marl.batch.step import BatchStep
 from pearl_marl.errors import ArgumentError, PearlError
 from pearl_marl.spec import EnvSpec
 
+VIDEO_WORLDS, VIDEO_STEPS = 9, 200
+"""What a film shows at most: renderers take milliseconds for a picture."""
+
+TILE = 200
+"""The greatest width and height of a world in a film, in pixels."""
+
 _SHADES = " ░▒▓█"
 
 
 class OracleRenderer:
-    """Draws one slot with the renderer of the environment that ours follows, in one of its render modes."""
+    """Draws one world with the renderer of the environment that ours follows, in one of its render modes."""
 
     def __init__(self, spec: EnvSpec, mode: str) -> None:
         check_render_mode(spec, mode)
@@ -32,7 +40,7 @@ class OracleRenderer:
             self._env.reset()
 
     def render(self, state: npt.NDArray[Any]) -> Any:
-        """Draw a slot's state (its row of :meth:`pearl_marl.devices.Device.state`).
+        """Draw a world's state (its row of :meth:`pearl_marl.devices.Device.state`).
 
         Returns an image of shape ``(height, width, 3)``, a string, or ``None`` for ``"human"``.
         """
@@ -63,6 +71,59 @@ def check_render_mode(spec: EnvSpec, mode: str | None) -> None:
         raise ArgumentError(
             f"render_mode is {mode!r}; {spec.name} has {', '.join(spec.render_modes) or 'none'}"
         )
+
+
+class Video:
+    """A film of the first worlds, side by side, as a GIF.
+
+    The renderer is the oracle's; it needs no screen. Takes Pillow, of the ``render`` extra.
+    """
+
+    def __init__(self, spec: EnvSpec, path: Path) -> None:
+        if path.suffix.lower() != ".gif":
+            raise ArgumentError(f"--video is {path}; it must be a file that ends in .gif")
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise ArgumentError(f"--video {path} cannot be written: {error.strerror}") from None
+        os.environ.setdefault("SDL_VIDEODRIVER", "dummy")  # pygame asks for a screen that is never shown
+        self._image = _import_pillow()
+        self._path, self._milliseconds = path, 1000 // spec.render_fps
+        self._renderer = OracleRenderer(spec, "rgb_array")
+        self._frames: list[Any] = []
+
+    def add(self, states: npt.NDArray[Any]) -> None:
+        """Film worlds in these states, a row a world."""
+        tiles = [self._tile(state) for state in states[:VIDEO_WORLDS]]
+        width, height = tiles[0].size
+        columns = math.ceil(math.sqrt(len(tiles)))
+        frame = self._image.new("RGB", (columns * width, math.ceil(len(tiles) / columns) * height))
+        for i, tile in enumerate(tiles):
+            frame.paste(tile, (i % columns * width, i // columns * height))
+        self._frames.append(frame.convert("P", palette=self._image.Palette.ADAPTIVE))
+
+    def save(self) -> None:
+        """Write the film."""
+        first, *others = self._frames
+        arguments = {"duration": self._milliseconds, "loop": 0}
+        first.save(self._path, save_all=True, append_images=others, **arguments)
+
+    def close(self) -> None:
+        """Close the renderer."""
+        self._renderer.close()
+
+    def _tile(self, state: npt.NDArray[Any]) -> Any:
+        tile = self._image.fromarray(np.asarray(self._renderer.render(state), np.uint8))
+        tile.thumbnail((TILE, TILE))
+        return tile
+
+
+def _import_pillow() -> Any:
+    try:
+        from PIL import Image
+    except ImportError as error:
+        raise PearlError("films need Pillow: pip install 'pearl-marl[render]'") from error
+    return Image
 
 
 class HeatMap:

@@ -95,10 +95,8 @@ def once(tmp_path_factory: pytest.TempPathFactory) -> Once:
 def toys() -> Iterator[None]:
     """Register the toy environments for one test; the list of environments is as before afterwards."""
     with mock.patch.dict(registry._specs()):
-        for spec in TOYS:
+        for spec in (*TOYS, *WORLDS):
             pearl_marl.register(spec)
-        for spec in WORLDS:  # which Gymnasium knows nothing of
-            registry.register(spec)
         yield
 
 

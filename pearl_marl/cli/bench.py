@@ -43,10 +43,13 @@ AnyEnv = Annotated[
 Every = Annotated[bool, typer.Option("--all", help="Every environment in turn, with fewer contenders.")]
 
 
+Agents = Annotated[int, typer.Option("--n-agents", help="How many agents.")]
+
+
 def command(
     env_id: AnyEnv = None,
     every: Every = False,
-    n_agents: common.Agents = 43008,
+    n_agents: Agents = 43008,
     rounds: Rounds = 7,
     seconds: Seconds = 0.2,
     option: common.Options = None,

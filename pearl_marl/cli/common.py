@@ -25,7 +25,10 @@ console = Console(highlight=False)
 error_console = Console(stderr=True, highlight=False)
 
 EnvName = Annotated[str, typer.Argument(metavar="ENV", help="An environment of `pearl envs`.")]
-Agents = Annotated[int, typer.Option("--n-agents", help="How many agents.")]
+Agents = Annotated[
+    int | None,
+    typer.Option("--n-agents", help="How many agents, those of whole worlds.", show_default="about 43,008"),
+]
 DeviceName = Annotated[str, typer.Option("--device", help="Where they are stepped.")]
 Seed = Annotated[int, typer.Option("--seed", help="Of the random numbers.")]
 Steps = Annotated[int, typer.Option("--steps", help="Steps of every agent.")]
@@ -58,6 +61,11 @@ def _literal(text: str) -> Any:
 def spec_of(env_id: str, options: Iterable[str] | None) -> EnvSpec:
     """Return the spec that a command is about; ``options`` can only be the environment's own arguments."""
     return get_spec(env_id).with_options(**env_options(options))
+
+
+def agents_of(spec: EnvSpec, given: int | None, about: int = 43008) -> int:
+    """Return how many agents a command has: as many as are given, or about so many, in whole worlds."""
+    return max(about // spec.agents, 1) * spec.agents if given is None else given
 
 
 def in_file_name(device: str) -> str:

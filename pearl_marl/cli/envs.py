@@ -36,9 +36,9 @@ def command(as_json: AsJson = False, as_markdown: AsMarkdown = False) -> None:
     table.add_column("rewards and limit")
     for row in rows:
         arguments = ", ".join(f"{name}={value}" for name, value in row["options"].items())
-        rewards = "computed" if row["rewards"] is None else ", ".join(f"{r:g}" for r in row["rewards"])
+        rewards = _rewards(row["rewards"])
         table.add_row(
-            f"[bold]{row['name']}[/]\n{row['summary']}\n[dim]{escape(arguments)}[/]",
+            f"[bold]{row['name']}[/]\n{row['summary']}\n{_world(row)}[dim]{escape(arguments)}[/]",
             f"observation {row['observation_space']}\naction {row['action_space']}",
             "\n".join(f"{word} {bits}" for word, bits in row["bits"].items()),
             f"{rewards}\nlimit {row['max_cycles'] or 'none'}",
@@ -51,6 +51,10 @@ def _row(spec: EnvSpec) -> dict[str, Any]:
         "name": spec.name,
         "id": spec.id,
         "summary": spec.summary,
+        "agents": spec.agents,
+        "roles": [role.name for role in spec.roles],
+        "turns": spec.turns,
+        "masks": spec.masked if spec.mask_fields else None,
         "observation_space": str(spec.observation_space),
         "action_space": str(spec.action_space),
         "bits": dict(zip(("state", "action", "observation", "reward"), _widths(spec), strict=True)),
@@ -59,6 +63,24 @@ def _row(spec: EnvSpec) -> dict[str, Any]:
         "options": dict(spec.options),
         "oracle": spec.oracle,
     }
+
+
+def _rewards(table: tuple[float, ...] | None) -> str:
+    if table is None:
+        return "computed"
+    if len(table) > 16:
+        return f"{len(table)} from {min(table):g} to {max(table):g}"
+    return ", ".join(f"{reward:g}" for reward in table)
+
+
+def _world(row: dict[str, Any]) -> str:
+    """Return a line about what agents share; nothing of environments where each is alone."""
+    parts = [f"{row['agents']} agents a world"] if row["agents"] > 1 else []
+    parts += [f"roles {', '.join(dict.fromkeys(row['roles']))}"] if row["roles"] else []
+    parts += ["in turns"] if row["turns"] else []
+    if row["masks"]:
+        parts.append("masked actions are " + ("refused" if row["masks"] == "refused" else "stays"))
+    return f"{'; '.join(parts)}\n" if parts else ""
 
 
 def _widths(spec: EnvSpec) -> tuple[int, int, int, int]:

@@ -50,7 +50,7 @@ REFERENCE = "reference"
 def command(
     env_id: common.EnvName,
     policy: PolicyName,
-    n_agents: common.Agents = 43008,
+    n_agents: common.Agents = None,
     device: common.DeviceName = "native",
     episodes: Episodes = None,
     seed: common.Seed = 0,
@@ -66,6 +66,7 @@ def command(
     Exit status 1: with --lockstep, the device parts from the golden functions.
     """
     spec = common.spec_of(env_id, option)
+    n_agents = common.agents_of(spec, n_agents)
     evaluation = Evaluation(
         spec,
         load_policy(policy, spec, seed),

@@ -17,24 +17,34 @@ from pearl_marl.cli.common import console, out_folder
 from pearl_marl.errors import ArgumentError
 from pearl_marl.hardware import elaboration
 from pearl_marl.registry import names
-from pearl_marl.spec import snake_case
+from pearl_marl.spec import MAX_AGENTS, snake_case
 
 TEMPLATE = "MyEnvironment"
+WORLD = "AGENTS = 2"
+"""What says in the template of a world how many agents share it."""
 
 NewName = Annotated[str, typer.Argument(metavar="NAME", help="Of the environment, as in FrozenLake.")]
+SharedBy = Annotated[int, typer.Option("--agents", help="How many agents share a world's state.")]
 Where = Annotated[Path, typer.Option("--out", metavar="DIR", help="Where to make the package's folder.")]
 
 
-def command(name: NewName, out: Where = Path()) -> None:
+def command(name: NewName, agents: SharedBy = 1, out: Where = Path()) -> None:
     """Write a package with a small environment of that name: golden step, spec, tests, all working."""
     folder = _checked(name, out)
+    if not 1 <= agents <= MAX_AGENTS:
+        raise ArgumentError(f"--agents is {agents}; a world has 1 to {MAX_AGENTS}")
     out_folder(out)
     words = {
         TEMPLATE: name,
         snake_case(TEMPLATE): snake_case(name),
         snake_case(TEMPLATE).replace("_", "-"): snake_case(name).replace("_", "-"),
+        WORLD: WORLD.replace("2", str(agents)),
     }
-    written = sorted(_copy(resources.files("pearl_marl") / "templates" / "environment", folder, words))
+    templates = resources.files("pearl_marl") / "templates"
+    copied = set(_copy(templates / "environment", folder, words))
+    if agents > 1:
+        copied |= set(_copy(templates / "world", folder, words))  # over the other
+    written = sorted(copied)
     console.print(f"Wrote {folder}:", soft_wrap=True, markup=False)
     for path in written:
         console.print(f"  {path.relative_to(folder)}", soft_wrap=True, markup=False)
@@ -72,7 +82,7 @@ def _checked(name: str, out: Path) -> Path:
 def _copy(source: Traversable, target: Path, words: dict[str, str]) -> list[Path]:
     """Copy a folder, with ``words`` replaced in the names and contents of its files; return the files."""
     written = []
-    target.mkdir()
+    target.mkdir(exist_ok=True)
     for item in source.iterdir():
         path = target / _replaced(item.name, words)
         if item.is_file():

@@ -14,14 +14,15 @@ import typer
 from rich.table import Table
 
 from pearl_marl.batch.actions import random_actions
+from pearl_marl.batch.step import on_host
 from pearl_marl.benchmark.machine import machine
 from pearl_marl.benchmark.measure import duration, rate
 from pearl_marl.cli import common
 from pearl_marl.cli.common import console, error_console
 from pearl_marl.errors import ArgumentError, PearlError
 from pearl_marl.evaluation.episodes import EpisodeStatistics
-from pearl_marl.interfaces.parallel import parallel_env
-from pearl_marl.rendering import HeatMap
+from pearl_marl.interfaces.parallel import PearlParallelEnv, parallel_env
+from pearl_marl.rendering import VIDEO_STEPS, VIDEO_WORLDS, HeatMap, Video
 from pearl_marl.spec import EnvSpec
 
 ActionFile = Annotated[
@@ -33,17 +34,26 @@ ActionFile = Annotated[
         "array of shape (1,), as Pendulum's; random without.",
     ),
 ]
+VideoFile = Annotated[
+    Path | None,
+    typer.Option(
+        "--video",
+        metavar="FILE.gif",
+        help=f"Where to write a film of the first {VIDEO_WORLDS} worlds in the first {VIDEO_STEPS} steps.",
+    ),
+]
 MaxCycles = Annotated[int | None, typer.Option("--max-cycles", help="Time limit of an episode, 0 for none.")]
 
 
 def command(
     env_id: common.EnvName,
-    n_agents: common.Agents = 43008,
+    n_agents: common.Agents = None,
     device: common.DeviceName = "native",
     steps: common.Steps = 1000,
     seed: common.Seed = 0,
     max_cycles: MaxCycles = None,
     actions: ActionFile = None,
+    video: VideoFile = None,
     option: common.Options = None,
     out: common.Out = None,
     as_json: common.AsJson = False,
@@ -52,25 +62,30 @@ def command(
     if steps < 1:
         raise ArgumentError(f"--steps is {steps}; it must be at least 1")
     spec = common.spec_of(env_id, option)
+    n_agents = common.agents_of(spec, n_agents)
     if out is not None:
         common.out_folder(out)
-    batches = (
-        _random(spec, n_agents, steps, seed) if actions is None else _given(actions, spec, n_agents, steps)
-    )
+    given = None if actions is None else _given(actions, spec, n_agents, steps)
     env = parallel_env(env_id, n_agents, device=device, max_cycles=max_cycles, copy=False, **spec.options)
     statistics = EpisodeStatistics(n_agents)
     heat_map = HeatMap(spec) if spec.grid else None
 
     stepping: list[float] = []
-    with contextlib.closing(env):
+    with contextlib.closing(env), contextlib.ExitStack() as closing:
+        film = None if video is None else closing.enter_context(contextlib.closing(Video(spec, video)))
         env.reset_batch(seed)
+        batches = given or _random(env, steps, seed)
         for batch in common.progress(batches, steps, f"{spec.name}, {n_agents:,} agents"):
+            if film is not None and len(stepping) < VIDEO_STEPS:
+                film.add(env.state())
             began = time.perf_counter()
             step = env.step_batch(batch)
             stepping.append(time.perf_counter() - began)
             statistics.add(step)
             if heat_map is not None:
                 heat_map.add(step)
+        if film is not None:
+            film.save()
 
     # The first step may load or compile the kernel, which says nothing about the others.
     typical = float(np.median(stepping[1:] or stepping))
@@ -89,7 +104,7 @@ def command(
         **statistics.summary(),
         "machine": machine(),
     }
-    written = []
+    written = [] if video is None else [video]
     if out is not None:
         written.append(common.write_json(out, "run.json", result))
         if heat_map is not None:
@@ -109,10 +124,12 @@ def command(
         console.print(f"Wrote {path}")
 
 
-def _random(spec: EnvSpec, n: int, steps: int, seed: int) -> Iterator[npt.NDArray[Any]]:
+def _random(env: PearlParallelEnv, steps: int, seed: int) -> Iterator[npt.NDArray[Any]]:
+    """Yield random actions, of those that agents may take."""
     rng = np.random.default_rng(seed)
     for _ in range(steps):
-        yield random_actions(spec, rng, n)
+        masks = env.action_masks
+        yield random_actions(env.spec, rng, env.batch_size, None if masks is None else on_host(masks))
 
 
 def _given(path: Path, spec: EnvSpec, n: int, steps: int) -> Iterator[npt.NDArray[Any]]:

@@ -10,7 +10,16 @@ from typing import Annotated
 import typer
 from rich.markup import escape
 
-from pearl_marl.cli.common import Agents, AsJson, EnvName, Options, console, print_json, spec_of
+from pearl_marl.cli.common import (
+    Agents,
+    AsJson,
+    EnvName,
+    Options,
+    agents_of,
+    console,
+    print_json,
+    spec_of,
+)
 from pearl_marl.devices.rtl import Rtl
 from pearl_marl.devices.served import ServedBoard
 
@@ -25,7 +34,7 @@ At = Annotated[Path, typer.Option("--at", metavar="DIR", help="Where the board's
 def command(
     env_id: EnvName,
     at: At,
-    n_agents: Agents = 43008,
+    n_agents: Agents = None,
     pe_num: PeNum = None,
     data_wl: DataWl = None,
     path: PathName = "backdoor",
@@ -38,7 +47,8 @@ def command(
     such as /dev/shm/board, is fastest.
     """
     Rtl(pe_num, data_wl, path)  # refuses what is no size or path
-    board = ServedBoard(at, spec_of(env_id, option), n_agents, pe_num, data_wl, path)
+    spec = spec_of(env_id, option)
+    board = ServedBoard(at, spec, agents_of(spec, n_agents), pe_num, data_wl, path)
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: board.stop())
     layout = board.layout

@@ -66,10 +66,11 @@ def command(
         raise ArgumentError(
             f"training needs the Python package {error.name}: pip install 'pearl-marl[train]'"
         ) from None
-    options = dict(common.spec_of(env_id, option).options)
+    spec = common.spec_of(env_id, option)
+    options = dict(spec.options)
     chosen = {"n_agents": n_agents, "iterations": iterations, "seed": seed}
     given = common.env_options(setting, "--set") | {name: n for name, n in chosen.items() if n is not None}
-    settings = training.settings_for(algo, env_id, given, shards)
+    settings = training.settings_for(algo, env_id, given, shards, spec.agents)
 
     columns = (
         TextColumn(f"{env_id}, {algo}"),

@@ -68,7 +68,7 @@ def command(
     subject: Subject,
     device: DeviceToCheck = None,
     reference: ReferenceName = None,
-    n_agents: common.Agents = 43008,
+    n_agents: common.Agents = None,
     steps: StepsOfAll = 300,
     seed: common.Seed = 0,
     max_cycles: MaxCycles = None,
@@ -87,6 +87,7 @@ def command(
         _replay(Replay.read(Path(subject)), device, reference, as_json)
         return
     spec = common.spec_of(subject, option)
+    n_agents = common.agents_of(spec, n_agents)
     mode = None if autoreset_mode is None else AutoresetMode[autoreset_mode.name]
     plan = runs(spec, n_agents, steps, mode, initial_states and initial_states.value, max_cycles)
     device, reference = device or "native", reference or "reference"

@@ -74,6 +74,9 @@ class Device(ABC):
     recovery: CheckpointLog | None = None
     """One of these, from :meth:`open` on."""
 
+    refuses = True
+    """Whether masked actions are refused where the spec says so. Tests of devices take any action."""
+
     known = True
     """Whether the slots are where the calls so far have brought them: not after a call failed under way."""
 
@@ -223,7 +226,7 @@ class Device(ABC):
         """Return actions as :meth:`step_words` takes them, in an array of the device's or the given one."""
         spec, first = self.config.spec, self.config.first_slot
         words = encode(actions, spec, self._actions, first)
-        if spec.masked == "refused":
+        if spec.masked == "refused" and self.refuses:
             refuse_masked(words, on_host(self.action_masks), first * spec.agents)
         return words
 

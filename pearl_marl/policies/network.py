@@ -139,8 +139,8 @@ class _Trained(nn.Module):
         """Return the best actions."""
         raise NotImplementedError
 
-    def choose(self, obs: Array) -> Array:
-        """Return the best action for each observation, as ``step_batch`` takes them."""
+    def choose(self, obs: Array, _: Array | None = None) -> Array:
+        """Return the best action for each observation, as ``step_batch`` takes them; masks are not asked."""
         where = next(self.buffers()).device
         actions: Array = self.best(torch.from_numpy(obs).to(where)).cpu().numpy()
         return actions

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pytest
 
-from pearl_marl.devices import BatchConfig, BatchStep, Device, Native
+from pearl_marl.devices import BatchStep, Device, Native
 from pearl_marl.testing.case import HALF, SIZE, Array, Case, assert_same_trajectory, rows, trajectory
 
 
@@ -92,11 +90,10 @@ class DeterminismContract:
         """Nor how the slots fall to them: in equal shares, or with a remainder."""
         largest, k = 6143, native.spec.agents
         actions = native.actions(15, largest)
-        config: dict[str, Any] = {"spec": native.spec, "max_cycles": 4}
-        _, alone = run(Native(threads=1).open(BatchConfig(n_envs=largest, **config)), actions)
+        _, alone = run(native.open(largest, device=Native(threads=1), max_cycles=4), actions)
         for n in (5000, 4096, largest):
             for threads in (2, 3):
-                device = Native(threads=threads).open(BatchConfig(n_envs=n, **config))
+                device = native.open(n, device=Native(threads=threads), max_cycles=4)
                 _, steps = run(device, actions[:, : n * k].copy())
                 assert_same_trajectory(steps, rows(alone, 0, n, k))
                 device.close()

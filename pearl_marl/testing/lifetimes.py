@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pearl_marl.devices import BatchConfig, Reference
+from pearl_marl.devices import Reference
 from pearl_marl.errors import ActionError, OrderError
-from pearl_marl.testing.case import HALF, SIZE, Case, assert_same_dicts, names_of
+from pearl_marl.testing.case import HALF, SIZE, Case, assert_same_dicts, names_of, rows_of
 
 
 class LifetimesContract:
@@ -22,13 +22,13 @@ class LifetimesContract:
         Actions are given as a dict and as an array in turns.
         """
         env = case.parallel(autoreset=False, max_cycles=limit)
-        config = BatchConfig(spec=case.spec, n_envs=SIZE, max_cycles=limit)
-        reference = Reference().open(config)
+        reference = case.open(device=Reference(), max_cycles=limit)
         for seed in (1, None):
             obs, _ = env.reset(seed=seed)
-            np.testing.assert_array_equal(list(obs.values()), reference.reset(seed=seed))
+            first = reference.reset(seed=seed)
+            np.testing.assert_array_equal(rows_of(obs.values(), first), first)
             assert env.agents == env.possible_agents
-            live = np.ones(SIZE, bool)
+            live = np.ones(SIZE * case.agents, bool)
             for t, actions in enumerate(case.habits()):
                 here = [f"agent_{i}" for i in np.flatnonzero(live)]
                 assert env.agents == here
@@ -39,7 +39,7 @@ class LifetimesContract:
                 expected = (theirs.arrivals(), theirs.rewards, theirs.terminations, theirs.truncations)
                 for result, array in zip(results, expected, strict=False):
                     assert list(result) == here, "exactly the agents that acted"
-                    np.testing.assert_array_equal(np.array(list(result.values())), array[live])
+                    np.testing.assert_array_equal(rows_of(result.values(), array[live]), array[live])
                     np.testing.assert_array_equal(result.array, array[live])
                 assert results[4] == {agent: {} for agent in here}
                 live &= ~theirs.ended
@@ -67,9 +67,9 @@ class LifetimesContract:
                 np.testing.assert_array_equal(a.array, b.array)
             if not live.all() and t % 20 == 0:
                 assert_same_dicts(ours, theirs)
-            if env.num_agents < SIZE // 2:
+            if env.num_agents < SIZE * case.agents // 2:
                 return
-        if env.num_agents == SIZE:
+        if env.num_agents == SIZE * case.agents:
             pytest.skip(f"no episode of {case.spec.name} ended in 300 steps of random actions")
 
     def test_autoreset_keeps_everyone(self, case: Case) -> None:
@@ -85,7 +85,7 @@ class LifetimesContract:
         env.max_cycles = 2  # few hands of Blackjack last longer
         assert env.max_cycles == 2
         env.reset(seed=0)
-        assert env.agents == names_of(HALF)
+        assert env.agents == names_of(HALF * case.agents)
         first, second = (env.step_batch(actions).truncations for actions in case.actions(2, HALF))
         assert second.any()
         assert not first.any()

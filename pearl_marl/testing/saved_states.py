@@ -9,7 +9,7 @@ import pytest
 from gymnasium.vector import AutoresetMode
 
 from pearl_marl.batch.slot_memory import SlotMemory
-from pearl_marl.devices import BatchConfig, Native
+from pearl_marl.devices import Native
 from pearl_marl.testing.case import (
     SIZE,
     Case,
@@ -91,8 +91,7 @@ class SavedStatesContract:
     def test_between_thread_counts(self, native: Case) -> None:
         """A saved state does not know how many threads made it."""
         n = 5000
-        config = BatchConfig(spec=native.spec, n_envs=n, max_cycles=4)
-        one, two = Native(threads=1).open(config), Native(threads=2).open(config)
+        one, two = (native.open(n, device=Native(threads=threads), max_cycles=4) for threads in (1, 2))
         one.reset(seed=0)
         trajectory(one, native.actions(6, n))
         two.restore(one.snapshot())
@@ -106,9 +105,9 @@ class SavedStatesContract:
         env = case.parallel(autoreset=False, max_cycles=0, seed=3)
         for actions in case.actions(300):
             env.step(actions)
-            if env.num_agents < SIZE * 3 // 4:
+            if env.num_agents < SIZE * case.agents * 3 // 4:
                 break
-        if env.num_agents == SIZE:
+        if env.num_agents == SIZE * case.agents:
             pytest.skip(f"no episode of {case.spec.name} ended in 300 steps of random actions")
         if not env.agents:
             pytest.skip(f"all episodes of {case.spec.name} end in the same step")

@@ -10,7 +10,7 @@ import pytest
 from gymnasium.spaces import Box, Discrete, Tuple
 
 from pearl_marl.errors import ActionError
-from pearl_marl.testing.case import HALF, SIZE, STEPS, Case, names_of
+from pearl_marl.testing.case import HALF, SIZE, STEPS, Case, names_of, rows_of, shown_space
 from pearl_marl.testing.golden_functions import contains_all
 
 
@@ -21,15 +21,20 @@ class SpacesContract:
     def test_agents_and_spaces(self, case: Case, autoreset: bool) -> None:
         """What PettingZoo asks an environment about itself."""
         env = case.parallel(autoreset=autoreset)
-        assert env.possible_agents == names_of(SIZE)
-        assert env.max_num_agents == SIZE
+        n, k = SIZE * case.agents, case.agents
+        assert env.possible_agents == names_of(n)
+        assert env.max_num_agents == n
+        assert (env.n_worlds, env.agents_per_world) == (SIZE, k)
         env.reset(seed=0)
         assert env.agents == env.possible_agents
-        assert env.num_agents == SIZE
+        assert env.num_agents == n
         for space in (env.observation_space, env.action_space):
-            assert all(space(agent) is space("agent_0") for agent in env.possible_agents)
-        assert env.observation_space("agent_0") == case.spec.observation_space
-        assert env.action_space("agent_0") == case.spec.action_space
+            assert all(space(agent) is space(f"agent_{i % k}") for i, agent in enumerate(env.possible_agents))
+        for i, agent in enumerate(env.possible_agents[:k]):
+            role = case.spec.roles[i] if case.spec.roles else None
+            assert env.observation_space(agent) == shown_space(case.spec, i)
+            assert env.action_space(agent) == (role.action_space if role else case.spec.action_space)
+            assert env.role(agent) == (role.name if role else "agent")
         name, version = str(env.metadata["name"]).rsplit("_v", 1)
         assert name.replace("_", "") == case.spec.name.lower()
         assert re.fullmatch("[a-z0-9_]+", name)
@@ -56,23 +61,24 @@ class SpacesContract:
             shape, dtype = (len(space.spaces),), np.dtype(np.int64)
         assert shape is not None
         obs = env.reset_batch(seed=4)
-        assert obs.shape == (SIZE, *shape)
+        n = SIZE * case.agents
+        assert obs.shape == (n, *shape)
         assert obs.dtype == dtype
         assert contains_all(space, obs)
         for actions in case.actions():
             step = env.step_batch(actions)
             for array in (step.obs, step.final_obs):
-                assert array.shape == (SIZE, *shape)
+                assert array.shape == (n, *shape)
                 assert array.dtype == dtype
             for array, kind in (
                 (step.rewards, np.float32),
                 (step.terminations, bool),
                 (step.truncations, bool),
             ):
-                assert array.shape == (SIZE,)
+                assert array.shape == (n,)
                 assert array.dtype == kind
             np.testing.assert_array_equal(step.ended, step.terminations | step.truncations)
-            assert contains_all(space, step.obs)
+            assert contains_all(space, step.obs[step.alive])
             assert contains_all(space, step.final_obs[step.ended])
             arrived = step.arrivals()
             np.testing.assert_array_equal(arrived[step.ended], step.final_obs[step.ended])
@@ -87,12 +93,16 @@ class SpacesContract:
         for actions in case.actions(12):
             results = env.step(actions)
             obs, rewards, terminations, truncations, infos = results
-            space = env.observation_space("agent_0")
+            spaces = {agent: env.observation_space(agent) for agent in env.agents}
             for result in results:
                 assert isinstance(result, dict)
                 assert list(result) == env.agents
-            assert all(space.contains(o) for o in obs.values())
-            if isinstance(space, Discrete):  # PettingZoo's AEC test insists on NumPy's own scalars
+            assert all(
+                spaces[agent].contains(obs[agent]) for agent in env.agents if env.alive[env.slots[agent]]
+            )
+            if isinstance(
+                spaces["agent_0"], Discrete
+            ):  # PettingZoo's AEC test insists on NumPy's own scalars
                 assert all(isinstance(o, np.integer) for o in obs.values())
             assert all(type(r) is float for r in rewards.values())
             assert all(type(t) is bool for t in (*terminations.values(), *truncations.values()))
@@ -100,14 +110,15 @@ class SpacesContract:
                 ended = terminations[agent] or truncations[agent]
                 assert ("final_obs" in infos[agent]) == ended
                 if ended:
-                    assert space.contains(infos[agent]["final_obs"])
+                    assert spaces[agent].contains(infos[agent]["final_obs"])
 
     def test_dicts_hold_what_the_arrays_hold(self, case: Case) -> None:
         """Dict actions, array actions and no dict at all are three ways to the same numbers."""
         by_dict, by_array, batched = (case.parallel(max_cycles=6) for _ in range(3))
         first_obs, _ = by_dict.reset(seed=2)
         by_array.reset(seed=2)
-        np.testing.assert_array_equal(batched.reset_batch(seed=2), list(first_obs.values()))
+        first = batched.reset_batch(seed=2)
+        np.testing.assert_array_equal(first, rows_of(first_obs.values(), first))
         for actions in case.actions():
             from_dict: Any = by_dict.step(dict(zip(by_dict.agents, actions, strict=True)))
             from_array: Any = by_array.step(actions)
@@ -115,12 +126,12 @@ class SpacesContract:
             for a, b, array in zip(from_dict[:4], from_array[:4], step[:4], strict=True):
                 np.testing.assert_array_equal(a.array, array)
                 np.testing.assert_array_equal(b.array, array)
-                np.testing.assert_array_equal(np.array(list(a.values())), array)
+                np.testing.assert_array_equal(rows_of(a.values(), array), array)
             for one, other in zip(from_dict[4].values(), from_array[4].values(), strict=True):
                 assert one.keys() == other.keys()
             for slot in np.flatnonzero(step.ended):
-                info = from_dict[4][f"agent_{slot}"]
-                np.testing.assert_array_equal(info["final_obs"], step.final_obs[slot])
+                info, last = from_dict[4][f"agent_{slot}"], step.final_obs[slot : slot + 1]
+                np.testing.assert_array_equal(rows_of([info["final_obs"]], last), last)
 
     @pytest.mark.parametrize("dtype", ["int8", "uint8", "int16", "uint32", "int32", "int64", ">i4", "uint64"])
     def test_any_integer_dtype_of_actions(self, case: Case, dtype: str) -> None:
@@ -157,7 +168,9 @@ class SpacesContract:
 
     def test_the_least_and_the_greatest_action(self, case: Case) -> None:
         """Both ends of the space are taken, and the number after each is not."""
-        space = case.spec.action_space
+        if case.spec.roles:
+            pytest.skip(f"agents of {case.spec.name} have spaces of their roles")
+        space, n = case.spec.action_space, HALF * case.agents
         device = case.open(HALF, seed=0)
         least: Any
         most: Any
@@ -169,10 +182,10 @@ class SpacesContract:
         else:
             least, most = 0, int(space.n) - 1
             beyond = [-1, most + 1]
-        others: Any = [most, least] * (HALF // 2)
+        others: Any = ([most, least] * n)[: n - 1]
         device.step([*others, least])
         for outside in beyond:
-            with pytest.raises(ActionError, match=rf"agent_{HALF - 1}: action .* is out of range"):
+            with pytest.raises(ActionError, match=rf"agent_{n - 1}: action .* is out of range"):
                 device.step([*others, outside])
 
     def test_state_and_its_space(self, case: Case) -> None:

@@ -14,6 +14,7 @@ import torch
 from torch import Tensor, nn
 from torch.distributions import Normal
 
+from pearl_marl.batch.config import worlds_of
 from pearl_marl.batch.saved_state import SavedState
 from pearl_marl.devices import BatchConfig, BatchStep, Device, make_device
 from pearl_marl.policies.network import Network, NetworkPolicy
@@ -24,14 +25,15 @@ ROWS = 16_384
 
 
 class Agents:
-    """The agents of ``n`` slots, the first of the global number ``first``; ``obs`` is what they see now.
+    """``n`` agents of whole worlds, the first of the global number ``first``; ``obs`` is what they see now.
 
     They are stepped by tensors. Where the device has its results, these stay: of ``"cuda"`` on the GPU.
     """
 
     def __init__(self, spec: EnvSpec, device: str | Device, n: int, seed: int, first: int = 0) -> None:
         self.device = make_device(device, tensors=True)
-        self.device.open(BatchConfig(spec=spec, n_envs=n, first_slot=first))
+        first_slot = first // spec.agents
+        self.device.open(BatchConfig(spec=spec, n_envs=worlds_of(spec, n), first_slot=first_slot))
         self.obs = torch.as_tensor(self.device.reset(seed))
 
     def step(self, actions: Tensor) -> Any:

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import torch
 
+from pearl_marl.batch.config import worlds_of
 from pearl_marl.errors import ArgumentError, PearlError, SavedStateError
 from pearl_marl.evaluation.run import Evaluation
 from pearl_marl.registry import get_spec
@@ -34,10 +35,13 @@ _NOT_ITS_FAULT = PearlError, torch.cuda.OutOfMemoryError
 """Of these, what says that a device or a GPU has failed: the checkpoint is as good as it was."""
 
 
-def settings_for(algorithm: str, env_id: str, given: dict[str, Any], shards: int | None = None) -> Any:
+def settings_for(
+    algorithm: str, env_id: str, given: dict[str, Any], shards: int | None = None, agents: int = 1
+) -> Any:
     """Return an algorithm's settings for an environment: its preset, and over it those given.
 
-    With ``shards``, agents are in blocks, as many for any number of shards.
+    With ``shards``, agents are in blocks, as many for any number of shards. Unless their number is given, it
+    is one of whole worlds, of so many ``agents`` each.
 
     Raises
     ------
@@ -54,6 +58,9 @@ def settings_for(algorithm: str, env_id: str, given: dict[str, Any], shards: int
             raise ArgumentError(f"{algorithm} has no setting {name!r}; {hint}")
     preset = PRESETS.get((algorithm, get_spec(env_id).name), {})
     settings = SETTINGS[algorithm](**{**preset, **given})
+    if "n_agents" not in given:
+        n = max(settings.n_agents // agents, 1) * agents
+        settings = dataclasses.replace(settings, n_agents=n)
     if shards is None:
         return settings
     if "blocks" not in names:
@@ -113,6 +120,7 @@ def train(
     if goal is not None and not math.isfinite(goal):
         raise ArgumentError(f"--goal is {goal}; it must be a finite number")
     spec = get_spec(env_id).with_options(**options)
+    _check_worlds(spec, settings)
     spread = {} if shards is None else {"shards": shards}
     trainer = ALGORITHMS[algorithm](spec, device, settings, **spread)
     run = RunFolder(
@@ -147,7 +155,8 @@ def train(
         last = trainer.done == settings.iterations
         if trainer.done % every and not last:
             continue
-        mean, deviation = evaluate(trainer.policy, spec, evaluated or trainer.evaluated)
+        n = max((evaluated or trainer.evaluated) // spec.agents, 1) * spec.agents
+        mean, deviation = evaluate(trainer.policy, spec, n)
         seconds = time.perf_counter() - began
         row = {"seconds": seconds, **trainer.figures(), "eval_return": mean, "eval_deviation": deviation}
         run.report(trainer.agent_steps, **row)
@@ -161,6 +170,24 @@ def train(
             kept = time.perf_counter()
     run.draw_curve(f"{spec.name}: {algorithm}, {settings.n_agents:,} agents", goal)
     return run.rows
+
+
+def _check_worlds(spec: EnvSpec, settings: Any) -> None:
+    """Refuse worlds that the trainers, with one policy for all agents, cannot learn in."""
+    worlds_of(spec, settings.n_agents)
+    name = spec.name
+    if spec.masked == "refused":
+        raise ArgumentError(
+            f"{name} refuses masked actions, and the trainers know no masks; train by a library that does, "
+            f"around pearl_marl.parallel_env({name!r})"
+        )
+    if any(role.action_space != spec.action_space for role in spec.roles):
+        raise ArgumentError(
+            f"{name} has roles with other actions, and the trainers learn one policy for all: train by "
+            f"a library that learns one for each role, around pearl_marl.parallel_env({name!r})"
+        )
+    if spec.agents > 1 and getattr(settings, "blocks", 1) > 1:
+        raise ArgumentError(f"agents of {name} share worlds, and --shards is for those that are alone")
 
 
 def evaluate(policy: Any, spec: EnvSpec, n: int, seed: int = 1) -> tuple[float, float]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -43,3 +45,15 @@ def test_rows() -> None:
     )
     assert "| `Box(3,)`, `float32`<br>`Discrete(5)` | 12 | 70, 3, 27, 16 | `push=20`<br>" in lines[2]
     assert "| `Box(4, 2, 3)`, `bool`<br>`Box(1,)`, `float32` | 9 | 11, 10, 10, 11 |" in lines[4]
+
+
+def test_what_agents_share(pearl: Callable[..., tuple[int, str, str]]) -> None:
+    status, out, _ = pearl("envs")
+    assert status == 0
+    words = " ".join(out.replace("│", " ").split())
+    assert "2 agents a world" in words
+    assert "in turns" in words
+    rows = {row["name"]: row for row in json.loads(pearl("envs", "--json")[1])}
+    assert (rows["ConnectFour"]["agents"], rows["ConnectFour"]["turns"]) == (2, True)
+    assert rows["ConnectFour"]["masks"] == "refused"
+    assert (rows["CliffWalking"]["agents"], rows["CliffWalking"]["masks"]) == (1, None)

@@ -7,6 +7,7 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
+from copy import copy
 from pathlib import Path
 from typing import Any
 from unittest import mock
@@ -74,6 +75,25 @@ def test_files(pearl: Any, tmp_path: Path) -> None:
         assert "my_environment" not in text.lower().replace("-", "_")
         assert "myenvironment" not in text.lower()
     assert 'name = "two-rooms"' in (folder / "pyproject.toml").read_text()
+
+
+def test_files_of_a_world(pearl: Any, tmp_path: Path) -> None:
+    """The same, with a step of several agents."""
+    assert pearl("new", "TwoRooms", "--agents", 12)[0] == 0
+    folder = tmp_path / "two_rooms"
+    found = {str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file()}
+    assert found == {*(name.format("two_rooms") for name in FILES), "tests/test_two_rooms.py"}
+    assert "AGENTS = 12\n" in (folder / "two_rooms" / "step.py").read_text()
+    for name in found:
+        text = (folder / name).read_text()
+        assert "my_environment" not in text.lower().replace("-", "_")
+        assert "myenvironment" not in text.lower()
+
+
+@pytest.mark.parametrize("agents", [0, 64])
+def test_so_many_agents_share_no_world(pearl: Any, agents: int) -> None:
+    status, _, err = pearl("new", "TwoRooms", "--agents", agents)
+    assert (status, err) == (2, f"pearl: --agents is {agents}; a world has 1 to 63\n")
 
 
 @pytest.mark.parametrize(
@@ -171,12 +191,13 @@ def test_a_module_that_fails_speaks_for_itself(tmp_path: Path, monkeypatch: pyte
 
 
 @pytest.mark.usefixtures("registry")
+@pytest.mark.parametrize("agents", [1, 3])
 @pytest.mark.parametrize("name", ["Ab", LONG])
 def test_what_is_written_is_clean(
-    pearl: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
+    pearl: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, agents: int
 ) -> None:
     """Whatever the length of the name."""
-    pearl("new", name)
+    pearl("new", name, "--agents", agents)
     (folder,) = tmp_path.iterdir()
     for arguments in (["check"], ["format", "--check"]):
         done = subprocess.run(
@@ -188,6 +209,7 @@ def test_what_is_written_is_clean(
     monkeypatch.syspath_prepend(folder)
     for options in ({}, {"slip": 0}, {"slip": 7}):
         spec = pearl_marl.get_spec(f"{folder.name}:{name}").with_options(**options)
+        assert spec.agents == agents
         for size in ((70, 4, 32), (1, 1, 32)):
             parameters = elaboration.top_parameters(Build.of(spec, *size))
             toolchain.run(
@@ -262,6 +284,19 @@ def test_the_new_package_passes_the_contract(installed: Installed) -> None:
     )
     assert status == 0, out
     assert "rtl is bit-exact with reference over 5,600 agent-steps" in out
+
+
+@pytest.mark.slow
+def test_a_new_world_passes_the_contract(installed: Installed) -> None:
+    folder = installed.project.parent / "worlds"
+    status, out = installed.run("pearl", "new", "TwoHalls", "--agents", "3", "--out", str(folder))
+    assert status == 0, out
+    world = copy(installed)
+    world.project = folder / "two_halls"
+    status, out = world.pytest()
+    assert status == 0, out
+    status, out = world.run("python", "-m", "mypy", "--cache-dir", str(ROOT / ".mypy_cache"), on_path=False)
+    assert status == 0, out
 
 
 @pytest.mark.slow

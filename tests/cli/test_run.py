@@ -59,3 +59,84 @@ def test_files_that_hold_no_array_are_refused(pearl: Pearl, content: bytes, tmp_
     assert status == 2
     assert len(err.splitlines()) == 1
     assert "no readable .npy file" in err
+
+
+class TestWorlds:
+    def test_whole_ones_by_default(self, pearl: Pearl) -> None:
+        arguments = ("--option", "players=5", "--steps", 2, "--json")
+        status, out, err = pearl("run", "LevelBasedForaging", *arguments)
+        assert status == 0, err
+        assert json.loads(out)["n_agents"] == 43005
+
+    @pytest.mark.parametrize("command", ["run", "verify", "eval"])
+    def test_parts_of_them_are_refused(self, pearl: Pearl, command: str) -> None:
+        also = ("--policy", "random") if command == "eval" else ()
+        status, out, err = pearl(command, "ConnectFour", *also, "--n-agents", 7)
+        assert (status, out) == (2, "")
+        assert err == "pearl: n_agents is 7, and a world of ConnectFour has 2 agents; 6 and 8 fit\n"
+
+    def test_random_actions_are_allowed_ones(self, pearl: Pearl) -> None:
+        """Connect Four refuses all others, and columns fill up."""
+        status, out, err = pearl("run", "ConnectFour", "--n-agents", 400, "--steps", 60, "--json")
+        assert status == 0, err
+        result = json.loads(out)
+        assert result["return_min"] == -1
+        assert result["return_mean"] == 0
+
+    def test_evaluation(self, pearl: Pearl) -> None:
+        arguments = ("--policy", "random", "--n-agents", 60, "--json")
+        status, out, err = pearl("eval", "LevelBasedForaging", *arguments)
+        assert status == 0, err
+        result = json.loads(out)
+        assert (result["n_agents"], result["episodes"]) == (60, 60)
+
+    def test_verification(self, pearl: Pearl) -> None:
+        status, _, err = pearl("verify", "ConnectFour", "--n-agents", 20, "--steps", 40)
+        assert status == 0, err
+
+    def test_training_where_it_is_not_possible(self, pearl: Pearl, tmp_path: Path) -> None:
+        pytest.importorskip("torch")
+        status, _, err = pearl("train", "ConnectFour", "--out", tmp_path / "run")
+        assert status == 2
+        assert err.strip() == (
+            "pearl: ConnectFour refuses masked actions, and the trainers know no masks; train by a library "
+            "that does, around pearl_marl.parallel_env('ConnectFour')"
+        )
+
+    def test_training(self, pearl: Pearl, tmp_path: Path) -> None:
+        pytest.importorskip("torch")
+        arguments = ("--option", "players=3", "--iterations", 1, "--out", tmp_path / "run", "--json")
+        status, out, err = pearl("train", "LevelBasedForaging", *arguments)
+        assert status == 0, err
+        assert json.loads(out)["last"]["agent_steps"] == 32 * 1023
+
+
+class TestVideo:
+    @pytest.mark.parametrize(("env", "n", "size"), [("ConnectFour", 20, (600, 522)), ("Taxi", 2, (400, 170))])
+    def test_a_grid_of_worlds(
+        self, pearl: Pearl, env: str, n: int, size: tuple[int, int], tmp_path: Path
+    ) -> None:
+        images = pytest.importorskip("PIL.Image")
+        path = tmp_path / "new" / "film.gif"
+        status, out, err = pearl("run", env, "--n-agents", n, "--steps", 12, "--video", path)
+        assert status == 0, err
+        assert f"Wrote {path}" in " ".join(out.split()).replace("/ ", "/")
+        with images.open(path) as film:
+            assert film.format == "GIF"
+            assert 5 < film.n_frames <= 12
+            assert film.size == size
+
+    @pytest.mark.parametrize(
+        ("env", "name", "words"),
+        [
+            ("Taxi", "film.mp4", "it must be a file that ends in .gif"),
+            ("LevelBasedForaging", "film.gif", "render_mode is 'rgb_array'; LevelBasedForaging has none"),
+            ("Taxi", "file/film.gif", "cannot be written"),
+        ],
+    )
+    def test_refusals(self, pearl: Pearl, env: str, name: str, words: str, tmp_path: Path) -> None:
+        (tmp_path / "file").write_text("")
+        status, out, err = pearl("run", env, "--steps", 1, "--video", tmp_path / name)
+        assert (status, out) == (2, "")
+        assert words in err
+        assert len(err.splitlines()) == 1

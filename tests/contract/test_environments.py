@@ -27,7 +27,7 @@ from pearl_marl.testing import (
 
 from ..devices.boards import OwnBoard
 from ..toy import TOYS
-from ..toy_world import MEADOW
+from ..toy_world import MEADOW, WORLDS
 
 
 class TestEnvironments(ContractSuite):
@@ -73,7 +73,15 @@ class TestWorlds(DeviceSuite):
     """Slots of several agents, wherever they step."""
 
     environments = (MEADOW.name,)
-    devices = ("native", "rtl", "lockstep", "reference")
+    devices = ("rtl", "lockstep", "reference")
+
+
+@pytest.mark.usefixtures("toys")
+class TestWorldsInEveryForm(ContractSuite):
+    """Agents of several roles that end one by one, and those that take turns."""
+
+    environments = tuple(spec.name for spec in WORLDS)
+    devices = ("native",)
 
 
 class ShortCase(Case):

@@ -1,0 +1,45 @@
+"""The spec of MyEnvironment: what the platform has to know besides ``step.py``."""
+
+import numpy as np
+from gymnasium.spaces import Box, Discrete
+from pearl_marl.errors import ArgumentError
+from pearl_marl.spec import EnvSpec, Field, Golden
+
+from .step import AGENTS, GOAL, initial, make_step, masks, observe
+
+
+def configure(slip: int = 1) -> EnvSpec:
+    """Return the spec under the environment's arguments, each of which is an option with a default.
+
+    Parameters
+    ----------
+    slip
+        Of eight steps, how many the cart stays where it is, on average.
+    """
+    if isinstance(slip, bool) or not isinstance(slip, int) or not 0 <= slip <= 7:
+        raise ArgumentError(f"slip is {slip!r}; it must be an integer from 0 to 7")
+    return EnvSpec(
+        name="MyEnvironment",
+        version=0,  # a new one for every change of the dynamics
+        summary="Pull a cart to the goal together, though each would rather rest",
+        agents=AGENTS,  # that share the state; what follows of actions and observations is one agent's
+        # The words, field by field, the first in the lowest bits. These widths are the hardware's.
+        state=(Field("cell", 4), *(Field(f"strength_{k}", 2) for k in range(AGENTS))),
+        action=Field("action", 2),
+        observation=(Field("cell", 4), Field("strength", 2)),
+        reward=Field("category", 2),
+        rewards=(0.0, -1.0, 20.0, -20.0),  # by category; None where the reward field is the value itself
+        # What an agent sees of it: a field a Discrete, a field an element of a Box.
+        observation_space=Box(0, GOAL, (2,), np.uint8),
+        action_space=Discrete(3),
+        golden=Golden(initial, make_step(slip), observe, masks),
+        masked="stay",  # masked actions are the step's affair; "refused" has the platform refuse them
+        reset_draws=1,
+        step_draws=1,
+        max_cycles=50,  # steps after which an episode is truncated; None for no limit
+        options={"slip": slip},
+        configure=configure,
+    )
+
+
+SPEC = configure()
