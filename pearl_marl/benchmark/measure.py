@@ -25,6 +25,10 @@ class Game:
     choose: Callable[[], Any]
     step: Callable[[Any], Any]
 
+    def __call__(self) -> None:
+        """Do both."""
+        self.step(self.choose())
+
 
 class UnavailableError(Exception):
     """A contender cannot run here; the message says why, for the table."""
