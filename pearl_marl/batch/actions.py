@@ -53,8 +53,8 @@ def refuse_masked(words: npt.NDArray[Any], masks: npt.NDArray[np.int8], first: i
 
     Who has masks that are all 0 may send anything.
     """
-    i = _refused(words, masks)
-    if i >= 0:
+    i = _first_masked(words, masks)
+    if i < len(words):
         allowed = ", ".join(map(str, np.flatnonzero(masks[i])))
         raise ActionError(f"agent_{first + i}: action {words[i]} is masked; it may take {allowed}")
 
@@ -187,6 +187,15 @@ def _largest(source: Any) -> Any:
 
 
 @compiled
+def _first_masked(words: Any, masks: Any) -> Any:
+    """Return the first row whose action is masked, and not all others too; else how many rows there are."""
+    for i in range(words.size):
+        if masks[i, words[i]] == 0 and masks[i].any():
+            return i
+    return words.size
+
+
+@compiled
 def _fix(source: Any, target: Any, low: float, high: float, scale: float) -> Any:
     """Round numbers to fixed point; return whether all are in range, which NaN is not."""
     inside = True
@@ -205,17 +214,6 @@ def _narrow(source: Any, target: Any) -> Any:
         largest = max(largest, source[i])
         target[i] = target.dtype.type(source[i])
     return np.uint64(largest)
-
-
-@compiled
-def _refused(words: Any, masks: Any) -> Any:
-    """Return the first row whose word is masked while another is not; -1 if there is none."""
-    for i in range(words.size):
-        if masks[i, words[i]] == 0:
-            for k in range(masks.shape[1]):
-                if masks[i, k]:
-                    return i
-    return -1
 
 
 @compiled

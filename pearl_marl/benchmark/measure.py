@@ -26,7 +26,7 @@ class Game:
     step: Callable[[Any], Any]
 
     def __call__(self) -> None:
-        """Do both, where what choosing takes cannot be told apart."""
+        """Do both."""
         self.step(self.choose())
 
 

@@ -13,7 +13,7 @@ import numpy.typing as npt
 import typer
 from rich.table import Table
 
-from pearl_marl.batch.actions import random_actions, random_allowed
+from pearl_marl.batch.actions import random_actions
 from pearl_marl.batch.step import on_host
 from pearl_marl.benchmark.machine import machine
 from pearl_marl.benchmark.measure import duration, rate
@@ -126,13 +126,10 @@ def command(
 
 def _random(env: PearlParallelEnv, steps: int, seed: int) -> Iterator[npt.NDArray[Any]]:
     """Yield random actions, of those that agents may take."""
-    rng, n = np.random.default_rng(seed), env.batch_size
+    rng = np.random.default_rng(seed)
     for _ in range(steps):
-        if env.action_masks is None:
-            yield random_actions(env.spec, rng, n)
-        else:
-            draws = rng.integers(1 << 32, size=n, dtype=np.uint32)
-            yield random_allowed(on_host(env.action_masks), draws).astype(env.spec.action.dtype)
+        masks = env.action_masks
+        yield random_actions(env.spec, rng, env.batch_size, None if masks is None else on_host(masks))
 
 
 def _given(path: Path, spec: EnvSpec, n: int, steps: int) -> Iterator[npt.NDArray[Any]]:

@@ -80,9 +80,8 @@ class Evaluation:
             raise ArgumentError(f"the number of episodes is {episodes}; it must be at least 1")
         if max_cycles is None:
             max_cycles = spec.max_cycles or LIMIT
-        self.config = BatchConfig(
-            spec=spec, n_envs=worlds_of(spec, n_agents), max_cycles=max_cycles, copy=False
-        )
+        worlds = worlds_of(spec, n_agents)
+        self.config = BatchConfig(spec=spec, n_envs=worlds, max_cycles=max_cycles, copy=False)
         check_memory(self.config, 48)  # what is noted of an agent
         self.episodes = n_agents if episodes is None else episodes
         self.device = make_device(device)

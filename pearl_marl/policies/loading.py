@@ -179,7 +179,7 @@ def _trained(path: Path, spec: EnvSpec) -> Policy:
         raise ArgumentError(f"{path} takes {error.name}: pip install 'pearl-marl[train]'") from None
     _check_space(path, "observations", found.spec.observation_space, spec.observation_space)
     _check_space(path, "actions", found.spec.action_space, spec.action_space)
-    return lambda observations, _=None: found.choose(observations)
+    return found.choose
 
 
 _LOADERS: dict[tuple[str, ...], Callable[[Path, EnvSpec], Policy]] = {

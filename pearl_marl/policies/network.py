@@ -139,11 +139,8 @@ class _Trained(nn.Module):
         """Return the best actions."""
         raise NotImplementedError
 
-    def choose(self, obs: Array, action_masks: Array | None = None) -> Array:
-        """Return the best action for each observation, as ``step_batch`` takes them.
-
-        Masks change nothing: policies are trained where a masked action is the environment's affair.
-        """
+    def choose(self, obs: Array, _: Array | None = None) -> Array:
+        """Return the best action for each observation, as ``step_batch`` takes them; masks are not asked."""
         where = next(self.buffers()).device
         actions: Array = self.best(torch.from_numpy(obs).to(where)).cpu().numpy()
         return actions
