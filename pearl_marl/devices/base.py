@@ -25,12 +25,17 @@ from pearl_marl import rng
 from pearl_marl.batch import rewards as reward_tables
 from pearl_marl.batch.actions import encode, refuse_masked
 from pearl_marl.batch.config import BatchConfig
+from pearl_marl.batch.recycling import Recycler
+from pearl_marl.batch.results import Layout
 from pearl_marl.batch.saved_state import SavedState
 from pearl_marl.batch.slot_memory import SlotMemory
 from pearl_marl.batch.step import Array, BatchStep, Seen, on_host
 from pearl_marl.devices.recovery import CheckpointLog, Position
 from pearl_marl.devices.threads import Threads
 from pearl_marl.errors import ArgumentError, DeviceError, OrderError
+
+CACHE_BYTES = 1 << 18
+"""Results of which two sets may be in use in turns, and still be in a core's second cache."""
 
 
 class Device(ABC):
@@ -115,6 +120,8 @@ class Device(ABC):
         self.alive = np.ones(config.n_agents, np.bool_)
         # Of one agent without masks nothing has to be remembered from one step to the next.
         self._remembers = config.spec.agents > 1 or bool(config.spec.mask_fields)
+        large = config.copy and self._remembers and Layout(config).size > CACHE_BYTES
+        self._copies = Recycler() if large else None
         self._thread = Threads(1, f"pearl-{self.name}")
         # Every step asks for these two, and finds them faster here than on the class.
         self.under_way = None
@@ -233,6 +240,11 @@ class Device(ABC):
     def _shown(self, seen: Seen) -> Array:
         """Remember what the next step goes by; return the observations."""
         obs, self.action_masks, self.alive = seen
+        if self._copies is not None and isinstance(obs, np.ndarray):
+            # To refer to results would keep all the memory that they lie in from being used for the next.
+            self.alive = self._copies.copy(self.alive)
+            if self.action_masks is not None:
+                self.action_masks = self._copies.copy(self.action_masks)
         return obs
 
     def set_rewards(self, table: npt.ArrayLike) -> None:

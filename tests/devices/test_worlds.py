@@ -11,7 +11,8 @@ import pytest
 from gymnasium.spaces import Box, Discrete
 from gymnasium.vector import AutoresetMode
 
-from pearl_marl import rng, verification
+from pearl_marl import get_spec, rng, verification
+from pearl_marl.batch import actions
 from pearl_marl.batch.config import worlds_of
 from pearl_marl.batch.saved_state import SavedState
 from pearl_marl.devices import BatchConfig, BatchStep, Cuda, Device, Lockstep, Native, Reference, Rtl, Sharded
@@ -231,6 +232,24 @@ def test_a_word_that_differs_is_told_with_its_agent() -> None:
     alone = error.replay.alone()
     assert alone.config.n_envs == 1
     assert verification.replay(alone, Lockstep("native", "reference")) is None
+    device.close()
+
+
+def test_results_that_nobody_keeps_are_used_again() -> None:
+    """What a device remembers of them is its own, and stays as it is for who keeps it."""
+    spec = get_spec("ConnectFour")
+    device = Native().open(BatchConfig(spec=spec, n_envs=2000))
+    device.reset(seed=0)
+    chance = np.random.default_rng(0)
+    places, kept, copies = set(), [], []
+    for _ in range(6):
+        masks = device.action_masks
+        assert masks is not None
+        kept.append(masks)
+        copies.append(masks.copy())
+        places.add(device.step(actions.random_actions(spec, chance, 4000, masks)).obs.ctypes.data)
+    assert len(places) == 1
+    np.testing.assert_array_equal(kept, copies)
     device.close()
 
 

@@ -312,6 +312,13 @@ class TestTurns:
                 assert len(ours.agents) == len(theirs.agents)
         assert ends == {-1, 1}
 
+    def test_rewards_add_up_between_an_agents_turns(self) -> None:
+        """PettingZoo's own test counts them; here every step has one."""
+        env = pearl_marl.env("Nim", 6, device="reference", rewards=[0.5, 1.0, -1.0])
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            api_test(env, num_cycles=30)
+
     def test_several_worlds_take_their_turns_one_after_the_other(self) -> None:
         env = pearl_marl.raw_env("Nim", 6, device="reference")
         env.reset(seed=0)
