@@ -43,6 +43,9 @@ AnyEnv = Annotated[
 Every = Annotated[bool, typer.Option("--all", help="Every environment in turn, with fewer contenders.")]
 
 
+Agents = Annotated[int, typer.Option("--n-agents", help="How many agents.")]
+
+
 def command(
     env_id: AnyEnv = None,
     every: Every = False,
