@@ -79,7 +79,7 @@ def _envpool_game(spec: EnvSpec) -> str:
         return "; the mask of who is on turn"
     if spec.name != "LevelBasedForaging":
         return ""
-    text = "; Jumanji's rules: 2 foods, which take both players, and 100 steps"
+    text = "; Jumanji's rules: 2 foods and 100 steps"
     try:
         version = metadata.version("envpool")
     except metadata.PackageNotFoundError:
