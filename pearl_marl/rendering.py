@@ -1,4 +1,4 @@
-"""Pictures: one world through the oracle's own renderer, several as a film, and all of them as a heat map."""
+"""Pictures: one world, mostly through the oracle's renderer; several as a film; and all as a heat map."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import math
 import os
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import gymnasium
 import numpy as np
@@ -27,11 +27,45 @@ TILE = 200
 _SHADES = " ░▒▓█"
 
 
+class Renderer(Protocol):
+    """Draws one world."""
+
+    def render(self, state: npt.NDArray[Any]) -> Any:
+        """Draw a world's state (its row of :meth:`pearl_marl.devices.Device.state`).
+
+        Returns an image of shape ``(height, width, 3)``, a string, or ``None`` for ``"human"``.
+        """
+
+    def close(self) -> None:
+        """Close the window, if there is one."""
+
+
+def renderer(spec: EnvSpec, mode: str) -> Renderer:
+    """Return what draws worlds of an environment in one of its render modes."""
+    check_render_mode(spec, mode)
+    return OracleRenderer(spec, mode) if spec.draw is None else OwnRenderer(spec)
+
+
+class OwnRenderer:
+    """Draws one world with the environment's own drawing."""
+
+    def __init__(self, spec: EnvSpec) -> None:
+        assert spec.draw is not None
+        self._draw, self._spec = spec.draw, spec
+
+    def render(self, state: npt.NDArray[Any]) -> npt.NDArray[np.uint8]:
+        """Draw a world's state as an image of shape ``(height, width, 3)``."""
+        with _installed(self._spec):
+            return self._draw(tuple(state.tolist()))
+
+    def close(self) -> None:
+        """Close nothing: there is no window."""
+
+
 class OracleRenderer:
     """Draws one world with the renderer of the environment that ours follows, in one of its render modes."""
 
     def __init__(self, spec: EnvSpec, mode: str) -> None:
-        check_render_mode(spec, mode)
         assert spec.oracle is not None
         assert spec.pose is not None
         self._pose, self._spec = spec.pose, spec
@@ -40,10 +74,7 @@ class OracleRenderer:
             self._env.reset()
 
     def render(self, state: npt.NDArray[Any]) -> Any:
-        """Draw a world's state (its row of :meth:`pearl_marl.devices.Device.state`).
-
-        Returns an image of shape ``(height, width, 3)``, a string, or ``None`` for ``"human"``.
-        """
+        """Draw a world's state, as the render mode has it."""
         self._pose(self._env, tuple(state.tolist()))
         with _installed(self._spec):
             return self._env.render()
@@ -59,9 +90,9 @@ def _installed(spec: EnvSpec) -> Iterator[None]:
     try:
         yield
     except (DependencyNotInstalled, ImportError) as error:
-        missing = getattr(error.__cause__ or error, "name", None) or "pygame"
+        missing = (getattr(error.__cause__ or error, "name", None) or "pygame").partition(".")[0]
         raise PearlError(
-            f"drawing {spec.name} needs {missing.partition('.')[0]}: pip install 'pearl-marl[render]'"
+            f"drawing {spec.name} needs {missing.replace('PIL', 'Pillow')}: pip install 'pearl-marl[render]'"
         ) from error
 
 
@@ -76,7 +107,7 @@ def check_render_mode(spec: EnvSpec, mode: str | None) -> None:
 class Video:
     """A film of the first worlds, side by side, as a GIF.
 
-    The renderer is the oracle's; it needs no screen. Takes Pillow, of the ``render`` extra.
+    It needs no screen. Takes Pillow, of the ``render`` extra.
     """
 
     def __init__(self, spec: EnvSpec, path: Path) -> None:
@@ -89,7 +120,7 @@ class Video:
         os.environ.setdefault("SDL_VIDEODRIVER", "dummy")  # pygame asks for a screen that is never shown
         self._image = _import_pillow()
         self._path, self._milliseconds = path, 1000 // spec.render_fps
-        self._renderer = OracleRenderer(spec, "rgb_array")
+        self._renderer = renderer(spec, "rgb_array")
         self._frames: list[Any] = []
 
     def add(self, states: npt.NDArray[Any]) -> None:

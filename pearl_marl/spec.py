@@ -189,8 +189,11 @@ class EnvSpec:
         The Gymnasium id of the environment that this one is held against, if it is one of theirs.
     pose
         Puts the oracle's environment, unwrapped, into a slot's state, so that it can render it.
+    draw
+        Draws a slot's state itself, as an image of shape ``(height, width, 3)`` and dtype ``uint8``, where no
+        oracle can do so without a screen.
     render_modes, render_fps
-        How the oracle can render, as its own metadata say.
+        How the oracle can render, as its own metadata say; ``("rgb_array",)`` with ``draw``.
     grid
         How observations fall onto a grid, for heat maps.
     """
@@ -219,6 +222,7 @@ class EnvSpec:
     core: Path | str | None = None
     oracle: str | None = None
     pose: Callable[[Env[Any, Any], tuple[int, ...]], None] | None = None
+    draw: Callable[[tuple[int, ...]], npt.NDArray[np.uint8]] | None = None
     render_modes: tuple[str, ...] = ()
     render_fps: int = 4
     grid: Grid | None = None

@@ -65,7 +65,7 @@ package pearl_pkg;
   localparam int unsigned PORT_LATENCY = 4 + READ_LATENCY;
 
   // Cycles from a slot number to its random draw.
-  localparam int unsigned DRAW_LATENCY = 9;
+  localparam int unsigned DRAW_LATENCY = 11;
   localparam logic [31:0] CHAIN_A = 32'h243F_6A88;
   localparam logic [31:0] CHAIN_B = 32'h85A3_08D3;
   localparam logic [31:0] MULTIPLIER_1 = 32'h7FEB_352D;

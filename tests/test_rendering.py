@@ -31,7 +31,7 @@ def without(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.parametrize(("name", "mode"), DRAWN)
 def test_pictures_without_their_library(name: str, mode: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    for library in ("pygame", "minatar", "matplotlib"):
+    for library in ("pygame", "minatar", "matplotlib", "PIL"):
         without(library, monkeypatch)
     monkeypatch.delitem(sys.modules, "pearl_marl.envs.seaquest.oracle", raising=False)
     with closing(pearl_marl.parallel_env(name, n_agents=2, render_mode=mode)) as env:

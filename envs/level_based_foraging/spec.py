@@ -14,6 +14,7 @@ from gymnasium.spaces import Box, Discrete
 from pearl_marl.errors import ArgumentError
 from pearl_marl.spec import EnvSpec, Field, Golden, Grid
 
+from .picture import make_draw
 from .step import LOADED, Rules, make_initial, make_masks, make_observe, make_step, rewards
 
 SIZES, PLAYERS, FOODS, LEVELS = (3, 32), (1, 16), (1, 16), (1, 255)
@@ -135,6 +136,8 @@ def configure(
             "penalty": float(penalty),
         },
         configure=configure,
+        draw=make_draw(rules),
+        render_modes=("rgb_array",),
         grid=grid(rules) if rules.sees_all else None,
     )
 

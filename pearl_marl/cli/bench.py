@@ -43,13 +43,10 @@ AnyEnv = Annotated[
 Every = Annotated[bool, typer.Option("--all", help="Every environment in turn, with fewer contenders.")]
 
 
-Agents = Annotated[int, typer.Option("--n-agents", help="How many agents.")]
-
-
 def command(
     env_id: AnyEnv = None,
     every: Every = False,
-    n_agents: Agents = 43008,
+    n_agents: common.Agents = None,
     rounds: Rounds = 7,
     seconds: Seconds = 0.2,
     option: common.Options = None,
@@ -63,6 +60,7 @@ def command(
         _every(n_agents, rounds, seconds, out, as_json)
         return
     spec = common.spec_of(env_id or "CliffWalking", option)
+    n_agents = common.agents_of(spec, n_agents)
     rows = contenders(spec, n_agents)
     small = [
         c
@@ -84,9 +82,10 @@ def command(
     _print_machine(result["machine"])
 
 
-def _every(n_agents: int, rounds: int, seconds: float, out: Path | None, as_json: bool) -> None:
+def _every(n_agents: int | None, rounds: int, seconds: float, out: Path | None, as_json: bool) -> None:
+    about = common.ABOUT if n_agents is None else n_agents
     grid = common.table(
-        f"Agent-steps per second, {n_agents:,} agents",
+        f"Agent-steps per second, {about:,} agents",
         ["environment"],
         [*OURS.values(), "EnvPool", "x", "best other", "x"],
         box=box.SIMPLE,
@@ -95,10 +94,11 @@ def _every(n_agents: int, rounds: int, seconds: float, out: Path | None, as_json
     results = []
     for name in names():
         spec = common.spec_of(name, None)
-        rows = [c for c in contenders(spec, n_agents) if c.name in (*OURS, ENVPOOL, *OTHERS)]
-        results.append(_measured(spec, n_agents, rows, [], rounds, seconds))
+        count = common.agents_of(spec, n_agents)
+        rows = [c for c in contenders(spec, count) if c.name in (*OURS, ENVPOOL, *OTHERS)]
+        results.append(_measured(spec, count, rows, [], rounds, seconds))
         grid.add_row(spec.name, *_figures(rows))
-    if common.delivered(results, as_json, out, f"bench_all_{n_agents}.json"):
+    if common.delivered(results, as_json, out, f"bench_all_{about}.json"):
         return
     console.print(grid)
     console.print(

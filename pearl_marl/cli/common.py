@@ -24,10 +24,15 @@ T = TypeVar("T")
 console = Console(highlight=False)
 error_console = Console(stderr=True, highlight=False)
 
+ABOUT = 43008
+"""How many agents a command has by default: the paper's number, or a little less to have whole worlds."""
+
 EnvName = Annotated[str, typer.Argument(metavar="ENV", help="An environment of `pearl envs`.")]
 Agents = Annotated[
     int | None,
-    typer.Option("--n-agents", help="How many agents, those of whole worlds.", show_default="about 43,008"),
+    typer.Option(
+        "--n-agents", help="How many agents, those of whole worlds.", show_default=f"about {ABOUT:,}"
+    ),
 ]
 DeviceName = Annotated[str, typer.Option("--device", help="Where they are stepped.")]
 Seed = Annotated[int, typer.Option("--seed", help="Of the random numbers.")]
@@ -63,7 +68,7 @@ def spec_of(env_id: str, options: Iterable[str] | None) -> EnvSpec:
     return get_spec(env_id).with_options(**env_options(options))
 
 
-def agents_of(spec: EnvSpec, given: int | None, about: int = 43008) -> int:
+def agents_of(spec: EnvSpec, given: int | None, about: int = ABOUT) -> int:
     """Return how many agents a command has: as many as are given, or about so many, in whole worlds."""
     return max(about // spec.agents, 1) * spec.agents if given is None else given
 

@@ -22,7 +22,7 @@ from pearl_marl.errors import ArgumentError, OrderError
 from pearl_marl.interfaces.batch import Mask, World
 from pearl_marl.interfaces.parallel_interface import ParallelInterface
 from pearl_marl.registry import get_spec
-from pearl_marl.rendering import OracleRenderer, check_render_mode
+from pearl_marl.rendering import Renderer, check_render_mode, renderer
 from pearl_marl.spec import snake_case
 
 NAME_BYTES = 200
@@ -79,7 +79,7 @@ class PearlParallelEnv(ParallelInterface):
         self._all = np.ones(config.n_agents, np.bool_)
         self._live = ~self._all
         self.np_random = np.random.default_rng()
-        self._renderer: OracleRenderer | None = None
+        self._renderer: Renderer | None = None
         self._rendered_world = 0
 
     @property
@@ -219,7 +219,7 @@ class PearlParallelEnv(ParallelInterface):
             self._rendered_world = slot // self.world.agents
         state = self.device.state()[self._rendered_world]
         if self._renderer is None:
-            self._renderer = OracleRenderer(self.spec, self.render_mode)
+            self._renderer = renderer(self.spec, self.render_mode)
         return self._renderer.render(state)
 
     def close(self) -> None:

@@ -15,7 +15,7 @@ _FIRST_ISSUE = 9
 _FETCH = 4
 """Cycles from a group's issue to when cores get its states (``issue_to_core`` of ``rtl/pearl_pkg.sv``)."""
 
-_DRAW_LATENCY = 9
+_DRAW_LATENCY = 11
 """The same for its random draws (``DRAW_LATENCY``), which the states then wait for."""
 
 RESULTS = ("observations", "rewards", "ters")

@@ -112,7 +112,10 @@ class TestWorlds:
 
 
 class TestVideo:
-    @pytest.mark.parametrize(("env", "n", "size"), [("ConnectFour", 20, (600, 522)), ("Taxi", 2, (400, 170))])
+    @pytest.mark.parametrize(
+        ("env", "n", "size"),
+        [("ConnectFour", 20, (600, 522)), ("LevelBasedForaging", 8, (400, 400)), ("Taxi", 2, (400, 170))],
+    )
     def test_a_grid_of_worlds(
         self, pearl: Pearl, env: str, n: int, size: tuple[int, int], tmp_path: Path
     ) -> None:
@@ -130,10 +133,11 @@ class TestVideo:
         ("env", "name", "words"),
         [
             ("Taxi", "film.mp4", "it must be a file that ends in .gif"),
-            ("LevelBasedForaging", "film.gif", "render_mode is 'rgb_array'; LevelBasedForaging has none"),
+            ("Ladder", "film.gif", "render_mode is 'rgb_array'; Ladder has none"),
             ("Taxi", "file/film.gif", "cannot be written"),
         ],
     )
+    @pytest.mark.usefixtures("toys")
     def test_refusals(self, pearl: Pearl, env: str, name: str, words: str, tmp_path: Path) -> None:
         (tmp_path / "file").write_text("")
         status, out, err = pearl("run", env, "--steps", 1, "--video", tmp_path / name)

@@ -14,7 +14,7 @@ from pettingzoo.classic.connect_four import connect_four
 
 import pearl_marl
 from pearl_marl.golden import call_reference, reference
-from pearl_marl.rendering import OracleRenderer
+from pearl_marl.rendering import renderer
 
 Array = np.ndarray[Any, Any]
 PLAYERS = ("player_0", "player_1")
@@ -166,7 +166,7 @@ def test_an_illegal_move_ends_the_game_as_in_pettingzoo(mover: int) -> None:
 def test_pictures_are_pettingzoos() -> None:
     oracle, state = connect_four.raw_env(render_mode="rgb_array"), call_reference(initial, ())
     oracle.reset()
-    drawn = OracleRenderer(pearl_marl.get_spec("ConnectFour"), "rgb_array")
+    drawn = renderer(pearl_marl.get_spec("ConnectFour"), "rgb_array")
     for action in (3, 3, 2, 6, 0):
         oracle.step(action)
         *state, _, _, _, _ = call_reference(step, [*state, action, action])

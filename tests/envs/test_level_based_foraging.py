@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from lbforaging.foraging import ForagingEnv
+from pearl_marl.envs.level_based_foraging.picture import CELL, FOOD, PLAYER
 from pearl_marl.envs.level_based_foraging.step import chosen, ones
 from scipy import stats
 
@@ -227,7 +228,7 @@ SPAWNS = {
 }
 
 
-@pytest.mark.parametrize("n", [1_500, pytest.param(20_000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("n", [1_500, pytest.param(6_000, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("name", SPAWNS)
 def test_starts_are_distributed_as_in_the_package(name: str, n: int) -> None:
     given = SPAWNS[name]
@@ -317,6 +318,28 @@ def test_every_place_is_as_likely() -> None:
             assert found == [
                 (r + 1, c) for r in range(wide) for c in range(1, wide + 1) if lines[r][i] >> c & 1
             ]
+
+
+def test_pictures() -> None:
+    """Each thing is where the state has it, in its colour, and what has been eaten is nowhere."""
+    pytest.importorskip("PIL")
+    spec = spec_of({"players": 3, "max_food_level": 3})
+    assert spec.draw is not None
+    # The second and the third player are in one cell, and the last food is gone.
+    players, foods = [(0, 7, 1), (5, 2, 2), (5, 2, 1)], [(2, 3, 3), (4, 4, 1), (6, 6, 0)]
+    drawn = spec.draw((*itertools.chain(*players, *foods), 4))
+    assert (drawn.shape, drawn.dtype) == ((8 * CELL + 1, 8 * CELL + 1, 3), np.uint8)
+
+    def colours(row: int, column: int) -> set[tuple[int, ...]]:
+        cell = drawn[row * CELL + 1 : (row + 1) * CELL, column * CELL + 1 : (column + 1) * CELL]
+        return {tuple(pixel.tolist()) for pixel in cell.reshape(-1, 3)}
+
+    for row, column in itertools.product(range(8), repeat=2):
+        held = colours(row, column)
+        assert (PLAYER in held) == ((row, column) in {(0, 7), (5, 2)})
+        assert (FOOD in held) == ((row, column) in {(2, 3), (4, 4)})
+    stronger = [(0, 7, 3), *players[1:]]
+    assert not np.array_equal(drawn, spec.draw((*itertools.chain(*stronger, *foods), 4)))
 
 
 @pytest.mark.parametrize("name", CASES)

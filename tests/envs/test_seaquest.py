@@ -187,7 +187,7 @@ def test_options(options: dict[str, Any]) -> None:
 
 
 @pytest.mark.parametrize(
-    ("n", "steps"), [(12, 150), pytest.param(20, 1500, marks=pytest.mark.slow, id="long")]
+    ("n", "steps"), [(12, 150), pytest.param(20, 600, marks=pytest.mark.slow, id="long")]
 )
 @pytest.mark.parametrize("policy", [at_random, bobbing])
 def test_crowded_seas(n: int, steps: int, policy: Policy) -> None:

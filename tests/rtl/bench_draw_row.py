@@ -12,7 +12,7 @@ from cocotb.triggers import FallingEdge
 from pearl_marl import rng
 from pearl_marl.golden import u32
 
-DRAW_LATENCY = 9
+DRAW_LATENCY = 11
 
 
 @each_variant()

@@ -14,7 +14,7 @@ from pearl_marl.golden import u32, u64
 
 EDGES = (0, 0xFFFFFFFE, 0xFFFFFFFF, 1 << 32, (1 << 64) - 1)
 # Cycles of a round.
-ROUND = 9
+ROUND = 11
 
 
 def keys(chain: int, seed: tuple[int, int], tick: int, draws: int) -> list[int]:

@@ -152,14 +152,16 @@ class Around:
     """No step takes more, from its start."""
     slot: int | None = None
     """The slot that a proof is of; None is any."""
+    agents: int = 1
+    """How many share a slot."""
 
     def core_package(self) -> str:
         """Return the package that says all this of the core."""
         stated = {
             "LATENCY": self.latency,
             "II": self.interval,
-            "AGENTS": 1,
-            "TER_BITS": 2,
+            "AGENTS": self.agents,
+            "TER_BITS": self.agents + 1,
             "STATE_BITS": self.state,
             "ACTION_BITS": self.action,
             "OBS_BITS": self.observation,
@@ -224,15 +226,19 @@ BACKBONES = {
     # The slot alone in the last group; no row divides into words.
     "last": Around(3, 2, 2, 2, 12, 2, draws=0, latency=1, interval=1, pipelined=True, step_cycles=18, slot=2),
     # The same of any slot, with random draws and observations that wait for room.
-    "room": Around(3, 2, 2, 2, 36, 2, draws=1, latency=1, interval=1, pipelined=True, step_cycles=21),
+    "room": Around(3, 2, 2, 2, 36, 2, draws=1, latency=1, interval=1, pipelined=True, step_cycles=23),
     # A row of observations is more than a word; a core that takes a slot every third cycle.
     "interval": Around(5, 2, 3, 2, 20, 2, draws=0, latency=2, interval=3, pipelined=True, step_cycles=28),
     "serial": Around(3, 2, 3, 2, 12, 2, draws=0, latency=1, interval=1, pipelined=False, step_cycles=26),
     # One slot to a group, and rows that divide into words.
     "alone": Around(3, 1, 3, 8, 8, 8, draws=0, latency=1, interval=1, pipelined=True, step_cycles=18),
     # A row of actions is more than a word, and so is one of states.
-    "wide": Around(5, 3, 20, 12, 5, 1, draws=1, latency=2, interval=1, pipelined=True, step_cycles=20),
-    "groups": Around(7, 2, 3, 2, 12, 2, draws=2, latency=2, interval=1, pipelined=True, step_cycles=22),
+    "wide": Around(5, 3, 20, 12, 5, 1, draws=1, latency=2, interval=1, pipelined=True, step_cycles=22),
+    "groups": Around(7, 2, 3, 2, 12, 2, draws=2, latency=2, interval=1, pipelined=True, step_cycles=24),
+    # Agents that end one by one.
+    "world": Around(
+        3, 2, 2, 6, 12, 6, draws=0, latency=1, interval=1, pipelined=True, step_cycles=18, slot=2, agents=3
+    ),
 }
 SAMPLE = "last"
 """What is proved always; the others with --every-proof."""
@@ -297,6 +303,8 @@ STEPS = {
     "reset ignored": ("pearl_pe.sv", "first = named || ended", "first = ended"),
     "reward while held": ("pearl_pe.sv", "reward_o  = held_q ? '0 : reward", "reward_o  = reward"),
     "elapsed while held": ("pearl_pe.sv", "ELAPSED_BITS'(!hold_late)", "ELAPSED_BITS'(1)"),
+    "gone ends again": ("pearl_pe.sv", "AGENTS'(0) : gone | terminated", "AGENTS'(0) : terminated"),
+    "world over with one": ("pearl_pe.sv", "&ter_i[AGENTS-1:0]", "|ter_i[AGENTS-1:0]"),
     "limit": ("pearl_pe.sv", "elapsed_i >= limit_i", "elapsed_i > limit_i"),
     "bits at another offset": ("pearl_packer.sv", "(32'(offset) * UNIT)", "(32'(offset) + 1)"),
 }
@@ -305,6 +313,14 @@ FAULTS = {
     **{name: ("PROVE_IDLE", fault) for name, fault in IDLES.items()},
     **{name: ("PROVE_STEP", fault) for name, fault in STEPS.items()},
 }
+SHOWN_BY = {
+    # Observations that never wait for room do not miss it, and without draws none is wrong.
+    "no room": "room",
+    "draw of another": "room",
+    "gone ends again": "world",
+    "world over with one": "world",
+}
+"""The backbone that a fault shows in, if it is not :data:`SAMPLE`."""
 ALWAYS = ["drained too short", "no warning of torn results", "region's end", "done at once"]
 
 
@@ -312,7 +328,6 @@ ALWAYS = ["drained too short", "no warning of torn results", "region's end", "do
 def test_broken_backbone_is_refuted(name: str, tmp_path: Path, request: pytest.FixtureRequest) -> None:
     only_if_every(name, ALWAYS, request)
     what, fault = FAULTS[name]
-    # Observations that never wait for room do not miss it, and without draws none is wrong.
-    around = BACKBONES["room" if name in ("no room", "draw of another") else SAMPLE]
+    around = BACKBONES[SHOWN_BY.get(name, SAMPLE)]
     report = check_backbone(tmp_path, what, around, fault)
     assert "DONE (FAIL" in report, report

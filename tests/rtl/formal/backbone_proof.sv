@@ -255,6 +255,7 @@ module backbone_proof
   logic step_q = 1'b0, over_q = 1'b0, action_q, named_q, ended_q;
   logic [STATE_BITS-1:0] state_q, init_q;
   logic [ELAPSED_BITS-1:0] elapsed_q;
+  logic [AGENTS-1:0] gone_q;
   mode_t mode_q;
   logic [31:0] number_q, max_cycles_q, finished_q;
 
@@ -266,7 +267,8 @@ module backbone_proof
       step_q       <= 1'b1;
       action_q     <= action_bit;
       named_q      <= u_backbone.mode.reset_all || (u_backbone.mode.reset_mask && mask_bit);
-      ended_q      <= ter != '0;
+      ended_q      <= ter[AGENTS] || &ter[AGENTS-1:0];
+      gone_q       <= ter[AGENTS-1:0];
       state_q      <= state;
       init_q       <= init;
       elapsed_q    <= elapsed;
@@ -282,9 +284,12 @@ module backbone_proof
   // ---- What its core is asked, and what it answers ----
 
   logic first, hold, truncated;
+  logic [AGENTS-1:0] gone;
   logic [ELAPSED_BITS:0] next_elapsed;
   assign first = named_q || ended_q;
   assign hold = ended_q && !named_q && mode_q.next_step;
+  // Who ended before in an episode that goes on.
+  assign gone = first ? '0 : gone_q;
   assign next_elapsed = hold ? '0 : first ? 33'd1 : 33'(elapsed_q) + 33'd1;
   assign truncated = !hold && max_cycles_q != '0 && next_elapsed >= 33'(max_cycles_q);
 
@@ -298,7 +303,8 @@ module backbone_proof
     end
   end
 
-  logic [PE_NUM-1:0] asks, answers, firsts, holds, terminateds;
+  logic [PE_NUM-1:0] asks, answers, firsts, holds;
+  logic [PE_NUM-1:0][AGENTS-1:0] terminateds;
   logic [PE_NUM-1:0][STATE_BITS-1:0] states, next_states;
   logic [PE_NUM-1:0][ACTION_BITS-1:0] actions;
   logic [PE_NUM-1:0][RNG_WORDS-1:0][31:0] draws;
@@ -320,7 +326,8 @@ module backbone_proof
 
   // A core is asked of one group after the other.
   logic [7:0] asked_q, answered_q, reads_q, writes_q;
-  logic asked, answered, obs_q, reward_q, terminated_q;
+  logic asked, answered, obs_q, reward_q;
+  logic [AGENTS-1:0] terminated_q;
   logic [STATE_BITS-1:0] next_state_q;
   assign asked = asks[pe] && asked_q == group;
   assign answered = answers[pe] && answered_q == group;
@@ -362,7 +369,7 @@ module backbone_proof
         assert (asked_q == 8'(GROUPS) && answered_q == 8'(GROUPS));
         assert (reads_q == 8'd1 && writes_q == 8'd1);
         assert (state == next_state_q);
-        assert (ter == {truncated, terminated_q && !hold});
+        assert (ter == {truncated, hold ? AGENTS'(0) : gone | terminated_q});
         assert (elapsed == next_elapsed[ELAPSED_BITS-1:0]);
         assert (obs_bit == obs_q);
         assert (reward_bit == (reward_q && !hold));
