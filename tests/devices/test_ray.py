@@ -117,6 +117,27 @@ def test_the_results_of_one_device(opened: Any, shards: int, environment: str, c
     assert device.name == f"ray({', '.join(['native'] * shards)})"
 
 
+@pytest.mark.parametrize("environment", ["ConnectFour", "LevelBasedForaging"])
+def test_worlds_in_two_shards(opened: Any, environment: str) -> None:
+    """Agents that share a world, and its masks, also after a snapshot and a reset by world."""
+    spec, worlds = get_spec(environment), 21
+    device = opened(Ray(["native", "native"], sizes=[8, 13]), worlds, spec=spec)
+    native, random = opened(Native(), worlds, spec=spec), np.random.default_rng(3)
+    ended = 0
+    for t in range(90):
+        if t == 40:
+            named = random.random(worlds) < 0.3
+            np.testing.assert_array_equal(device.reset(mask=named), native.reset(mask=named))
+        if t == 60:
+            device.restore(native.snapshot())
+        np.testing.assert_array_equal(device.action_masks, native.action_masks)
+        chosen = random.random(native.action_masks.shape) * native.action_masks
+        step = device.step(chosen.argmax(1).astype(spec.action.dtype))
+        assert_same_step(step, native.step(chosen.argmax(1).astype(spec.action.dtype)), f"step {t}")
+        ended += int(step.ended.sum())
+    assert ended > worlds * spec.agents
+
+
 def test_shards_of_any_kind_and_size(opened: Any) -> None:
     """And a copy goes on by itself, with actors of its own."""
     device = opened(Ray(["native", Rtl(pe_num=1)], sizes=[35, 35], resources=[None, {"fpga": 1}]))

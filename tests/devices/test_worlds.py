@@ -21,6 +21,7 @@ from pearl_marl.golden import call_reference
 from pearl_marl.spec import EnvSpec, Field, Golden, Role
 
 from ..toy_world import MEADOW, NIM, SNAIL, crowd
+from .boards import OwnBoard
 from .broken import Flips
 
 WORLDS = 17
@@ -107,6 +108,7 @@ DEVICES = {
     "sharded": lambda: Sharded([Reference(), Native()], [3, WORLDS - 3]),
     "lockstep": lambda: Lockstep("native", "reference"),
     "rtl": lambda: Rtl(pe_num=3),
+    "xdma": lambda: OwnBoard(3),
     "cuda": Cuda,
 }
 
