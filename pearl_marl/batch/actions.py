@@ -48,11 +48,16 @@ def encode(actions: Any, spec: EnvSpec, target: npt.NDArray[Any], first_slot: in
     return words
 
 
-def refuse_masked(words: npt.NDArray[Any], masks: npt.NDArray[np.int8], first: int = 0) -> None:
+def refuse_masked(
+    words: npt.NDArray[Any], masks: npt.NDArray[np.int8], first: int = 0, taking_turns: int = 1
+) -> None:
     """Raise ActionError for the first agent, counted from ``first``, whose action is masked.
 
-    Who has masks that are all 0 may send anything.
+    Who has masks that are all 0 may send anything. Of so many agents after each other that take turns, that
+    is all but one.
     """
+    if _one_allowed(words, masks, taking_turns):
+        return
     i = _first_masked(words, masks)
     if i < len(words):
         allowed = ", ".join(map(str, np.flatnonzero(masks[i])))
@@ -184,6 +189,22 @@ def _largest(source: Any) -> Any:
     for i in range(source.size):
         largest = max(largest, source[i])
     return largest
+
+
+@compiled
+def _one_allowed(words: Any, masks: Any, agents: int) -> Any:
+    """Return whether in each group of so many rows there is one whose action is allowed.
+
+    Without a branch, as nobody can predict whose turn it is. That no other row's is masked follows where all
+    others of a group have masks that are all 0, and where a group is a single row.
+    """
+    flat, wide, none = masks.reshape(-1), masks.shape[1], 0
+    for first in range(0, words.size, agents):
+        some = 0
+        for i in range(first, first + agents):
+            some |= flat[wide * i + words[i]]
+        none |= some == 0
+    return not none
 
 
 @compiled

@@ -234,7 +234,8 @@ class Device(ABC):
         spec, first = self.config.spec, self.config.first_slot
         words = encode(actions, spec, self._actions, first)
         if spec.masked == "refused" and self.refuses:
-            refuse_masked(words, on_host(self.action_masks), first * spec.agents)
+            agents = spec.agents if spec.turns else 1
+            refuse_masked(words, on_host(self.action_masks), first * spec.agents, agents)
         return words
 
     def _shown(self, seen: Seen) -> Array:

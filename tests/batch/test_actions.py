@@ -38,6 +38,19 @@ def test_random_actions_of_masks_cost_a_step_least() -> None:
     refuse_masked(actions, MASKS)
 
 
+def test_of_those_who_take_turns_one_may_act() -> None:
+    nobody, all_but_first = [0, 0, 0], [0, 1, 1]
+    masks = np.array([nobody, all_but_first, all_but_first, nobody], np.int8)
+    refuse_masked(np.array([2, 1, 2, 0]), masks, 0, 2)
+    with pytest.raises(ActionError, match="agent_2: action 0 is masked; it may take 1, 2"):
+        refuse_masked(np.array([1, 1, 0, 1]), masks, 0, 2)
+    # A world in which nobody may act is not refused, nor does it hide another one.
+    masks[:2] = 0
+    refuse_masked(np.array([0, 0, 1, 0]), masks, 0, 2)
+    with pytest.raises(ActionError, match="agent_2"):
+        refuse_masked(np.array([0, 0, 0, 0]), masks, 0, 2)
+
+
 def test_the_first_masked_action_is_named() -> None:
     refuse_masked(np.array([1, 0, 4, 4]), MASKS)
     with pytest.raises(ActionError, match="agent_11: action 1 is masked; it may take 0"):
