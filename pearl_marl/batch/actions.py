@@ -56,7 +56,7 @@ def refuse_masked(
     Who has masks that are all 0 may send anything. Of so many agents after each other that take turns, that
     is all but one.
     """
-    if _one_allowed(words, masks, taking_turns):
+    if taking_turns > 1 and _one_allowed(words, masks, taking_turns):
         return
     i = _first_masked(words, masks)
     if i < len(words):
@@ -196,7 +196,7 @@ def _one_allowed(words: Any, masks: Any, agents: int) -> Any:
     """Return whether in each group of so many rows there is one whose action is allowed.
 
     Without a branch, as nobody can predict whose turn it is. That no other row's is masked follows where all
-    others of a group have masks that are all 0, and where a group is a single row.
+    others of a group have masks that are all 0.
     """
     flat, wide, none = masks.reshape(-1), masks.shape[1], 0
     for first in range(0, words.size, agents):
