@@ -19,7 +19,7 @@ demo: $(VENV)/.render
 	$(BIN)/python experiments/cliff_walking_q_learning.py --out $(OUT)/demo
 
 test: $(VENV)/.dev
-	$(BIN)/python -m pytest -n $$(($(CORES) + 1)) --slow
+	$(BIN)/python -m pytest -n $$(($(CORES) + 1)) --dist loadgroup --slow
 
 # RLlib pins Gymnasium 1.2.2, so it has an environment of its own, and the Gymnasium interface is tested there too.
 test-rllib: $(RLLIB)/.rllib

@@ -66,7 +66,6 @@ def command(
     if out is not None:
         common.out_folder(out)
     given = None if actions is None else _given(actions, spec, n_agents, steps)
-    statistics = EpisodeStatistics(n_agents)
     heat_map = HeatMap(spec) if spec.grid else None
 
     stepping: list[float] = []
@@ -75,6 +74,7 @@ def command(
         film = None if video is None else closing.enter_context(contextlib.closing(Video(spec, video)))
         env = parallel_env(env_id, n_agents, device=device, max_cycles=max_cycles, copy=False, **spec.options)
         closing.enter_context(contextlib.closing(env))
+        statistics = EpisodeStatistics(n_agents)
         env.reset_batch(seed)
         batches = given or _random(env, steps, seed)
         for batch in common.progress(batches, steps, f"{spec.name}, {n_agents:,} agents"):

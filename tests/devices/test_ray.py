@@ -29,6 +29,9 @@ from .boards import Faults, OwnBoard, faulty
 
 ray = pytest.importorskip("ray", reason="Ray is not installed: pip install 'pearl-marl[ray]'")
 
+# Two clusters at a time on two cores are slower than one after the other.
+pytestmark = pytest.mark.xdist_group("ray")
+
 SPEC = get_spec("CliffWalking")
 N = 70
 """The size at which the contract is tested: its simulated devices are built once."""

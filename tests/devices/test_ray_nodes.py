@@ -20,6 +20,9 @@ from pearl_marl.testing import assert_same_step
 
 ray = pytest.importorskip("ray", reason="Ray is not installed: pip install 'pearl-marl[ray]'")
 
+# Two clusters at a time on two cores are slower than one after the other.
+pytestmark = pytest.mark.xdist_group("ray")
+
 MEMORY = {"object_store_memory": 80_000_000}
 HOST, BOARD = {"host": 1}, {"fpga": 1}
 

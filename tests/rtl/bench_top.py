@@ -116,7 +116,7 @@ def cycle_bound() -> int:
     interval = {"ShiftAdd": 4}.get(SPEC.name, 1)
     words = max(LAYOUT[name].words for name in ("actions", "observations", "rewards", "ters"))
     # Doorbell, first words, pipeline and last words.
-    latency = 22 + 4 * interval
+    latency = 24 + 4 * interval
     return int(1.1 * max(LAYOUT.groups * interval, words)) + latency
 
 
@@ -217,7 +217,7 @@ async def status_waits_for_the_last_word(dut: Any) -> None:
     n = LAYOUT.n_envs
     await host.ring(Mode.RESET_ALL, np.zeros(n, bool), np.ones(n * SPEC.agents, np.uint8))
     done = inside.u_sequencer.busy_o.value == 0
-    for _ in range(cycle_bound() + 40):
+    for _ in range(cycle_bound() + 60):  # the keys are made first
         await FallingEdge(dut.clk_i)
         done |= inside.u_sequencer.done_o.value == 1
         assert not (done and any(bank.we.value == 1 for bank in banks)), "a word was written after the status"

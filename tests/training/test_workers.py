@@ -24,6 +24,9 @@ ray = pytest.importorskip("ray", reason="Ray is not installed: pip install '.[ra
 training = importlib.import_module("pearl_marl.training.run")
 distributed = importlib.import_module("pearl_marl.training.workers")
 
+# Two clusters at a time on two cores are slower than one after the other.
+pytestmark = pytest.mark.xdist_group("ray")
+
 SMALL = {"n_agents": 16, "depth": 70, "iterations": 3, "minibatch": 256}
 """Of Pendulum, whose episodes of 200 steps are cut short in the last rollout."""
 
