@@ -28,6 +28,7 @@ ROOMS = (
         "tracing",
         "rng",
         "fixed_point",
+        "planes",
         "spec",
         "envs",
         "registry",

@@ -9,6 +9,7 @@ from gymnasium import Env
 from gymnasium.spaces import Box, Discrete
 
 from pearl_marl.golden import Word
+from pearl_marl.planes import interleave
 from pearl_marl.spec import EnvSpec, Field, Golden
 
 from .step import CELLS, COLUMNS, ROWS, initial, masks, observe, step
@@ -16,9 +17,7 @@ from .step import CELLS, COLUMNS, ROWS, initial, masks, observe, step
 
 def unpack(own: Word, other: Word, row: Any) -> None:
     """Write PettingZoo's ``(6, 7, 2)`` of row, column and whose disc it is, into ``row``."""
-    for cell in range(CELLS):
-        row[2 * cell] = int(own) >> cell & 1
-        row[2 * cell + 1] = int(other) >> cell & 1
+    interleave(own, other, CELLS, row)
 
 
 def pose(oracle: Env[Any, Any], state: tuple[int, ...]) -> None:

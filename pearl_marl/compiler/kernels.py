@@ -19,7 +19,7 @@ import numba
 import numpy as np
 
 from pearl_marl import remaking, rng
-from pearl_marl.compiler import llvm_functions, llvm_words
+from pearl_marl.compiler import llvm_functions, llvm_planes, llvm_words
 from pearl_marl.compiler.kernel_source import kernel_source
 from pearl_marl.compiler.loading import fingerprint, load, with_callees
 from pearl_marl.golden import GoldenFunction
@@ -82,6 +82,7 @@ def compile_kernels(spec: EnvSpec) -> Kernels:
         f"{_FORCE_INLINE=}",
         inspect.getsource(llvm_words),
         inspect.getsource(llvm_functions),
+        inspect.getsource(llvm_planes),
         inspect.getsource(remaking),
     )
     name = kernel_name(spec, source, versions)
@@ -128,4 +129,5 @@ def kernel_name(spec: EnvSpec, source: str, versions: Iterable[str]) -> str:
 
 
 def _compiled(function: GoldenFunction) -> Any:
-    return with_callees(function, {}, partial(numba.njit, forceinline=_FORCE_INLINE, **_FOR_KERNELS))
+    jit = partial(numba.njit, forceinline=_FORCE_INLINE, **_FOR_KERNELS)
+    return with_callees(function, dict(llvm_planes.REPLACEMENTS), jit)
