@@ -102,6 +102,8 @@ module pearl_backbone
   logic [WORD_ADDR_BITS-1:0] host_index;
   logic [DATA_WL-1:0] host_wdata, next_host_wdata;
   logic [NumRegions-1:0][DATA_WL-1:0] host_rdata;
+  logic [DATA_WL-1:0] state_rdata;
+  assign host_rdata[Elapsed:InitialStates] = '0;
   logic busy_write, busy_doorbell, untorn;
   // Registers are read whether asked or not, read-only regions never written, and no region is as
   // long as the map.
@@ -131,6 +133,7 @@ module pearl_backbone
       .wdata_o        (host_wdata),
       .next_wdata_o   (next_host_wdata),
       .rdata_i        (host_rdata),
+      .late_rdata_i   (state_rdata),
       .busy_write_o   (busy_write),
       .busy_doorbell_o(busy_doorbell),
       .untorn_o       (untorn),
@@ -316,7 +319,7 @@ module pearl_backbone
       .host_we_i   (host_we[Elapsed:InitialStates]),
       .host_addr_i (host_index),
       .host_wdata_i(host_wdata),
-      .host_rdata_o(host_rdata[Elapsed:InitialStates])
+      .host_rdata_o(state_rdata)
   );
 
   // ---- From groups to the host's words: three banks, written in parallel ----

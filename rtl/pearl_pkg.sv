@@ -61,8 +61,9 @@ package pearl_pkg;
   } resp_e;
   // Cycles from a read enable to the word, of block RAM as of registers.
   localparam int unsigned READ_LATENCY = 2;
-  // Cycles from a request at the memory port to its answer; the AXI slave sizes its queue by it.
-  localparam int unsigned PORT_LATENCY = 4 + READ_LATENCY;
+  // Cycles from a request at the memory port to its answer: three to the access, the read, and two in which
+  // the words of all memories come together. The AXI slave sizes its queue by it.
+  localparam int unsigned PORT_LATENCY = 3 + READ_LATENCY + 2;
 
   // Cycles from a slot number to its random draw.
   localparam int unsigned DRAW_LATENCY = 11;

@@ -38,6 +38,8 @@ module pearl_port
     output logic [       DATA_WL-1:0]              next_wdata_o,
     // READ_LATENCY cycles after re_o.
     input  logic [    NumRegions-1:0][DATA_WL-1:0] rdata_i,
+    // A cycle later, from regions that answer here and not there; zero where none of them was read.
+    input  logic [       DATA_WL-1:0]              late_rdata_i,
 
     // In the cycle of the access: a write, or a doorbell, is refused because a step is running.
     output logic busy_write_o,
@@ -173,9 +175,10 @@ module pearl_port
 
   // ---- The answer ----
 
-  resp_e resp, late_resp, resp_q;
+  resp_e resp, resp_q;
+  logic [1:0] late_resp;
   logic [NumRegions-1:0] late_re;
-  logic [DATA_WL-1:0] rdata, rdata_q;
+  logic [DATA_WL-1:0] early, early_q, rdata_q;
 
   always_comb begin
     if (hole_q) resp = RespDecErr;
@@ -184,24 +187,33 @@ module pearl_port
   end
 
   pearl_delay #(
-      .WIDTH (NumRegions + 2),
+      .WIDTH (NumRegions),
       .STAGES(READ_LATENCY)
-  ) u_late (
+  ) u_late_re (
       .clk_i,
-      .d_i({re_q, resp}),
-      .d_o({late_re, late_resp})
+      .d_i(re_q),
+      .d_o(late_re)
+  );
+  pearl_delay #(
+      .WIDTH (2),
+      .STAGES(READ_LATENCY + 1)
+  ) u_late_resp (
+      .clk_i,
+      .d_i(resp),
+      .d_o(late_resp)
   );
 
   always_comb begin
-    rdata = '0;
+    early = '0;
     for (int unsigned i = 0; i < NumRegions; i++) begin
-      if (late_re[i]) rdata |= rdata_i[i];
+      if (late_re[i]) early |= rdata_i[i];
     end
   end
 
   always_ff @(posedge clk_i) begin
-    rdata_q <= rdata;
-    resp_q  <= late_resp;
+    early_q <= early;
+    rdata_q <= early_q | late_rdata_i;
+    resp_q  <= resp_e'(late_resp);
   end
 
   assign rvalid_o = valid_q[PORT_LATENCY];

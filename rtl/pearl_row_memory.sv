@@ -5,7 +5,7 @@
 // To the host a row is COLUMNS words, rounded up to a power of two so that an address splits into row
 // and column without a division; what lies beyond the row's bits reads as zero and takes no writes.
 // Host and pipeline share the ports: the host is served only while busy_i is low. Both get what they read
-// READ_LATENCY cycles later.
+// READ_LATENCY cycles later, and the host gets zero in every other cycle.
 module pearl_row_memory
   import pearl_pkg::*;
 #(
@@ -53,14 +53,23 @@ module pearl_row_memory
   assign raddr = busy_i ? raddr_i : host_row;
   assign waddr = busy_i ? waddr_i : host_row;
 
+  logic asked;
   pearl_delay #(
-      .WIDTH (COLUMN_BITS),
-      .STAGES(READ_LATENCY)
+      .WIDTH (COLUMN_BITS + 1),
+      .STAGES(READ_LATENCY - 1)
   ) u_column (
       .clk_i,
-      .d_i(host_column),
-      .d_o(column)
+      .d_i({host_re_i && !busy_i, host_column}),
+      .d_o({asked, column})
   );
+
+  // A row may have dozens of columns, all over the FPGA: their words are only masked and put together.
+  logic [COLUMNS-1:0] chosen_q;
+  always_ff @(posedge clk_i) begin
+    for (int unsigned i = 0; i < COLUMNS; i++) begin
+      chosen_q[i] <= asked && column == COLUMN_BITS'(i);
+    end
+  end
 
   logic [COLUMNS-1:0][DATA_WL-1:0] words;
   for (genvar i = 0; i < COLUMNS; i++) begin : gen_column_rams
@@ -85,7 +94,7 @@ module pearl_row_memory
   always_comb begin
     host_rdata_o = '0;
     for (int unsigned i = 0; i < COLUMNS; i++) begin
-      if (column == COLUMN_BITS'(i)) host_rdata_o = words[i];
+      if (chosen_q[i]) host_rdata_o |= words[i];
     end
   end
 

@@ -39,12 +39,13 @@ module pearl_state_path
     output logic [PE_NUM-1:0][REWARD_BITS-1:0] rewards_o,
     output logic [PE_NUM-1:0][   TER_BITS-1:0] ters_o,
 
-    // The host's way to the three memories.
-    input  logic [Elapsed:InitialStates]              host_re_i,
-    input  logic [Elapsed:InitialStates]              host_we_i,
-    input  logic [   HOST_ADDR_BITS-1:0]              host_addr_i,
-    input  logic [          DATA_WL-1:0]              host_wdata_i,
-    output logic [Elapsed:InitialStates][DATA_WL-1:0] host_rdata_o
+    // The host's way to the three memories. What it reads comes READ_LATENCY + 1 cycles later; in every other
+    // cycle that is zero.
+    input  logic [Elapsed:InitialStates] host_re_i,
+    input  logic [Elapsed:InitialStates] host_we_i,
+    input  logic [   HOST_ADDR_BITS-1:0] host_addr_i,
+    input  logic [          DATA_WL-1:0] host_wdata_i,
+    output logic [          DATA_WL-1:0] host_rdata_o
 );
 
   typedef struct packed {
@@ -119,6 +120,13 @@ module pearl_state_path
   logic [PE_NUM-1:0][SLOT_BITS-1:0] states, next_states;
   logic [PE_NUM-1:0][ELAPSED_BITS-1:0] elapsed, next_elapsed;
 
+  logic [Elapsed:InitialStates][DATA_WL-1:0] host_rdata;
+  logic [DATA_WL-1:0] host_rdata_q;
+  always_ff @(posedge clk_i) begin
+    host_rdata_q <= host_rdata[InitialStates] | host_rdata[CurrentStates] | host_rdata[Elapsed];
+  end
+  assign host_rdata_o = host_rdata_q;
+
   pearl_row_memory #(
       .ROWS    (GROUPS),
       .ROW_BITS(PE_NUM * STATE_BITS),
@@ -136,7 +144,7 @@ module pearl_state_path
       .host_we_i   (host_we_i[InitialStates]),
       .host_addr_i (host_addr_i[GROUP_BITS+INIT_COLUMNS_LOG2-1:0]),
       .host_wdata_i,
-      .host_rdata_o(host_rdata_o[InitialStates])
+      .host_rdata_o(host_rdata[InitialStates])
   );
 
   pearl_row_memory #(
@@ -156,7 +164,7 @@ module pearl_state_path
       .host_we_i   (host_we_i[CurrentStates]),
       .host_addr_i (host_addr_i[GROUP_BITS+STATE_COLUMNS_LOG2-1:0]),
       .host_wdata_i,
-      .host_rdata_o(host_rdata_o[CurrentStates])
+      .host_rdata_o(host_rdata[CurrentStates])
   );
 
   pearl_row_memory #(
@@ -176,7 +184,7 @@ module pearl_state_path
       .host_we_i   (host_we_i[Elapsed]),
       .host_addr_i (host_addr_i[GROUP_BITS+ELAPSED_COLUMNS_LOG2-1:0]),
       .host_wdata_i,
-      .host_rdata_o(host_rdata_o[Elapsed])
+      .host_rdata_o(host_rdata[Elapsed])
   );
 
   pearl_pe_array #(

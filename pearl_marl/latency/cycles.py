@@ -92,13 +92,13 @@ def loop_cycles(spec: EnvSpec, layout: MemoryMap, target: Target = elaboration.T
 _BURST_BYTES, _BURST_BEATS = 4096, 256
 """AXI4: no burst crosses a multiple of the one, or has more beats than the other."""
 
-_PORT_LATENCY = 6
+_PORT_LATENCY = 7
 """Cycles from a request behind the AXI slave to its answer (``PORT_LATENCY`` of ``rtl/pearl_pkg.sv``)."""
 
 WRITE_BURST, READ_BURST = _PORT_LATENCY + 5, _PORT_LATENCY + 4
 """Cycles of a burst besides its beats: its address, and until the AXI slave has answered."""
 
-_UNTIL_RUNNING = 5
+_UNTIL_RUNNING = 6
 """Cycles of a step that pass while its write is still being answered."""
 
 
@@ -129,8 +129,8 @@ def draws_wait(spec: EnvSpec, layout: MemoryMap) -> int:
     written. A link takes longer than they do; the simulated port may not.
     """
     draws = spec.reset_draws + spec.step_draws
-    keys = _DRAW_LATENCY * (1 + draws) + 7 if draws else 0
-    return max(0, keys - write_cycles(layout) - read_cycles(layout))
+    keys = _DRAW_LATENCY * (1 + draws) + 2 if draws else 0
+    return max(0, keys - read_cycles(layout) - (write_cycles(layout) - _UNTIL_RUNNING))
 
 
 def axi_cycles(spec: EnvSpec, layout: MemoryMap, pipelined: bool = True) -> int:

@@ -14,12 +14,14 @@ RESULTS = {"observations", "rewards", "ters"}
 READ_ONLY = RESULTS | {"status"}
 # What may be read while a step runs.
 SHARED = READ_ONLY | {"control", "doorbell"}
+# What answers a cycle later than the others.
+LATE = {"initial_states", "current_states", "elapsed"}
 OKAY, SLVERR, DECERR = 0, 2, 3
 
 
 @each_variant()
 async def requests_reach_their_regions(dut: Any, given: Any) -> None:
-    inputs = ("req_i", "we_i", "fetch_i", "addr_i", "wdata_i", "busy_i", "rdata_i")
+    inputs = ("req_i", "we_i", "fetch_i", "addr_i", "wdata_i", "busy_i", "rdata_i", "late_rdata_i")
     await start(dut, **dict.fromkeys(inputs, 0))
     source = random.Random(15)
     size = len(REGION_NAMES) * given.words
@@ -29,10 +31,11 @@ async def requests_reach_their_regions(dut: Any, given: Any) -> None:
     # Requests that have not been judged yet, the words that regions owe, and the answers that are due.
     waiting: list[tuple[str, int, int] | None] = [None, None]
     owed: list[tuple[int, int] | None] = [None] * (READ_LATENCY + 1)
-    due: list[tuple[int, int | None] | None] = [None] * (READ_LATENCY + 2)
+    due: list[tuple[int, int | None] | None] = [None] * (READ_LATENCY + 3)
     names = ("re", "we", "busy_write", "busy_doorbell", "untorn", "soft_reset")
     strobes = dict.fromkeys(names, 0)
     at: tuple[int, int] | None = None
+    late = 0
     outdated = False
     for cycle in range(4000):
         await FallingEdge(dut.clk_i)
@@ -54,8 +57,13 @@ async def requests_reach_their_regions(dut: Any, given: Any) -> None:
         dut.req_i.value = int(fresh is not None)
         # Regions that are not read answer something, too.
         words = [source.getrandbits(given.word) for _ in REGION_NAMES]
+        dut.late_rdata_i.value, late = late, 0
         if (answering := owed.pop(0)) is not None:
-            words[answering[0]] = answering[1]
+            region, word = answering
+            if REGION_NAMES[region] in LATE:
+                words[region], late = 0, word
+            else:
+                words[region] = word
         dut.rdata_i.value = sum(word << (given.word * i) for i, word in enumerate(words))
         await ReadOnly()
 

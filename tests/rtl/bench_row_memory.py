@@ -45,5 +45,6 @@ async def host_and_pipeline_see_the_same(dut: Any, given: Any) -> None:
             rows[row] = (rows[row] & ~mask | data << (column * given.word)) & ((1 << given.row) - 1)
         elif busy:
             assert int(dut.rdata_o.value) == rows[row]
+            assert int(dut.host_rdata_o.value) == 0  # as the words of other memories are added to it
         else:
             assert int(dut.host_rdata_o.value) == rows[row] >> (column * given.word) & ((1 << given.word) - 1)

@@ -25,6 +25,7 @@ module port_map
     output logic  [       DATA_WL-1:0]              wdata_o,
     output logic  [       DATA_WL-1:0]              next_wdata_o,
     input  logic  [    NumRegions-1:0][DATA_WL-1:0] rdata_i,
+    input  logic  [       DATA_WL-1:0]              late_rdata_i,
     output logic                                    busy_write_o,
     output logic                                    busy_doorbell_o,
     output logic                                    untorn_o,

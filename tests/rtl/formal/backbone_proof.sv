@@ -102,7 +102,7 @@ module backbone_proof
   // ---- The host's accesses ----
 
   // Cycles from a request to its access.
-  localparam int unsigned TO_ACCESS = PORT_LATENCY - READ_LATENCY - 1;
+  localparam int unsigned TO_ACCESS = PORT_LATENCY - READ_LATENCY - 2;
   logic [WORD_ADDR_BITS-1:0] meant;
   pearl_delay #(
       .WIDTH (WORD_ADDR_BITS),
