@@ -13,7 +13,12 @@ from pearl_marl.cli.common import console, error_console
 from pearl_marl.cli.interrupts import interrupts
 from pearl_marl.errors import ArgumentError
 
-Algorithm = Annotated[str, typer.Option("--algo", help="`ppo`, `dqn`, `q-learning`; in worlds also `ippo`, `mappo`, `iql`, `self-play`.")]
+Algorithm = Annotated[
+    str,
+    typer.Option(
+        "--algo", help="`ppo`, `dqn`, `q-learning`; in worlds also `ippo`, `mappo`, `iql`, `self-play`."
+    ),
+]
 Agents = Annotated[
     int | None, typer.Option("--n-agents", help="How many agents gather experience.", show_default="preset")
 ]

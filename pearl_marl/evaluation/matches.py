@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -58,7 +58,7 @@ class Match(Evaluation):
         A world is won by who has a higher return there than each of the others.
         """
         agents = self.config.spec.agents
-        returns, seats = self.returns.reshape(-1, agents), self.seats.reshape(-1, agents)
+        returns, seats = self.world_returns, self.seats.reshape(-1, agents)
         ours, theirs = returns[seats], returns[~seats].reshape(-1, agents - 1)
         most = theirs.max(1)
         games = len(ours)
@@ -75,19 +75,18 @@ class Match(Evaluation):
 
 def cross_table(
     spec: EnvSpec, policies: Mapping[str, Policy], n_agents: int, **given: Any
-) -> list[dict[str, Any]]:
-    """Return the outcomes of all policies, each against each of the others, a row a pair.
+) -> Iterator[dict[str, Any]]:
+    """Yield the outcomes of all policies, each against each of the others, a row a pair.
 
     ``given`` is what :class:`Match` takes.
     """
-    names, rows = list(policies), []
+    names = list(policies)
     for k, first in enumerate(names):
         for second in names[k + 1 :]:
             match = Match(spec, policies[first], policies[second], n_agents, **given)
             for _ in match.run():
                 pass
-            rows.append({"policy": first, "against": second, **match.outcome()})
-    return rows
+            yield {"policy": first, "against": second, **match.outcome()}
 
 
 def _seats(n: int, agents: int) -> npt.NDArray[np.bool_]:

@@ -158,7 +158,7 @@ class Apart(nn.ModuleList):
     def see(self, obs: Tensor, position: Tensor) -> None:
         """Take a batch of observations into the statistics of those that they are for."""
         for k, network in enumerate(self):
-            network.see(obs[position == k])
+            network.see(obs[position == k])  # type: ignore[operator]
 
     def forward(self, obs: Tensor, position: Tensor) -> Tensor:
         """Return the outputs, shape ``(batch, outputs)``."""
@@ -246,6 +246,11 @@ class NetworkPolicy(_Trained):
         if position is None and self.about["sharing"] != "all":
             position = self.positions(len(obs))
         return masked(self.network(obs, position), masks)
+
+    def see(self, obs: Tensor, position: Tensor | None) -> None:
+        """Take a batch of observations into the statistics by which they are standardised."""
+        network: Any = self.network
+        network.see(obs, position)
 
     @torch.no_grad()
     def best(self, obs: Tensor, masks: Tensor | None = None) -> Tensor:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -22,19 +23,24 @@ class View(NamedTuple):
     position: Tensor | None = None  # of the agent in its world; where there are others
     state: Tensor | None = None  # of its world; for a central critic
 
+    def each(self, function: Callable[[Tensor], Tensor]) -> View:
+        """Return the same with a function of every tensor in its place."""
+        others = (None if part is None else function(part) for part in self[1:])
+        return View(function(self.obs), *others)
+
     def pick(self, rows: Tensor | slice | tuple[Tensor, ...]) -> View:
         """Return some rows."""
-        return View(*(None if part is None else part[rows] for part in self))
+        return self.each(lambda part: part[rows])
 
     def flat(self) -> View:
         """Return steps and agents as one axis."""
-        return View(*(None if part is None else part.flatten(0, 1) for part in self))
+        return self.each(lambda part: part.flatten(0, 1))
 
     @staticmethod
-    def stacked(views: list[View]) -> View:
+    def stacked(views: Sequence[View]) -> View:
         """Return views one step after the other."""
-        parts = zip(*views, strict=True)
-        return View(*(None if part[0] is None else torch.stack(part) for part in parts))
+        obs, *others = zip(*views, strict=True)
+        return View(torch.stack(obs), *(None if part[0] is None else torch.stack(part) for part in others))
 
 
 class ActorCritic(nn.Module):
@@ -58,10 +64,10 @@ class ActorCritic(nn.Module):
         self.continuous = not hasattr(spec.action_space, "n")
         self.central = central
         self.policy = NetworkPolicy(spec, "mean" if self.continuous else "logits", width, sharing)
-        network = self.policy.network
+        network: Any = self.policy.network
         # Of a picture, most of the work is to see what is on it: actor and critic do that together.
         self.shared = not central and isinstance(network, Network) and network.encoder.kind == "picture"
-        self.critic: nn.Module
+        self.critic: Any
         if central:
             state = Box(-np.inf, np.inf, (len(spec.state),), np.float32)
             self.critic = Network(state, spec.agents, width)
@@ -74,7 +80,7 @@ class ActorCritic(nn.Module):
 
     def see(self, view: View) -> None:
         """Take a batch into the statistics by which observations and states are standardised."""
-        self.policy.network.see(view.obs, view.position)
+        self.policy.see(view.obs, view.position)
         if self.central:
             self.critic.see(view.state)
         elif not self.shared:
@@ -91,7 +97,8 @@ class ActorCritic(nn.Module):
             values: Tensor = self.critic(view.state)
             return values[:, 0] if view.position is None else values.gather(1, view.position[:, None])[:, 0]
         if self.shared:
-            values = self.critic(self.policy.network.features(view.obs, view.position))
+            network: Any = self.policy.network
+            values = self.critic(network.features(view.obs, view.position))
         else:
             values = self.critic(view.obs, view.position)
         return values[:, 0]
@@ -100,7 +107,7 @@ class ActorCritic(nn.Module):
         """Return the policy's outputs, and what the critic expects."""
         if not self.shared:
             return self.outputs(view), self.values(view)
-        network = self.policy.network
+        network: Any = self.policy.network
         features = network.features(view.obs, view.position)
         return masked(network.output(features), view.masks), self.critic(features)[:, 0]
 

@@ -38,7 +38,9 @@ class Settings(Checked):
     exploring: float = number(0.2, most=1, above=True)  # the part of the run in which it falls
     reward_scale: float = number(1.0, above=True)  # what rewards are multiplied with before anything else
     width: int = count(64, most=WIDEST)  # of the network's layers
-    sharing: str = choice(*SHARING)  # what a world's agents share: all, all but an indicator of who it is, none
+    sharing: str = choice(
+        *SHARING
+    )  # what a world's agents share: all, all but an indicator of who it is, none
     rewards: str = choice(*TEAM)  # what an agent wants: its own, or the mean or the sum of its world's
     seed: int = count(0, least=0, most=SEEDS)  # of everything random
 
@@ -104,7 +106,7 @@ class DQN(Trainer):
 
     def _step(self) -> None:
         view, alive = self.agents.view, self.agents.alive
-        self.policy.network.see(view.obs, view.position)
+        self.policy.see(view.obs, view.position)
         best = self.policy.best(view.obs, view.masks)
         actions = self.explore(best, self.policy.outputs, self.explored, view.masks)
         step = self.agents.step(actions)

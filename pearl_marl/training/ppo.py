@@ -18,7 +18,7 @@ from pearl_marl.errors import ArgumentError
 from pearl_marl.policies.network import SHARING
 from pearl_marl.spec import EnvSpec
 from pearl_marl.training.actor_critic import ActorCritic, View
-from pearl_marl.training.rollout import TEAM, RolloutWorker, Trainer
+from pearl_marl.training.rollout import TEAM, Experience, RolloutWorker, Trainer
 from pearl_marl.training.settings import SEEDS, SLOTS, WIDEST, Checked, check_memory, choice, count, number
 from pearl_marl.training.workers import RayWorkers
 
@@ -43,7 +43,9 @@ class Settings(Checked):
     entropy: float = number(0.0)  # its weight in the loss
     reward_scale: float = number(1.0, above=True)  # what rewards are multiplied with before anything else
     width: int = count(64, most=WIDEST)  # of the networks' layers
-    sharing: str = choice(*SHARING)  # what a world's agents share: all, all but an indicator of who it is, none
+    sharing: str = choice(
+        *SHARING
+    )  # what a world's agents share: all, all but an indicator of who it is, none
     rewards: str = choice(*TEAM)  # what an agent wants: its own, or the mean or the sum of its world's
     blocks: int = count(1, most=SLOTS)
     seed: int = count(0, least=0, most=SEEDS)  # of everything random
@@ -96,7 +98,7 @@ class PPO(Trainer):
         for group in self.optimiser.param_groups:
             group["lr"] = settings.learning_rate * (1 - self.done / settings.iterations)
         experience = self.worker.gather(self.done)
-        self.episodes.add(experience.rewards, experience.ended)
+        self.count(experience)
         view, rows = experience.view.flat(), experience.learned.flatten().nonzero()[:, 0]
         if len(rows):
             self.model.see(view if len(rows) == len(view.obs) else view.pick(rows))
@@ -107,6 +109,10 @@ class PPO(Trainer):
             ]
             self.losses = torch.stack(losses).mean(0)
         self.done += 1
+
+    def count(self, experience: Experience) -> None:
+        """Count the episodes that ended."""
+        self.episodes.add(experience.rewards, experience.ended)
 
     def figures(self) -> dict[str, float | None]:
         """Return figures for the metrics: of episodes since they were last asked for, and the last losses."""

@@ -70,9 +70,9 @@ class Agents:
 
     def _look(self, obs: Any) -> None:
         obs = torch.as_tensor(obs)
-        masks, state = self.device.action_masks, None
-        if masks is not None:
-            masks = torch.as_tensor(masks, device=obs.device)
+        masks = state = None
+        if self.device.action_masks is not None:
+            masks = torch.as_tensor(self.device.action_masks, device=obs.device)
         if self.central:
             words = torch.as_tensor(self.device.state().astype(np.float32), device=obs.device)
             state = words.repeat_interleave(self.spec.agents, 0)
@@ -102,7 +102,7 @@ def team_rewards(rewards: Tensor, agents: int, whose: str) -> Tensor:
     """Return, for each agent of a world, its own reward, or the mean or the sum of all of them."""
     if whose == "own" or agents == 1:
         return rewards
-    worlds = rewards.unflatten(-1, (-1, agents))
+    worlds = rewards.reshape(*rewards.shape[:-1], -1, agents)
     together = worlds.mean(-1) if whose == "mean" else worlds.sum(-1)
     return together.repeat_interleave(agents, -1)
 
@@ -279,7 +279,8 @@ class RolloutWorker:
         logs, _ = model.weigh(torch.stack(made), actions)
         wanted = team_rewards(rewards, self.spec.agents, settings.rewards) * settings.reward_scale
         if settings.rewards != "own":  # what the others still earn counts until the whole world ends
-            worlds = (ended | ~torch.stack(alive[:-1])).unflatten(1, (-1, self.spec.agents)).all(2)
+            gone = ended | ~torch.stack(alive[:-1])
+            worlds = gone.reshape(len(gone), -1, self.spec.agents).all(2)
             over = worlds.repeat_interleave(self.spec.agents, 1)
         decides = torch.stack(acting)
         values = self._values(view, decides)

@@ -202,8 +202,8 @@ def _check_worlds(spec: EnvSpec, settings: Any) -> None:
     name = spec.name
     if not spec.mask_fields and any(role.action_space != spec.action_space for role in spec.roles):
         raise ArgumentError(
-            f"{name} has roles with other actions and no masks of them, and the trainers learn one policy for "
-            f"all: train by a library that learns one for each role, around pearl_marl.parallel_env({name!r})"
+            f"{name} has roles with other actions, and no masks to tell them: train by a library that learns "
+            f"one policy for each role, around pearl_marl.parallel_env({name!r})"
         )
     if spec.agents > 1 and getattr(settings, "blocks", 1) > 1:
         raise ArgumentError(f"agents of {name} share worlds, and --shards is for those that are alone")

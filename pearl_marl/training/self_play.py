@@ -20,7 +20,7 @@ from pearl_marl.policies.network import MASKED, NetworkPolicy
 from pearl_marl.spec import EnvSpec
 from pearl_marl.training import ppo
 from pearl_marl.training.actor_critic import View
-from pearl_marl.training.rollout import RolloutWorker, seed_of
+from pearl_marl.training.rollout import Experience, RolloutWorker, seed_of
 from pearl_marl.training.settings import count, number
 
 
@@ -28,7 +28,9 @@ from pearl_marl.training.settings import count, number
 class Settings(ppo.Settings):
     """What a run depends on: PPO's settings, and these."""
 
-    join_every: int = count(10)  # iterations after which the policy joins the league; it begins with the first
+    join_every: int = count(
+        10
+    )  # iterations after which the policy joins the league; it begins with the first
     opponents: int = count(4)  # members of the league that are met in a rollout
     mirrored: float = number(0.5, most=1)  # share of worlds in which the learner plays all sides
 
@@ -41,7 +43,10 @@ class LeagueWorker(RolloutWorker):
     def __init__(self, spec: EnvSpec, device: Any, settings: Any, model: Any) -> None:
         super().__init__(spec, device, settings, model)
         n, agents = len(self.agents.obs), spec.agents
-        world, seat = torch.arange(n, device=self.where) // agents, torch.arange(n, device=self.where) % agents
+        world, seat = (
+            torch.arange(n, device=self.where) // agents,
+            torch.arange(n, device=self.where) % agents,
+        )
         first = round(settings.mirrored * (n // agents))
         # Whose row it is: 0 the learner's, k the k-th opponent's. The learner has each seat equally often.
         group = 1 + (world - first) // agents % settings.opponents
@@ -87,6 +92,12 @@ class SelfPlay(ppo.PPO):
         super().iterate()
         if self.done % self.settings.join_every == 0:
             self._join()
+
+    def count(self, experience: Experience) -> None:
+        """Count the episodes that ended: the learner's against the league, as against itself it wins half."""
+        players = self.worker.players.reshape(-1, self.worker.spec.agents)
+        counted = ((players == 0) & (players != 0).any(1, keepdim=True)).flatten()
+        self.episodes.add(experience.rewards * counted, experience.ended & counted)
 
     def _join(self) -> None:
         weights = self.policy.state_dict()

@@ -119,7 +119,9 @@ class RayWorkers:
                     asked = self._ask(i, rollout, weights)
         self._states = [state for _, state in gathered]
         self._apart = [False] * len(self._actors)
-        return Experience.of([self._joined(part) for part in zip(*(share for share, _ in gathered), strict=True)])
+        return Experience.of(
+            [self._joined(part) for part in zip(*(share for share, _ in gathered), strict=True)]
+        )
 
     def _joined(self, parts: tuple[Array | None, ...]) -> torch.Tensor | None:
         """Return what shards have of something, side by side; all have it, or none does."""
