@@ -16,7 +16,7 @@ from pearl_marl.cli import common
 from pearl_marl.cli.common import console, error_console
 from pearl_marl.devices import Lockstep
 from pearl_marl.errors import ArgumentError, LockstepError, PearlError
-from pearl_marl.evaluation.matches import Match, cross_table
+from pearl_marl.evaluation.matches import OPENINGS, Match, cross_table
 from pearl_marl.evaluation.report import write_report
 from pearl_marl.evaluation.run import LIMIT, Evaluation
 from pearl_marl.policies.loading import load_policy
@@ -35,9 +35,18 @@ Against = Annotated[
     list[str] | None,
     typer.Option(
         "--against",
-        help="Another policy, which plays all agents of a world but one. Given more than once: a table of who "
-        "beats whom.",
+        help="Another policy, which plays all agents of a world but one. Given more than once: a table of "
+        "who beats whom.",
         show_default="none",
+    ),
+]
+Openings = Annotated[
+    int | None,
+    typer.Option(
+        "--openings",
+        min=0,
+        help="With --against: with how many random steps every episode begins.",
+        show_default=f"{OPENINGS} in games of turns",
     ),
 ]
 Episodes = Annotated[
@@ -64,6 +73,7 @@ def command(
     env_id: common.EnvName,
     policy: PolicyName,
     against: Against = None,
+    openings: Openings = None,
     n_agents: common.Agents = None,
     device: common.DeviceName = "native",
     episodes: Episodes = None,
@@ -82,21 +92,25 @@ def command(
     spec = common.spec_of(env_id, option)
     n_agents = common.agents_of(spec, n_agents)
     rivals = against or []
+    given: dict[str, Any] = {"seed": seed, "max_cycles": max_cycles}
     if rivals and episodes is not None:
         raise ArgumentError("with --against every agent plays one episode: leave --episodes out")
+    if openings is not None and not rivals:
+        raise ArgumentError("--openings is of games between policies: give --against, too")
     if out is not None:
         common.out_folder(out)
     if len(rivals) > 1:
         if lockstep:
             raise ArgumentError("--lockstep compares one evaluation: give one --against, or none")
-        _tournament(spec, [policy, *rivals], n_agents, device, seed, max_cycles, out, as_json)
+        given |= {"device": device, "openings": openings}
+        _tournament(spec, [policy, *rivals], n_agents, given, out, as_json)
         return
-    given: dict[str, Any] = {"seed": seed, "max_cycles": max_cycles}
     stepped = Lockstep(device, REFERENCE) if lockstep else device
     chooses = load_policy(policy, spec, seed)
     evaluation: Evaluation
     if rivals:
-        evaluation = Match(spec, chooses, load_policy(rivals[0], spec, seed + 1), n_agents, stepped, **given)
+        rival = load_policy(rivals[0], spec, seed + 1)
+        evaluation = Match(spec, chooses, rival, n_agents, stepped, openings, **given)
     else:
         evaluation = Evaluation(spec, chooses, n_agents, stepped, episodes=episodes, **given)
     try:
@@ -147,9 +161,7 @@ def _tournament(
     spec: EnvSpec,
     names: list[str],
     n_agents: int,
-    device: str,
-    seed: int,
-    max_cycles: int | None,
+    given: dict[str, Any],
     out: Path | None,
     as_json: bool,
 ) -> None:
@@ -157,16 +169,15 @@ def _tournament(
     for name in names:
         if names.count(name) > 1:
             raise ArgumentError(f"{name!r} is given as --policy or --against twice; a table has it once")
-    policies = {name: load_policy(name, spec, seed + k) for k, name in enumerate(names)}
+    policies = {name: load_policy(name, spec, given["seed"] + k) for k, name in enumerate(names)}
     pairs = len(policies) * (len(policies) - 1) // 2
-    matches = cross_table(spec, policies, n_agents, device=device, seed=seed, max_cycles=max_cycles)
-    rows = list(common.progress(matches, pairs, f"{spec.name} on {device}, {n_agents:,} agents: pairs"))
+    label = f"{spec.name} on {given['device']}, {n_agents:,} agents: pairs"
+    rows = list(common.progress(cross_table(spec, policies, n_agents, **given), pairs, label))
     result = {
         "environment": spec.id,
         "options": dict(spec.options),
         "n_agents": n_agents,
-        "device": device,
-        "seed": seed,
+        **given,
         "matches": rows,
         "machine": machine(),
     }

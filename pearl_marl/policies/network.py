@@ -34,8 +34,8 @@ SHARING = ("all", "indicator", "none")
 """What the networks of a world's agents have in common: see :class:`NetworkPolicy`."""
 
 MASKED = torch.finfo(torch.float32).min
-"""The output of a masked action. Minus infinity would do for its probability, but makes the entropy NaN. Where
-all actions are masked, all are equally likely, and the first is the best."""
+"""The output of a masked action. Minus infinity would do for its probability, but makes the entropy NaN.
+Where all actions are masked, all are equally likely, and the first is the best."""
 
 
 def masked(outputs: Tensor, masks: Tensor | None) -> Tensor:
@@ -170,7 +170,7 @@ class Apart(nn.ModuleList):
 def networks(
     spec: EnvSpec, outputs: int, width: int, scale: float = 1.0, sharing: str = "all"
 ) -> Network | Apart:
-    """Return what maps observations of all agents of a world to ``outputs``; ``sharing`` as in :data:`SHARING`."""
+    """Return what maps observations of a world's agents to ``outputs``; ``sharing`` is of :data:`SHARING`."""
     space = spec.observation_space
     if sharing == "none":
         return Apart(Network(space, outputs, width, scale) for _ in range(spec.agents))

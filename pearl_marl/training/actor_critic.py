@@ -56,7 +56,7 @@ class ActorCritic(nn.Module):
         What a world's agents have in common: see :class:`~pearl_marl.policies.network.NetworkPolicy`.
     central
         Whether the critic is given the state of the whole world, and has an output for each of its agents,
-        instead of what the agent observes. The policy has no use of it, so agents act on their own all the same.
+        instead of what the agent observes. The policy is not, so agents act on their own all the same.
     """
 
     def __init__(self, spec: EnvSpec, width: int, sharing: str = "all", central: bool = False) -> None:

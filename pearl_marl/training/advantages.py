@@ -1,7 +1,7 @@
 """How much better than expected it went: generalised advantage estimation (arXiv:1506.02438), agent by agent.
 
-Agents need not act in every step. Who waits for its turn, or for its world to end, has nothing to decide; what it
-earns meanwhile belongs to its last decision, and the next thing that it sees is where it decides again.
+Agents need not act in every step. Who waits for its turn, or for its world to end, has nothing to decide.
+What it earns meanwhile belongs to its last decision, which led to where it decides again.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ def _of_decisions(course: Course, discount: float, trace: float) -> tuple[Tensor
     """
     rewards, values, ended, acting, unknown = course
     result, learned = torch.zeros_like(rewards), acting[:-1].clone()
-    # Of the decision that comes next: its value and advantage; whether there is one; and what is earned until it.
+    # Of the decision that comes next: its value and advantage, whether it is known, what is earned before it.
     value, advantage = values[-1] * acting[-1], torch.zeros_like(rewards[0])
     known, earned = acting[-1], torch.zeros_like(rewards[0])
     for t in reversed(range(len(rewards))):

@@ -1,8 +1,8 @@
 """Deep Q-learning, one network for all agents (Mnih et al., 2015, doi:10.1038/nature14236).
 
 With double estimation (van Hasselt et al., 2016, arXiv:1509.06461). All agents explore at once, each with its
-own share of random actions, and the replay memory holds their last steps. In worlds it is independent Q-learning
-(IQL): to an agent, the others are part of the environment.
+own share of random actions, and the replay memory holds their last steps. In worlds it is independent
+Q-learning (IQL): to an agent, the others are part of the environment.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ class DQN(Trainer):
         n, depth = settings.n_agents, settings.memory
         if spec.turns:
             raise ArgumentError(
-                f"dqn learns from every step, and in {spec.name} agents take turns: use ppo or self-play"
+                f"dqn learns from every step, and in {spec.name} agents take turns: use self-play"
             )
         # Of every step in memory two observations, action, reward and end; of those learned from, no less.
         rows = n * depth + settings.minibatch
@@ -70,8 +70,8 @@ class DQN(Trainer):
         self.learned = {"policy": self.policy, "target": self.target, "optimiser": self.optimiser}
         self.losses: list[Tensor] = []
         one = obs.shape[1:]
-        # A row a step: what was seen, done, got, where it led, and whether that was the end of it; where there
-        # are worlds, whether the agent was there; and where there are masks, what it might do next.
+        # A row a step: what was seen, done, got, where it led, and whether that was the end; whether the
+        # agent was there, as it may have ended before its world; and of masks, what it might do next.
         self.memory = {
             "obs": torch.zeros((depth, n, *one), dtype=obs.dtype, device=where),
             "actions": torch.zeros((depth, n), dtype=torch.int64, device=where),

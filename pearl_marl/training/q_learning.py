@@ -73,7 +73,7 @@ class QLearning(Trainer):
         n, learners = settings.n_agents, settings.learners
         if spec.turns:
             raise ArgumentError(
-                f"q-learning learns from every step, and in {spec.name} agents take turns: use ppo or self-play"
+                f"q-learning learns from every step, and in {spec.name} agents take turns: use self-play"
             )
         # Of every agent an observation and some ten numbers; of every entry of a table, one.
         others = n * 10 * 8 + learners * Table(spec).values.numel() * 4

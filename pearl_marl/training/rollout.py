@@ -232,8 +232,8 @@ class Experience(NamedTuple):
     @classmethod
     def of(cls, parts: Sequence[Any]) -> Experience:
         """Return the experience of these parts."""
-        size = len(View._fields)
-        return cls(View(*parts[:size]), *parts[size:])
+        others = 7
+        return cls(View(*parts[:-others]), *parts[-others:])
 
 
 class RolloutWorker:
@@ -322,7 +322,7 @@ class RolloutWorker:
         return noise
 
     def _values(self, view: View, wanted: Tensor) -> Tensor:
-        """Return what the critic expects, of the agents that are wanted; else 0. There is an axis of steps."""
+        """Return what the critic expects of those wanted, else 0; a row a step and a column an agent."""
         values = torch.zeros(wanted.shape, device=self.where)
         for block in self.blocks:
             steps, columns = wanted[:, block].nonzero(as_tuple=True)

@@ -216,7 +216,7 @@ def evaluate(policy: Any, spec: EnvSpec, n: int, seed: int = 1) -> tuple[float, 
     every policy.
     """
     if spec.turns:
-        match = Match(spec, policy.choose, load_policy(RANDOM, spec, seed), n, seed=seed)
+        match = Match(spec, policy.choose, load_policy(RANDOM, spec, seed), n, openings=0, seed=seed)
         evaluation: Evaluation = match
         counted = match.seats
     else:

@@ -140,7 +140,7 @@ class RunFolder:
         self.write_metrics()
 
     def keep(self, past: Mapping[int, Any]) -> None:
-        """Write policies of earlier iterations, which change no more: ``past/000010.safetensors`` and so on."""
+        """Write policies of earlier iterations, which change no more: ``past/000010.safetensors``, ..."""
         for done, policy in past.items():
             path = self.path / "past" / f"{done:06}.safetensors"
             if not path.exists():
