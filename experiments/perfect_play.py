@@ -136,19 +136,20 @@ def _outcome(own: int, taken: int, alpha: int, beta: int, keys: Any, bounds: Any
     else:
         low = high = best
     keys[place], bounds[place] = key, 3 * (low + 1) + high + 1
-    return best
+    return int(best)
 
 
 @numba.njit(cache=True)
 def _threats(own: int, taken: int) -> int:
     """Return the free cells with which four would be in a line."""
-    result = (own << 1) & (own << 2) & (own << 3)
+    result: int = (own << 1) & (own << 2) & (own << 3)
     for by in (HEIGHT, HEIGHT - 1, HEIGHT + 1):
         pair = (own << by) & (own << 2 * by)
         result |= pair & (own << 3 * by) | pair & (own >> by)
         pair = (own >> by) & (own >> 2 * by)
         result |= pair & (own << by) | pair & (own >> 3 * by)
-    return result & (BOARD ^ taken)
+    result &= BOARD ^ taken
+    return result
 
 
 @numba.njit(cache=True)

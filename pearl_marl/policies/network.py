@@ -89,9 +89,9 @@ class Encoder(nn.Module):
     @torch.no_grad()
     def see(self, obs: Tensor) -> None:
         """Take a batch of observations into the statistics."""
-        if self.kind != "vector":
+        if self.kind != "vector" or not len(obs):
             return
-        rows = obs.reshape(len(obs), -1).double()
+        rows = obs.reshape(len(obs), self.mean.numel()).double()
         variance, mean = torch.var_mean(rows, 0, correction=0)
         total = self.count + len(rows)
         apart = mean - self.mean
@@ -101,16 +101,17 @@ class Encoder(nn.Module):
         self.count.copy_(total)
 
     def forward(self, obs: Tensor) -> Tensor:
-        """Return features, shape ``(batch, width)``."""
+        """Return features, shape ``(batch, width)``; the batch may be empty."""
         if self.kind == "numbers":
-            rows: Tensor = self.table(obs.reshape(len(obs), -1) + self.offsets)
-            return rows.sum(1) + self.bias
+            found: Tensor = self.table(obs.reshape(len(obs), self.offsets.numel()) + self.offsets)
+            return found.sum(1) + self.bias
         if self.kind == "picture":
             planes = obs.permute(0, 3, 1, 2).float()
             given = torch.relu(self.convolution(planes)).flatten(1)
         else:
             scale = (self.variance + 1e-8).rsqrt().float()
-            given = ((obs.reshape(len(obs), -1) - self.mean.float()) * scale).clamp(-10, 10)
+            rows = obs.reshape(len(obs), self.mean.numel())
+            given = ((rows - self.mean.float()) * scale).clamp(-10, 10)
         features: Tensor = self.linear(given)
         return features
 
@@ -190,11 +191,18 @@ class _Trained(nn.Module):
         raise NotImplementedError
 
     def choose(self, obs: Array, masks: Array | None = None) -> Array:
-        """Return the best action for each observation, as ``step_batch`` takes them, of those allowed."""
+        """Return an action for each observation, as ``step_batch`` takes them, of those allowed."""
         where = next(self.buffers()).device
         allowed = None if masks is None else torch.from_numpy(masks).to(where)
-        actions: Array = self.best(torch.from_numpy(obs).to(where), allowed).cpu().numpy()
+        actions: Array = self.act(torch.from_numpy(obs).to(where), allowed).cpu().numpy()
         return actions
+
+    def act(self, obs: Tensor, masks: Tensor | None = None) -> Tensor:
+        """Return the actions that it takes where it is used: the best, unless it says otherwise."""
+        return self.best(obs, masks)
+
+    def seed(self, seed: int) -> None:
+        """Begin the random numbers anew, of a policy that uses any."""
 
     def positions(self, n: int) -> Tensor:
         """Return who of its world each of ``n`` agents is."""
@@ -221,13 +229,20 @@ class NetworkPolicy(_Trained):
     sharing
         What agents of a world have in common. ``"all"``: one network, that sees nothing but observations.
         ``"indicator"``: one network, which is told whose they are. ``"none"``: each has its own.
+    chance
+        What part chance has in what it does where it is used. With ``"logits"``, the temperature at which
+        actions are drawn; 0 for the most probable. With ``"values"``, the share of random actions. Agents of
+        a team who always do their best wait for each other for ever, where both want to be in the same cell.
     """
 
     bound: Tensor
 
-    def __init__(self, spec: EnvSpec, kind: str, width: int, sharing: str = "all") -> None:
+    def __init__(
+        self, spec: EnvSpec, kind: str, width: int, sharing: str = "all", chance: float = 0.0
+    ) -> None:
         sharing = sharing if spec.agents > 1 else "all"
-        super().__init__(spec, kind=kind, width=width, sharing=sharing)
+        super().__init__(spec, kind=kind, width=width, sharing=sharing, chance=chance)
+        self.chance, self.random = chance, torch.Generator().manual_seed(0)
         actions = spec.action_space
         if isinstance(actions, Box) != (kind == "mean"):
             raise ArgumentError(
@@ -260,6 +275,23 @@ class NetworkPolicy(_Trained):
             return self.within_bounds(outputs)
         best: Tensor = outputs.argmax(1)
         return best
+
+    @torch.no_grad()
+    def act(self, obs: Tensor, masks: Tensor | None = None) -> Tensor:
+        """Return actions of the policy's probabilities, if chance has a part in it, else the best."""
+        if not self.chance or self.about["kind"] == "mean":
+            return self.best(obs, masks)
+        outputs = self(obs, masks)
+        noise = torch.rand(outputs.shape, generator=self.random).to(outputs.device)
+        if self.about["kind"] == "logits":  # Gumbel's trick
+            drawn: Tensor = (outputs / self.chance - noise.log().neg().log()).argmax(1)
+            return drawn
+        anyone = torch.rand(len(outputs), generator=self.random).to(outputs.device) < self.chance
+        return torch.where(anyone, masked(noise, masks).argmax(1), outputs.argmax(1))
+
+    def seed(self, seed: int) -> None:
+        """Begin the random numbers anew."""
+        self.random.manual_seed(seed)
 
     def within_bounds(self, outputs: Tensor) -> Tensor:
         """Return outputs of the kind ``"mean"`` as actions that the environment takes."""
@@ -360,7 +392,10 @@ def _rebuilt(about: dict[str, Any], tensors: dict[str, Tensor]) -> NetworkPolicy
         hidden = tensors.get(layer, torch.empty(0))
         if hidden.shape != (width, width):  # and memory for another width need not be there
             raise ArgumentError(f"its policy has the width {width}, and layers of {tuple(hidden.shape)}")
-        policy = NetworkPolicy(spec, about["kind"], width, sharing)
+        chance = about.get("chance", 0.0)
+        if not isinstance(chance, (int, float)) or not 0 <= chance < float("inf"):
+            raise ArgumentError(f"its policy has the chance {chance!r}; it must be a number from 0")
+        policy = NetworkPolicy(spec, about["kind"], width, sharing, chance)
     else:
         raise ArgumentError(
             f"its policy has the kind {about['kind']!r}; possible are {', '.join(KINDS)}, table"

@@ -52,18 +52,20 @@ class ActorCritic(nn.Module):
         The environment that they are for.
     width
         Of their networks' layers.
-    sharing
-        What a world's agents have in common: see :class:`~pearl_marl.policies.network.NetworkPolicy`.
+    sharing, chance
+        See :class:`~pearl_marl.policies.network.NetworkPolicy`.
     central
         Whether the critic is given the state of the whole world, and has an output for each of its agents,
         instead of what the agent observes. The policy is not, so agents act on their own all the same.
     """
 
-    def __init__(self, spec: EnvSpec, width: int, sharing: str = "all", central: bool = False) -> None:
+    def __init__(
+        self, spec: EnvSpec, width: int, sharing: str = "all", chance: float = 0.0, central: bool = False
+    ) -> None:
         super().__init__()
         self.continuous = not hasattr(spec.action_space, "n")
         self.central = central
-        self.policy = NetworkPolicy(spec, "mean" if self.continuous else "logits", width, sharing)
+        self.policy = NetworkPolicy(spec, "mean" if self.continuous else "logits", width, sharing, chance)
         network: Any = self.policy.network
         # Of a picture, most of the work is to see what is on it: actor and critic do that together.
         self.shared = not central and isinstance(network, Network) and network.encoder.kind == "picture"

@@ -42,6 +42,7 @@ class Settings(Checked):
         *SHARING
     )  # what a world's agents share: all, all but an indicator of who it is, none
     rewards: str = choice(*TEAM)  # what an agent wants: its own, or the mean or the sum of its world's
+    chance: float = number(0.0, most=1)  # share of random actions where the policy is used
     seed: int = count(0, least=0, most=SEEDS)  # of everything random
 
 
@@ -58,7 +59,7 @@ class DQN(Trainer):
         rows = n * depth + settings.minibatch
         check_memory(spec, settings, device, ("n_agents", "memory", "minibatch"), 2 * rows, 13 * rows)
         torch.manual_seed(settings.seed)
-        self.policy = NetworkPolicy(spec, "values", settings.width, settings.sharing)
+        self.policy = NetworkPolicy(spec, "values", settings.width, settings.sharing, settings.chance)
         self.target = NetworkPolicy(spec, "values", settings.width, settings.sharing)
         agents = Agents(spec, device, n, settings.seed)
         obs, where = agents.obs, agents.obs.device

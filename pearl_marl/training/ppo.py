@@ -47,6 +47,9 @@ class Settings(Checked):
         *SHARING
     )  # what a world's agents share: all, all but an indicator of who it is, none
     rewards: str = choice(*TEAM)  # what an agent wants: its own, or the mean or the sum of its world's
+    chance: float = number(
+        0.0
+    )  # how the policy acts where it is used: 0 as it finds best, 1 by its probabilities
     blocks: int = count(1, most=SLOTS)
     seed: int = count(0, least=0, most=SEEDS)  # of everything random
 
@@ -76,7 +79,7 @@ class PPO(Trainer):
         rows = settings.n_agents * settings.depth
         check_memory(spec, settings, device, ("n_agents", "depth"), rows, 6 * 4 * rows)
         torch.manual_seed(settings.seed)
-        self.model = ActorCritic(spec, settings.width, settings.sharing, self.central)
+        self.model = ActorCritic(spec, settings.width, settings.sharing, settings.chance, self.central)
         self.worker: Any
         if shards is None:
             self.worker = self.gathers(spec, device, settings, self.model)

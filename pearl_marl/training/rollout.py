@@ -50,11 +50,11 @@ class Agents:
         self.device = make_device(device, tensors=True)
         first_slot = first // spec.agents
         self.device.open(BatchConfig(spec=spec, n_envs=worlds_of(spec, n), first_slot=first_slot))
-        self.position: Tensor | None = None
-        self._look(self.device.reset(seed))
-        if spec.agents > 1:
-            self.position = torch.arange(n, device=self.obs.device) % spec.agents
-            self.view = self.view._replace(position=self.position)
+        obs = torch.as_tensor(self.device.reset(seed))
+        number = torch.arange(n, device=obs.device)
+        self.position = number % spec.agents if spec.agents > 1 else None
+        self.alive = number >= 0
+        self._look(obs)
 
     @property
     def obs(self) -> Tensor:
@@ -77,7 +77,8 @@ class Agents:
             words = torch.as_tensor(self.device.state().astype(np.float32), device=obs.device)
             state = words.repeat_interleave(self.spec.agents, 0)
         self.view = View(obs, masks, self.position, state)
-        self.alive = torch.as_tensor(self.device.alive, device=obs.device)
+        if self.spec.agents > 1:  # who is alone in its world does not end before it
+            self.alive = torch.as_tensor(self.device.alive, device=obs.device)
         self.acting = self.alive if masks is None else self.alive & (masks != 0).any(1)
 
     @property

@@ -210,11 +210,12 @@ def _check_worlds(spec: EnvSpec, settings: Any) -> None:
 
 
 def evaluate(policy: Any, spec: EnvSpec, n: int, seed: int = 1) -> tuple[float, float]:
-    """Return mean and standard deviation of the return of ``n`` agents' first episodes, by best actions.
+    """Return mean and standard deviation of the return of ``n`` agents' first episodes.
 
     In a game of turns, the return against players who make random moves: against itself it would be that of
     every policy.
     """
+    policy.seed(seed)
     if spec.turns:
         match = Match(spec, policy.choose, load_policy(RANDOM, spec, seed), n, openings=0, seed=seed)
         evaluation: Evaluation = match
