@@ -19,6 +19,8 @@ from pearl_marl.envs.connect_four.step import COLUMNS, ROWS
 
 Array = npt.NDArray[Any]
 
+# None of the functions is kept on the disk: Numba 0.68 loads one that calls itself, and crashes in it.
+
 HEIGHT = ROWS + 1
 CELLS = ROWS * COLUMNS
 BOTTOM = sum(1 << HEIGHT * column for column in range(COLUMNS))
@@ -70,7 +72,7 @@ def words(discs: Array) -> Array:
     return np.asarray((discs.astype(np.int64) * place).sum((1, 2)))
 
 
-@numba.njit(cache=True)
+@numba.njit
 def _values(own: int, taken: int, keys: Any, bounds: Any, result: Any) -> None:
     wins = _threats(own, taken)
     for column in range(COLUMNS):
@@ -83,7 +85,7 @@ def _values(own: int, taken: int, keys: Any, bounds: Any, result: Any) -> None:
             result[column] = -_outcome(own ^ taken, taken | move, LOSS, WIN, keys, bounds)
 
 
-@numba.njit(cache=True)
+@numba.njit
 def _outcome(own: int, taken: int, alpha: int, beta: int, keys: Any, bounds: Any) -> int:
     """Return what the position is worth to who is on turn, if that lies between ``alpha`` and ``beta``."""
     possible = (taken + BOTTOM) & BOARD
@@ -139,7 +141,7 @@ def _outcome(own: int, taken: int, alpha: int, beta: int, keys: Any, bounds: Any
     return int(best)
 
 
-@numba.njit(cache=True)
+@numba.njit
 def _threats(own: int, taken: int) -> int:
     """Return the free cells with which four would be in a line."""
     result: int = (own << 1) & (own << 2) & (own << 3)
@@ -152,7 +154,7 @@ def _threats(own: int, taken: int) -> int:
     return result
 
 
-@numba.njit(cache=True)
+@numba.njit
 def _ones(word: int) -> int:
     count = 0
     while word:
