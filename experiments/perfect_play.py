@@ -72,7 +72,7 @@ def words(discs: Array) -> Array:
     return np.asarray((discs.astype(np.int64) * place).sum((1, 2)))
 
 
-@numba.njit
+@numba.njit(cache=False)
 def _values(own: int, taken: int, keys: Any, bounds: Any, result: Any) -> None:
     wins = _threats(own, taken)
     for column in range(COLUMNS):
@@ -85,7 +85,7 @@ def _values(own: int, taken: int, keys: Any, bounds: Any, result: Any) -> None:
             result[column] = -_outcome(own ^ taken, taken | move, LOSS, WIN, keys, bounds)
 
 
-@numba.njit
+@numba.njit(cache=False)
 def _outcome(own: int, taken: int, alpha: int, beta: int, keys: Any, bounds: Any) -> int:
     """Return what the position is worth to who is on turn, if that lies between ``alpha`` and ``beta``."""
     possible = (taken + BOTTOM) & BOARD
@@ -141,7 +141,7 @@ def _outcome(own: int, taken: int, alpha: int, beta: int, keys: Any, bounds: Any
     return int(best)
 
 
-@numba.njit
+@numba.njit(cache=False)
 def _threats(own: int, taken: int) -> int:
     """Return the free cells with which four would be in a line."""
     result: int = (own << 1) & (own << 2) & (own << 3)
@@ -154,7 +154,7 @@ def _threats(own: int, taken: int) -> int:
     return result
 
 
-@numba.njit
+@numba.njit(cache=False)
 def _ones(word: int) -> int:
     count = 0
     while word:

@@ -267,7 +267,7 @@ class RolloutWorker:
         views, made, taken, steps = [agents.view], [], [], []
         acting, alive = [self.acting()], [agents.alive]
         for t in range(settings.depth):
-            made.append(self.decide(agents.view))
+            made.append(self.decide(agents.view, t))
             actions, given = model.draw(made[-1], noise[t])
             taken.append(actions)
             steps.append(agents.step(given))
@@ -290,6 +290,7 @@ class RolloutWorker:
         # is on turn then, nothing is told.
         unknown = cut & (model.central or self.spec.turns)
         cut &= ~unknown
+        unknown |= self.strays() & decides[:-1]
         if cut.any():
             final = view.pick(slice(0, -1))._replace(obs=torch.stack([step.final_obs for step in steps]))
             wanted += settings.discount * self._values(final, cut)
@@ -303,8 +304,12 @@ class RolloutWorker:
         """Return whose decisions are to be learned from, of those that come next."""
         return self.agents.acting
 
-    def decide(self, view: View) -> Tensor:
-        """Return the policy's outputs for the next step."""
+    def strays(self) -> Tensor:
+        """Return which decisions of the rollout the policy did not make; they are not learned from."""
+        return torch.zeros((), dtype=torch.bool, device=self.where)
+
+    def decide(self, view: View, _: int) -> Tensor:
+        """Return the policy's outputs for the rollout's step of that number."""
         if not self.spec.turns:
             return _joined([self.model.outputs(view.pick(block)) for block in self.blocks])
         rows = self.agents.acting.nonzero()[:, 0]  # of the others nothing is asked

@@ -16,7 +16,7 @@ from torch import Tensor
 from torch.func import functional_call
 
 from pearl_marl.errors import ArgumentError
-from pearl_marl.policies.network import MASKED, NetworkPolicy
+from pearl_marl.policies.network import MASKED, NetworkPolicy, masked
 from pearl_marl.spec import EnvSpec
 from pearl_marl.training import ppo
 from pearl_marl.training.actor_critic import View
@@ -32,6 +32,7 @@ class Settings(ppo.Settings):
         10
     )  # iterations after which the policy joins the league; it begins with the first
     opponents: int = count(4)  # members of the league that are met in a rollout
+    random_moves: float = number(0.1, most=1)  # share of moves, so that games differ; not learned from
     mirrored: float = number(0.5, most=1)  # share of worlds in which the learner plays all sides
 
 
@@ -52,26 +53,36 @@ class LeagueWorker(RolloutWorker):
         group = 1 + (world - first) // agents % settings.opponents
         self.players = torch.where((world < first) | (world % agents == seat), 0, group)
         self.met: list[int] = []
+        self.random_moves = torch.zeros(settings.depth, n, dtype=torch.bool, device=self.where)
 
     def gather(self, rollout: int) -> Any:
         """Step all agents, against members that the rollout's number decides; return the experience."""
-        draw = np.random.default_rng(seed_of(self.settings.seed, rollout, 1))
-        self.met = draw.choice(list(self.league), self.settings.opponents).tolist()
+        settings = self.settings
+        draw = np.random.default_rng(seed_of(settings.seed, rollout, 1))
+        self.met = draw.choice(list(self.league), settings.opponents).tolist()
+        random = torch.Generator(self.where).manual_seed(seed_of(settings.seed, rollout, 2))
+        chances = torch.rand((settings.depth, len(self.players)), generator=random, device=self.where)
+        self.random_moves = chances < settings.random_moves
         return super().gather(rollout)
 
     def acting(self) -> Tensor:
         """Return whose decisions are to be learned from: the learner's."""
         return self.agents.acting & (self.players == 0)
 
-    def decide(self, view: View) -> Tensor:
-        """Return the outputs of the policies of all who play."""
+    def strays(self) -> Tensor:
+        """Return which moves are random."""
+        return self.random_moves
+
+    def decide(self, view: View, step: int) -> Tensor:
+        """Return the outputs of the policies of all who play; equal ones where the move is random."""
         policy, acting = self.model.policy, self.agents.acting
         outputs = torch.full((len(view.obs), policy.outputs), MASKED, device=self.where)
         for player, weights in enumerate([{}, *(self.league[k] for k in self.met)]):
             rows = (acting & (self.players == player)).nonzero()[:, 0]
             seen = view.pick(rows)
             outputs[rows] = functional_call(policy, weights, (seen.obs, seen.masks, seen.position))
-        return outputs
+        anything = masked(torch.zeros_like(outputs), view.masks)
+        return torch.where(self.random_moves[step][:, None], anything, outputs)
 
 
 class SelfPlay(ppo.PPO):

@@ -286,7 +286,7 @@ def test_other_names_of_algorithms(tmp_path: Path) -> None:
 
 
 def test_members_of_the_league_act_and_are_not_learned_from() -> None:
-    given = {**SMALL, "n_agents": 64, "mirrored": 0.25, "opponents": 3, "depth": 8}
+    given = {**SMALL, "n_agents": 64, "mirrored": 0.25, "opponents": 3, "depth": 8, "random_moves": 0.0}
     trainer = trainer_of("self-play", "ConnectFour", **given)
     worker = trainer.worker
     players = worker.players.reshape(-1, 2)
@@ -308,6 +308,30 @@ def test_members_of_the_league_act_and_are_not_learned_from() -> None:
     mine = (worker.players == 0).expand_as(e.learned) & (e.view.masks != 0).any(2)
     assert len(e.actions[mine].unique()) == 7
     assert e.learned[:-2][mine[:-2]].all()
+
+
+def test_random_moves_are_not_learned_from() -> None:
+    """But what came before them is, and goes by the value of where they were made."""
+    given = {**SMALL, "n_agents": 128, "depth": 12, "mirrored": 1.0, "random_moves": 0.5, "discount": 0.9}
+    trainer = trainer_of("self-play", "ConnectFour", **given)
+    # A policy that plays in the middle, so that what is not there is random.
+    with torch.no_grad():
+        trainer.policy.network.output.bias[3] = 1e4
+    e = trainer.worker.gather(0)
+    decides = (e.view.masks != 0).any(2)
+    random = trainer.worker.random_moves & decides
+    assert 0.4 < random[decides].float().mean() < 0.6
+    assert not e.learned[random].any()
+    assert e.learned[:-2][decides[:-2] & ~random[:-2]].all()
+    middle = (e.view.masks[..., 3] == 1) & decides
+    assert (e.actions[middle & ~random] == 3).all()
+    assert (e.actions[middle & random] != 3).float().mean() > 0.6
+    with torch.no_grad():
+        values = trainer.model.values(e.view.flat()).reshape(e.rewards.shape)
+    expected = e.rewards[0] + e.rewards[1] + 0.9 * values[2] - values[0]
+    before = decides[0] & ~random[0] & random[2] & ~e.ended[:2].any(0)
+    assert before.sum() > 3
+    torch.testing.assert_close(e.advantages[0][before], expected[before])
 
 
 def test_the_league_grows_and_is_kept_in_files(tmp_path: Path) -> None:
