@@ -38,9 +38,7 @@ class Settings(Checked):
     exploring: float = number(0.2, most=1, above=True)  # the part of the run in which it falls
     reward_scale: float = number(1.0, above=True)  # what rewards are multiplied with before anything else
     width: int = count(64, most=WIDEST)  # of the network's layers
-    sharing: str = choice(
-        *SHARING
-    )  # what a world's agents share: all, all but an indicator of who it is, none
+    sharing: str = choice(*SHARING)  # what a world's agents share: all; all but being told who they are; none
     rewards: str = choice(*TEAM)  # what an agent wants: its own, or the mean or the sum of its world's
     chance: float = number(0.0, most=1)  # share of random actions where the policy is used
     seed: int = count(0, least=0, most=SEEDS)  # of everything random

@@ -43,13 +43,9 @@ class Settings(Checked):
     entropy: float = number(0.0)  # its weight in the loss
     reward_scale: float = number(1.0, above=True)  # what rewards are multiplied with before anything else
     width: int = count(64, most=WIDEST)  # of the networks' layers
-    sharing: str = choice(
-        *SHARING
-    )  # what a world's agents share: all, all but an indicator of who it is, none
+    sharing: str = choice(*SHARING)  # what a world's agents share: all; all but being told who they are; none
     rewards: str = choice(*TEAM)  # what an agent wants: its own, or the mean or the sum of its world's
-    chance: float = number(
-        0.0
-    )  # how the policy acts where it is used: 0 as it finds best, 1 by its probabilities
+    chance: float = number(0.0)  # temperature of the policy where it is used; 0 is its best actions
     blocks: int = count(1, most=SLOTS)
     seed: int = count(0, least=0, most=SEEDS)  # of everything random
 

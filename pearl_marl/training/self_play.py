@@ -28,9 +28,7 @@ from pearl_marl.training.settings import count, number
 class Settings(ppo.Settings):
     """What a run depends on: PPO's settings, and these."""
 
-    join_every: int = count(
-        10
-    )  # iterations after which the policy joins the league; it begins with the first
+    join_every: int = count(10)  # iterations, after which the policy joins the league; and it does at first
     opponents: int = count(4)  # members of the league that are met in a rollout
     random_moves: float = number(0.1, most=1)  # share of moves, so that games differ; not learned from
     mirrored: float = number(0.5, most=1)  # share of worlds in which the learner plays all sides
@@ -43,11 +41,8 @@ class LeagueWorker(RolloutWorker):
 
     def __init__(self, spec: EnvSpec, device: Any, settings: Any, model: Any) -> None:
         super().__init__(spec, device, settings, model)
-        n, agents = len(self.agents.obs), spec.agents
-        world, seat = (
-            torch.arange(n, device=self.where) // agents,
-            torch.arange(n, device=self.where) % agents,
-        )
+        n, agents, seat = len(self.agents.obs), spec.agents, self.agents.position
+        world = torch.arange(n, device=self.where) // agents
         first = round(settings.mirrored * (n // agents))
         # Whose row it is: 0 the learner's, k the k-th opponent's. The learner has each seat equally often.
         group = 1 + (world - first) // agents % settings.opponents
