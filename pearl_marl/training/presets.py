@@ -52,6 +52,19 @@ PRESETS: dict[tuple[str, str], dict[str, Any]] = {
         "entropy": 0.03,
         "width": 128,
     },
+    # One game is like another unless some moves are random.
+    ("self-play", "ConnectFour"): {
+        "n_agents": 512,
+        "iterations": 60,
+        "epochs": 2,
+        "minibatch": 512,
+        "learning_rate": 2e-3,
+        "discount": 0.99,
+        "entropy": 0.03,
+        "reward_scale": 0.3,
+        "width": 128,
+        "random_moves": 0.3,
+    },
     ("ppo", "LevelBasedForaging"): FORAGING,
     ("mappo", "LevelBasedForaging"): FORAGING,
     # Rewards are random: entries have to become means of many targets.
