@@ -1,0 +1,214 @@
+"""Records games of the package ``overcooked-ai``, for ``test_overcooked.py`` to replay.
+
+    python -m venv oracle && oracle/bin/pip install overcooked-ai==1.1.0
+    oracle/bin/python tests/envs/record_overcooked.py tests/envs/overcooked.npz [TIMES_AS_MANY_GAMES]
+
+The package needs ``gym``, which nobody maintains, so it has an environment of its own. What is recorded is what
+the package's dynamics say: a state as a row of bytes, what each cook is paid, shaped rewards, and a checksum of
+both observations. The checksums of a game are chained. A byte of each is kept and all of the last one: a single
+observation that differs changes all that follow.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import zlib
+from collections import deque
+from typing import Any
+
+import numpy as np
+from overcooked_ai_py.mdp.actions import Action, Direction
+from overcooked_ai_py.mdp.overcooked_mdp import OvercookedGridworld
+
+CASES = {
+    "cramped_room": {"games": 16},
+    "asymmetric_advantages": {"games": 12},
+    "coordination_ring": {"games": 12},
+    "forced_coordination": {"games": 12},
+    "counter_circuit_o_1order": {"games": 12},
+    "counter_circuit": {"games": 12},
+    "asymmetric_advantages_tomato": {"games": 6},
+    "cramped_room_o_3orders": {"games": 6},
+    "cramped_room_tomato": {"games": 6},
+    "forced_coordination_tomato": {"games": 6},
+    "bottleneck": {"games": 2},
+    "centre_pots": {"games": 2},
+    "five_by_five": {"games": 2},
+    "large_room": {"games": 2},
+    "schelling": {"games": 2},
+    "simple_o": {"games": 2},
+    "soup_coordination": {"games": 4},
+    "cramped_room, quick": {"layout": "cramped_room", "horizon": 60, "cook_time": 1, "games": 16},
+    "asymmetric_advantages, short": {"layout": "asymmetric_advantages", "horizon": 39, "games": 16},
+    "coordination_ring, slow": {"layout": "coordination_ring", "horizon": 200, "cook_time": 37, "games": 4},
+}
+"""Layouts and options, and how many games of each."""
+ITEMS = {"onion": 1, "tomato": 2, "dish": 3}
+"""Numbers of what is no soup; 0 is nothing, and a soup is 4 and one for an onion and four for a tomato."""
+
+
+def soup(ingredients: list[str]) -> int:
+    return ingredients.count("onion") + 4 * ingredients.count("tomato")
+
+
+def item(thing: Any) -> int:
+    if thing is None:
+        return 0
+    return 4 + soup(thing.ingredients) if thing.name == "soup" else ITEMS[thing.name]
+
+
+def row_of(mdp: Any, state: Any) -> list[int]:
+    """Return a state: place, direction and item of the cooks, then the counters, then the pots.
+
+    A pot has a soup, and 1 more than how long it has been cooking; 0 before it does.
+    """
+    row = []
+    for player in state.players:
+        row += [*player.position, Direction.DIRECTION_TO_INDEX[player.orientation], item(player.held_object)]
+    counters, pots = mdp.get_counter_locations(), mdp.get_pot_locations()
+    row += [item(state.objects.get(cell)) for cell in counters]
+    for cell in pots:
+        thing = state.objects.get(cell)
+        row += [0, 0] if thing is None else [soup(thing.ingredients), thing._cooking_tick + 1]
+    assert set(state.objects) <= {*counters, *pots}
+    return row
+
+
+class Cook:
+    """Goes somewhere and acts there, most often where it makes sense."""
+
+    def __init__(self, mdp: Any, which: int, generator: np.random.Generator) -> None:
+        self.mdp, self.which, self.generator = mdp, which, generator
+        self.goal: Any = None
+        self.before: Any = None
+
+    def action(self, state: Any) -> Any:
+        generator, player = self.generator, state.players[self.which]
+        stuck, self.before = self.before == player.pos_and_or, player.pos_and_or
+        if generator.random() < (0.4 if stuck else 0.08):
+            return Action.ALL_ACTIONS[generator.integers(6)]
+        ways = self._ways(player.position)
+        if self.goal is None or generator.random() < 0.03:
+            self.goal = self._chosen(state, player.held_object, ways)
+        place, way = self.goal, ways[self.goal]
+        if not way:
+            here = tuple(np.subtract(place, player.position).tolist())
+            if player.orientation != here:
+                return here
+            self.goal = None
+            return Action.INTERACT
+        return way[0]
+
+    def _ways(self, start: Any) -> dict[Any, list[Any]]:
+        """Return the way to everything in reach but the floor, by the place."""
+        floor = self.mdp.get_valid_player_positions()
+        ways, seen, left = {}, {start}, deque([(start, [])])
+        while left:
+            cell, way = left.popleft()
+            for direction in Direction.ALL_DIRECTIONS:
+                near = Action.move_in_direction(cell, direction)
+                if near not in floor:
+                    ways.setdefault(near, way)
+                elif near not in seen:
+                    seen.add(near)
+                    left.append((near, [*way, direction]))
+        return ways
+
+    def _chosen(self, state: Any, held: Any, ways: dict[Any, list[Any]]) -> Any:
+        places, holds = list(ways), "nothing" if held is None else held.name
+        soups = [thing for cell, thing in state.objects.items() if cell in self.mdp.get_pot_locations()]
+        # Somebody with empty hands has to begin.
+        begin = any(soup.is_idle and soup.is_full for soup in soups)
+        cooking = any(not soup.is_idle for soup in soups)
+        weights = []
+        for place in places:
+            kind, thing = self.mdp.get_terrain_type_at_pos(place), state.objects.get(place)
+            if kind == "X":
+                worth = 0.02 if (held is None) != (thing is not None) else 1.0 if held is None or begin else 0.15
+                worth /= 1 + len(ways[place])
+            elif kind == "P":
+                worth = self._pot_worth(holds, thing)
+            elif kind == "S":
+                worth = 8.0 if holds == "soup" else 0.02
+            elif held is None:
+                worth = {"O": 1.0, "T": 0.7, "D": 1.5 if cooking else 0.1}[kind]
+            else:
+                worth = 0.02
+            weights.append(worth)
+        return places[self.generator.choice(len(places), p=np.array(weights) / sum(weights))]
+
+    @staticmethod
+    def _pot_worth(holds: str, thing: Any) -> float:
+        if holds == "nothing":
+            return 8.0 if thing and thing.is_idle and len(thing.ingredients) == 3 else 0.06
+        if holds == "dish":
+            return 12.0 if thing and not thing.is_idle else 0.5
+        full = thing is not None and thing.is_full
+        return 0.1 if holds == "soup" else 0.2 if full else 4.0
+
+
+def play(mdp: Any, horizon: int, generator: np.random.Generator) -> dict[str, Any]:
+    cooks = [Cook(mdp, k, generator) for k in range(2)]
+    state, check = mdp.get_standard_start_state(), 0
+    actions, states, paid, shaped, checks = [], [row_of(mdp, state)], [], [], []
+
+    def observed(check: int) -> int:
+        for observation in mdp.lossless_state_encoding(state, horizon):
+            assert 0 <= observation.min() and observation.max() < 256
+            check = zlib.crc32(observation.astype(np.uint8).tobytes(), check)
+        return check
+
+    check = observed(check)
+    checks.append(check)
+    for _ in range(horizon):
+        joint = [cook.action(state) for cook in cooks]
+        state, infos = mdp.get_state_transition(state, joint)
+        check = observed(check)
+        actions.append([Action.ACTION_TO_INDEX[action] for action in joint])
+        states.append(row_of(mdp, state))
+        paid.append(infos["sparse_reward_by_agent"])
+        shaped.append(infos["shaped_reward_by_agent"])
+        checks.append(check)
+    assert state.timestep == horizon
+    return {
+        "actions": np.array(actions, np.uint8),
+        "states": np.array(states, np.uint8),
+        "paid": np.array(paid, np.uint8),
+        "shaped": np.array(shaped, np.uint8),
+        "checks": np.array(checks, np.uint32),
+    }
+
+
+def record(name: str, layout: str, horizon: int, games: int, cook_time: int | None) -> dict[str, Any]:
+    seed = np.random.SeedSequence(zlib.crc32(name.encode()))
+    mdp = OvercookedGridworld.from_layout_name(layout, **({"cook_time": cook_time} if cook_time else {}))
+    played = [play(mdp, horizon, np.random.default_rng(child)) for child in seed.spawn(games)]
+    columns = {key: np.stack([game[key] for game in played], 1) for key in played[0]}
+    columns["soups"] = int((columns["paid"] > 0).sum())
+    return columns
+
+
+def main() -> None:
+    path, times = sys.argv[1], int(sys.argv[2]) if len(sys.argv) > 2 else 1
+    arrays, steps = {}, 0
+    for name, case in CASES.items():
+        options = {"layout": name, "horizon": 400, "cook_time": None, **case}
+        options["games"] *= times
+        columns = record(name, **options)
+        print(f"{name}: {columns.pop('soups')} soups paid for")
+        steps += columns["actions"].shape[0] * columns["actions"].shape[1]
+        # States change little from step to step, so what changes is what is kept.
+        states = columns["states"]
+        columns["states"] = np.concatenate([states[:1], states[1:] ^ states[:-1]])
+        checks = columns.pop("checks")
+        columns["checks"], columns["last_checks"] = (checks & 255).astype(np.uint8), checks[-1]
+        del options["games"]
+        columns["options"] = np.array(json.dumps(options))
+        arrays.update({f"{name}/{key}": value for key, value in columns.items()})
+    np.savez_compressed(path, **arrays)
+    print(f"{steps:,} steps")
+
+
+if __name__ == "__main__":
+    main()
