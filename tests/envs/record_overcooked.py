@@ -28,22 +28,22 @@ CASES = {
     "forced_coordination": {"games": 12},
     "counter_circuit_o_1order": {"games": 12},
     "counter_circuit": {"games": 12},
-    "asymmetric_advantages_tomato": {"games": 6},
-    "cramped_room_o_3orders": {"games": 6},
-    "cramped_room_tomato": {"games": 6},
-    "forced_coordination_tomato": {"games": 6},
-    "bottleneck": {"games": 2},
-    "centre_pots": {"games": 2},
-    "five_by_five": {"games": 2},
-    "large_room": {"games": 2},
-    "schelling": {"games": 2},
-    "simple_o": {"games": 2},
-    "soup_coordination": {"games": 4},
+    "asymmetric_advantages_tomato": {"games": 16, "steps": 160},
+    "cramped_room_o_3orders": {"games": 16, "steps": 160},
+    "cramped_room_tomato": {"games": 16, "steps": 160},
+    "forced_coordination_tomato": {"games": 16, "steps": 160},
+    "bottleneck": {"games": 8, "steps": 120},
+    "centre_pots": {"games": 8, "steps": 120},
+    "five_by_five": {"games": 8, "steps": 120},
+    "large_room": {"games": 8, "steps": 120},
+    "schelling": {"games": 8, "steps": 120},
+    "simple_o": {"games": 8, "steps": 120},
+    "soup_coordination": {"games": 16, "steps": 160},
     "cramped_room, quick": {"layout": "cramped_room", "horizon": 60, "cook_time": 1, "games": 16},
     "asymmetric_advantages, short": {"layout": "asymmetric_advantages", "horizon": 39, "games": 16},
     "coordination_ring, slow": {"layout": "coordination_ring", "horizon": 200, "cook_time": 37, "games": 4},
 }
-"""Layouts and options, and how many games of each."""
+"""Layouts and options, how many games of each, and how many steps of a game, if not all."""
 ITEMS = {"onion": 1, "tomato": 2, "dish": 3}
 """Numbers of what is no soup; 0 is nothing, and a soup is 4 and one for an onion and four for a tomato."""
 
@@ -148,7 +148,7 @@ class Cook:
         return 0.1 if holds == "soup" else 0.2 if full else 4.0
 
 
-def play(mdp: Any, horizon: int, generator: np.random.Generator) -> dict[str, Any]:
+def play(mdp: Any, horizon: int, steps: int, generator: np.random.Generator) -> dict[str, Any]:
     cooks = [Cook(mdp, k, generator) for k in range(2)]
     state, check = mdp.get_standard_start_state(), 0
     actions, states, paid, shaped, checks = [], [row_of(mdp, state)], [], [], []
@@ -161,7 +161,7 @@ def play(mdp: Any, horizon: int, generator: np.random.Generator) -> dict[str, An
 
     check = observed(check)
     checks.append(check)
-    for _ in range(horizon):
+    for _ in range(steps):
         joint = [cook.action(state) for cook in cooks]
         state, infos = mdp.get_state_transition(state, joint)
         check = observed(check)
@@ -170,7 +170,7 @@ def play(mdp: Any, horizon: int, generator: np.random.Generator) -> dict[str, An
         paid.append(infos["sparse_reward_by_agent"])
         shaped.append(infos["shaped_reward_by_agent"])
         checks.append(check)
-    assert state.timestep == horizon
+    assert state.timestep == steps
     return {
         "actions": np.array(actions, np.uint8),
         "states": np.array(states, np.uint8),
@@ -180,10 +180,12 @@ def play(mdp: Any, horizon: int, generator: np.random.Generator) -> dict[str, An
     }
 
 
-def record(name: str, layout: str, horizon: int, games: int, cook_time: int | None) -> dict[str, Any]:
+def record(
+    name: str, layout: str, horizon: int, cook_time: int | None, games: int, steps: int | None
+) -> dict[str, Any]:
     seed = np.random.SeedSequence(zlib.crc32(name.encode()))
     mdp = OvercookedGridworld.from_layout_name(layout, **({"cook_time": cook_time} if cook_time else {}))
-    played = [play(mdp, horizon, np.random.default_rng(child)) for child in seed.spawn(games)]
+    played = [play(mdp, horizon, steps or horizon, np.random.default_rng(child)) for child in seed.spawn(games)]
     columns = {key: np.stack([game[key] for game in played], 1) for key in played[0]}
     columns["soups"] = int((columns["paid"] > 0).sum())
     return columns
@@ -191,23 +193,22 @@ def record(name: str, layout: str, horizon: int, games: int, cook_time: int | No
 
 def main() -> None:
     path, times = sys.argv[1], int(sys.argv[2]) if len(sys.argv) > 2 else 1
-    arrays, steps = {}, 0
+    arrays, count = {}, 0
     for name, case in CASES.items():
-        options = {"layout": name, "horizon": 400, "cook_time": None, **case}
-        options["games"] *= times
-        columns = record(name, **options)
+        options = {"layout": name, "horizon": 400, "cook_time": None, "steps": None, **case}
+        games, steps = options.pop("games") * times, options.pop("steps")
+        columns = record(name, **options, games=games, steps=steps)
         print(f"{name}: {columns.pop('soups')} soups paid for")
-        steps += columns["actions"].shape[0] * columns["actions"].shape[1]
+        count += columns["actions"].shape[0] * columns["actions"].shape[1]
         # States change little from step to step, so what changes is what is kept.
         states = columns["states"]
         columns["states"] = np.concatenate([states[:1], states[1:] ^ states[:-1]])
         checks = columns.pop("checks")
         columns["checks"], columns["last_checks"] = (checks & 255).astype(np.uint8), checks[-1]
-        del options["games"]
         columns["options"] = np.array(json.dumps(options))
         arrays.update({f"{name}/{key}": value for key, value in columns.items()})
     np.savez_compressed(path, **arrays)
-    print(f"{steps:,} steps")
+    print(f"{count:,} steps")
 
 
 if __name__ == "__main__":
