@@ -31,7 +31,7 @@ CASES: dict[str, dict[str, Any]] = {
         "num_inner_steps": 9,
     },
     "one step a game": {"num_inner_steps": 1, "num_outer_steps": 30},
-    "one game": {"num_inner_steps": 64, "num_outer_steps": 1, "payoff_matrix": [[3, 2, -4], [2, 3, -4]]},
+    "one game": {"num_inner_steps": 64, "num_outer_steps": 1, "payoff_matrix": [[3, 2, -4], [3, 2, -4]]},
 }
 EPISODES, STARTS = 32, 20_000
 DIGITS = 3 ** np.arange(7, -1, -1)

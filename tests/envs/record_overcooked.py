@@ -19,7 +19,13 @@ from typing import Any
 
 import numpy as np
 from overcooked_ai_py.mdp.actions import Action, Direction
-from overcooked_ai_py.mdp.overcooked_mdp import OvercookedGridworld
+from overcooked_ai_py.mdp.overcooked_mdp import (
+    ObjectState,
+    OvercookedGridworld,
+    OvercookedState,
+    PlayerState,
+    SoupState,
+)
 
 CASES = {
     "cramped_room": {"games": 16},
@@ -28,24 +34,27 @@ CASES = {
     "forced_coordination": {"games": 12},
     "counter_circuit_o_1order": {"games": 12},
     "counter_circuit": {"games": 12},
-    "asymmetric_advantages_tomato": {"games": 16, "steps": 160},
-    "cramped_room_o_3orders": {"games": 16, "steps": 160},
-    "cramped_room_tomato": {"games": 16, "steps": 160},
-    "forced_coordination_tomato": {"games": 16, "steps": 160},
-    "bottleneck": {"games": 8, "steps": 120},
-    "centre_pots": {"games": 8, "steps": 120},
-    "five_by_five": {"games": 8, "steps": 120},
-    "large_room": {"games": 8, "steps": 120},
-    "schelling": {"games": 8, "steps": 120},
-    "simple_o": {"games": 8, "steps": 120},
-    "soup_coordination": {"games": 16, "steps": 160},
+    "asymmetric_advantages_tomato": {"games": 12, "steps": 160},
+    "cramped_room_o_3orders": {"games": 12, "steps": 160},
+    "cramped_room_tomato": {"games": 12, "steps": 160},
+    "forced_coordination_tomato": {"games": 12, "steps": 160},
+    "bottleneck": {"games": 6, "steps": 120},
+    "centre_pots": {"games": 6, "steps": 120},
+    "five_by_five": {"games": 6, "steps": 120},
+    "large_room": {"games": 6, "steps": 120},
+    "schelling": {"games": 6, "steps": 120},
+    "simple_o": {"games": 6, "steps": 120},
+    "soup_coordination": {"games": 12, "steps": 160},
     "cramped_room, quick": {"layout": "cramped_room", "horizon": 60, "cook_time": 1, "games": 16},
     "asymmetric_advantages, short": {"layout": "asymmetric_advantages", "horizon": 39, "games": 16},
     "coordination_ring, slow": {"layout": "coordination_ring", "horizon": 200, "cook_time": 37, "games": 4},
 }
 """Layouts and options, how many games of each, and how many steps of a game, if not all."""
+MEETINGS = {"cramped_room": 500, "coordination_ring": 500, "counter_circuit": 500}
+"""Layouts of which single steps are recorded too, and of how many states that are put together by chance."""
 ITEMS = {"onion": 1, "tomato": 2, "dish": 3}
 """Numbers of what is no soup; 0 is nothing, and a soup is 4 and one for an onion and four for a tomato."""
+RECIPES = [(onions, tomatoes) for onions in range(4) for tomatoes in range(4) if 0 < onions + tomatoes <= 3]
 
 
 def soup(ingredients: list[str]) -> int:
@@ -59,7 +68,7 @@ def item(thing: Any) -> int:
 
 
 def row_of(mdp: Any, state: Any) -> list[int]:
-    """Return a state: place, direction and item of the cooks, then the counters, then the pots.
+    """Return a state as bytes: place, direction and item of the cooks, then the counters, then the pots.
 
     A pot has a soup, and 1 more than how long it has been cooking; 0 before it does.
     """
@@ -121,11 +130,14 @@ class Cook:
         # Somebody with empty hands has to begin.
         begin = any(soup.is_idle and soup.is_full for soup in soups)
         cooking = any(not soup.is_idle for soup in soups)
+        kinds = {self.mdp.get_terrain_type_at_pos(place) for place in places}
+        hands_on = held is not None and ("S" if holds == "soup" else "P") not in kinds
         weights = []
         for place in places:
             kind, thing = self.mdp.get_terrain_type_at_pos(place), state.objects.get(place)
             if kind == "X":
-                worth = 0.02 if (held is None) != (thing is not None) else 1.0 if held is None or begin else 0.15
+                worth = 1.0 if held is None or begin or hands_on else 0.15
+                worth = 0.02 if (held is None) != (thing is not None) else worth
                 worth /= 1 + len(ways[place])
             elif kind == "P":
                 worth = self._pot_worth(holds, thing)
@@ -180,6 +192,65 @@ def play(mdp: Any, horizon: int, steps: int, generator: np.random.Generator) -> 
     }
 
 
+def anything(mdp: Any, generator: np.random.Generator) -> Any:
+    """Return a state by chance, with cooks that face something and a lot that lies around."""
+    has_tomatoes = bool(mdp.get_tomato_dispenser_locations())
+    recipes = [recipe for recipe in RECIPES if has_tomatoes or not recipe[1]]
+
+    def thing(cell: Any, none: float) -> Any:
+        if generator.random() < none:
+            return None
+        kind = generator.integers(4)
+        if kind == 0:
+            onions, tomatoes = recipes[generator.integers(len(recipes))]
+            return SoupState.get_soup(cell, onions, tomatoes, finished=True)
+        grown = "tomato" if has_tomatoes and generator.random() < 0.5 else "onion"
+        return ObjectState("dish" if kind < 3 else grown, cell)
+
+    floor = mdp.get_valid_player_positions()
+    cooks = []
+    for k in generator.choice(len(floor), 2, replace=False):
+        sides = [to for to in Direction.ALL_DIRECTIONS if Action.move_in_direction(floor[k], to) not in floor]
+        to = sides[generator.integers(len(sides))]
+        cooks.append(PlayerState(floor[k], to, thing(floor[k], 0.4)))
+    reach = {Action.move_in_direction(cell, to) for cell in floor for to in Direction.ALL_DIRECTIONS}
+    empty, objects = generator.random(), {}
+    for cell in mdp.get_counter_locations():
+        lies = thing(cell, empty) if cell in reach else None
+        if lies:
+            objects[cell] = lies
+    for cell in mdp.get_pot_locations():
+        if generator.random() < 0.2:
+            continue
+        soup = SoupState.get_soup(cell, *recipes[generator.integers(len(recipes))])
+        if generator.random() < 0.6:
+            soup.begin_cooking()
+            soup._cooking_tick = max(0, soup.cook_time - int(generator.integers(4)))
+        objects[cell] = soup
+    orders = {"bonus_orders": mdp.start_bonus_orders, "all_orders": mdp.start_all_orders}
+    return OvercookedState(cooks, objects, **orders, timestep=int(generator.integers(400)))
+
+
+def meetings(name: str, count: int) -> dict[str, Any]:
+    """Return states put together by chance, and what comes of a step in which most act."""
+    generator, mdp = np.random.default_rng(zlib.crc32(name.encode())), OvercookedGridworld.from_layout_name(name)
+    columns: dict[str, list[Any]] = {key: [] for key in ("actions", "states", "times", "paid", "shaped", "checks")}
+    for _ in range(count):
+        state = anything(mdp, generator)
+        chosen = generator.choice(6, 2, p=[0.07, 0.07, 0.07, 0.07, 0.02, 0.7])
+        after, infos = mdp.get_state_transition(state, [Action.INDEX_TO_ACTION[k] for k in chosen])
+        columns["actions"].append(chosen)
+        columns["states"].append([row_of(mdp, state), row_of(mdp, after)])
+        columns["times"].append(state.timestep)
+        columns["paid"].append(infos["sparse_reward_by_agent"])
+        columns["shaped"].append(infos["shaped_reward_by_agent"])
+        views = mdp.lossless_state_encoding(after, 400)
+        columns["checks"].append(zlib.crc32(b"".join(view.astype(np.uint8).tobytes() for view in views)) & 255)
+    states = np.array(columns.pop("states"), np.uint8)
+    arrays = {key: np.array(column, np.uint16 if key == "times" else np.uint8) for key, column in columns.items()}
+    return arrays | {"before": states[:, 0], "change": states[:, 0] ^ states[:, 1]}
+
+
 def record(
     name: str, layout: str, horizon: int, cook_time: int | None, games: int, steps: int | None
 ) -> dict[str, Any]:
@@ -207,6 +278,9 @@ def main() -> None:
         columns["checks"], columns["last_checks"] = (checks & 255).astype(np.uint8), checks[-1]
         columns["options"] = np.array(json.dumps(options))
         arrays.update({f"{name}/{key}": value for key, value in columns.items()})
+    for name, states in MEETINGS.items():
+        columns = meetings(name, states * times)
+        arrays.update({f"{name}: {key}": value for key, value in columns.items()})
     np.savez_compressed(path, **arrays)
     print(f"{count:,} steps")
 
