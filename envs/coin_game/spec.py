@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from numbers import Real
 from typing import Any
 
@@ -98,14 +98,14 @@ def configure(
     num_outer_steps
         The games of an episode, 1 to 65,536.
     cnn
-        Whether an observation has the shape ``(3, 3, 4)``, and not ``(36,)``.
+        Whether observations have the shape ``(3, 3, 4)`` rather than ``(36,)``.
     egocentric
         Whether a player sees himself in the middle.
     shared_rewards
         Whether both get the sum of their rewards.
     payoff_matrix
-        A row for the red player and one for the blue: what he gets for a red coin, for a blue coin, and if the other
-        takes a coin of his colour.
+        A row for the red player and one for the blue: what he gets for a red coin, for a blue coin, and
+        when the other takes a coin of his colour.
     """
     inner = _integer("num_inner_steps", num_inner_steps)
     outer = _integer("num_outer_steps", num_outer_steps)
@@ -150,7 +150,8 @@ def configure(
 
 def _cell(observations: npt.NDArray[Any]) -> npt.NDArray[Any]:
     """Return the number of the cell that a player is in."""
-    return observations.reshape(-1, CELLS, CHANNELS)[:, :, 0].argmax(1)
+    cells: npt.NDArray[Any] = observations.reshape(-1, CELLS, CHANNELS)[:, :, 0].argmax(1)
+    return cells
 
 
 def _integer(name: str, value: object) -> int:

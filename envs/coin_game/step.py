@@ -1,14 +1,14 @@
 """The golden step of CoinGame, on a torus of three rows and three columns.
 
-A state lists row and column of the red player, the blue player, the red coin and the blue coin, and then how many
-steps the game has been going on. After ``num_inner_steps`` a new game begins within the episode.
+A state lists row and column of the red player, the blue player, the red coin and the blue coin, and then the
+steps of the game so far. After ``num_inner_steps`` a new game begins within the episode.
 
 What looks arbitrary is the package's:
 
-- Players may share a cell, and so may coins. Who walks onto both coins takes both, and if both players walk onto a
-  coin, both take it.
-- A new coin comes to any cell, also to one where a player is, who then does not have it.
-- In the last step of a game nobody gets anything, and the positions are those of the next game.
+- Players may share a cell, and so may coins. A player who walks onto both coins takes both. If both players
+  walk onto a coin, both take it.
+- A new coin appears in any cell. One that appears under a player lies there until somebody walks onto it.
+- The last step of a game pays nothing, and it leads to the start of the next game.
 
 Follows https://github.com/FLAIROx/JaxMARL (``jaxmarl`` 0.2.0, ``coin_game``): A. Lerer and A. Peysakhovich,
 *Maintaining cooperation in complex social dilemmas using deep reinforcement learning*, 2017.
@@ -28,12 +28,13 @@ RIGHT, LEFT, UP, DOWN, STAY = range(5)
 RED, BLUE, RED_COIN, BLUE_COIN = range(0, 8, 2)
 """Where the row of each stands in a state; the column is the next word."""
 OWN, OTHERS, LOST, OF_BLUE = 1, 2, 4, 8
-"""Bits of a category: one took his own coin, he took the other's, the other took his. Blue's have a table of
-their own if he is paid differently."""
+"""Bits of a category: the player took a coin of his own colour, he took one of the other's, and the other
+took one of his. With the last bit set the category is one of blue's own, which he has if he is paid
+differently."""
 
 
 def digits(draw: Word, count: int) -> list[Word]:
-    """Return numbers from 0 to 2, each as likely, whatever the others are."""
+    """Return independent numbers from 0 to 2, all equally likely: the digits of a fraction to base 3."""
     result: list[Word] = []
     for _ in range(count):
         product = draw * SIZE
@@ -43,7 +44,7 @@ def digits(draw: Word, count: int) -> list[Word]:
 
 
 def initial(draw: Word) -> tuple[Word, ...]:
-    """Return the state of a new episode: everything is anywhere."""
+    """Return the state of a new episode: players and coins are anywhere."""
     return *digits(draw, 8), 0
 
 
@@ -57,8 +58,9 @@ def moved(place: Word, forward: Word, backward: Word) -> Word:
 def make_step(inner_steps: int, shared: bool, alike: bool) -> GoldenFunction:
     """Return the golden step.
 
-    With ``shared`` rewards the category is the four bits of red and blue coins that red took, then of those that blue
-    took. ``alike`` says whether both are paid by the same numbers.
+    With ``shared`` rewards a category has four bits: red took the red coin, red took the blue one, blue
+    took the red one, blue took the blue one. ``alike`` says whether both players are paid by the same
+    numbers.
     """
 
     def step(*words: Word) -> tuple[Word, ...]:
@@ -99,9 +101,9 @@ def make_step(inner_steps: int, shared: bool, alike: bool) -> GoldenFunction:
 
 
 def make_observe(egocentric: bool) -> GoldenFunction:
-    """Return the golden function of what a player sees: himself, the other, his coin and the other's.
+    """Return the golden function of what a player sees: himself, the other, his own coin, the other's coin.
 
-    With ``egocentric`` all of it is moved so that he himself is in the middle.
+    With ``egocentric`` the torus is turned until he is in the middle, and he is left out.
     """
 
     def observe(*words: Word) -> tuple[Word, ...]:

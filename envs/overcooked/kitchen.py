@@ -1,8 +1,8 @@
 """Kitchens of Overcooked: the package's layouts, and what a golden step has to know about them.
 
-In a grid ``X`` is a counter, ``O`` and ``T`` are boxes of onions and tomatoes, ``D`` is a stack of dishes, ``P`` a pot
-and ``S`` where soup is served; ``1`` and ``2`` are the cooks, and they walk on blanks. A recipe is written with a letter
-for each ingredient: ``oot`` has two onions and a tomato.
+In a grid ``X`` is a counter, ``O`` a box of onions, ``T`` a box of tomatoes, ``D`` a stack of dishes, ``P``
+a pot and ``S`` a place to serve soup. ``1`` and ``2`` are the cooks, who walk on the blanks. A recipe has a
+letter for each ingredient: ``oot`` has two onions and a tomato.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ Cell: TypeAlias = tuple[int, int]
 DIRECTIONS = (0, -1), (0, 1), (1, 0), (-1, 0)
 """North, south, east and west, as the package numbers them."""
 STATIONS = "OTDS"
-"""Boxes of onions and tomatoes, dishes, and where soup is served."""
+"""What a cook can use but not change."""
 PRICE, TIME = 20, 20
-"""What a soup is worth and takes to cook, where a layout does not say so."""
+"""What a soup is worth, and how long it cooks, where a layout does not say."""
 MOST = 3
 """Ingredients that a pot holds."""
 MORE = {"o": 1, "t": 4}
-"""What an ingredient adds to the number of a soup: soup ``n`` has ``n % 4`` onions and ``n // 4`` tomatoes."""
+"""What an ingredient adds to a soup's number: soup ``n`` has ``n % 4`` onions and ``n // 4`` tomatoes."""
 
 
 @dataclass(frozen=True)
@@ -33,15 +33,15 @@ class Kitchen:
 
     rows: tuple[str, ...]
     orders: tuple[str, ...] = ("ooo",)
-    """Soups that are paid for."""
+    """The soups that somebody pays for."""
     bonus: tuple[str, ...] = ()
-    """Those of them that are paid for twice."""
+    """Those that pay double."""
     recipes: Mapping[str, tuple[int, int]] = field(default_factory=dict)
-    """Price and cooking time of some soups."""
+    """Price and cooking time of single soups."""
     ingredients: Mapping[str, tuple[int, int]] = field(default_factory=dict)
-    """What each ingredient adds to the price and the cooking time, of soups that are not in ``recipes``."""
+    """What each ingredient adds to price and cooking time of the other soups."""
     cook_time: int | None = None
-    """The cooking time of all soups, whatever else is said."""
+    """The cooking time of all soups, if it is not the layout's."""
 
     @property
     def width(self) -> int:
@@ -78,7 +78,7 @@ class Kitchen:
     @cached_property
     def starts(self) -> list[int]:
         """Where the cooks start, as numbers of the floor's cells."""
-        return [self.floor.index(*self.cells(player)) for player in "12"]
+        return [self.floor.index(self.cells(player)[0]) for player in "12"]
 
     def _in_reach(self, kind: str) -> list[Cell]:
         near = {(x + right, y + down) for x, y in self.floor for right, down in DIRECTIONS}
@@ -86,7 +86,7 @@ class Kitchen:
 
     @cached_property
     def counters(self) -> list[Cell]:
-        """The counters within reach; nothing ever lies on another one."""
+        """The counters within reach; nothing ever lies on the others."""
         return self._in_reach("X")
 
     @cached_property
@@ -96,9 +96,10 @@ class Kitchen:
 
     @cached_property
     def things(self) -> list[int]:
-        """What a cook faces, at ``4 * cell + direction``: a counter, a pot, a station or a cell of the floor.
+        """What a cook faces, at ``4 * cell + direction``: counters, pots, stations, cells of the floor.
 
-        They are numbered in this order. The list goes on for all cells that the bits of a cell can hold.
+        They are numbered in this order. The list has an entry for each number that the bits of a cell can
+        hold.
         """
         pots = len(self.counters)
         stations = pots + len(self.pots)
@@ -141,7 +142,7 @@ class Kitchen:
 
     @property
     def item_bits(self) -> int:
-        """How many bits an item takes: 0 is none, a soup is its number, and others are numbers of no soup."""
+        """How many bits an item takes: 0 is none, a soup is its number, the others are numbers of no soup."""
         return 4 if self.has_tomatoes else 3
 
     @property
@@ -161,7 +162,7 @@ class Kitchen:
 
     @cached_property
     def soups(self) -> dict[int, str]:
-        """The recipe of each soup, by its number; without tomatoes of those that have none."""
+        """The recipe of each soup that the kitchen can cook, by its number."""
         counts = [(o, t) for t in range(MOST + 1) for o in range(MOST + 1 - t)]
         recipes = {o + 4 * t: "o" * o + "t" * t for o, t in counts}
         return {soup: recipe for soup, recipe in recipes.items() if 0 < soup < 1 << self.soup_bits}
@@ -188,12 +189,12 @@ class Kitchen:
 
     @cached_property
     def prices(self) -> list[int]:
-        """The prices that there are, the least first, and before them 0."""
+        """All prices, 0 among them, the lowest first."""
         return sorted({0, *(self.price(recipe) for recipe in self.soups.values())})
 
     @cached_property
     def classes(self) -> list[int]:
-        """Where the price of each item is among the prices."""
+        """The place of each item's price among the prices."""
         prices = [self.price(self.soups[k]) if k in self.soups else 0 for k in range(1 << self.item_bits)]
         return [self.prices.index(price) for price in prices]
 

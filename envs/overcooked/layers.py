@@ -1,4 +1,4 @@
-"""The package's ``lossless_state_encoding``: 26 layers of a kitchen, made of the words of an observation."""
+"""The package's ``lossless_state_encoding``: 26 layers, made from the words of an observation."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from .step import clock_bits
 
 COUNT = 26
 OWN_PLACE, OTHER_PLACE, OWN_NORTH, OTHER_NORTH, FIRST_STATION = 0, 1, 2, 6, 10
-"""Layers of both cooks, of which those of directions follow each other, and of the kitchen itself."""
+"""Where the layers of the cooks begin, and those of the kitchen itself."""
 ONIONS_IN_POT, TOMATOES_IN_POT, ONIONS_IN_SOUP, TOMATOES_IN_SOUP, TIME_LEFT = range(16, 21)
 DONE, DISH, ONION, TOMATO, URGENT = range(21, COUNT)
 STATIONS = "PXOTDS"
-"""What the layers of the kitchen itself show, from the first of them on."""
+"""What the layers of the kitchen show, in their order."""
 
 
 def background(kitchen: Kitchen) -> npt.NDArray[np.uint8]:
-    """Return the observation of a kitchen without cooks, flat."""
+    """Return the layers of an empty kitchen, flat."""
     layers = np.zeros((kitchen.width, kitchen.height, COUNT), np.uint8)
     for k, kind in enumerate(STATIONS):
         for x, y in kitchen.cells(kind):
@@ -31,7 +31,7 @@ def background(kitchen: Kitchen) -> npt.NDArray[np.uint8]:
 
 
 def make_unpack(kitchen: Kitchen) -> GoldenFunction:
-    """Return what writes an observation of shape ``(width, height, 26)``."""
+    """Return the function that writes an observation of shape ``(width, height, 26)``."""
     empty = background(kitchen)
     size = len(empty)
 

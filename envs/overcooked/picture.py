@@ -1,4 +1,4 @@
-"""Pictures of Overcooked: cooks are blue and green and have a cap on the side that they face."""
+"""Pictures of Overcooked: cooks are blue and green, with a white mark on the side that they face."""
 
 from __future__ import annotations
 
@@ -12,16 +12,11 @@ from .kitchen import DIRECTIONS, Cell, Kitchen
 
 SIZE = 48
 """Width and height of a cell, in pixels."""
-FLOOR, LINE, WHITE, WRITING = (236, 222, 198), (205, 190, 165), (255, 255, 255), (30, 30, 30)
+FLOOR, LINE, WHITE = (236, 222, 198), (205, 190, 165), (255, 255, 255)
 COOKS = (40, 90, 190), (50, 150, 70)
-ONION, TOMATO, DISH, POT, SOUP = (222, 180, 60), (205, 50, 40), (245, 245, 245), (70, 70, 75), (230, 150, 50)
-COUNTERS = {
-    "X": (160, 120, 80),
-    "O": (120, 90, 60),
-    "T": (120, 90, 60),
-    "D": (120, 90, 60),
-    "S": (110, 170, 110),
-}
+ONION, TOMATO, DISH, POT = (222, 180, 60), (205, 50, 40), (245, 245, 245), (70, 70, 75)
+COUNTER, BOX, SERVING = (160, 120, 80), (120, 90, 60), (110, 170, 110)
+GROUND = {"X": COUNTER, "P": COUNTER, "O": BOX, "T": BOX, "D": BOX, "S": SERVING}
 
 
 def make_draw(kitchen: Kitchen) -> Callable[[tuple[int, ...]], npt.NDArray[np.uint8]]:
@@ -46,7 +41,7 @@ def make_draw(kitchen: Kitchen) -> Callable[[tuple[int, ...]], npt.NDArray[np.ui
             for y in range(kitchen.height):
                 box = x * SIZE, y * SIZE, (x + 1) * SIZE - 1, (y + 1) * SIZE - 1
                 kind = kitchen.at((x, y))
-                pen.rectangle(box, COUNTERS.get(kind, COUNTERS["X"]) if kind not in " 12" else FLOOR, LINE)
+                pen.rectangle(box, GROUND.get(kind, FLOOR), LINE)
                 if kind in "OTD":
                     for right, down in (0, -8), (-8, 5), (8, 5):
                         colour = {"O": ONION, "T": TOMATO, "D": DISH}[kind]

@@ -44,16 +44,16 @@ def configure(
     Parameters
     ----------
     layout
-        The name of one of the package's layouts that :data:`.kitchen.LAYOUTS` lists.
+        The name of a layout: those of the package that :data:`.kitchen.LAYOUTS` lists.
     horizon
-        The time limit; the last 39 steps before it are seen to be urgent.
+        The time limit. Observations of the last steps say that it is near.
     cook_time
-        How long a soup cooks, 1 to 254; None is the layout's time, which most have as 20.
+        How long a soup cooks, 1 to 254; None is the layout's own time, which is 20 for most.
     reward_shaping_factor
-        How much shaped rewards count, which each cook has for himself, beside what soups are paid with.
+        How much shaped rewards, which each cook gets for himself, count beside the price of soups.
     rew_shaping_params
-        Shaped rewards of an ingredient potted, a useful dish taken and a soup taken from its pot, by the package's
-        names; those left out are 3, 3 and 5.
+        The shaped rewards, by the package's names: for an ingredient put into a pot, for a useful dish taken
+        and for a soup taken from its pot. Those left out are 3, 3 and 5.
     """
     if not isinstance(layout, str) or layout not in LAYOUTS:
         raise ArgumentError(f"layout is {layout!r}; it must be one of {', '.join(LAYOUTS)}")
@@ -64,7 +64,7 @@ def configure(
     if cook_time is not None:
         if kitchen.recipes or kitchen.ingredients:
             raise ArgumentError(
-                f"cook_time is {cook_time!r}, and {layout} has a time for each soup; leave it out"
+                f"cook_time is {cook_time!r}, and {layout} has cooking times of its own; leave it out"
             )
         kitchen = kitchen.cooking(_integer("cook_time", cook_time, COOK_TIMES))
     table = rewards(kitchen, tuple(factor * shaping[name] for name in SHAPING))
@@ -131,7 +131,8 @@ def observation_fields(kitchen: Kitchen) -> tuple[Field, ...]:
 def _cell(observations: npt.NDArray[Any]) -> npt.NDArray[Any]:
     """Return the number of the cell that a cook is in, row by row."""
     own = observations[..., OWN_PLACE].swapaxes(1, 2)
-    return own.reshape(len(own), -1).argmax(1)
+    cells: npt.NDArray[Any] = own.reshape(len(own), -1).argmax(1)
+    return cells
 
 
 def _integer(name: str, value: object, limits: tuple[int, int]) -> int:
@@ -151,16 +152,15 @@ def _number(name: str, value: object) -> float:
 
 def _shaping(given: Mapping[str, float] | None) -> dict[str, float]:
     """Return all shaped rewards."""
+    known = ", ".join(SHAPING)
     if given is not None and not isinstance(given, Mapping):
-        raise ArgumentError(
-            f"rew_shaping_params is {given!r}; it must be None or a dict of {', '.join(SHAPING)}"
-        )
+        raise ArgumentError(f"rew_shaping_params is {given!r}; it must be None or a dict of {known}")
     result = dict(SHAPING)
     for name, value in (given or {}).items():
         if name not in SHAPING:
             raise ArgumentError(
-                f"rew_shaping_params has {name!r}; possible are {', '.join(SHAPING)}, and overcooked-ai 1.1.0 itself "
-                "uses no other"
+                f"rew_shaping_params has {name!r}; possible are {known}, and overcooked-ai 1.1.0 itself uses "
+                "no other"
             )
         result[name] = _number(f"rew_shaping_params[{name!r}]", value)
     return result

@@ -1,26 +1,30 @@
-"""The golden step of Overcooked, for any kitchen of two cooks.
+"""The golden step of Overcooked, for any kitchen with two cooks.
 
 A state lists for each cook the cell, the direction he faces and what he holds; then the counters, in bit
-planes; then each pot's soup and clock; and then the time, as far as it matters. Cells, counters and pots are numbered
-as :mod:`.kitchen` lists those that are within reach.
+planes; then the soup and the clock of each pot; and then the time, as far as it matters. Cells, counters
+and pots are numbered as :mod:`.kitchen` lists those within reach.
 
-- An item on a counter is a bit of each plane: counter ``k`` has bit ``k``. So to put down, to take up and to look
-  for dishes on all counters takes a few instructions, however many there are.
-- A clock is 0 while nothing cooks and 1 when the soup is done. While it cooks it is 1 more than the time that is left.
+- Counter ``k`` has bit ``k`` of every plane. So putting down, picking up and looking for dishes on all
+  counters take a few instructions, however many counters there are.
+- A clock is 0 while a pot does not cook and 1 when its soup is done. In between it is the time left, plus 1.
 
 What looks arbitrary is the package's:
 
-- First both act, cook 0 before cook 1, then both move, then pots cook. So a soup cooks in the step that starts it.
-- If both want to be in one cell, or to change places, nobody moves; but they turn.
-- Any soup may be cooked, with one ingredient too, and served. What nobody ordered is paid for with nothing.
-- To take a dish is useful if none lies on a counter and fewer are held than pots are waiting for one. It counts pots
-  as they were before anybody acted, and not one that is full and does not cook; dishes as they are.
+- First both cooks act, cook 0 before cook 1; then both move; then pots cook. So a soup cooks in the very
+  step that starts it.
+- If both want the same cell, or each other's, nobody moves; but they turn.
+- Any soup can be cooked and served, even one of a single ingredient. One that nobody ordered pays nothing.
+- Taking a dish is useful if no dish lies on a counter and fewer are held than pots wait for one. Pots are
+  counted as they were before anybody acted, without those that are full and do not cook. Dishes are counted
+  as they are.
 
-Follows https://github.com/HumanCompatibleAI/overcooked_ai (``overcooked-ai`` 1.1.0): M. Carroll et al., *On the
-Utility of Learning about Humans for Human-AI Coordination*, 2019.
+Follows https://github.com/HumanCompatibleAI/overcooked_ai (``overcooked-ai`` 1.1.0): M. Carroll et al., *On
+the Utility of Learning about Humans for Human-AI Coordination*, 2019.
 """
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -29,30 +33,30 @@ from pearl_marl.golden import GoldenFunction, Word
 from .kitchen import MORE, MOST, STATIONS, Kitchen
 
 STAY, INTERACT = 4, 5
-"""Actions before them are directions."""
+"""The actions before them are directions."""
 NOTHING, POTTED, DISH_TAKEN, SOUP_TAKEN = range(4)
-"""What a cook's action came to; from 4 on it is a soup served, by its price."""
+"""What came of a cook's action; from 4 on it is a soup served, by its price."""
 URGENT = 40
-"""The last steps, of which the package says that they are urgent: one less than this."""
+"""A state is urgent if fewer steps are left than this."""
 
 
 def last_calm(horizon: int) -> int:
-    """Return the last time that is not urgent, at which the clock of the state stands no longer than one step."""
+    """Return the last time that is not urgent."""
     return horizon - URGENT
 
 
-def rewards(kitchen: Kitchen, shaped: tuple[float, float, float]) -> tuple[float, ...]:
-    """Return the reward of each category: of what a cook did, and what the other was paid.
+def rewards(kitchen: Kitchen, shaped: Sequence[float]) -> tuple[float, ...]:
+    """Return the reward of each category, which is what came of a cook's action and what the other served.
 
-    ``shaped`` are those of an ingredient potted, a useful dish taken and a soup taken from its pot. What soups
-    are paid with is shared.
+    Both cooks get the price of a soup. ``shaped`` is what one gets for himself if he puts an ingredient
+    into a pot, takes a dish that is useful, or takes a soup from its pot.
     """
     own = [0.0, *shaped, *kitchen.prices[1:]]
     return tuple(float(one + other) for one in own for other in kitchen.prices)
 
 
 def make_initial(kitchen: Kitchen, horizon: int) -> GoldenFunction:
-    """Return the golden function of the start: empty pots and hands, and both cooks face north."""
+    """Return the golden function of the start: pots and hands are empty, and both cooks face north."""
     start = [word for cell in kitchen.starts for word in (cell, 0, 0)]
     start += [0] * (kitchen.item_bits + 2 * len(kitchen.pots) + has_time(horizon))
 
@@ -63,7 +67,7 @@ def make_initial(kitchen: Kitchen, horizon: int) -> GoldenFunction:
 
 
 def has_time(horizon: int) -> bool:
-    """Return whether the state has the time: where not every step is urgent."""
+    """Return whether the state has the time, which it needs unless every step is urgent."""
     return horizon >= URGENT
 
 
@@ -96,7 +100,7 @@ def make_step(kitchen: Kitchen, horizon: int) -> GoldenFunction:
             is_dish, is_onion, is_tomato = held == dish, held == onion, held == tomato
             is_soup = (empty | is_dish | is_onion | is_tomato) == 0
 
-            # Hand and counter change contents, if one of them has none.
+            # Hand and counter swap what they have, if one of them has nothing.
             counter = np.minimum(thing, counters - 1)
             there: Word = 0
             for bit, plane in enumerate(planes):
@@ -159,7 +163,7 @@ def make_step(kitchen: Kitchen, horizon: int) -> GoldenFunction:
 
 
 def on_counters(planes: list[Word], item: int) -> Word:
-    """Return the counters that have an item, a bit each."""
+    """Return a bit for each counter: whether an item lies there."""
     result: Word = -1
     for bit, plane in enumerate(planes):
         result = result & (plane if item >> bit & 1 else ~plane)
@@ -167,10 +171,7 @@ def on_counters(planes: list[Word], item: int) -> Word:
 
 
 def make_observe(kitchen: Kitchen, horizon: int) -> GoldenFunction:
-    """Return the golden function of what a cook sees: all, himself first.
-
-    The pots are one word, of which each takes the bits of its soup and of its clock.
-    """
+    """Return the golden function of what a cook sees: everything, himself first, and all pots in one word."""
     bits, pots = kitchen.item_bits, len(kitchen.pots)
     soup_bits = kitchen.soup_bits
     pot_bits = soup_bits + clock_bits(kitchen)

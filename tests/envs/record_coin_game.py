@@ -3,8 +3,8 @@
     python -m venv oracle && oracle/bin/pip install jaxmarl==0.2.0
     oracle/bin/python tests/envs/record_coin_game.py tests/envs/coin_game.npz [TIMES_AS_MANY_EPISODES]
 
-The package needs JAX, so it has an environment of its own. Beside what the package says, the numbers that it drew are
-recorded: they are drawn again by the same keys.
+The package needs JAX, so it has an environment of its own. Beside what the package says, the numbers that
+it drew are recorded: they are drawn again by the same keys.
 """
 
 from __future__ import annotations
@@ -19,11 +19,16 @@ import jax.numpy as jnp
 import numpy as np
 from jaxmarl.environments.coin_game import CoinGame
 
+UNEVEN = [[0.3, 1.7, -2.6], [1.1, 0.7, -0.1]]
 CASES: dict[str, dict[str, Any]] = {
     "default": {},
     "egocentric": {"egocentric": True, "cnn": True},
     "shared": {"shared_rewards": True, "cnn": True, "num_inner_steps": 20, "num_outer_steps": 5},
-    "uneven": {"payoff_matrix": [[0.3, 1.7, -2.6], [1.1, 0.7, -0.1]], "num_inner_steps": 17, "num_outer_steps": 4},
+    "uneven": {
+        "payoff_matrix": [[0.3, 1.7, -2.6], [1.1, 0.7, -0.1]],
+        "num_inner_steps": 17,
+        "num_outer_steps": 4,
+    },
     "uneven, shared": {
         "payoff_matrix": [[0.3, 1.7, -2.6], [1.1, 0.7, -0.1]],
         "shared_rewards": True,
@@ -71,9 +76,15 @@ def record(name: str, options: dict[str, Any], episodes: int) -> dict[str, Any]:
         rows["rewards"].append(jnp.stack([rewards[k] for k in "01"], -1))
         rows["places"].append(places(state) @ DIGITS)
         rows["seen"].append(seen(views))
-    types = {"actions": np.uint8, "rewards": np.float32, "draws": np.uint16, "places": np.uint16, "seen": np.uint8}
+    types = {
+        "actions": np.uint8,
+        "rewards": np.float32,
+        "draws": np.uint16,
+        "places": np.uint16,
+        "seen": np.uint8,
+    }
     shape = env.observation_space("0").shape
-    return {key: np.array(row, types[key]) for key, row in rows.items()} | {
+    return {key: np.array(row, types.get(key, np.uint8)) for key, row in rows.items()} | {
         "options": np.array(json.dumps({"options": options, "shape": shape, "steps": steps}))
     }
 

@@ -3,10 +3,10 @@
     python -m venv oracle && oracle/bin/pip install overcooked-ai==1.1.0
     oracle/bin/python tests/envs/record_overcooked.py tests/envs/overcooked.npz [TIMES_AS_MANY_GAMES]
 
-The package needs ``gym``, which nobody maintains, so it has an environment of its own. What is recorded is what
-the package's dynamics say: a state as a row of bytes, what each cook is paid, shaped rewards, and a checksum of
-both observations. The checksums of a game are chained. A byte of each is kept and all of the last one: a single
-observation that differs changes all that follow.
+The package needs ``gym``, which nobody maintains, so it has an environment of its own. What is recorded is
+what the package's dynamics say: a state as a row of bytes, what each cook is paid, shaped rewards, and a
+checksum of both observations. The checksums of a game are chained. A byte of each is kept and all of the
+last one: a single observation that differs changes all that follow.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from __future__ import annotations
 import json
 import sys
 import zlib
-from collections import deque
+from collections import defaultdict, deque
 from typing import Any
 
 import numpy as np
@@ -167,7 +167,7 @@ def play(mdp: Any, horizon: int, steps: int, generator: np.random.Generator) -> 
 
     def observed(check: int) -> int:
         for observation in mdp.lossless_state_encoding(state, horizon):
-            assert 0 <= observation.min() and observation.max() < 256
+            assert (observation == observation.astype(np.uint8)).all()
             check = zlib.crc32(observation.astype(np.uint8).tobytes(), check)
         return check
 
@@ -233,8 +233,9 @@ def anything(mdp: Any, generator: np.random.Generator) -> Any:
 
 def meetings(name: str, count: int) -> dict[str, Any]:
     """Return states put together by chance, and what comes of a step in which most act."""
-    generator, mdp = np.random.default_rng(zlib.crc32(name.encode())), OvercookedGridworld.from_layout_name(name)
-    columns: dict[str, list[Any]] = {key: [] for key in ("actions", "states", "times", "paid", "shaped", "checks")}
+    generator = np.random.default_rng(zlib.crc32(name.encode()))
+    mdp = OvercookedGridworld.from_layout_name(name)
+    columns: dict[str, list[Any]] = defaultdict(list)
     for _ in range(count):
         state = anything(mdp, generator)
         chosen = generator.choice(6, 2, p=[0.07, 0.07, 0.07, 0.07, 0.02, 0.7])
@@ -245,9 +246,10 @@ def meetings(name: str, count: int) -> dict[str, Any]:
         columns["paid"].append(infos["sparse_reward_by_agent"])
         columns["shaped"].append(infos["shaped_reward_by_agent"])
         views = mdp.lossless_state_encoding(after, 400)
-        columns["checks"].append(zlib.crc32(b"".join(view.astype(np.uint8).tobytes() for view in views)) & 255)
+        columns["checks"].append(zlib.crc32(np.array(views, np.uint8).tobytes()) & 255)
     states = np.array(columns.pop("states"), np.uint8)
-    arrays = {key: np.array(column, np.uint16 if key == "times" else np.uint8) for key, column in columns.items()}
+    types = {"times": np.uint16}
+    arrays = {key: np.array(column, types.get(key, np.uint8)) for key, column in columns.items()}
     return arrays | {"before": states[:, 0], "change": states[:, 0] ^ states[:, 1]}
 
 
@@ -256,7 +258,8 @@ def record(
 ) -> dict[str, Any]:
     seed = np.random.SeedSequence(zlib.crc32(name.encode()))
     mdp = OvercookedGridworld.from_layout_name(layout, **({"cook_time": cook_time} if cook_time else {}))
-    played = [play(mdp, horizon, steps or horizon, np.random.default_rng(child)) for child in seed.spawn(games)]
+    generators = map(np.random.default_rng, seed.spawn(games))
+    played = [play(mdp, horizon, steps or horizon, generator) for generator in generators]
     columns = {key: np.stack([game[key] for game in played], 1) for key in played[0]}
     columns["soups"] = int((columns["paid"] > 0).sum())
     return columns

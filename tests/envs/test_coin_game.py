@@ -1,4 +1,4 @@
-"""CoinGame against the package ``jaxmarl``: episodes that ``record_coin_game.py`` has had it play, by its draws."""
+"""CoinGame against the package ``jaxmarl``: episodes of ``record_coin_game.py``, with their draws."""
 
 from __future__ import annotations
 
@@ -34,6 +34,11 @@ def draws_of(numbers: Array) -> Array:
     return -(-(numbers.astype(np.int64) << 32) // PLACES)
 
 
+def number(places: list[Array]) -> Array:
+    """Return eight digits as one number."""
+    return np.tensordot(DIGITS, np.stack(places), 1)
+
+
 def recorded(name: str) -> tuple[dict[str, Any], dict[str, Array]]:
     """Return what is known of a case, and arrays by step and episode."""
     keys = "actions", "draws", "rewards", "places", "seen"
@@ -67,7 +72,7 @@ def test_episodes(name: str) -> None:
         codes.append(np.stack([red, blue], 1))
     *places, time = (np.stack(column) for column in zip(*states, strict=True))
     inner = spec.options["num_inner_steps"]
-    np.testing.assert_array_equal(sum(np.multiply(*one) for one in zip(places, DIGITS, strict=True)), package["places"])
+    np.testing.assert_array_equal(number(places), package["places"])
     np.testing.assert_array_equal(time[:, 0], np.arange(len(time)) % inner)
     np.testing.assert_array_equal(np.float32(spec.rewards)[np.stack(codes)], package["rewards"])
     views = np.concatenate([seen(spec, [*places, time], agent) for agent in range(2)], -1)
@@ -85,8 +90,9 @@ def test_what_has_been_recorded() -> None:
         happened["players in one cell"] += int((red == blue).all(-1).sum())
         happened["coins in one cell"] += int((red_coin == blue_coin).all(-1).sum())
         happened["a player where a coin is"] += int((red == red_coin).all(-1).sum())
-        for reward in (1, -2, -1, 2):
-            happened[f"reward {reward}"] += int((package["rewards"] == reward).sum()) if name == "default" else 0
+    _, package = recorded("default")
+    for reward in (1, -2, -1, 2):
+        happened[f"reward {reward}"] = int((package["rewards"] == reward).sum())
     print(dict(happened))
     assert happened["steps"] >= 10_000
     assert min(happened.values()) >= 20
@@ -97,7 +103,7 @@ def test_starts() -> None:
     spec, n = spec_of(), 1 << 20
     draws = (np.arange(n) << 12) + 2048
     *places, time = call_reference(spec.golden.initial, [draws])
-    counts = np.bincount(sum(np.multiply(*one) for one in zip(places, DIGITS, strict=True)), minlength=PLACES)
+    counts = np.bincount(number(places), minlength=PLACES)
     assert not np.any(time)
     assert len(counts) == PLACES
     assert set(counts) == {n // PLACES, n // PLACES + 1}
@@ -137,7 +143,9 @@ REFUSED = {
     "num_inner_steps is 0; it must be an integer from 1": {"num_inner_steps": 0},
     "num_outer_steps is 1.0; it must be an integer from 1": {"num_outer_steps": 1.0},
     "cnn is 1; it must be True or False": {"cnn": 1},
-    "payoff_matrix is \\[\\[1, 1\\], \\[1, 1, -2\\]\\]; it must be two rows": {"payoff_matrix": [[1, 1], [1, 1, -2]]},
+    "payoff_matrix is \\[\\[1, 1\\], \\[1, 1, -2\\]\\]; it must be two rows": {
+        "payoff_matrix": [[1, 1], [1, 1, -2]]
+    },
     "payoff_matrix is .*nan.*; it must be two rows": {"payoff_matrix": [[1, 1, float("nan")], [1, 1, -2]]},
 }
 

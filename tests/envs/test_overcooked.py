@@ -30,7 +30,7 @@ def spec_of(**options: Any) -> EnvSpec:
 
 
 def recorded(name: str) -> tuple[dict[str, Any], dict[str, Array]]:
-    """Return options, and arrays by step and game; states, checksums begin with what was before the first step."""
+    """Return options, and arrays by step and game; states and checksums begin before the first step."""
     keys = "actions", "states", "paid", "shaped", "checks", "last_checks"
     arrays = {key: RECORDED[f"{name}/{key}"] for key in keys}
     arrays["states"] = np.bitwise_xor.accumulate(arrays["states"], 0)
@@ -244,7 +244,11 @@ def test_shaped_rewards() -> None:
     spec = spec_of(reward_shaping_factor=2, rew_shaping_params=shaping)
     assert spec.rewards == (0, 20, 2, 22, 4, 24, 8, 28, 20, 40)
     assert spec_of(rew_shaping_params=shaping).rewards == (0, 20, 0, 20, 0, 20, 0, 20, 20, 40)
-    assert spec_of(reward_shaping_factor=1, rew_shaping_params={"DISH_PICKUP_REWARD": 0}).rewards[2:8:2] == (3, 0, 5)
+    assert spec_of(reward_shaping_factor=1, rew_shaping_params={"DISH_PICKUP_REWARD": 0}).rewards[2:8:2] == (
+        3,
+        0,
+        5,
+    )
 
 
 def test_where_cooks_are_on_a_map() -> None:
@@ -288,10 +292,12 @@ REFUSED = {
     r"layout is \[\]; it must be one of ": {"layout": []},
     "horizon is 0; it must be an integer from 1": {"horizon": 0},
     "cook_time is 255; it must be an integer from 1 to 254": {"cook_time": 255},
-    "cook_time is 5, and simple_o has a time for each soup": {"cook_time": 5, "layout": "simple_o"},
+    "cook_time is 5, and simple_o has cooking times of its own": {"cook_time": 5, "layout": "simple_o"},
     "reward_shaping_factor is inf; it must be a finite number": {"reward_shaping_factor": float("inf")},
     "rew_shaping_params is 3; it must be None or a dict of PLACEMENT": {"rew_shaping_params": 3},
-    "rew_shaping_params has 'POT_DISTANCE_REW'; possible are": {"rew_shaping_params": {"POT_DISTANCE_REW": 0}},
+    "rew_shaping_params has 'POT_DISTANCE_REW'; possible are": {
+        "rew_shaping_params": {"POT_DISTANCE_REW": 0}
+    },
     r"rew_shaping_params\['DISH_PICKUP_REWARD'\] is '3'": {"rew_shaping_params": {"DISH_PICKUP_REWARD": "3"}},
 }
 
