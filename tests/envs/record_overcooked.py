@@ -11,6 +11,7 @@ last one: a single observation that differs changes all that follow.
 
 from __future__ import annotations
 
+import itertools
 import json
 import sys
 import zlib
@@ -50,7 +51,7 @@ CASES = {
     "coordination_ring, slow": {"layout": "coordination_ring", "horizon": 200, "cook_time": 37, "games": 4},
 }
 """Layouts and options, how many games of each, and how many steps of a game, if not all."""
-MEETINGS = {"cramped_room": 500, "coordination_ring": 500, "counter_circuit": 500}
+MEETINGS = {"cramped_room": 700, "coordination_ring": 700, "counter_circuit": 700}
 """Layouts of which single steps are recorded too, and of how many states that are put together by chance."""
 ITEMS = {"onion": 1, "tomato": 2, "dish": 3}
 """Numbers of what is no soup; 0 is nothing, and a soup is 4 and one for an onion and four for a tomato."""
@@ -208,13 +209,19 @@ def anything(mdp: Any, generator: np.random.Generator) -> Any:
         return ObjectState("dish" if kind < 3 else grown, cell)
 
     floor = mdp.get_valid_player_positions()
-    cooks = []
-    for k in generator.choice(len(floor), 2, replace=False):
-        sides = [to for to in Direction.ALL_DIRECTIONS if Action.move_in_direction(floor[k], to) not in floor]
-        to = sides[generator.integers(len(sides))]
-        cooks.append(PlayerState(floor[k], to, thing(floor[k], 0.4)))
+    # By what is faced, each kind as likely.
+    standing = defaultdict(list)
+    for cell, to in itertools.product(floor, Direction.ALL_DIRECTIONS):
+        standing[mdp.get_terrain_type_at_pos(Action.move_in_direction(cell, to))].append((cell, to))
+    del standing[" "]
+    cooks: list[Any] = []
+    while len(cooks) < 2:
+        choices = standing[generator.choice(sorted(standing))]
+        cell, to = choices[generator.integers(len(choices))]
+        if all(cook.position != cell for cook in cooks):
+            cooks.append(PlayerState(cell, to, thing(cell, 0.4)))
     reach = {Action.move_in_direction(cell, to) for cell in floor for to in Direction.ALL_DIRECTIONS}
-    empty, objects = generator.random(), {}
+    empty, objects = generator.choice([1.0, 0.9, 0.5]), {}
     for cell in mdp.get_counter_locations():
         lies = thing(cell, empty) if cell in reach else None
         if lies:
@@ -238,7 +245,7 @@ def meetings(name: str, count: int) -> dict[str, Any]:
     columns: dict[str, list[Any]] = defaultdict(list)
     for _ in range(count):
         state = anything(mdp, generator)
-        chosen = generator.choice(6, 2, p=[0.07, 0.07, 0.07, 0.07, 0.02, 0.7])
+        chosen = generator.choice(6, 2, p=[0.04, 0.04, 0.04, 0.04, 0.04, 0.8])
         after, infos = mdp.get_state_transition(state, [Action.INDEX_TO_ACTION[k] for k in chosen])
         columns["actions"].append(chosen)
         columns["states"].append([row_of(mdp, state), row_of(mdp, after)])
