@@ -1,4 +1,4 @@
-"""Pictures of Overcooked: cooks are blue and green, with a white mark on the side that they face."""
+"""Pictures of Overcooked: cooks are blue and green, with a black nose on the side that they face."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from .kitchen import DIRECTIONS, Cell, Kitchen
 
 SIZE = 48
 """Width and height of a cell, in pixels."""
-FLOOR, LINE, WHITE = (236, 222, 198), (205, 190, 165), (255, 255, 255)
+FLOOR, LINE, WHITE, NOSE = (236, 222, 198), (205, 190, 165), (255, 255, 255), (25, 25, 25)
 COOKS = (40, 90, 190), (50, 150, 70)
 ONION, TOMATO, DISH, POT = (222, 180, 60), (205, 50, 40), (245, 245, 245), (70, 70, 75)
 COUNTER, BOX, SERVING = (160, 120, 80), (120, 90, 60), (110, 170, 110)
@@ -65,7 +65,7 @@ def make_draw(kitchen: Kitchen) -> Callable[[tuple[int, ...]], npt.NDArray[np.ui
             left, top = _middle(kitchen.floor[number])
             right, down = DIRECTIONS[facing]
             _disc(pen, (left, top), SIZE * 0.38, colour)
-            _disc(pen, (left + right * SIZE * 0.3, top + down * SIZE * 0.3), SIZE // 8, WHITE)
+            _disc(pen, (left + right * SIZE * 0.32, top + down * SIZE * 0.32), SIZE / 9, NOSE)
             item(holds, (left + right * SIZE * 0.12, top + down * SIZE * 0.12))
         return np.asarray(image)
 
