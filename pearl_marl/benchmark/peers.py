@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import importlib
+import io
 import random
-import sys
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, redirect_stdout
@@ -212,7 +212,7 @@ def _overcooked(spec: EnvSpec, count: int) -> Step:
 
 def _coin_game(spec: EnvSpec, count: int) -> Step:
     try:
-        with redirect_stdout(sys.stderr):  # it prints what it imports
+        with redirect_stdout(io.StringIO()):  # it prints what it imports
             import jax
             from jaxmarl.environments.coin_game import CoinGame
     except ImportError:
@@ -235,7 +235,7 @@ def _coin_game(spec: EnvSpec, count: int) -> Step:
     return step
 
 
-PACKAGES = {
+PACKAGES: dict[str, list[tuple[str, str, Callable[[EnvSpec, int], Step | Game]]]] = {
     "CoinGame": [("jaxmarl", "all result arrays; JAX, compiled, on all cores", _coin_game)],
     "ConnectFour": [
         (
