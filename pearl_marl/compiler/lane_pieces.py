@@ -106,8 +106,7 @@ class LanePieces(BlockPieces):
 
     def observed(self) -> list[str]:
         """Return what observes all slots of a block."""
-        lines = self.observe(self.loaded) if self.flat else [self.show]
-        return self.over_slots("observe_all", *lines)
+        return self.seen_in(self.loaded) if self.flat else self.over_slots("observe_all", self.show)
 
     def observed_start(self) -> list[str]:
         """Return what observes a slot that has just started."""

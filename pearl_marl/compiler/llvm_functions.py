@@ -152,6 +152,13 @@ def _vocabulary(builder: Any) -> dict[str, Any]:
     def column(type_: Any, of: Column, start: Word | int, index: Word | int) -> Column:
         return of.from_byte(type_, start, index)
 
+    def flags(type_: Any, to: Column, index: Word | int, word: Word, count: int) -> None:
+        # As a vector: LLVM does not find out by itself that a bit each of a word are numbers side by side.
+        value = builder.trunc(word.value, ir.IntType(count)) if count < word.type.bitwidth else word.value
+        bits = builder.bitcast(value, ir.VectorType(ir.IntType(1), count))
+        numbers = (builder.uitofp if type_ in FLOATS else builder.zext)(bits, ir.VectorType(_llvm(type_), count))
+        builder.store(numbers, builder.bitcast(to.at(index), numbers.type.as_pointer()), type_.bitwidth // 8)
+
     def turns(*bounds: Word | int) -> Iterator[Word]:
         *start, stop = map(_number, bounds)
         if isinstance(bounds[-1], int):
@@ -169,6 +176,7 @@ def _vocabulary(builder: Any) -> dict[str, Any]:
         }
     for t in NUMBERS:
         named |= {f"{t}_choose": partial(choose, t), f"{t}_column": partial(column, t)}
+        named[f"{t}_flags"] = partial(flags, t)
     return named
 
 
