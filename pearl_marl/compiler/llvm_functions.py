@@ -155,9 +155,13 @@ def _vocabulary(builder: Any) -> dict[str, Any]:
     def flags(type_: Any, to: Column, index: Word | int, word: Word, count: int) -> None:
         # As a vector: LLVM does not find out by itself that a bit each of a word are numbers side by side.
         value = builder.trunc(word.value, ir.IntType(count)) if count < word.type.bitwidth else word.value
-        bits = builder.bitcast(value, ir.VectorType(ir.IntType(1), count))
-        numbers = (builder.uitofp if type_ in FLOATS else builder.zext)(bits, ir.VectorType(_llvm(type_), count))
-        builder.store(numbers, builder.bitcast(to.at(index), numbers.type.as_pointer()), type_.bitwidth // 8)
+        numbers = ir.VectorType(_llvm(type_), count)
+        chosen = builder.select(
+            builder.bitcast(value, ir.VectorType(ir.IntType(1), count)),
+            ir.Constant(numbers, [1] * count),
+            ir.Constant(numbers, [0] * count),
+        )
+        builder.store(chosen, builder.bitcast(to.at(index), numbers.as_pointer()), type_.bitwidth // 8)
 
     def turns(*bounds: Word | int) -> Iterator[Word]:
         *start, stop = map(_number, bounds)
