@@ -68,9 +68,15 @@ class Rules(NamedTuple):
         return tuple(rows[: -self.column_height]), tuple(rows[-self.column_height :])
 
     @property
-    def racks(self) -> int:
-        """How many racks there are; each holds a shelf at the start."""
-        return sum(len(x) * len(y) for x, y in zip(self.rack_columns, self.rack_rows, strict=True))
+    def racks(self) -> list[int]:
+        """The cells of racks, from the top left to the bottom right; each holds a shelf at the start."""
+        blocks = zip(self.rack_columns, self.rack_rows, strict=True)
+        return [self.cell(x, y) for columns, rows in blocks for y in rows for x in columns]
+
+    @property
+    def two_stage(self) -> bool:
+        """Whether half of a reward is for putting a shelf down again that was brought."""
+        return self.reward == "two_stage"
 
     def cell(self, x: Word, y: Word) -> Word:
         """Return the number of a cell."""

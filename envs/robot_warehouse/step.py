@@ -1,8 +1,11 @@
 """The golden step of RobotWarehouse: robots bring shelves that are asked for to a goal, and put them back.
 
-No robot can tell shelves apart, so a state does not. It lists of each robot column, row, direction, and the rack that
-the shelf it carries is from; then the cells of the shelves that are asked for, carried or not. Each rack holds a
-shelf that none of those carried is from. Who puts a shelf into a rack that another robot's is from leaves it his own.
+No robot can tell shelves apart, so a state does not. It lists column, row and direction of each robot, and the rack
+that the shelf it carries is from; then the cells of the shelves that are asked for, carried or not. In every other
+rack a shelf stands. Who puts a shelf into a rack that another robot's is from leaves it the rack of its own.
+
+What looks arbitrary is the package's: who moves is in :mod:`~pearl_marl.envs.robot_warehouse.moves`. For a shelf that
+has been brought another one is asked for at once, which may stand at the second goal, and is brought by that.
 
 Follows https://github.com/semitable/robotic-warehouse (2.0.0): G. Papoudakis, F. Christianos, L. Schäfer and
 S. V. Albrecht, *Benchmarking Multi-Agent Deep Reinforcement Learning Algorithms in Cooperative Tasks*, 2021.
@@ -37,7 +40,7 @@ class Robot(NamedTuple):
     origin: Word
     """The rack that the shelf it carries is from."""
     brought: Word = 0
-    """Whether it has brought a shelf that was asked for, and has not put it down since; only where that pays."""
+    """Whether it has brought a shelf that was asked for, and put none down since; only where that pays."""
 
 
 def parts(rules: Rules, state: Sequence[Word]) -> tuple[list[Robot], list[Word]]:
@@ -55,16 +58,16 @@ def whole(rules: Rules, robots: Iterable[Robot], requests: Iterable[Word]) -> tu
 
 def words_of_a_robot(rules: Rules) -> int:
     """Return how many words of a state are a robot's."""
-    return 5 if rules.reward == "two_stage" else 4
+    return 5 if rules.two_stage else 4
 
 
 def decisions(rules: Rules) -> list[int]:
     """Return how many outcomes each decision of a start has."""
-    places = rules.width * rules.height
+    places, racks = rules.width * rules.height, len(rules.racks)
     return [
         *(places - k for k in range(rules.robots)),
         *[len(AFTER_LEFT)] * rules.robots,
-        *(rules.racks - k for k in range(rules.requests)),
+        *(racks - k for k in range(rules.requests)),
     ]
 
 
@@ -75,14 +78,11 @@ def make_initial(rules: Rules) -> GoldenFunction:
     def initial(*draws: Word) -> tuple[Word, ...]:
         decided = digits(draws, outcomes)
         taken: list[Word] = []
-        places: list[Word] = []
-        for rank in decided[:k]:
-            places.append(another(rank, taken))
-            taken = inserted(taken, places[-1])
-        robots = [
-            Robot(place % rules.width, place // rules.width, direction, NONE)
-            for place, direction in zip(places, decided[k : 2 * k], strict=True)
-        ]
+        robots = []
+        for rank, direction in zip(decided[:k], decided[k : 2 * k], strict=True):
+            place = another(rank, taken)
+            taken = inserted(taken, place)
+            robots.append(Robot(place % rules.width, place // rules.width, direction, NONE))
         asked: list[Word] = []
         for rank in decided[2 * k :]:
             asked = inserted(asked, another(rank, asked))
@@ -93,126 +93,20 @@ def make_initial(rules: Rules) -> GoldenFunction:
 
 def rack(rules: Rules, number: Word) -> Word:
     """Return the cell of a rack by its number, from the top left to the bottom right."""
-    height, cell, before = rules.column_height, 0, 0
+    cell, before = 0, 0
     for columns, rows in zip(rules.rack_columns, rules.rack_rows, strict=True):
         if rows:
             within = np.clip(number - before, 0, len(columns) * len(rows) - 1)
             row, column = within // len(columns), within % len(columns)
-            # Between two columns of blocks is a highway, in the middle of the lowest a wide one; and between rows.
-            gap = (column >= len(columns) // 2) * (len(rules.rack_columns[0]) - len(columns)) * 3 // 2
-            here = rules.cell(1 + column + column // 2 + gap, rows[0] + row + row // height)
+            # A highway is after every two columns, and in the middle of the lowest racks one more of three;
+            # and after every block of rows.
+            aside = column // 2 + (len(columns) < len(rules.rack_columns[0])) * 3 * (
+                column >= len(columns) // 2
+            )
+            here = rules.cell(columns[0] + column + aside, rows[0] + row + row // rules.column_height)
             cell = np.where(number >= before, here, cell) if before else here
             before += len(columns) * len(rows)
     return cell
-
-
-def make_step(rules: Rules) -> GoldenFunction:
-    """Return the golden step."""
-    k = rules.robots
-    rack_row, rack_column = rack_tables(rules)
-    ties = make_ties(rules)
-    goals = rules.goals
-    state_words = k * words_of_a_robot(rules) + rules.requests
-    numbers = (1 << rules.cell_bits) - 1
-    shared = rules.reward == "global"
-
-    def step(*words: Word) -> tuple[Word, ...]:
-        robots, requests = parts(rules, words)
-        actions, draws = words[state_words : state_words + k], words[state_words + k :]
-        cells = [rules.cell(robot.x, robot.y) & numbers for robot in robots]
-        origins = [robot.origin for robot in robots]
-
-        def is_rack(x: Word, y: Word) -> Word:
-            return (rack_column[x] & rack_row[y]) != 0
-
-        # Where they want to be.
-        wishes: list[tuple[Word, Word]] = []
-        targets: list[Word] = []
-        for robot, action, cell in zip(robots, actions, cells, strict=True):
-            ahead = [(action == FORWARD) & (robot.direction == way) for way in range(4)]
-            x = np.clip(robot.x + ahead[RIGHT] - ahead[LEFT], 0, rules.width - 1)
-            y = np.clip(robot.y + ahead[DOWN] - ahead[UP], 0, rules.height - 1)
-            target = rules.cell(x, y)
-            # Who carries a shelf cannot pass under one that stands.
-            stands = is_rack(x, y) & (any_of(target == origin for origin in origins) == 0)
-            blocked = (robot.origin != NONE) & (target != cell) & stands
-            wishes.append((np.where(blocked, robot.x, x), np.where(blocked, robot.y, y)))
-            targets.append(np.where(blocked, cell, target))
-        goes = movers(cells, targets, [robot.direction for robot in robots], ties)
-
-        # What they do.
-        brought = [robot.brought for robot in robots]
-        paid: list[Word] = [0] * k
-        for i, (robot, action, cell) in enumerate(zip(robots, actions, cells, strict=True)):
-            toggles = (action == TOGGLE) & is_rack(robot.x, robot.y)
-            free = origins[i] == NONE
-            from_here = [origin == cell for origin in origins]
-            # A shelf that stands here is taken up; or one is put down, and whose was from here has its origin then.
-            taken = toggles & free & (any_of(from_here) == 0)
-            put = toggles & (free == 0)
-            origins = [np.where(put & here, origins[i], origin) for here, origin in zip(from_here, origins, strict=True)]
-            origins[i] = np.where(put, NONE, np.where(taken, cell, origins[i]))
-            paid[i] = put & brought[i]
-            brought[i] = np.where(put, 0, brought[i])
-        after = []
-        for robot, action, (x, y), moves, origin in zip(robots, actions, wishes, goes, origins, strict=True):
-            turned = np.where(
-                action == TURN_LEFT,
-                AFTER_LEFT[robot.direction],
-                np.where(action == TURN_RIGHT, AFTER_RIGHT[robot.direction], robot.direction),
-            )
-            after.append(Robot(np.where(moves, x, robot.x), np.where(moves, y, robot.y), turned, origin))
-        places = [np.where(moves, target, cell) for moves, target, cell in zip(goes, targets, cells, strict=True)]
-
-        # Shelves that are carried move along. Each is known by its rack: where it stands or was taken from.
-        racks = []
-        for r, request in enumerate(requests):
-            known = request
-            for cell, place, origin in zip(cells, places, origins, strict=True):
-                carried = (request == cell) & (origin != NONE)
-                requests[r] = np.where(carried, place, requests[r])
-                known = np.where(carried, origin, known)
-            racks.append(known)
-        asked: list[Word] = []
-        for known in racks:
-            asked = inserted(asked, known)
-
-        # What has been brought; for it another shelf is asked for, that of the second goal maybe.
-        rewards: list[Word] = list(paid)
-        all_brought: Word = 0
-        left: Word = NONE
-        previous: Word = NONE
-        for goal, draw in zip(goals, draws, strict=True):
-            arrived = [request == goal for request in requests]
-            delivered = any_of(arrived)
-            new = unasked(rules, uniform_below(draw, rules.racks - rules.requests), asked)
-            # The first goal's new shelf is not asked for any more, and the one that it took the place of may be.
-            new = np.where(new == previous, left, new)
-            place = new
-            for origin, where in zip(origins, places, strict=True):
-                place = np.where(origin == new, where, place)
-            for r, here in enumerate(arrived):
-                left = np.where(here, racks[r], left)
-                requests[r] = np.where(here, place, requests[r])
-            previous = np.where(delivered, new, previous)
-            all_brought = all_brought + delivered
-            for i in range(k):
-                own = delivered & (places[i] == goal)
-                rewards[i] = rewards[i] | own
-                brought[i] = brought[i] | own
-        if shared:
-            rewards = [all_brought] * k
-        after = [robot._replace(brought=flag) for robot, flag in zip(after, brought, strict=True)]
-        return *whole(rules, after, requests), *rewards, *[0] * k
-
-    return step
-
-
-def unasked(rules: Rules, rank: Word, asked: Sequence[Word]) -> Word:
-    """Return the rack of this rank among those whose shelves are not asked for; ``asked`` is in order."""
-    for known in asked:
-        rank = rank + (rack(rules, rank) >= known)
-    return rack(rules, rank)
 
 
 def rack_tables(rules: Rules, margin: int = 0) -> tuple[list[int], list[int]]:
@@ -229,6 +123,144 @@ def rack_tables(rules: Rules, margin: int = 0) -> tuple[list[int], list[int]]:
     return table(rules.height, rules.rack_rows), table(rules.width, rules.rack_columns)
 
 
+def make_step(rules: Rules) -> GoldenFunction:
+    """Return the golden step."""
+    k = rules.robots
+    rack_row, rack_column = rack_tables(rules)
+    ties = make_ties(rules)
+    state_words = k * words_of_a_robot(rules) + rules.requests
+    numbers = (1 << rules.cell_bits) - 1
+
+    def step(*words: Word) -> tuple[Word, ...]:
+        robots, requests = parts(rules, words)
+        actions, draws = words[state_words : state_words + k], words[state_words + k :]
+        cells = [rules.cell(robot.x, robot.y) & numbers for robot in robots]
+
+        def is_rack(x: Word, y: Word) -> Word:
+            return (rack_row[y] & rack_column[x]) != 0
+
+        wishes: list[tuple[Word, Word]] = []
+        targets: list[Word] = []
+        for robot, action, cell in zip(robots, actions, cells, strict=True):
+            x, y = ahead(rules, robot, action == FORWARD)
+            # Who carries a shelf cannot pass under one that stands.
+            stands = is_rack(x, y) & (any_of(rules.cell(x, y) == other.origin for other in robots) == 0)
+            blocked = (robot.origin != NONE) & stands
+            wishes.append((np.where(blocked, robot.x, x), np.where(blocked, robot.y, y)))
+            targets.append(np.where(blocked, cell, rules.cell(x, y)))
+        goes = movers(cells, targets, [robot.direction for robot in robots], ties)
+        places = [np.where(go, target, cell) for go, target, cell in zip(goes, targets, cells, strict=True)]
+
+        toggles = [
+            (action == TOGGLE) & is_rack(robot.x, robot.y)
+            for robot, action in zip(robots, actions, strict=True)
+        ]
+        robots, returned = toggled(robots, cells, toggles)
+        robots = [
+            robot._replace(
+                x=np.where(go, x, robot.x), y=np.where(go, y, robot.y), direction=turned(robot, action)
+            )
+            for robot, go, (x, y), action in zip(robots, goes, wishes, actions, strict=True)
+        ]
+        requests, racks = carried(requests, robots, cells, places)
+        requests, rewards, brought = delivered(rules, requests, racks, robots, places, draws)
+        robots = [
+            robot._replace(brought=robot.brought | own) for robot, own in zip(robots, brought, strict=True)
+        ]
+        rewards = [reward | half for reward, half in zip(rewards, returned, strict=True)]
+        return *whole(rules, robots, requests), *rewards, *[0] * k
+
+    return step
+
+
+def ahead(rules: Rules, robot: Robot, forward: Word) -> tuple[Word, Word]:
+    """Return column and row of where a robot wants to be: an edge is in its way."""
+    up, down, left, right = (forward & (robot.direction == way) for way in (UP, DOWN, LEFT, RIGHT))
+    x = np.clip(robot.x + right - left, 0, rules.width - 1)
+    y = np.clip(robot.y + down - up, 0, rules.height - 1)
+    return x, y
+
+
+def turned(robot: Robot, action: Word) -> Word:
+    """Return a robot's direction after its action."""
+    right = np.where(action == TURN_RIGHT, AFTER_RIGHT[robot.direction], robot.direction)
+    return np.where(action == TURN_LEFT, AFTER_LEFT[robot.direction], right)
+
+
+def toggled(
+    robots: Sequence[Robot], cells: Sequence[Word], toggles: Sequence[Word]
+) -> tuple[list[Robot], list[Word]]:
+    """Let robots take up the shelf that stands in their rack, or put theirs down; return who put one that was brought."""
+    origins, brought, returned = [robot.origin for robot in robots], [], []
+    for k, (robot, cell, toggle) in enumerate(zip(robots, cells, toggles, strict=True)):
+        own = origins[k]
+        from_here = [origin == cell for origin in origins]
+        takes = toggle & (own == NONE) & (any_of(from_here) == 0)
+        puts = toggle & (own != NONE)
+        origins = [np.where(puts & here, own, old) for here, old in zip(from_here, origins, strict=True)]
+        origins[k] = np.where(puts, NONE, np.where(takes, cell, own))
+        returned.append(puts & robot.brought)
+        brought.append(np.where(puts, 0, robot.brought))
+    changed = zip(robots, origins, brought, strict=True)
+    return [robot._replace(origin=origin, brought=flag) for robot, origin, flag in changed], returned
+
+
+def carried(
+    requests: Sequence[Word], robots: Sequence[Robot], cells: Sequence[Word], places: Sequence[Word]
+) -> tuple[list[Word], list[Word]]:
+    """Move the shelves that are asked for with who carries them; return their cells, and the racks they are from."""
+    now, racks = list(requests), list(requests)
+    for robot, cell, place in zip(robots, cells, places, strict=True):
+        for r, request in enumerate(requests):
+            on_it = (request == cell) & (robot.origin != NONE)
+            now[r] = np.where(on_it, place, now[r])
+            racks[r] = np.where(on_it, robot.origin, racks[r])
+    return now, racks
+
+
+def delivered(
+    rules: Rules,
+    requests: Sequence[Word],
+    racks: Sequence[Word],
+    robots: Sequence[Robot],
+    places: Sequence[Word],
+    draws: Sequence[Word],
+) -> tuple[list[Word], list[Word], list[Word]]:
+    """Ask for other shelves than those at the goals; return the cells of all, the rewards, and who brought one."""
+    now = list(requests)
+    brought: list[Word] = [0] * len(robots)
+    total: Word = 0
+    # The racks of the shelf that the first goal had, and of the one that is asked for instead.
+    old: Word = NONE
+    new: Word = NONE
+    asked: list[Word] = []
+    for number in racks:
+        asked = inserted(asked, number)
+    for goal, draw in zip(rules.goals, draws, strict=True):
+        arrived = [request == goal for request in now]
+        delivery = any_of(arrived)
+        found = unasked(rules, uniform_below(draw, len(rules.racks) - len(racks)), asked)
+        # The second goal has its choice among as many: what the first goal had, and not what was chosen for that.
+        found = np.where(found == new, old, found)
+        cell = found
+        for robot, place in zip(robots, places, strict=True):
+            cell = np.where(robot.origin == found, place, cell)
+        now = [np.where(here, cell, request) for here, request in zip(arrived, now, strict=True)]
+        for here, number in zip(arrived, racks, strict=True):
+            old = np.where(here, number, old)
+        new = np.where(delivery, found, new)
+        brought = [flag | (delivery & (place == goal)) for flag, place in zip(brought, places, strict=True)]
+        total = total + delivery
+    return now, [total] * len(robots) if rules.reward == "global" else brought, brought
+
+
+def unasked(rules: Rules, rank: Word, asked: Sequence[Word]) -> Word:
+    """Return the rack of this rank among those whose shelves are not asked for; ``asked`` is in order."""
+    for number in asked:
+        rank = rank + (rack(rules, rank) >= number)
+    return rack(rules, rank)
+
+
 def make_observe(rules: Rules) -> GoldenFunction:
     """Return the golden function of what a robot observes: itself, and what is in the cells around it."""
     sight = rules.sight
@@ -243,22 +275,28 @@ def make_observe(rules: Rules) -> GoldenFunction:
         here = rules.cell(me.x, me.y)
         rows = [rack_row[me.y + down] for down in beside]
         columns = [rack_column[me.x + right] for right in beside]
-        carries = [robot.origin != NONE for robot in robots]
-        ways = [[robot.direction == way for way in range(4)] for robot in robots]
         cells = [rules.cell(robot.x, robot.y) for robot in robots]
-        sensors: list[Word] = []
+        loaded = [robot.origin != NONE for robot in robots]
+        ways = [[robot.direction == way for robot in robots] for way in (UP, DOWN, LEFT, RIGHT)]
+        seen: list[Word] = []
         for down in beside:
             for right in beside:
                 near = (here + rules.cell(right - sight, down - sight)) & numbers
-                mine = (down, right) == (sight, sight)
-                there = [int(j == agent) if mine else cell == near for j, cell in enumerate(cells)]
-                sides = [any_of(at & way[side] for at, way in zip(there, ways, strict=True)) for side in (DOWN, LEFT, RIGHT)]
-                stands = ((rows[down] & columns[right]) != 0) & (any_of(near == r.origin for r in robots) == 0)
-                shelf = stands | any_of(at & loaded for at, loaded in zip(there, carries, strict=True))
-                asked = any_of(near == request for request in requests)
-                # Where nobody is, the package shows the first direction.
-                sensors += [any_of(there), any_of(sides) == 0, *sides, shelf, asked]
+                own = (down, right) == (sight, sight)
+                there = [int(k == agent) if own else cell == near for k, cell in enumerate(cells)]
+                _, *sides = (both(there, way) for way in ways)
+                stands = ((rows[down] & columns[right]) != 0) & (
+                    any_of(near == r.origin for r in robots) == 0
+                )
+                # Where no robot is, the package says that it faces up.
+                seen += [any_of(there), any_of(sides) == 0, *sides]
+                seen += [stands | both(there, loaded), any_of(near == request for request in requests)]
         highway = (rows[sight] & columns[sight]) == 0
-        return me.x, me.y, carries[agent], *ways[agent], highway, *sensors
+        return me.x, me.y, loaded[agent], *(way[agent] for way in ways), highway, *seen
 
     return observe
+
+
+def both(some: Sequence[Word], others: Sequence[Word]) -> Word:
+    """Return whether any of some flags is set together with the other one in its place."""
+    return any_of(a & b for a, b in zip(some, others, strict=True))
