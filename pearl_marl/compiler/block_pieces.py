@@ -15,9 +15,9 @@ import numpy as np
 
 from pearl_marl import rng
 from pearl_marl.batch import slot_memory
-from pearl_marl.compiler import pieces
-from pearl_marl.compiler.straight_line import observers
+from pearl_marl.compiler import flag_pieces, pieces
 from pearl_marl.compiler.pieces import Pieces, assign, call, cell_dtype, each, indented, start, times
+from pearl_marl.compiler.straight_line import observers
 from pearl_marl.spec import EnvSpec
 
 BLOCK = 2048
@@ -81,7 +81,7 @@ class BlockPieces(Pieces):
         self.take = assign(self.new, each("stored_{}[i]", self.state))
         self.functions: dict[str, list[str]] = {}
         self._taken, draws = 0, self.step_draws.stop
-        self.groups = _groups(spec) if self.flat and own > 16 else []
+        self.runs = flag_pieces.runs(spec)
         self.places = {
             "E": self.column("memory", self.elapsed),
             "N": self.column("memory", self.ended),
@@ -100,9 +100,9 @@ class BlockPieces(Pieces):
             **self.words(),
             **{f"part_{f.name}": part(f"given_{f.name}", f.dtype, agents) for f in spec.seen},
             **{
-                f"packed_{k}_{g}": self.space(spec.observation[first].dtype, self.size)
+                f"run_{k}_{r}": self.space(spec.observation[run.first].dtype, self.size)
                 for k in range(agents)
-                for g, (first, _) in enumerate(self.groups)
+                for r, run in enumerate(self.runs)
             },
         }
         """Where words lie, by name; a function is given what that takes."""
@@ -232,24 +232,18 @@ class BlockPieces(Pieces):
 
     def seen_in(self, state: Sequence[str]) -> list[str]:
         """Return what observes all slots of a block in a state."""
-        if not self.groups:
+        if not self.runs:
             return self.over_slots("observe_all", *self.observe(state))
-        packing, spreading, size = [], [], self.spec.observation_size
+        packing, writing, size = [], [], self.spec.observation_size
         observed = each("observed_{}", self.seen)
         for k, name in enumerate(observers(self.spec)):
-            packing.append(call(name, state, observed))
-            for g, (first, count) in enumerate(self.groups):
-                flags = observed[first : first + count]
-                text = f"np.{self.spec.observation[first].dtype}({flags[0]})"
-                for bit, flag in enumerate(flags[1:], 1):
-                    text = f"uint8_or({text}, uint8_left({flag}, {bit}))"
-                packed, at = f"packed_{k}_{g}[i]", f"{self.agents * size} * i + {k * size + first}"
-                packing.append(f"{packed} = {text}")
-                if count > 1:
-                    spreading.append(f"{self.dtype}_flags(O, {at}, {packed}, {count})")
-                else:
-                    spreading.append(f"O[{at}] = np.{self.dtype}({packed})")
-        return [*self.over_slots("observe_all", *packing), *self.over_slots("spread_all", *spreading)]
+            packing += [call(name, state, observed), *self.masks(observed, k)]
+            for r, run in enumerate(self.runs):
+                word, at = f"run_{k}_{r}[i]", f"{self.agents * size} * i + {k * size + run.first}"
+                dtype = self.spec.observation[run.first].dtype
+                packing.append(f"{word} = {flag_pieces.packed(run, str(dtype), observed)}")
+                writing.append(flag_pieces.written(run, str(self.dtype), at, word))
+        return [*self.over_slots("observe_all", *packing), *self.over_slots("write_all", *writing)]
 
     def observed_start(self) -> list[str]:
         """Return what observes a slot that has just started."""
@@ -301,14 +295,3 @@ class BlockPieces(Pieces):
         lookups = (f"reward_{k} = rates[{k}]" for k in range(self.categories))
         loop = each_slot("r = reward_0", *chain, "R[i] = r", rows=self.agents)
         return self.apart("reward_all", [*lookups, *loop])
-
-
-def _groups(spec: EnvSpec) -> list[tuple[int, int]]:
-    groups: list[tuple[int, int]] = []
-    for k, field in enumerate(spec.observation):
-        flag = field.bits == 1 and not field.signed and not field.fraction
-        if flag and groups and groups[-1][1] < 8 and spec.observation[groups[-1][0]].bits == 1:
-            groups[-1] = groups[-1][0], groups[-1][1] + 1
-        else:
-            groups.append((k, 1))
-    return groups
