@@ -1,15 +1,15 @@
 """Which robots move, of those that want to: no two into one cell, and no two past each other.
 
 The package draws an edge from each robot's cell to the one that it wants to be in, and has networkx find cycles
-and longest paths. From a cell leads at most one edge, so it comes to this:
+and longest paths. At most one edge leaves a cell, so it comes to this:
 
-- Who stays is in the way, and so are two that want to change places. Behind them nobody moves.
-- Four in a ring move on together, and nobody else who wants into one of their cells.
-- Of those that want the same cell, the one goes that has the longest queue behind it, if that cell is free or
-  becomes so. Of equally long queues the one goes that has the robot with the least number at its end or its head;
-  of two without any, both robots else moving freely, that which comes first in a set.
+- Who stays is in the way, and so are two that want to change places. Nobody behind them moves.
+- Four in a ring move on together, and nobody else moves into one of their cells.
+- Of those that want the same cell, the one with the longest queue behind it goes, if the cell is free or becomes
+  so. Of two equally long queues, that goes in whose first two the robot with the lowest number is. But where two
+  without a queue meet, and two others move freely elsewhere, it goes by :mod:`.ties`.
 
-The last two hold of up to four robots: with more there are other ties.
+The last holds for up to four robots. With more, queues of any kind meet as ties of sets.
 """
 
 from __future__ import annotations
@@ -17,8 +17,6 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterable, Sequence
 from typing import TypeAlias
-
-import numpy as np
 
 from pearl_marl.golden import Word
 

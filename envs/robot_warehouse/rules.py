@@ -10,8 +10,8 @@ from pearl_marl.golden import Word
 class Rules(NamedTuple):
     """What the options come to.
 
-    A cell's number is ``y * stride + x``. A stride is as much longer than a row as robots see to the side: what
-    is near is near by its number too, and beyond an edge there are numbers that no cell has.
+    A cell's number is ``y * stride + x``. A stride is as much longer than a row as robots see to the side, so
+    that beyond an edge there are numbers that no cell has, and what is near is near by its number too.
     """
 
     shelf_rows: int
@@ -56,14 +56,14 @@ class Rules(NamedTuple):
 
     @property
     def rack_columns(self) -> tuple[tuple[int, ...], tuple[int, ...]]:
-        """The columns of racks: in all blocks of rows but the lowest, and in that, where robots queue in the middle."""
+        """The columns of racks: in upper rows, and in the lowest, where robots queue in the middle."""
         every = tuple(x for x in range(self.width) if x % 3)
         middle = self.width // 2
         return every, tuple(x for x in every if x not in (middle - 1, middle))
 
     @property
     def rack_rows(self) -> tuple[tuple[int, ...], tuple[int, ...]]:
-        """The rows of racks: of all blocks of rows but the lowest, and of that."""
+        """The rows of racks: those of all blocks of rows but the lowest, and those of that."""
         rows = [y for y in range(self.height - 2) if y % (self.column_height + 1)]
         return tuple(rows[: -self.column_height]), tuple(rows[-self.column_height :])
 

@@ -164,8 +164,8 @@ def grid(rules: Rules) -> Grid:
     """Return where robots are who see where they are."""
 
     def cell(observations: npt.NDArray[Any]) -> npt.NDArray[Any]:
-        x, y = observations[:, :2].T.astype(np.int64)
-        return y * rules.width + x
+        places = observations.astype(np.int64)
+        return places[:, 1] * rules.width + places[:, 0]
 
     return Grid(rules.height, rules.width, cell)
 

@@ -1,11 +1,12 @@
 """The golden step of RobotWarehouse: robots bring shelves that are asked for to a goal, and put them back.
 
-No robot can tell shelves apart, so a state does not. It lists column, row and direction of each robot, and the rack
-that the shelf it carries is from; then the cells of the shelves that are asked for, carried or not. In every other
-rack a shelf stands. Who puts a shelf into a rack that another robot's is from leaves it the rack of its own.
+No robot can tell shelves apart, so a state does not. It lists column, row and direction of each robot, and the
+rack that the shelf it carries is from; then the cells of the shelves that are asked for, carried or not. In every
+other rack a shelf stands. A robot may put its shelf into a rack that another one's is from; that one is from the
+rack of the first from then on.
 
-What looks arbitrary is the package's: who moves is in :mod:`~pearl_marl.envs.robot_warehouse.moves`. For a shelf that
-has been brought another one is asked for at once, which may stand at the second goal, and is brought by that.
+What looks arbitrary is the package's. Who moves is in :mod:`.moves`. As soon as a shelf has been brought another
+one is asked for, which may be the one at the second goal, and then that has been brought too.
 
 Follows https://github.com/semitable/robotic-warehouse (2.0.0): G. Papoudakis, F. Christianos, L. Schäfer and
 S. V. Albrecht, *Benchmarking Multi-Agent Deep Reinforcement Learning Algorithms in Cooperative Tasks*, 2021.
@@ -93,19 +94,18 @@ def make_initial(rules: Rules) -> GoldenFunction:
 
 def rack(rules: Rules, number: Word) -> Word:
     """Return the cell of a rack by its number, from the top left to the bottom right."""
-    cell, before = 0, 0
+    cell: Word = 0
+    before, widest = 0, len(rules.rack_columns[0])
     for columns, rows in zip(rules.rack_columns, rules.rack_rows, strict=True):
+        count = len(columns)
         if rows:
-            within = np.clip(number - before, 0, len(columns) * len(rows) - 1)
-            row, column = within // len(columns), within % len(columns)
-            # A highway is after every two columns, and in the middle of the lowest racks one more of three;
-            # and after every block of rows.
-            aside = column // 2 + (len(columns) < len(rules.rack_columns[0])) * 3 * (
-                column >= len(columns) // 2
-            )
-            here = rules.cell(columns[0] + column + aside, rows[0] + row + row // rules.column_height)
-            cell = np.where(number >= before, here, cell) if before else here
-            before += len(columns) * len(rows)
+            within = np.clip(number - before, 0, count * len(rows) - 1)
+            row, column = within // count, within % count
+            # A highway is behind every two columns, and three more in the middle of the lowest racks.
+            queue = 3 * (column >= count // 2) if count < widest else 0
+            x, y = columns[0] + column + column // 2 + queue, rows[0] + row + row // rules.column_height
+            cell = np.where(number >= before, rules.cell(x, y), cell) if before else rules.cell(x, y)
+            before += count * len(rows)
     return cell
 
 
@@ -190,7 +190,7 @@ def turned(robot: Robot, action: Word) -> Word:
 def toggled(
     robots: Sequence[Robot], cells: Sequence[Word], toggles: Sequence[Word]
 ) -> tuple[list[Robot], list[Word]]:
-    """Let robots take up the shelf that stands in their rack, or put theirs down; return who put one that was brought."""
+    """Let robots take up shelves and put them down; return also who has put one down that it had brought."""
     origins, brought, returned = [robot.origin for robot in robots], [], []
     for k, (robot, cell, toggle) in enumerate(zip(robots, cells, toggles, strict=True)):
         own = origins[k]
@@ -208,7 +208,7 @@ def toggled(
 def carried(
     requests: Sequence[Word], robots: Sequence[Robot], cells: Sequence[Word], places: Sequence[Word]
 ) -> tuple[list[Word], list[Word]]:
-    """Move the shelves that are asked for with who carries them; return their cells, and the racks they are from."""
+    """Move the shelves that are asked for with their robots; return their cells, and the racks they are from."""
     now, racks = list(requests), list(requests)
     for robot, cell, place in zip(robots, cells, places, strict=True):
         for r, request in enumerate(requests):
@@ -226,7 +226,7 @@ def delivered(
     places: Sequence[Word],
     draws: Sequence[Word],
 ) -> tuple[list[Word], list[Word], list[Word]]:
-    """Ask for other shelves than those at the goals; return the cells of all, the rewards, and who brought one."""
+    """Ask for others than the shelves at the goals; return all their cells, the rewards, and who brought one."""
     now = list(requests)
     brought: list[Word] = [0] * len(robots)
     total: Word = 0
@@ -240,9 +240,9 @@ def delivered(
         arrived = [request == goal for request in now]
         delivery = any_of(arrived)
         found = unasked(rules, uniform_below(draw, len(rules.racks) - len(racks)), asked)
-        # The second goal has its choice among as many: what the first goal had, and not what was chosen for that.
+        # The second goal's choice is among as many: the first goal's shelf is in the place of the one chosen there.
         found = np.where(found == new, old, found)
-        cell = found
+        cell: Word = found
         for robot, place in zip(robots, places, strict=True):
             cell = np.where(robot.origin == found, place, cell)
         now = [np.where(here, cell, request) for here, request in zip(arrived, now, strict=True)]

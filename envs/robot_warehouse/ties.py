@@ -1,12 +1,11 @@
 """Who goes first of two robots that want the same cell, where the package leaves it to Python's sets.
 
-The package puts robots' moves into a networkx graph, and of equally long queues that want the same cell the one goes
-whose node comes first in a copy of the component. Nodes come in the order in which robots were added, as long as
-the component is at least half of the graph. Of a smaller one networkx takes them from a set: that of the component,
-which was filled from the first robot on, filled into another set.
+Of equally long queues the one goes whose node comes first in networkx's copy of their component of the graph. Nodes
+are in the order in which robots were added, if the component has at least half of the graph's nodes. If it has
+fewer, they are in the order of a set, which was filled from the set that a search from the first robot filled.
 
-Here is what CPython's sets do, so that a core does not depend on the Python that made it: a hash of xxHash's
-kind, and a table of 8 places in which a node that meets another tries the next one.
+Here is what CPython's sets do, so that a core does not depend on the Python that made it: a hash like xxHash's, and
+a table of 8 places, where who finds a place taken tries another one.
 """
 
 from __future__ import annotations

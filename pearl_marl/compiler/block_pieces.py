@@ -240,9 +240,12 @@ class BlockPieces(Pieces):
             packing += [call(name, state, observed), *self.masks(observed, k)]
             for r, run in enumerate(self.runs):
                 word, at = f"run_{k}_{r}[i]", f"{self.agents * size} * i + {k * size + run.first}"
-                dtype = self.spec.observation[run.first].dtype
-                packing.append(f"{word} = {flag_pieces.packed(run, str(dtype), observed)}")
-                writing.append(flag_pieces.written(run, str(self.dtype), at, word))
+                field = self.spec.observation[run.first]
+                packing.append(f"{word} = {flag_pieces.packed(run, str(field.dtype), observed)}")
+                if run.count > 1:
+                    writing.append(f"{self.dtype}_flags(O, {at}, {word}, {run.count})")
+                else:
+                    writing.append(f"O[{at}] = {self.value(word, field)}")
         return [*self.over_slots("observe_all", *packing), *self.over_slots("write_all", *writing)]
 
     def observed_start(self) -> list[str]:

@@ -1,8 +1,8 @@
 """The pieces of the CPU's kernels that write observations of many flags.
 
-Left to itself, a loop that writes a long row for each slot is scalar, or scatters its words. So one loop packs the
-flags into bytes, in SIMD code, and another one writes the bits of a byte out as so many elements at once. With its
-71 elements RobotWarehouse steps nine times as many agents like this.
+Left to itself, a loop that writes a long row for each slot is scalar, or scatters its words. So one loop
+packs the flags into bytes, in SIMD code, and another one writes a byte's bits out as so many elements at once.
+RobotWarehouse, whose observations have 71 elements, steps nine times as many agents like this.
 """
 
 from __future__ import annotations
@@ -49,10 +49,3 @@ def packed(run: Run, dtype: str, words: Sequence[str]) -> str:
     for bit, flag in enumerate(words[run.first + 1 : run.first + run.count], 1):
         text = f"uint8_or({text}, uint8_left({flag}, {bit}))"
     return text
-
-
-def written(run: Run, dtype: str, at: str, word: str) -> str:
-    """Return what writes the elements of a run from its word; ``at`` is where the first one goes in ``O``."""
-    return (
-        f"O[{at}] = np.{dtype}({word})" if run.count == 1 else f"{dtype}_flags(O, {at}, {word}, {run.count})"
-    )

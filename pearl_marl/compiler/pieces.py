@@ -132,6 +132,10 @@ class Pieces:
             lines += [call(name, state, observed), *self.deliver(observed, k)]
         return lines
 
+    def value(self, word: str, field: Field) -> str:
+        """Return the element that a word of the observation is delivered as."""
+        return f"np.{self.dtype}({word}){_scale(str(self.dtype), field)}"
+
     def masks(self, words: Sequence[str], agent: int = 0) -> list[str]:
         """Return what writes an agent's masks, the last of the words that it is shown."""
         flags = words[len(self.spec.observation) :]
@@ -140,13 +144,13 @@ class Pieces:
 
     def deliver(self, words: Iterable[str], agent: int = 0) -> list[str]:
         """Return what makes an observation of its words, element by element or by ``unpack``, and masks."""
-        fields, dtype, size = self.spec.observation, self.dtype, self.spec.observation_size
+        fields, size = self.spec.observation, self.spec.observation_size
         words = list(words)
         own, masks = narrowed(fields, words[: len(fields)]), self.masks(words, agent)
         if self.spec.unpack is not None:
             more = f" + {agent * size}" if agent else ""
             return [f"unpack({', '.join(own)}, {self.row.format(more)})", *masks]
-        values = (f"np.{dtype}({w}){_scale(str(dtype), f)}" for w, f in zip(own, fields, strict=True))
+        values = map(self.value, own, fields)
         return [*assign(each(self.element, range(agent * size, (agent + 1) * size)), values), *masks]
 
 
