@@ -1,13 +1,13 @@
 """Which robots move, of those that want to: no two into one cell, and no two past each other.
 
-The package draws an edge from each robot's cell to the one that it wants to be in, and has networkx find cycles
-and longest paths. At most one edge leaves a cell, so it comes to this:
+The package draws an edge from each robot's cell to the one that it wants to be in, and networkx finds cycles and
+longest paths. At most one edge leaves a cell, so it comes to this:
 
 - Who stays is in the way, and so are two that want to change places. Nobody behind them moves.
 - Four in a ring move on together, and nobody else moves into one of their cells.
-- Of those that want the same cell, the one with the longest queue behind it goes, if the cell is free or becomes
-  so. Of two equally long queues, that goes in whose first two the robot with the lowest number is. But where two
-  without a queue meet, and two others move freely elsewhere, it goes by :mod:`.ties`.
+- Of those that want the same cell, the one with the longest queue behind it goes, if the cell is free or
+  becomes so. Of equally long queues, that goes which has the lowest number among its first two robots. But
+  where two without a queue meet, and two others move freely elsewhere, it goes by :mod:`.ties`.
 
 The last holds for up to four robots. With more, queues of any kind meet as ties of sets.
 """

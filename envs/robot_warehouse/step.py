@@ -1,12 +1,12 @@
 """The golden step of RobotWarehouse: robots bring shelves that are asked for to a goal, and put them back.
 
-No robot can tell shelves apart, so a state does not. It lists column, row and direction of each robot, and the
-rack that the shelf it carries is from; then the cells of the shelves that are asked for, carried or not. In every
-other rack a shelf stands. A robot may put its shelf into a rack that another one's is from; that one is from the
-rack of the first from then on.
+No robot can tell shelves apart, so a state does not. It lists column, row and direction of each robot and the
+rack that the shelf it carries is from; then the cells of the shelves that are asked for, carried or not. In
+every other rack a shelf stands. A robot may put its shelf into a rack that another one's is from; that one is
+from the rack of the first from then on.
 
-What looks arbitrary is the package's. Who moves is in :mod:`.moves`. As soon as a shelf has been brought another
-one is asked for, which may be the one at the second goal, and then that has been brought too.
+What looks arbitrary is the package's. Who moves is in :mod:`.moves`. As soon as a shelf has been brought,
+another one is asked for. That may be the one at the second goal, and then it has been brought too.
 
 Follows https://github.com/semitable/robotic-warehouse (2.0.0): G. Papoudakis, F. Christianos, L. Schäfer and
 S. V. Albrecht, *Benchmarking Multi-Agent Deep Reinforcement Learning Algorithms in Cooperative Tasks*, 2021.
@@ -208,7 +208,7 @@ def toggled(
 def carried(
     requests: Sequence[Word], robots: Sequence[Robot], cells: Sequence[Word], places: Sequence[Word]
 ) -> tuple[list[Word], list[Word]]:
-    """Move the shelves that are asked for with their robots; return their cells, and the racks they are from."""
+    """Move shelves that are asked for with their robots; return their cells, and the racks they are from."""
     now, racks = list(requests), list(requests)
     for robot, cell, place in zip(robots, cells, places, strict=True):
         for r, request in enumerate(requests):
@@ -226,7 +226,7 @@ def delivered(
     places: Sequence[Word],
     draws: Sequence[Word],
 ) -> tuple[list[Word], list[Word], list[Word]]:
-    """Ask for others than the shelves at the goals; return all their cells, the rewards, and who brought one."""
+    """Ask for others than the shelves at the goals; return their cells, the rewards, and who brought one."""
     now = list(requests)
     brought: list[Word] = [0] * len(robots)
     total: Word = 0
@@ -240,7 +240,7 @@ def delivered(
         arrived = [request == goal for request in now]
         delivery = any_of(arrived)
         found = unasked(rules, uniform_below(draw, len(rules.racks) - len(racks)), asked)
-        # The second goal's choice is among as many: the first goal's shelf is in the place of the one chosen there.
+        # The second goal chooses among as many: the first goal's shelf is in place of the one chosen there.
         found = np.where(found == new, old, found)
         cell: Word = found
         for robot, place in zip(robots, places, strict=True):
@@ -285,9 +285,8 @@ def make_observe(rules: Rules) -> GoldenFunction:
                 own = (down, right) == (sight, sight)
                 there = [int(k == agent) if own else cell == near for k, cell in enumerate(cells)]
                 _, *sides = (both(there, way) for way in ways)
-                stands = ((rows[down] & columns[right]) != 0) & (
-                    any_of(near == r.origin for r in robots) == 0
-                )
+                empty = any_of(near == robot.origin for robot in robots)
+                stands = ((rows[down] & columns[right]) != 0) & (empty == 0)
                 # Where no robot is, the package says that it faces up.
                 seen += [any_of(there), any_of(sides) == 0, *sides]
                 seen += [stands | both(there, loaded), any_of(near == request for request in requests)]

@@ -1,11 +1,11 @@
 """Who goes first of two robots that want the same cell, where the package leaves it to Python's sets.
 
-Of equally long queues the one goes whose node comes first in networkx's copy of their component of the graph. Nodes
-are in the order in which robots were added, if the component has at least half of the graph's nodes. If it has
-fewer, they are in the order of a set, which was filled from the set that a search from the first robot filled.
+Of equally long queues the one goes whose node comes first in networkx's copy of their component of the graph.
+If that has at least half of the graph's nodes, they are in the order in which robots were added. If it has
+fewer, they are in the order of a set, filled from the set that a search from the first robot filled.
 
-Here is what CPython's sets do, so that a core does not depend on the Python that made it: a hash like xxHash's, and
-a table of 8 places, where who finds a place taken tries another one.
+Here is what CPython's sets do, so that a core does not depend on the Python that made it: a hash like that of
+xxHash, and a table of 8 places, where who finds a place taken tries another one.
 """
 
 from __future__ import annotations

@@ -242,8 +242,8 @@ class BlockPieces(Pieces):
                 word, at = f"run_{k}_{r}[i]", f"{self.agents * size} * i + {k * size + run.first}"
                 field = self.spec.observation[run.first]
                 packing.append(f"{word} = {flag_pieces.packed(run, str(field.dtype), observed)}")
-                if run.count > 1:
-                    writing.append(f"{self.dtype}_flags(O, {at}, {word}, {run.count})")
+                if run.size > 1:
+                    writing.append(f"{self.dtype}_flags(O, {at}, {word}, {run.size})")
                 else:
                     writing.append(f"O[{at}] = {self.value(word, field)}")
         return [*self.over_slots("observe_all", *packing), *self.over_slots("write_all", *writing)]

@@ -1,7 +1,7 @@
 """The pieces of the CPU's kernels that write observations of many flags.
 
 Left to itself, a loop that writes a long row for each slot is scalar, or scatters its words. So one loop
-packs the flags into bytes, in SIMD code, and another one writes a byte's bits out as so many elements at once.
+packs the flags into bytes, in SIMD code, and another one writes a byte's bits out, all of them at once.
 RobotWarehouse, whose observations have 71 elements, steps nine times as many agents like this.
 """
 
@@ -21,7 +21,7 @@ class Run(NamedTuple):
     """Elements of an observation that are written at once: flags that a byte holds, or a single one."""
 
     first: int
-    count: int
+    size: int
 
 
 def is_flag(field: Field) -> bool:
@@ -36,8 +36,8 @@ def runs(spec: EnvSpec) -> list[Run]:
         return []
     found: list[Run] = []
     for k, flag in enumerate(flags):
-        if flag and found and flags[k - 1] and found[-1].count < BYTE:
-            found[-1] = Run(found[-1].first, found[-1].count + 1)
+        if flag and found and flags[k - 1] and found[-1].size < BYTE:
+            found[-1] = Run(found[-1].first, found[-1].size + 1)
         else:
             found.append(Run(k, 1))
     return found
@@ -46,6 +46,6 @@ def runs(spec: EnvSpec) -> list[Run]:
 def packed(run: Run, dtype: str, words: Sequence[str]) -> str:
     """Return the word of a run, of the words of its elements."""
     text = f"np.{dtype}({words[run.first]})"
-    for bit, flag in enumerate(words[run.first + 1 : run.first + run.count], 1):
+    for bit, flag in enumerate(words[run.first + 1 : run.first + run.size], 1):
         text = f"uint8_or({text}, uint8_left({flag}, {bit}))"
     return text

@@ -66,8 +66,8 @@ def spec(fields: list[Field], dtype: type, masks: bool) -> EnvSpec:
 
 
 def test_runs() -> None:
-    counts = [run.count for run in runs(spec(MIXED, np.float32, masks=False))]
-    assert counts == [1, 8, 8, 3, 1, 1, 8, 1, 1]
+    sizes = [run.size for run in runs(spec(MIXED, np.float32, masks=False))]
+    assert sizes == [1, 8, 8, 3, 1, 1, 8, 1, 1]
     assert runs(spec(LONG[:16], np.float32, masks=False)) == []
 
 
