@@ -1,6 +1,6 @@
 """Which robots move, of those that want to: no two into one cell, and no two past each other.
 
-The package draws an edge from each robot's cell to the one that it wants to be in, and networkx finds cycles and
+The package draws an edge from each robot's cell to the one that it wants to be in; networkx finds cycles and
 longest paths. At most one edge leaves a cell, so it comes to this:
 
 - Who stays is in the way, and so are two that want to change places. Nobody behind them moves.
