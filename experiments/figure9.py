@@ -60,6 +60,7 @@ BUILDS = {
     "LevelBasedForaging": (1, 128),
     "MountainCar": (1, 64),
     "Pendulum": (1, 128),
+    "RobotWarehouse": (1, 256),
     "Seaquest": (1, 512),
 }
 """Processing elements and bits of a word, which stay as they are while the slots grow. These are small

@@ -18,6 +18,7 @@ import numpy.typing as npt
 
 from pearl_marl.batch.actions import random_actions, random_allowed
 from pearl_marl.benchmark.measure import Contender, Game, Step, UnavailableError
+from pearl_marl.envs.robot_warehouse.spec import SIZES
 from pearl_marl.spec import EnvSpec
 
 GYMNASIUM_SYNC_LIMIT = 1024
@@ -27,8 +28,15 @@ GYMNASIUM_ASYNC_LIMIT = 16
 """A process each: with more, the machine runs out of cores long before we run out of patience."""
 
 
-ENVPOOL_GAMES = {"ConnectFour": "ConnectFour-v1", "LevelBasedForaging": "LevelBasedForaging-v0"}
+ENVPOOL_GAMES = {
+    "ConnectFour": "ConnectFour-v1",
+    "LevelBasedForaging": "LevelBasedForaging-v0",
+    "RobotWarehouse": "RobotWarehouse-v0",
+}
 """What EnvPool calls its environments that have several agents, by our names."""
+
+ENVPOOL_AGENTS = {"RobotWarehouse": 4}
+"""How many agents these have, where ours has another number."""
 
 ENVPOOL_SEEDED = (1, 2, 6)
 """The first version of EnvPool whose games of foraging start differently. It takes Python 3.12."""
@@ -39,8 +47,9 @@ def peers(spec: EnvSpec, n: int) -> list[Contender]:
     sync, asynchronous = min(n, GYMNASIUM_SYNC_LIMIT), min(n, GYMNASIUM_ASYNC_LIMIT)
     arrays = "all result arrays"
     processes, own = (partial(_vectorised, mode=mode) for mode in ("async", "vector_entry_point"))
+    agents = _envpool_agents(spec)
     rows: list[tuple[str, str, int, Callable[[EnvSpec, int], Step | Game]]] = [
-        ("EnvPool, sync", f"{arrays}; all cores{_envpool_game(spec)}", n, _envpool)
+        ("EnvPool, sync", f"{arrays}; all cores{_envpool_game(spec)}", max(n // agents, 1) * agents, _envpool)
     ]
     if spec.agents > 1:
         few = max(sync // spec.agents, 1) * spec.agents
@@ -81,6 +90,8 @@ def _envpool_game(spec: EnvSpec) -> str:
     """Return what EnvPool's form of a game differs in from ours, and what it counts."""
     if spec.name == "ConnectFour":
         return "; the mask of who is on turn"
+    if spec.name == "RobotWarehouse":
+        return "; Jumanji's warehouse: worlds of 4 robots, 80 shelves"
     if spec.name != "LevelBasedForaging":
         return ""
     text = "; Jumanji's rules: 2 foods and 100 steps"
@@ -90,6 +101,10 @@ def _envpool_game(spec: EnvSpec) -> str:
         return text
     seeded = tuple(map(int, version.split(".")[:3])) >= ENVPOOL_SEEDED
     return text if seeded else f"{text}; EnvPool {version} starts every game alike"
+
+
+def _envpool_agents(spec: EnvSpec) -> int:
+    return ENVPOOL_AGENTS.get(spec.name, spec.agents)
 
 
 def _envpool(spec: EnvSpec, n: int) -> Step | Game:
@@ -107,7 +122,7 @@ def _envpool(spec: EnvSpec, n: int) -> Step | Game:
         raise UnavailableError(f"EnvPool {metadata.version('envpool')} has no {family}")
     if spec.configure is not None and options != spec.configure().options:
         raise UnavailableError(f"measured with default options only, not {options}")
-    envs = envpool.make(name, env_type="gymnasium", num_envs=n // spec.agents)
+    envs = envpool.make(name, env_type="gymnasium", num_envs=n // _envpool_agents(spec))
     with quiet_spaces():
         obs, infos = envs.reset()
         if spec.agents > 1:
@@ -155,6 +170,44 @@ def _foraging(spec: EnvSpec, count: int) -> Game:
         for game, action in zip(games, actions, strict=True):
             _, _, ended, _, _ = game.step(action)
             if ended:
+                game.reset()
+
+    return Game(choose, step)
+
+
+def _warehouse(spec: EnvSpec, count: int) -> Game:
+    try:
+        from rware.warehouse import RewardType, Warehouse
+    except ImportError:
+        raise UnavailableError("not installed: pip install rware") from None
+    options = dict(spec.options)
+    shelf_rows, shelf_columns = SIZES[options["size"]]
+    games = [
+        Warehouse(
+            shelf_rows=shelf_rows,
+            shelf_columns=shelf_columns,
+            column_height=options["column_height"],
+            n_agents=spec.agents,
+            msg_bits=0,
+            sensor_range=options["sensor_range"],
+            request_queue_size=options["request_queue_size"] or spec.agents,
+            max_inactivity_steps=None,
+            max_steps=spec.max_cycles,
+            reward_type=RewardType[options["reward_type"].upper()],
+        )
+        for _ in range(count // spec.agents)
+    ]
+    for i, game in enumerate(games):
+        game.reset(seed=i)
+    rng = np.random.default_rng(0)
+
+    def choose() -> list[list[int]]:
+        chosen: list[list[int]] = random_actions(spec, rng, count).reshape(-1, spec.agents).tolist()
+        return chosen
+
+    def step(actions: Sequence[Sequence[int]]) -> None:
+        for game, action in zip(games, actions, strict=True):
+            if game.step(action)[2]:
                 game.reset()
 
     return Game(choose, step)
@@ -246,6 +299,7 @@ PACKAGES: dict[str, list[tuple[str, str, Callable[[EnvSpec, int], Step | Game]]]
     ],
     "LevelBasedForaging": [("lbforaging", "observations, rewards, ends; Python, one thread", _foraging)],
     "Overcooked": [("overcooked-ai", "observations, rewards, ends; Python, one thread", _overcooked)],
+    "RobotWarehouse": [("rware", "observations, rewards, ends; Python, one thread", _warehouse)],
 }
 """The packages whose games ours are, by our names: name, what is counted, and what steps it."""
 

@@ -7,7 +7,7 @@ in as expressions. Variables that stand for a field are named as :data:`PREFIXES
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -132,17 +132,25 @@ class Pieces:
             lines += [call(name, state, observed), *self.deliver(observed, k)]
         return lines
 
+    def value(self, word: str, field: Field) -> str:
+        """Return the element that a word of the observation is delivered as."""
+        return f"np.{self.dtype}({word}){_scale(str(self.dtype), field)}"
+
+    def masks(self, words: Sequence[str], agent: int = 0) -> list[str]:
+        """Return what writes an agent's masks, the last of the words that it is shown."""
+        flags = words[len(self.spec.observation) :]
+        places = each(self.mask, range(agent * len(flags), (agent + 1) * len(flags)))
+        return assign(places, each("np.int8({})", flags))
+
     def deliver(self, words: Iterable[str], agent: int = 0) -> list[str]:
         """Return what makes an observation of its words, element by element or by ``unpack``, and masks."""
-        fields, dtype, size = self.spec.observation, self.dtype, self.spec.observation_size
+        fields, size = self.spec.observation, self.spec.observation_size
         words = list(words)
-        own, flags = narrowed(fields, words[: len(fields)]), words[len(fields) :]
-        places = each(self.mask, range(agent * len(flags), (agent + 1) * len(flags)))
-        masks = assign(places, each("np.int8({})", flags))
+        own, masks = narrowed(fields, words[: len(fields)]), self.masks(words, agent)
         if self.spec.unpack is not None:
             more = f" + {agent * size}" if agent else ""
             return [f"unpack({', '.join(own)}, {self.row.format(more)})", *masks]
-        values = (f"np.{dtype}({w}){_scale(str(dtype), f)}" for w, f in zip(own, fields, strict=True))
+        values = map(self.value, own, fields)
         return [*assign(each(self.element, range(agent * size, (agent + 1) * size)), values), *masks]
 
 

@@ -18,7 +18,11 @@ from pearl_marl.benchmark.measure import Contender, Game, UnavailableError, meas
 from ..toy_world import MEADOW
 
 Pearl = Callable[..., tuple[int, str, str]]
-PACKAGE = {"ConnectFour": "PettingZoo connect_four_v3", "LevelBasedForaging": "lbforaging"}
+PACKAGE = {
+    "ConnectFour": "PettingZoo connect_four_v3",
+    "LevelBasedForaging": "lbforaging",
+    "RobotWarehouse": "rware",
+}
 
 
 @pytest.fixture(autouse=True)
