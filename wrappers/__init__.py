@@ -76,6 +76,7 @@ _BRIDGES = {
     "rllib_multi_agent_env": "rllib",
     "rllib_vector_env": "rllib",
     "sb3_vec_env": "stable_baselines3",
+    "to_torchrl": "torchrl",
 }
 """Functions whose libraries are imported when they are first asked for, and the modules they are in."""
 
@@ -129,6 +130,7 @@ __all__ = [
     "scale_actions_v0",
     "shared_reward_v0",
     "sticky_actions_v0",
+    "to_torchrl",
     "world_observations_v0",
 ]
 
