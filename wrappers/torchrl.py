@@ -245,14 +245,17 @@ def _bools(shape: tuple[int, ...]) -> TensorSpec:
 
 def _spec(space: Space[Any], agents: tuple[int, ...]) -> TensorSpec:
     """Return TorchRL's spec of a space for so many agents."""
-    if isinstance(space, Discrete) and space.start == 0:
-        return Categorical(int(space.n), shape=agents, dtype=torch.int64)
-    if isinstance(space, Discrete):
-        first = int(space.start)
-        return Bounded(first, first + int(space.n) - 1, shape=agents, dtype=torch.int64)
-    if isinstance(space, Tuple):
-        parts: Any = space.spaces
-        return MultiCategorical([int(part.n) for part in parts], shape=(*agents, len(parts)), dtype=torch.int64)
+    if isinstance(space, (Discrete, Tuple)):
+        parts: Any = space.spaces if isinstance(space, Tuple) else (space,)
+        shape = (*agents, len(parts)) if isinstance(space, Tuple) else agents
+        first, count = ([int(getattr(part, name)) for part in parts] for name in ("start", "n"))
+        if any(first):
+            last = [a + n - 1 for a, n in zip(first, count, strict=True)]
+            low, high = (torch.tensor(bound).expand(*agents, -1).reshape(shape) for bound in (first, last))
+            return Bounded(low, high, shape=shape, dtype=torch.int64)
+        if isinstance(space, Tuple):
+            return MultiCategorical(count, shape=shape, dtype=torch.int64)
+        return Categorical(count[0], shape=shape, dtype=torch.int64)
     assert isinstance(space, Box)
     shape = (*agents, *space.shape)
     if space.dtype == np.bool_:

@@ -84,12 +84,14 @@ class WaitingWorlds:
         late = self._elapsed >= self.max_cycles if self.max_cycles else np.zeros(self.n, np.bool_)
         self._elapsed[began] = 0
         self._obs, self._terminated = step.obs, began
+        # Where a world began, masks and whoever was dead show the next episode.
+        obs, masks = step.arrivals(), self._masks(rows(began))
         terminated, truncated = step.terminations, rows(late)
         if not acting.all():
             terminated, truncated = terminated | ~acting, truncated & acting
-        # What those that began show is of the next episode.
-        masks = self._masks(rows(began))
-        return self._shown(step.arrivals(), masks, step.rewards, terminated, truncated, began, late)
+            if began.any():  # and then these are a copy
+                obs[rows(began) & ~acting] = 0
+        return self._shown(obs, masks, step.rewards, terminated, truncated, began, late)
 
     def state(self) -> Array:
         """Return ``env.state()`` as ``float32``, shape ``(n, fields)``; zeros where a step terminated."""
