@@ -69,16 +69,3 @@ def discounted(returns: Any, rewards: Any, terminations: Any, counted: Any, gamm
         if counted[i]:
             before = 0.0 if terminations[i] else returns[i] * gamma
             returns[i] = before + np.float64(rewards[i])
-
-
-@compiled
-def with_a_choice(masks: Any, over: Any) -> Any:
-    """Return masks as ``bool``, of action 0 alone for who is ``over`` or could do nothing."""
-    out = np.empty(masks.shape, np.bool_)
-    for i in range(masks.shape[0]):
-        some = False
-        for k in range(masks.shape[1]):
-            out[i, k] = masks[i, k] != 0 and not over[i]
-            some |= out[i, k]
-        out[i, 0] |= not some
-    return out

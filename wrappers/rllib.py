@@ -17,6 +17,8 @@ from pearl_marl.interfaces.parallel_interface import ParallelInterface
 from pearl_marl.interfaces.vector import make_vec
 from pearl_marl.interfaces.vector_interface import VectorInterface
 
+from .base import in_wrappers
+
 Creator = Callable[[Mapping[str, Any]], Any]
 
 
@@ -60,7 +62,7 @@ def rllib_vector_env(env_id: str, *, wrap: Callable[[Any], Any] | None = None, *
         given["autoreset_mode"] = AutoresetMode.NEXT_STEP
         env = make_vec(env_id, given.pop("num_envs"), **given)
         mode = AutoresetMode.NEXT_STEP
-        return _wrapped(
+        return in_wrappers(
             env, wrap, lambda it: isinstance(it, VectorInterface) and it.slot_autoreset_mode is mode
         )
 
@@ -90,23 +92,12 @@ def rllib_multi_agent_env(
         given = {"n_agents": n_agents, **arguments, **config}
         _check_parallel_arguments(given)
         env = parallel_env(env_id, **{**given, "autoreset": False})
-        env = _wrapped(env, wrap, lambda it: isinstance(it, ParallelInterface) and not it.autoreset)
+        env = in_wrappers(env, wrap, lambda it: isinstance(it, ParallelInterface) and not it.autoreset)
         from ray.rllib.env.wrappers.pettingzoo_env import ParallelPettingZooEnv
 
         return ParallelPettingZooEnv(env)
 
     return create
-
-
-def _wrapped(env: Any, wrap: Callable[[Any], Any] | None, fits: Callable[[Any], bool]) -> Any:
-    """Return an environment in its wrappers, which must not have made another one of it."""
-    wrapped = env if wrap is None else wrap(env)
-    if not fits(wrapped):
-        raise ArgumentError(
-            f"wrap returned {type(wrapped).__name__}, which is not the environment it was given in "
-            "wrappers of this package"
-        )
-    return wrapped
 
 
 def _check_vector_arguments(arguments: Mapping[str, Any]) -> None:

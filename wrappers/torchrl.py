@@ -12,6 +12,7 @@ from tensordict import TensorDict, TensorDictBase
 from torchrl.data import Bounded, Categorical, Composite, MultiCategorical, TensorSpec, Unbounded
 from torchrl.envs import EnvBase
 
+from pearl_marl.batch.actions import random_allowed
 from pearl_marl.batch.step import Array
 from pearl_marl.devices.by_name import make_host_device
 from pearl_marl.errors import ArgumentError
@@ -122,7 +123,9 @@ class TorchRLEnv(EnvBase):  # type: ignore[misc]  # torchrl has no types
             done[name] = Composite({flag: _bools((*k, 1)) for flag in FLAGS}, shape=k)
         if self._with_state:
             space: Any = self.env.unwrapped
-            low, high = (bound[0].astype(np.float32) for bound in (space.state_space.low, space.state_space.high))
+            low, high = (
+                bound[0].astype(np.float32) for bound in (space.state_space.low, space.state_space.high)
+            )
             seen["state"] = _spec(Box(low, high, dtype=np.float32), ())
         self.full_observation_spec_unbatched = seen
         self.full_action_spec_unbatched = acted
@@ -176,14 +179,16 @@ class TorchRLEnv(EnvBase):  # type: ignore[misc]  # torchrl has no types
 
     def rand_action(self, tensordict: TensorDictBase | None = None) -> TensorDictBase:
         """Draw actions, uniformly among those that may be taken, into ``tensordict`` or a new one."""
-        drawn = self.full_action_spec.rand()
-        masks = self._worlds.action_masks if self.env.world.masked and self.env.ready else None
-        if masks is not None:
-            for name, group in self._groups.items():
-                own = group.part(masks, group.role.action_space)
-                action = torch.multinomial(own.flatten(0, 1).float(), 1).reshape(own.shape[:2])
-                drawn[name, "action"] = action.to(self.device)
-        return drawn if tensordict is None else tensordict.update(drawn)
+        worlds = self._worlds
+        masks = worlds.action_masks if self.env.ready else None
+        if masks is None:
+            return super().rand_action(tensordict)
+        draws = torch.randint(1 << 32, (worlds.n * worlds.k,)).numpy().astype(np.uint32)
+        actions = random_allowed(masks.reshape(len(draws), -1).view(np.int8), draws)
+        drawn = TensorDict(batch_size=self.batch_size) if tensordict is None else tensordict
+        for name, group in self._groups.items():
+            drawn[name, "action"] = group.part(actions.reshape(worlds.n, worlds.k)).to(self.device)
+        return drawn
 
     def _set_seed(self, seed: int | None) -> None:
         """Set the seed of the next reset of all worlds, which draw different numbers from it."""

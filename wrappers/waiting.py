@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import reduce
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -10,8 +11,6 @@ import numpy.typing as npt
 from pearl_marl.batch.step import Array
 from pearl_marl.interfaces.batch import Mask
 from pearl_marl.interfaces.parallel_interface import ParallelInterface
-
-from .kernels import with_a_choice
 
 
 class Shown(NamedTuple):
@@ -115,8 +114,16 @@ class WaitingWorlds:
         return self._shown(self._obs, self._masks(nobody), rewards, ~self.env.alive, nobody, *nowhere)
 
     def _masks(self, over: Mask) -> Mask | None:
+        """Return the masks of all agents; of who is ``over`` or has no choice, of action 0 alone."""
         masks = self.env.action_masks
-        return None if masks is None else with_a_choice(masks, over)
+        if masks is None:
+            return None
+        # By columns: along the short rows, any() takes several times as long.
+        idle = np.flatnonzero(over | (reduce(np.bitwise_or, masks.T) == 0))
+        allowed = masks.astype(np.bool_)
+        allowed[idle] = False
+        allowed[idle, 0] = True
+        return allowed
 
     def _shown(self, obs: Array, masks: Mask | None, *others: Array) -> Shown:
         *agents, terminated, truncated = others

@@ -205,7 +205,9 @@ def test_tensors_share_the_memory_of_results() -> None:
     before = env.rand_action(env.reset())
     steps = []
     original = inside.step_batch
-    with mock.patch.object(inside, "step_batch", lambda actions: steps.append(original(actions)) or steps[-1]):
+    with mock.patch.object(
+        inside, "step_batch", lambda actions: steps.append(original(actions)) or steps[-1]
+    ):
         after = env.step(before)["next", "agents"]
     assert np.shares_memory(after["observation"].numpy(), steps[0].obs)
     assert np.shares_memory(after["reward"].numpy(), steps[0].rewards)
