@@ -25,7 +25,7 @@ def benchmarl_task(
 
     ::
 
-        Experiment(task=benchmarl_task("LevelBasedForaging"), algorithm_config=MappoConfig.get_from_yaml(), ...)
+        Experiment(benchmarl_task("LevelBasedForaging"), MappoConfig.get_from_yaml(), ...)
 
     Its worlds are BenchMARL's environments: ``on_policy_n_envs_per_worker`` and the like say how many.
 

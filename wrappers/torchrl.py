@@ -1,4 +1,4 @@
-"""TorchRL's ``EnvBase`` around the worlds of a ``ParallelEnv``: they are its batch, their agents its groups."""
+"""TorchRL's ``EnvBase`` around a ``ParallelEnv``: worlds are its batch, and their agents its groups."""
 
 from __future__ import annotations
 
@@ -204,19 +204,19 @@ def _checked(env: Any) -> ParallelInterface:
     """Return an environment that TorchRL can have, or refuse it."""
     if not isinstance(env, ParallelInterface):
         raise ArgumentError(
-            f"{type(env).__name__} is no environment of this package's parallel_env; to_torchrl takes those, in "
-            "this package's wrappers or none"
+            f"{type(env).__name__} is no environment of this package's parallel_env; to_torchrl takes those, "
+            "in this package's wrappers or none"
         )
     if not env.autoreset:
         raise ArgumentError(
-            "agents of autoreset=False leave when their episode ends, and TorchRL's stay: make the environment "
-            "with autoreset=True"
+            "agents of autoreset=False leave when their episode ends, and TorchRL's stay: make the "
+            "environment with autoreset=True"
         )
     unwrapped: Any = env.unwrapped
     if not make_host_device(unwrapped.device).config.copy:
         raise ArgumentError(
-            "copy=False lets the next step overwrite results, and TorchRL keeps them: make the environment with "
-            "copy=True"
+            "copy=False lets the next step overwrite results, and TorchRL keeps them: make the environment "
+            "with copy=True"
         )
     if skips_frames(env):
         raise ArgumentError(
@@ -237,8 +237,8 @@ def _groups(env: ParallelInterface) -> dict[str, _Group]:
         group = groups.setdefault(role.name, _Group(role, []))
         if group.role != role:
             raise ArgumentError(
-                f"two roles are named {role.name!r} and have other spaces, and agents of a group have the same: "
-                "name them apart"
+                f"two roles are named {role.name!r} and differ in their spaces, which a group has in common: "
+                "give each a name"
             )
         group.places.append(place)
     return groups

@@ -37,9 +37,9 @@ class WaitingWorlds:
 
     They go through the same episodes as the environment does by itself.
 
-    A world that the device truncates begins again in the same step, and then nobody can tell any more what its
-    state was and what could have been done there, which learners ask for. So the time limit is kept here. A
-    world that terminates still begins again by itself: what comes after its end is of no value to anybody.
+    A world that the device truncates begins again in the same step, and then nobody can tell any more what
+    its state was and which actions were possible, which learners ask for. So the time limit is kept here. A
+    world that terminates begins again by itself all the same: after such an end there is nothing to ask.
 
     Parameters
     ----------

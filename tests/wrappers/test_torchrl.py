@@ -9,12 +9,12 @@ from unittest import mock
 import numpy as np
 import pytest
 from gymnasium.spaces import Discrete, Tuple
+from pearl_marl.wrappers import agent_indicator_v0, dtype_v0, flatten_v0, frame_skip_v0, frame_stack_v1
 
 import pearl_marl
 from pearl_marl import registry
 from pearl_marl.errors import ActionError, ArgumentError, OrderError
 from pearl_marl.golden import reference
-from pearl_marl.wrappers import agent_indicator_v0, dtype_v0, flatten_v0, frame_skip_v0, frame_stack_v1
 
 from ..toy import TOYS
 from ..toy_world import HARES, WORLDS, crowd
@@ -357,13 +357,13 @@ def test_it_closes() -> None:
     [
         (
             lambda: to_torchrl(pearl_marl.make_vec("CartPole", 2)),
-            "PearlVectorEnv is no environment of this package's parallel_env; to_torchrl takes those, in this "
-            "package's wrappers or none",
+            "PearlVectorEnv is no environment of this package's parallel_env; to_torchrl takes those, in "
+            "this package's wrappers or none",
         ),
         (
             lambda: to_torchrl(pearl_marl.parallel_env("CartPole", 2, autoreset=False)),
-            "agents of autoreset=False leave when their episode ends, and TorchRL's stay: make the environment "
-            "with autoreset=True",
+            "agents of autoreset=False leave when their episode ends, and TorchRL's stay: make the "
+            "environment with autoreset=True",
         ),
         (
             lambda: to_torchrl(pearl_marl.parallel_env("CartPole", 2, copy=False)),
@@ -381,8 +381,8 @@ def test_it_closes() -> None:
         ),
         (
             lambda: to_torchrl(two_kinds_of_hares()),
-            "two roles are named 'hare' and have other spaces, and agents of a group have the same: name them "
-            "apart",
+            "two roles are named 'hare' and differ in their spaces, which a group has in common: give each a "
+            "name",
         ),
     ],
 )
