@@ -115,7 +115,9 @@ class PearlTask(TaskClass):  # type: ignore[misc]  # benchmarl has no types
 
     def action_mask_spec(self, env: EnvBase) -> Composite | None:
         """Return the spec of its masks, if there are any."""
-        return self._of_groups(env, "action_mask") if env.env.world.masked else None
+        spec = env.full_observation_spec_unbatched
+        masked = all("action_mask" in spec[name].keys() for name in env.group_map)  # noqa: SIM118  # no dict
+        return self._of_groups(env, "action_mask") if masked else None
 
     def action_spec(self, env: EnvBase) -> Composite:
         """Return the spec of its actions."""

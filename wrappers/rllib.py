@@ -9,6 +9,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
+import pettingzoo
+from gymnasium.spaces import Dict
 from gymnasium.vector import AutoresetMode
 
 from pearl_marl.errors import ArgumentError
@@ -78,6 +80,9 @@ def rllib_multi_agent_env(
     when their episode ends. RLlib keeps a Python object for every step of every agent and manages a few
     thousand of them a second: this is for a few agents. For many take :func:`rllib_vector_env`.
 
+    Where there are masks, observations are dicts of ``"observations"`` and ``"action_mask"``, as RLlib's
+    ``ActionMaskingTorchRLModule`` takes them.
+
     Takes ``wrap`` as that does, and the arguments of :func:`pearl_marl.parallel_env`, to which RLlib's
     ``env_config`` adds.
 
@@ -95,9 +100,31 @@ def rllib_multi_agent_env(
         env = in_wrappers(env, wrap, lambda it: isinstance(it, ParallelInterface) and not it.autoreset)
         from ray.rllib.env.wrappers.pettingzoo_env import ParallelPettingZooEnv
 
-        return ParallelPettingZooEnv(env)
+        return ParallelPettingZooEnv(_Masked(env) if env.world.masked else env)
 
     return create
+
+
+class _Masked(pettingzoo.utils.BaseParallelWrapper):  # type: ignore[misc]
+    """Names observations beside masks as RLlib's ``ActionMaskingTorchRLModule`` asks for them."""
+
+    def observation_space(self, agent: str) -> Dict:
+        """Return the space, with the other name."""
+        return Dict(_renamed(self.env.observation_space(agent)))
+
+    def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> Any:
+        """Begin an episode."""
+        observations, infos = self.env.reset(seed, options)
+        return {agent: _renamed(seen) for agent, seen in observations.items()}, infos
+
+    def step(self, actions: dict[str, Any]) -> Any:
+        """Step once."""
+        observations, *others = self.env.step(actions)
+        return {agent: _renamed(seen) for agent, seen in observations.items()}, *others
+
+
+def _renamed(observation: Mapping[str, Any]) -> dict[str, Any]:
+    return {"action_mask": observation["action_mask"], "observations": observation["observation"]}
 
 
 def _check_vector_arguments(arguments: Mapping[str, Any]) -> None:
