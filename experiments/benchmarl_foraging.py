@@ -111,7 +111,9 @@ class Curve(Callback):  # type: ignore[misc]
             "seconds": time.process_time(),
         }
         self.points.append(point)
-        console.print("{frames:>9,} steps of worlds: return {return:.3f} of {episodes} episodes".format(**point))
+        console.print(
+            "{frames:>9,} steps of worlds: return {return:.3f} of {episodes} episodes".format(**point)
+        )
 
 
 def configured(worlds: int, steps: int, iterations: int, folder: str) -> ExperimentConfig:

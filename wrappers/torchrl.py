@@ -155,7 +155,8 @@ class TorchRLEnv(EnvBase):  # type: ignore[misc]  # torchrl has no types
             whole = np.empty((worlds.n, worlds.k, *first.shape[2:]), first.dtype)
             for name, group in self._groups.items():
                 whole[:, group.places] = given[name]
-        return whole.reshape(worlds.n * worlds.k, *whole.shape[2:])
+        rows: Array = whole.reshape(worlds.n * worlds.k, *whole.shape[2:])
+        return rows
 
     def _tensordict(self, shown: Shown, rewarded: bool = False) -> TensorDictBase:
         def flags(terminated: Array, truncated: Array) -> dict[str, Array]:

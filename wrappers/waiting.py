@@ -90,7 +90,7 @@ class WaitingWorlds:
             terminated, truncated = terminated | ~acting, truncated & acting
             if began.any():  # and then these are a copy
                 obs[rows(began) & ~acting] = 0
-        return self._shown(obs, masks, step.rewards, terminated, truncated, began, late)
+        return self._shown(obs, masks, step.rewards, (terminated, truncated), (began, late))
 
     def state(self) -> Array:
         """Return ``env.state()`` as ``float32``, shape ``(n, fields)``; zeros where a step terminated."""
@@ -110,8 +110,8 @@ class WaitingWorlds:
         self._terminated = np.zeros(self.n, np.bool_)
         nobody = np.zeros(self.n * self.k, np.bool_)
         rewards = np.zeros(self.n * self.k, np.float32)
-        nowhere = self._terminated, self._terminated
-        return self._shown(self._obs, self._masks(nobody), rewards, ~self.env.alive, nobody, *nowhere)
+        agents, worlds = (~self.env.alive, nobody), (self._terminated, self._terminated)
+        return self._shown(self._obs, self._masks(nobody), rewards, agents, worlds)
 
     def _masks(self, over: Mask) -> Mask | None:
         """Return the masks of all agents; of who is ``over`` or has no choice, of action 0 alone."""
@@ -125,10 +125,19 @@ class WaitingWorlds:
         allowed[idle, 0] = True
         return allowed
 
-    def _shown(self, obs: Array, masks: Mask | None, *others: Array) -> Shown:
-        *agents, terminated, truncated = others
-        by_world = None if masks is None else self._by_world(masks)
-        return Shown(self._by_world(obs), by_world, *map(self._by_world, agents), terminated, truncated)
+    def _shown(
+        self,
+        obs: Array,
+        masks: Mask | None,
+        rewards: Array,
+        agents: tuple[Mask, Mask],
+        worlds: tuple[Mask, Mask],
+    ) -> Shown:
+        """Return all by world; ``agents`` and ``worlds`` have terminated, and are truncated."""
+        by_world = self._by_world
+        terminated, truncated = map(by_world, agents)
+        allowed = None if masks is None else by_world(masks)
+        return Shown(by_world(obs), allowed, by_world(rewards), terminated, truncated, *worlds)
 
     def _by_world(self, rows: Array) -> Array:
         return rows.reshape(self.n, self.k, *rows.shape[1:])
