@@ -20,7 +20,7 @@ from typing import Annotated, Any
 
 import torch
 import typer
-from benchmarl.algorithms import IppoConfig, MappoConfig, QmixConfig, VdnConfig
+from benchmarl.algorithms import IppoConfig, IqlConfig, MappoConfig, QmixConfig, VdnConfig
 from benchmarl.experiment import Callback, Experiment, ExperimentConfig
 from benchmarl.models.mlp import MlpConfig
 from pearl_marl.wrappers.benchmarl import PearlTask
@@ -38,6 +38,7 @@ class Algorithm(StrEnum):
 
     mappo = "mappo"
     ippo = "ippo"
+    iql = "iql"
     qmix = "qmix"
     vdn = "vdn"
 
@@ -49,7 +50,13 @@ class Way(StrEnum):
     pettingzoo = "pettingzoo"
 
 
-CONFIGS: dict[str, Any] = {"mappo": MappoConfig, "ippo": IppoConfig, "qmix": QmixConfig, "vdn": VdnConfig}
+CONFIGS: dict[str, Any] = {
+    "mappo": MappoConfig,
+    "ippo": IppoConfig,
+    "iql": IqlConfig,
+    "qmix": QmixConfig,
+    "vdn": VdnConfig,
+}
 STEPPING: dict[str, tuple[Any, tuple[str, ...]]] = {
     "pearl": (TorchRLEnv, ("_step", "_reset")),
     "pettingzoo": (SerialEnv, ("_step", "_reset")),
@@ -130,10 +137,10 @@ def configured(worlds: int, steps: int, iterations: int, folder: str) -> Experim
     config.on_policy_minibatch_size = max(batch // 8, 1)
     config.on_policy_n_minibatch_iters = 4
     config.off_policy_train_batch_size = 256
-    config.off_policy_n_optimizer_steps = 100
-    config.polyak_tau = 0.01
-    config.off_policy_memory_size = 200_000
-    config.exploration_eps_end = 0.05
+    config.off_policy_n_optimizer_steps = 40
+    config.off_policy_memory_size = 100_000
+    config.polyak_tau = 0.02
+    config.exploration_eps_end = 0.1
     config.exploration_anneal_frames = batch * iterations // 2
     return config
 

@@ -22,14 +22,11 @@ from ..toy_world import HARES, WORLDS, crowd
 pytest.importorskip("torchrl", reason="TorchRL is not installed: pip install '.[torchrl]'")
 
 import torch
-import torchrl.collectors
 from pearl_marl.wrappers import to_torchrl
 from tensordict import TensorDict
+from torchrl.collectors import Collector
 from torchrl.envs import RewardSum, TransformedEnv
 from torchrl.envs.utils import check_env_specs, step_mdp
-
-Collector = getattr(torchrl.collectors, "SyncDataCollector", None) or torchrl.collectors.Collector
-"""TorchRL 0.12 has given it another name."""
 
 
 @pytest.fixture(autouse=True)
