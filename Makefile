@@ -6,12 +6,13 @@
 PYTHON ?= python3
 VENV := .venv
 RLLIB := .venv-rllib
+TORCHRL := .venv-torchrl
 BIN := $(VENV)/bin
 OUT ?= out
 CORES := $(shell nproc 2>/dev/null || echo 2)
 PACKAGE := pyproject.toml constraints.txt
 
-.PHONY: demo test test-rllib test-cuda lint format bench figures ulx3s clean
+.PHONY: demo test test-rllib test-torchrl test-cuda lint format bench figures ulx3s clean
 .DELETE_ON_ERROR:
 
 demo: $(VENV)/.render
@@ -24,6 +25,10 @@ test: $(VENV)/.dev
 # RLlib pins Gymnasium 1.2.2, so it has an environment of its own, and the Gymnasium interface is tested there too.
 test-rllib: $(RLLIB)/.rllib
 	$(RLLIB)/bin/python -m pytest --slow tests/wrappers/test_rllib.py tests/interfaces/test_vector_env.py tests/docs/test_docs.py -k "not docs or RLlib"
+
+# BenchMARL takes TorchRL below 0.12, and `make test` has those; this is the newest there was.
+test-torchrl: $(TORCHRL)/.torchrl
+	$(TORCHRL)/bin/python -m pytest --slow tests/wrappers/test_torchrl.py tests/docs/test_docs.py -k "not docs or TorchRL"
 
 # The contract over every environment on a GPU, or a simulated one: that takes 20 minutes of a core.
 test-cuda: $(VENV)/.dev
@@ -51,13 +56,13 @@ ulx3s: $(VENV)/.rtl
 	$(BIN)/pearl board ulx3s CliffWalking --n-envs 1024 --out $(OUT)/ulx3s
 
 clean:
-	rm -rf $(VENV) $(RLLIB) $(OUT) build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis .benchmarks
+	rm -rf $(VENV) $(RLLIB) $(TORCHRL) $(OUT) build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis .benchmarks
 
 # One stamp for each set of extras; asking for more adds to the same environment.
 $(VENV)/.render: EXTRAS := render
 $(VENV)/.rtl: EXTRAS := rtl
 $(VENV)/.report: EXTRAS := report
-$(VENV)/.dev: EXTRAS := report,cuda,ray,dev
+$(VENV)/.dev: EXTRAS := report,cuda,ray,marl,dev
 $(VENV)/.render $(VENV)/.rtl $(VENV)/.report $(VENV)/.dev: $(PACKAGE) | $(BIN)/python
 	@echo "Installing pearl-marl[$(EXTRAS)] into $(VENV) ..."
 	@$(BIN)/python -W ignore -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[$(EXTRAS)]'
@@ -69,6 +74,14 @@ $(RLLIB)/.rllib: $(PACKAGE)
 	@sed '/^gymnasium==/d' constraints.txt > $(RLLIB)/constraints.txt
 	@$(RLLIB)/bin/python -W ignore -m pip install --quiet --disable-pip-version-check -c $(RLLIB)/constraints.txt \
 		-e '.[rllib,testing]' pytest-benchmark
+	@touch $@
+
+$(TORCHRL)/.torchrl: $(PACKAGE)
+	@echo "Installing pearl-marl[torchrl] with TorchRL 0.14 into $(TORCHRL) ..."
+	@$(PYTHON) -m venv $(TORCHRL)
+	@sed 's/^torchrl==.*/torchrl==0.14.1/; s/^tensordict==.*/tensordict==0.14.3/' constraints.txt > $(TORCHRL)/constraints.txt
+	@$(TORCHRL)/bin/python -W ignore -m pip install --quiet --disable-pip-version-check \
+		-c $(TORCHRL)/constraints.txt -e '.[torchrl,testing]'
 	@touch $@
 
 $(BIN)/python:

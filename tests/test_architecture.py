@@ -43,7 +43,7 @@ ROOMS = (
 OUTSIDE = ("rtl", "envs", "wrappers", "experiments")
 """Folders of the repository that are installed as rooms of the package."""
 
-SCRIPTS = {"cliff_walking_q_learning", "sb3_rollout", "sb3_training"}
+SCRIPTS = {"benchmarl_foraging", "cliff_walking_q_learning", "sb3_rollout", "sb3_training"}
 """Experiments that are programs of their own: they use the package as a user does, through its roof."""
 
 PACKAGE = "pearl_marl"

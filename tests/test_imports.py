@@ -19,6 +19,9 @@ HEAVY = (
     "envpool",
     "numba.cuda",
     "ray",
+    "torchrl",
+    "tensordict",
+    "benchmarl",
 )
 
 SCRIPT = """

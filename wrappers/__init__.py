@@ -73,9 +73,11 @@ ScaleActionParallelV1 = scale_actions_v0
 StickyActionParallelV1 = sticky_actions_v0
 
 _BRIDGES = {
+    "benchmarl_task": "benchmarl",
     "rllib_multi_agent_env": "rllib",
     "rllib_vector_env": "rllib",
     "sb3_vec_env": "stable_baselines3",
+    "to_torchrl": "torchrl",
 }
 """Functions whose libraries are imported when they are first asked for, and the modules they are in."""
 
@@ -100,6 +102,7 @@ __all__ = [
     "StickyActionParallelV1",
     "action_lambda_v1",
     "agent_indicator_v0",
+    "benchmarl_task",
     "black_death_v3",
     "clip_actions_v0",
     "clip_reward_v0",
@@ -129,6 +132,7 @@ __all__ = [
     "scale_actions_v0",
     "shared_reward_v0",
     "sticky_actions_v0",
+    "to_torchrl",
     "world_observations_v0",
 ]
 

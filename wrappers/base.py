@@ -51,6 +51,17 @@ def checked(env: Any) -> Any:
     return env
 
 
+def in_wrappers(env: Any, wrap: Callable[[Any], Any] | None, fits: Callable[[Any], bool]) -> Any:
+    """Return an environment as ``wrap`` wraps it, which must not have made another one of it."""
+    wrapped = env if wrap is None else wrap(env)
+    if not fits(wrapped):
+        raise ArgumentError(
+            f"wrap returned {type(wrapped).__name__}, which is not the environment it was given in "
+            "wrappers of this package"
+        )
+    return wrapped
+
+
 def differing(env: Batch, what: str) -> list[str]:
     """Return the names of the roles whose ``what``, a space, is not that of the rows in arrays."""
     whole = getattr(checked(env), f"slot_{what}")

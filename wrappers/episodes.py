@@ -75,6 +75,15 @@ def frame_skip_v0(env: Batch, num_frames: int | tuple[int, int]) -> Any:
     return wrap(env, _FrameSkip, *counts)
 
 
+def skips_frames(env: Any) -> bool:
+    """Return whether an environment has :func:`frame_skip_v0` around it, wherever among its wrappers."""
+    while isinstance(env, ParallelInterface) and env is not env.unwrapped:
+        if isinstance(env.transform, _FrameSkip):
+            return True
+        env = env.env
+    return False
+
+
 class _BlackDeath(Transform):
     """Agents whose episode has ended stay, blind and without reward, until everybody's has."""
 

@@ -9,6 +9,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
+import pettingzoo
+from gymnasium.spaces import Dict
 from gymnasium.vector import AutoresetMode
 
 from pearl_marl.errors import ArgumentError
@@ -16,6 +18,8 @@ from pearl_marl.interfaces.parallel import parallel_env
 from pearl_marl.interfaces.parallel_interface import ParallelInterface
 from pearl_marl.interfaces.vector import make_vec
 from pearl_marl.interfaces.vector_interface import VectorInterface
+
+from .base import in_wrappers
 
 Creator = Callable[[Mapping[str, Any]], Any]
 
@@ -60,7 +64,7 @@ def rllib_vector_env(env_id: str, *, wrap: Callable[[Any], Any] | None = None, *
         given["autoreset_mode"] = AutoresetMode.NEXT_STEP
         env = make_vec(env_id, given.pop("num_envs"), **given)
         mode = AutoresetMode.NEXT_STEP
-        return _wrapped(
+        return in_wrappers(
             env, wrap, lambda it: isinstance(it, VectorInterface) and it.slot_autoreset_mode is mode
         )
 
@@ -76,6 +80,9 @@ def rllib_multi_agent_env(
     when their episode ends. RLlib keeps a Python object for every step of every agent and manages a few
     thousand of them a second: this is for a few agents. For many take :func:`rllib_vector_env`.
 
+    Where there are masks, observations are dicts of ``"observations"`` and ``"action_mask"``, as RLlib's
+    ``ActionMaskingTorchRLModule`` takes them.
+
     Takes ``wrap`` as that does, and the arguments of :func:`pearl_marl.parallel_env`, to which RLlib's
     ``env_config`` adds.
 
@@ -90,23 +97,34 @@ def rllib_multi_agent_env(
         given = {"n_agents": n_agents, **arguments, **config}
         _check_parallel_arguments(given)
         env = parallel_env(env_id, **{**given, "autoreset": False})
-        env = _wrapped(env, wrap, lambda it: isinstance(it, ParallelInterface) and not it.autoreset)
+        env = in_wrappers(env, wrap, lambda it: isinstance(it, ParallelInterface) and not it.autoreset)
         from ray.rllib.env.wrappers.pettingzoo_env import ParallelPettingZooEnv
 
-        return ParallelPettingZooEnv(env)
+        return ParallelPettingZooEnv(_Masked(env) if env.world.masked else env)
 
     return create
 
 
-def _wrapped(env: Any, wrap: Callable[[Any], Any] | None, fits: Callable[[Any], bool]) -> Any:
-    """Return an environment in its wrappers, which must not have made another one of it."""
-    wrapped = env if wrap is None else wrap(env)
-    if not fits(wrapped):
-        raise ArgumentError(
-            f"wrap returned {type(wrapped).__name__}, which is not the environment it was given in "
-            "wrappers of this package"
-        )
-    return wrapped
+class _Masked(pettingzoo.utils.BaseParallelWrapper):  # type: ignore[misc]
+    """Names observations beside masks as RLlib's ``ActionMaskingTorchRLModule`` asks for them."""
+
+    def observation_space(self, agent: str) -> Dict:
+        """Return the space, with the other name."""
+        return Dict(_renamed(self.env.observation_space(agent)))
+
+    def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> Any:
+        """Begin an episode."""
+        observations, infos = self.env.reset(seed, options)
+        return {agent: _renamed(seen) for agent, seen in observations.items()}, infos
+
+    def step(self, actions: dict[str, Any]) -> Any:
+        """Step once."""
+        observations, *others = self.env.step(actions)
+        return {agent: _renamed(seen) for agent, seen in observations.items()}, *others
+
+
+def _renamed(observation: Mapping[str, Any]) -> dict[str, Any]:
+    return {"action_mask": observation["action_mask"], "observations": observation["observation"]}
 
 
 def _check_vector_arguments(arguments: Mapping[str, Any]) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
+from functools import reduce
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -48,9 +49,9 @@ class World(NamedTuple):
         if self.agents == 1:
             return step.ended
         # Where somebody ended and nobody is dead, everybody has begun again.
-        ended, alive = (array.reshape(-1, self.agents) for array in (step.ended, step.alive))
-        begins: Any = ended.any(1) & alive.all(1)
-        return self.rows(begins)
+        # Agent by agent: along the short rows, any() and all() take ten times as long.
+        ended, alive = (array.reshape(-1, self.agents).T for array in (step.ended, step.alive))
+        return self.rows(reduce(np.bitwise_or, ended) & reduce(np.bitwise_and, alive))
 
 
 class Batch:

@@ -130,7 +130,9 @@ class ParallelInterface(pettingzoo.ParallelEnv, Batch):  # type: ignore[misc]
         if acting.all():
             self._everybody = live
             return actions
-        if self.ready and not live.any():
+        if not self.ready:  # the device says why not
+            return actions
+        if not live.any():
             raise OrderError("step() with no agent left: every episode has ended, call reset() first")
         given: Any = actions
         try:

@@ -10,7 +10,7 @@ import gymnasium
 import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode
-from pearl_marl.wrappers import frame_stack_v1, rllib_multi_agent_env, rllib_vector_env
+from pearl_marl.wrappers import dtype_v0, flatten_v0, frame_stack_v1, rllib_multi_agent_env, rllib_vector_env
 
 import pearl_marl
 from pearl_marl.errors import ArgumentError
@@ -160,6 +160,64 @@ def test_multi_agent_lifetimes(ray: Any) -> None:
             assert (terminations["__all__"] or truncations["__all__"]) == (not here)
         assert not here
     env.close()
+
+
+def test_masks_are_where_rllibs_module_looks(ray: Any) -> None:
+    env = rllib_multi_agent_env("LevelBasedForaging", max_cycles=3)({})
+    plain = pearl_marl.parallel_env("LevelBasedForaging", max_cycles=3, autoreset=False)
+    expected, _ = plain.reset(seed=4)
+    seen, _ = env.reset(seed=4)
+    for _ in range(3):
+        assert set(seen) == set(expected)
+        for agent in expected:
+            assert env.observation_space[agent].contains(seen[agent])
+            assert set(seen[agent]) == {"observations", "action_mask"}
+            np.testing.assert_array_equal(seen[agent]["observations"], expected[agent]["observation"])
+            np.testing.assert_array_equal(seen[agent]["action_mask"], expected[agent]["action_mask"])
+        actions = {agent: int(np.argmax(seen[agent]["action_mask"][::-1])) for agent in seen}
+        actions = {agent: 5 - action for agent, action in actions.items()}
+        expected, *_ = plain.step(actions)
+        seen, *_ = env.step(actions)
+
+
+def masked_ppo(name: str, creator: Any, **training: Any) -> Any:
+    """Return PPO whose agents share RLlib's own module for masks."""
+    from ray.rllib.core.rl_module import MultiRLModuleSpec, RLModuleSpec
+    from ray.rllib.examples.rl_modules.classes.action_masking_rlm import ActionMaskingTorchRLModule
+
+    module = RLModuleSpec(module_class=ActionMaskingTorchRLModule)
+    config = ppo_config(name, creator, num_envs_per_env_runner=16)
+    config = config.multi_agent(policies={"shared"}, policy_mapping_fn=lambda agent, episode, **_: "shared")
+    config = config.rl_module(rl_module_spec=MultiRLModuleSpec(rl_module_specs={"shared": module}))
+    return config.training(minibatch_size=512, num_epochs=4, **training).debugging(seed=0).build_algo()
+
+
+def boards_as_numbers(env: Any) -> Any:
+    return dtype_v0(flatten_v0(env), np.float32)
+
+
+@pytest.mark.slow
+def test_masked_actions_are_not_taken(ray: Any) -> None:
+    """ConnectFour refuses them, and columns are full soon enough."""
+    creator = rllib_multi_agent_env("ConnectFour", wrap=boards_as_numbers)
+    algorithm = masked_ppo("pearl-connect-four", creator, train_batch_size_per_learner=2048)
+    assert algorithm.train()["env_runners"]["num_episodes"] > 20
+    algorithm.stop()
+
+
+@pytest.mark.slow
+def test_ppo_learns_to_forage(ray: Any) -> None:
+    creator = rllib_multi_agent_env("LevelBasedForaging", field_size=(5, 5), max_num_food=1)
+    settings = {"train_batch_size_per_learner": 2048, "lr": 2e-3, "gamma": 0.97, "entropy_coeff": 0.01}
+    algorithm = masked_ppo("pearl-foraging", creator, **settings)
+    returns = []
+    for _ in range(15):
+        returns.append(algorithm.train()["env_runners"]["episode_return_mean"])
+        if returns[-1] > 0.8:
+            break
+    algorithm.stop()
+    assert returns[0] < 0.7
+    assert returns[-1] > 0.8, returns
 
 
 @pytest.mark.slow

@@ -1,0 +1,143 @@
+"""Worlds that stay where they ended until somebody resets them, as TorchRL wants its environments."""
+
+from __future__ import annotations
+
+from functools import reduce
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from pearl_marl.batch.step import Array
+from pearl_marl.interfaces.batch import Mask
+from pearl_marl.interfaces.parallel_interface import ParallelInterface
+
+
+class Shown(NamedTuple):
+    """What a reset or a step shows of ``n`` worlds of ``K`` agents."""
+
+    obs: Array
+    """Shape ``(n, K, ...)``. Of an agent that ended in this step, its last."""
+    masks: Mask | None
+    """Which actions may be taken, ``bool`` of shape ``(n, K, n_actions)``; ``None`` where there are no masks.
+    Who has no choice, being over or not on turn, may take action 0, which is ignored."""
+    rewards: Array
+    """``float32``, shape ``(n, K)``."""
+    terminated: Mask
+    truncated: Mask
+    """Of each agent, shape ``(n, K)``; both may be set. Who ended before its world is terminated until the
+    world is reset."""
+    world_terminated: Mask
+    world_truncated: Mask
+    """Of each world, shape ``(n,)``: all its agents have terminated; its time limit is reached."""
+
+
+class WaitingWorlds:
+    """The worlds of an environment, each to be reset once its episode is over.
+
+    They go through the same episodes as the environment does by itself.
+
+    A world that the device truncates begins again in the same step, and then nobody can tell any more what
+    its state was and which actions were possible, which learners ask for. So the time limit is kept here. A
+    world that terminates begins again by itself all the same: after such an end there is nothing to ask.
+
+    Parameters
+    ----------
+    env
+        An environment with ``autoreset=True``, in wrappers that step it once a step, or none. It is this
+        object's from now on, and has no time limit any more.
+    """
+
+    def __init__(self, env: ParallelInterface) -> None:
+        self.env = env
+        self.n, self.k = env.n_worlds, env.agents_per_world
+        unwrapped: Any = env.unwrapped
+        self.max_cycles: int = unwrapped.max_cycles
+        unwrapped.max_cycles = 0
+        self._elapsed = np.zeros(self.n, np.int64)
+        self._terminated = np.zeros(self.n, np.bool_)
+        self._obs: Array | None = None
+
+    def reset(self, seed: int | None = None) -> Shown:
+        """Begin an episode in every world."""
+        self._obs = self.env.reset_batch(seed)
+        self._elapsed[:] = 0
+        return self._first()
+
+    def reset_some(self, worlds: Mask) -> Shown:
+        """Begin an episode in some worlds, by a ``bool`` for each; show all of them."""
+        # Those that terminated have begun already.
+        begin = worlds & (self._elapsed > 0)
+        if begin.any():
+            self._obs = self.env.reset_slots(begin)
+            self._elapsed[begin] = 0
+        return self._first()
+
+    def step(self, actions: npt.ArrayLike) -> Shown:
+        """Step every world once, by actions that have a row an agent. Raises what ``step_batch`` does."""
+        env, rows = self.env, self.env.world.rows
+        acting = env.alive
+        step = env.step_batch(actions)
+        began = env.world.begins(step)[:: self.k]
+        self._elapsed += 1
+        late = self._elapsed >= self.max_cycles if self.max_cycles else np.zeros(self.n, np.bool_)
+        self._elapsed[began] = 0
+        self._obs, self._terminated = step.obs, began
+        # Where a world began, masks and whoever was dead show the next episode.
+        obs, masks = step.arrivals(), self._masks(rows(began))
+        terminated, truncated = step.terminations, rows(late)
+        if not acting.all():
+            terminated, truncated = terminated | ~acting, truncated & acting
+            if began.any():  # and then these are a copy
+                obs[rows(began) & ~acting] = 0
+        return self._shown(obs, masks, step.rewards, (terminated, truncated), (began, late))
+
+    def state(self) -> Array:
+        """Return ``env.state()`` as ``float32``, shape ``(n, fields)``; zeros where a step terminated."""
+        state: Array = self.env.state().astype(np.float32)
+        state[self._terminated] = 0
+        return state
+
+    @property
+    def action_masks(self) -> Mask | None:
+        """Which actions may be taken in the next step, as in :class:`Shown`."""
+        masks = self._masks(np.zeros(self.n * self.k, np.bool_))
+        return None if masks is None else self._by_world(masks)
+
+    def _first(self) -> Shown:
+        """Return what is seen after a reset."""
+        assert self._obs is not None
+        self._terminated = np.zeros(self.n, np.bool_)
+        nobody = np.zeros(self.n * self.k, np.bool_)
+        rewards = np.zeros(self.n * self.k, np.float32)
+        agents, worlds = (~self.env.alive, nobody), (self._terminated, self._terminated)
+        return self._shown(self._obs, self._masks(nobody), rewards, agents, worlds)
+
+    def _masks(self, over: Mask) -> Mask | None:
+        """Return the masks of all agents; of who is ``over`` or has no choice, of action 0 alone."""
+        masks = self.env.action_masks
+        if masks is None:
+            return None
+        # By columns: along the short rows, any() takes several times as long.
+        idle = np.flatnonzero(over | (reduce(np.bitwise_or, masks.T) == 0))
+        allowed = masks.astype(np.bool_)
+        allowed[idle] = False
+        allowed[idle, 0] = True
+        return allowed
+
+    def _shown(
+        self,
+        obs: Array,
+        masks: Mask | None,
+        rewards: Array,
+        agents: tuple[Mask, Mask],
+        worlds: tuple[Mask, Mask],
+    ) -> Shown:
+        """Return all by world; ``agents`` and ``worlds`` have terminated, and are truncated."""
+        by_world = self._by_world
+        terminated, truncated = map(by_world, agents)
+        allowed = None if masks is None else by_world(masks)
+        return Shown(by_world(obs), allowed, by_world(rewards), terminated, truncated, *worlds)
+
+    def _by_world(self, rows: Array) -> Array:
+        return rows.reshape(self.n, self.k, *rows.shape[1:])
