@@ -56,9 +56,11 @@ BUILDS = {
     "Taxi": (8, 32),
     "Blackjack": (4, 64),
     "CartPole": (1, 128),
+    "CoinGame": (4, 32),
     "ConnectFour": (4, 128),
     "LevelBasedForaging": (1, 128),
     "MountainCar": (1, 64),
+    "Overcooked": (2, 128),
     "Pendulum": (1, 128),
     "Seaquest": (1, 512),
 }
