@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import io
 import random
+import sys
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, redirect_stdout
@@ -73,6 +74,18 @@ def quiet_spaces() -> Iterator[None]:
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message=".*precision lowered by casting")
         yield
+
+
+@contextmanager
+def silence() -> Iterator[None]:
+    """Swallow what an import prints; JaxMARL's puts Python's own output back and prints to that."""
+    sink, own = io.StringIO(), sys.__stdout__
+    with redirect_stdout(sink):
+        sys.__stdout__ = sink  # type: ignore[misc,assignment]
+        try:
+            yield
+        finally:
+            sys.__stdout__ = own  # type: ignore[misc]
 
 
 def _actions(spec: EnvSpec, count: int, dtype: Any) -> npt.NDArray[Any]:
@@ -265,7 +278,7 @@ def _overcooked(spec: EnvSpec, count: int) -> Step:
 
 def _coin_game(spec: EnvSpec, count: int) -> Step:
     try:
-        with redirect_stdout(io.StringIO()):  # it prints what it imports
+        with silence():
             import jax
             from jaxmarl.environments.coin_game import CoinGame
     except ImportError:
