@@ -27,13 +27,19 @@ Array = npt.NDArray[Any]
 FIRST, LAST = 14, 24
 """Discs on the boards that are judged: with fewer, a perfect player takes too long."""
 
+STRAY = 0.2
+"""Share of random moves in games of the last policy, so that they differ."""
+
 SPEC = get_spec("ConnectFour")
 
 
-def positions(count: int, seed: int = 0) -> tuple[Array, Array]:
-    """Return what players of random games see who are on turn, and what each column is worth to them.
+def positions(
+    count: int, policy: Policy | None = None, share: float = 1.0, seed: int = 0
+) -> tuple[Array, Array]:
+    """Return what players who are on turn see, and what each column is worth to them.
 
-    Only where there is something to do wrong: where not all columns are worth the same.
+    They play at random, or by a policy but for a ``share`` of moves. Only positions where there is something
+    to do wrong count: where not all columns are worth the same.
     """
     rng, judge = np.random.default_rng(seed), Judge()
     found: list[tuple[Array, Array]] = []
@@ -51,7 +57,10 @@ def positions(count: int, seed: int = 0) -> tuple[Array, Array]:
             1
         )
         found.append((seen[open_to_error], values[open_to_error]))
-        obs = device.step(random_actions(SPEC, rng, len(obs), masks)).obs
+        actions = random_actions(SPEC, rng, len(obs), masks)
+        if policy is not None:
+            actions = np.where(rng.random(len(obs)) < share, actions, policy(obs, masks))
+        obs = device.step(actions).obs
     device.close()
     seen, values = (np.concatenate(parts)[:count] for parts in zip(*found, strict=True))
     return seen, values
@@ -67,9 +76,9 @@ def main(
     run: Annotated[Path, typer.Argument(help="The run's folder.")],
     members: Annotated[int, typer.Option(help="How many past selves to show, evenly spread.")] = 6,
     games: Annotated[int, typer.Option(help="Games of each pair.")] = 1000,
-    judged: Annotated[int, typer.Option(help="Positions for the perfect player to judge.")] = 1000,
+    judged: Annotated[int, typer.Option(help="Positions of each kind that a perfect player judges.")] = 500,
 ) -> None:
-    """Print wins of past selves against a random player, how many moves are as good as any, a cross table."""
+    """Print wins of past selves against a random player, their shares of optimal moves, and a cross table."""
     console = Console(highlight=False)
     try:
         files = sorted((run / "past").glob("*.safetensors"))
@@ -79,17 +88,19 @@ def main(
     except PearlError as error:
         console.print(f"Error: {error}")
         raise typer.Exit(2) from None
-    seen, values = positions(judged)
-    table = Table("after iteration", "against random: won", "drawn", "lost", "moves as good as any")
-    chance = share_of_optimal(load_policy(RANDOM, SPEC), seen, values)
-    table.add_row(RANDOM, "", "", "", f"{chance:.1%}")
+    sets = positions(judged), positions(judged, policies["last"], STRAY)
+    headings = "optimal in random games", "in games of the last"
+    table = Table("after iteration", "against random: won", "drawn", "lost", *headings)
+    chance = (share_of_optimal(load_policy(RANDOM, SPEC), *each) for each in sets)
+    table.add_row(RANDOM, "", "", "", *(f"{share:.1%}" for share in chance))
     for name, policy in policies.items():
         match = Match(SPEC, policy, load_policy(RANDOM, SPEC, 1), 2 * games, openings=0)
         for _ in match.run():
             pass
         out = match.outcome()
-        shares = (f"{out[what] / out['games']:.1%}" for what in ("wins", "draws", "losses"))
-        table.add_row(name, *shares, f"{share_of_optimal(policy, seen, values):.1%}")
+        shares = [out[what] / out["games"] for what in ("wins", "draws", "losses")]
+        shares += [share_of_optimal(policy, *each) for each in sets]
+        table.add_row(name, *(f"{share:.1%}" for share in shares))
     console.print(table)
     won: dict[tuple[str, str], float] = {}
     for row in cross_table(SPEC, policies, 2 * games):
