@@ -25,13 +25,11 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from pearl_marl.golden import GoldenFunction, Word, u32
+from pearl_marl.golden import GoldenFunction, Word, another, draws_of, inserted, u32
 
 NORTH, SOUTH, WEST, EAST, LOAD = range(1, 6)
 NOTHING, FAILED, LOADED = 0, 1, 2
 """Categories of reward; what is loaded counts from the last."""
-OUTCOMES = 1 << 16
-"""How many outcomes one draw decides at most: each is off by less than ``2**-16`` of its probability."""
 PAIRS, NIBBLES, BYTES, SHORTS, WORDS = 0x55555555, 0x33333333, 0x0F0F0F0F, 0x00FF00FF, 0x0000FFFF
 
 Thing: TypeAlias = tuple[Word, Word, Word]
@@ -108,13 +106,7 @@ class Rules(NamedTuple):
         for k in range(self.foods):
             outcomes += [(self.size - 2) ** 2, *([self.foods - k] if differ(self.food_levels) else [])]
             outcomes.append(self.most_food - self.least_food + 1)
-        draw, together, result = 0, 1, []
-        for n in outcomes:
-            together *= n
-            if together > OUTCOMES:
-                draw, together = draw + 1, n
-            result.append(draw)
-        return result
+        return draws_of(outcomes)
 
 
 def differ(levels: Sequence[object]) -> bool:
@@ -202,22 +194,6 @@ def make_initial(rules: Rules) -> GoldenFunction:
         return *state, *([total] if rules.normalized else [])
 
     return initial
-
-
-def another(rank: Word, taken: Sequence[Word]) -> Word:
-    """Return the number of this rank among those that are not taken; ``taken`` is in order."""
-    for number in taken:
-        rank = rank + (rank >= number)
-    return rank
-
-
-def inserted(numbers: Sequence[Word], number: Word) -> list[Word]:
-    """Put a number into its place among others, which are in order."""
-    result = []
-    for other in numbers:
-        result.append(np.minimum(other, number))
-        number = np.maximum(other, number)
-    return [*result, number]
 
 
 def ones(word: Word) -> Word:

@@ -62,25 +62,18 @@ def movers(cells: Flags, targets: Flags, directions: Flags, ties: Ties) -> list[
     # behind[k][j]: robot k wants into robot j's cell.
     behind = [[0 if j == k else targets[k] == cells[j] for j in each] for k in each]
     free = [any_of(behind[k]) == 0 for k in each]
-    # Behind two that want the same cell there are at most all others, one behind the other.
-    longer: list[Word] = [1] * count
-    queues: list[Word] = [0] * count
-    for _ in range(count - 2):
-        longer = [any_of(behind[k][j] & longer[k] for k in each) for j in each]
-        queues = [queue + more for queue, more in zip(queues, longer, strict=True)]
-
+    # Of four robots two are left for the queues behind those that want the same cell. So one is longer than
+    # another only where that has none; and of equally long ones robot 0 may stand at the end.
+    queued = [any_of(behind[k][j] for k in each) for j in each]
     beaten: list[Word] = [0] * count
     for a, b in itertools.combinations(each, 2):
         same = targets[a] == targets[b]
-        second = queues[b] > queues[a]
-        if count > 2:
-            earlier = behind[0][b]
-            if count == MOST:
-                c, d = (k for k in each if k not in (a, b))
-                others = (targets[c] != targets[a]) & (targets[d] != targets[a]) & (targets[c] != targets[d])
-                alone = free[a] & free[c] & free[d] & moving[c] & moving[d] & others
-                earlier = earlier | (alone & tied(ties, directions[a], directions[b], targets[a]))
-            second = second | ((queues[a] == queues[b]) & earlier)
+        second = (queued[b] & (queued[a] == 0)) | behind[0][b]
+        if count == MOST:
+            c, d = (k for k in each if k not in (a, b))
+            apart = (targets[c] != targets[a]) & (targets[d] != targets[a]) & (targets[c] != targets[d])
+            alone = free[a] & free[c] & free[d] & moving[c] & moving[d] & apart
+            second = second | (alone & tied(ties, directions[a], directions[b], targets[a]))
         beaten[a] = beaten[a] | (same & second)
         beaten[b] = beaten[b] | (same & (second == 0))
     first = [moves & (lost == 0) for moves, lost in zip(moving, beaten, strict=True)]
