@@ -72,7 +72,8 @@ class ActorCritic(nn.Module):
         self.critic: Any
         if central:
             state = Box(-np.inf, np.inf, (len(spec.state),), np.float32)
-            self.critic = Network(state, spec.agents, width)
+            # Nothing is expected at first: rewards of teams are small and rare, and noise would outdo them.
+            self.critic = Network(state, spec.agents, width, 0.01)
         else:
             self.critic = nn.Linear(width, 1)
             if not self.shared:

@@ -109,7 +109,7 @@ class TestWorlds:
         arguments = ("--option", "players=3", "--iterations", 1, "--out", tmp_path / "run", "--json")
         status, out, err = pearl("train", "LevelBasedForaging", *arguments)
         assert status == 0, err
-        assert json.loads(out)["last"]["agent_steps"] == 32 * 1023
+        assert json.loads(out)["last"]["agent_steps"] == 16 * 510
 
 
 class TestVideo:
