@@ -13,7 +13,8 @@ from typing import Any
 def machine() -> dict[str, Any]:
     """Return what a figure has to name to be repeatable: processor, cores, versions."""
     versions = {}
-    for package in ("pearl-marl", "numpy", "numba", "gymnasium", "pettingzoo", "envpool", "lbforaging"):
+    steps = "gymnasium", "pettingzoo", "envpool", "lbforaging", "overcooked-ai", "jaxmarl", "jax"
+    for package in ("pearl-marl", "numpy", "numba", *steps):
         with suppress(metadata.PackageNotFoundError):
             versions[package] = metadata.version(package)
     return {

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import importlib
 import random
+import sys
 import warnings
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, redirect_stdout
 from functools import partial
 from importlib import metadata
 from typing import Any
@@ -43,7 +44,10 @@ def peers(spec: EnvSpec, n: int) -> list[Contender]:
     ]
     if spec.agents > 1:
         few = max(sync // spec.agents, 1) * spec.agents
-        rows += [(name, counts, few, make) for name, counts, make in PACKAGES.get(spec.name, ())]
+        rows += [
+            (name, counts, n if name in AT_ONCE else few, make)
+            for name, counts, make in PACKAGES.get(spec.name, ())
+        ]
     else:
         rows += [
             ("Gymnasium SyncVectorEnv", f"{arrays}; one thread", sync, partial(_vectorised, mode="sync")),
@@ -183,7 +187,56 @@ def _connect_four(spec: EnvSpec, count: int) -> Game:
     return Game(choose, step)
 
 
+def _overcooked(spec: EnvSpec, count: int) -> Step:
+    try:
+        from overcooked_ai_py.mdp.actions import Action
+        from overcooked_ai_py.mdp.overcooked_mdp import OvercookedGridworld
+    except ImportError:
+        raise UnavailableError("not installed: pip install overcooked-ai") from None
+    cook_time, horizon = spec.options["cook_time"], spec.options["horizon"]
+    given = {} if cook_time is None else {"cook_time": cook_time}
+    mdp = OvercookedGridworld.from_layout_name(spec.options["layout"], **given)
+    actions = [Action.INDEX_TO_ACTION[k] for k in _actions(spec, count, np.int64)]
+    pairs = list(zip(actions[::2], actions[1::2], strict=True))
+    states = [mdp.get_standard_start_state() for _ in pairs]
+
+    def step() -> None:
+        for i, pair in enumerate(pairs):
+            states[i], _ = mdp.get_state_transition(states[i], pair)
+            mdp.lossless_state_encoding(states[i], horizon)
+            if states[i].timestep == horizon:
+                states[i] = mdp.get_standard_start_state()
+
+    return step
+
+
+def _coin_game(spec: EnvSpec, count: int) -> Step:
+    try:
+        with redirect_stdout(sys.stderr):  # it prints what it imports
+            import jax
+            from jaxmarl.environments.coin_game import CoinGame
+    except ImportError:
+        raise UnavailableError("not installed: pip install jaxmarl") from None
+    game, worlds = CoinGame(**spec.options), count // spec.agents
+    actions = dict(zip(game.agents, _actions(spec, count, np.int32).reshape(worlds, -1).T, strict=True))
+    key, start = jax.random.split(jax.random.PRNGKey(0))
+    _, state = jax.vmap(game.reset)(jax.random.split(start, worlds))
+
+    def advance(key: Any, state: Any, actions: Any) -> Any:
+        key, now = jax.random.split(key)
+        return key, jax.vmap(game.step)(jax.random.split(now, worlds), state, actions)
+
+    compiled, last = jax.jit(advance), [key, state]
+
+    def step() -> None:
+        last[0], results = compiled(*last, actions)
+        last[1] = jax.block_until_ready(results)[1]
+
+    return step
+
+
 PACKAGES = {
+    "CoinGame": [("jaxmarl", "all result arrays; JAX, compiled, on all cores", _coin_game)],
     "ConnectFour": [
         (
             "PettingZoo connect_four_v3",
@@ -192,8 +245,12 @@ PACKAGES = {
         )
     ],
     "LevelBasedForaging": [("lbforaging", "observations, rewards, ends; Python, one thread", _foraging)],
+    "Overcooked": [("overcooked-ai", "observations, rewards, ends; Python, one thread", _overcooked)],
 }
 """The packages whose games ours are, by our names: name, what is counted, and what steps it."""
+
+AT_ONCE = {"jaxmarl"}
+"""Those that step all their worlds at once. The others take one after the other, so a thousand are enough."""
 
 
 def _vectorised(spec: EnvSpec, count: int, mode: str) -> Step:

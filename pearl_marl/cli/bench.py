@@ -32,7 +32,9 @@ OTHERS = {
     "Gymnasium SyncVectorEnv": "Sync",
     "Gymnasium's own vectorisation": "NumPy",
     "MinAtar": "MinAtar",
+    "jaxmarl": "JaxMARL",
     "lbforaging": "lbforaging",
+    "overcooked-ai": "overcooked-ai",
     "PettingZoo connect_four_v3": "PettingZoo",
 }
 """The contenders of ``--all``, by name, with the words for them in its table."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from collections import Counter
 from collections.abc import Callable
 from typing import Any
@@ -124,6 +125,20 @@ def test_choosing_is_not_timed() -> None:
     list(measure([contender], rounds=2, seconds=0))
     assert log == ["choose", "wait", "step", "wait"] * 4
     assert len(contender.seconds) == 2
+
+
+@pytest.mark.parametrize(("name", "package"), [("Overcooked", "overcooked-ai"), ("CoinGame", "jaxmarl")])
+def test_packages_that_need_an_environment_of_their_own(
+    monkeypatch: pytest.MonkeyPatch, name: str, package: str
+) -> None:
+    """Nobody has to have them; and one that steps all worlds at once is not held to a thousand."""
+    module = {"overcooked-ai": "overcooked_ai_py", "jaxmarl": "jaxmarl"}[package]
+    monkeypatch.setitem(sys.modules, f"{module}.mdp.actions", None)
+    monkeypatch.setitem(sys.modules, module, None)
+    by_name = {contender.name: contender for contender in peers.peers(get_spec(name), 8000)}
+    assert by_name[package].n == {"overcooked-ai": 1024, "jaxmarl": 8000}[package]
+    with pytest.raises(UnavailableError, match=f"pip install {package}"):
+        by_name[package].make()
 
 
 def test_other_worlds_have_no_peers() -> None:

@@ -1,0 +1,1 @@
+"""CoinGame: two players collect coins, and whoever takes the other's colour costs the other two points."""

@@ -1,0 +1,180 @@
+"""The spec of CoinGame: its words, and the package's options."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from numbers import Real
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from gymnasium.spaces import Box, Discrete
+
+from pearl_marl.errors import ArgumentError
+from pearl_marl.golden import Word
+from pearl_marl.spec import EnvSpec, Field, Golden, Grid
+
+from .picture import draw
+from .step import SIZE, initial, make_observe, make_step, rewards
+
+CHANNELS = 4
+CELLS = SIZE * SIZE
+PAYOFF = ((1.0, 1.0, -2.0), (1.0, 1.0, -2.0))
+STEPS = 1, 1 << 16
+
+THINGS = "red", "blue", "red_coin", "blue_coin"
+SEEN = "own", "other", "own_coin", "other_coin"
+
+
+def places(names: Sequence[str]) -> tuple[Field, ...]:
+    """Return the fields of a row and a column each."""
+    return tuple(Field(f"{name}_{line}", 2) for name in names for line in ("row", "column"))
+
+
+def mark(row: Any, line: int, column: int, channel: int) -> None:
+    """Set one element of an observation; nothing where the cell is not on the torus."""
+    if line < SIZE and column < SIZE:
+        row[(line * SIZE + column) * CHANNELS + channel] = 1
+
+
+def unpack(
+    own_row: Word,
+    own_column: Word,
+    other_row: Word,
+    other_column: Word,
+    own_coin_row: Word,
+    own_coin_column: Word,
+    other_coin_row: Word,
+    other_coin_column: Word,
+    row: Any,
+) -> None:
+    """Write the package's ``(3, 3, 4)`` of row, column and what is there, into ``row``."""
+    for k in range(CELLS * CHANNELS):
+        row[k] = 0
+    mark(row, int(own_row), int(own_column), 0)
+    mark(row, int(other_row), int(other_column), 1)
+    mark(row, int(own_coin_row), int(own_coin_column), 2)
+    mark(row, int(other_coin_row), int(other_coin_column), 3)
+
+
+def unpack_around(
+    other_row: Word,
+    other_column: Word,
+    own_coin_row: Word,
+    own_coin_column: Word,
+    other_coin_row: Word,
+    other_coin_column: Word,
+    row: Any,
+) -> None:
+    """Do the same for who is in the middle of what he sees."""
+    unpack(
+        1,
+        1,
+        other_row,
+        other_column,
+        own_coin_row,
+        own_coin_column,
+        other_coin_row,
+        other_coin_column,
+        row,
+    )
+
+
+def configure(
+    num_inner_steps: int = 10,
+    num_outer_steps: int = 10,
+    cnn: bool = False,
+    egocentric: bool = False,
+    shared_rewards: bool = False,
+    payoff_matrix: Sequence[Sequence[float]] = PAYOFF,
+) -> EnvSpec:
+    """Return the spec under the package's keyword arguments.
+
+    Parameters
+    ----------
+    num_inner_steps
+        The steps of a game, 1 to 65,536.
+    num_outer_steps
+        The games of an episode, 1 to 65,536.
+    cnn
+        Whether observations have the shape ``(3, 3, 4)`` rather than ``(36,)``.
+    egocentric
+        Whether a player sees himself in the middle.
+    shared_rewards
+        Whether both get the sum of their rewards.
+    payoff_matrix
+        A row for the red player and one for the blue: what he gets for a red coin, for a blue coin, and
+        when the other takes a coin of his colour.
+    """
+    inner = _integer("num_inner_steps", num_inner_steps)
+    outer = _integer("num_outer_steps", num_outer_steps)
+    for name, flag in (("cnn", cnn), ("egocentric", egocentric), ("shared_rewards", shared_rewards)):
+        if not isinstance(flag, bool):
+            raise ArgumentError(f"{name} is {flag!r}; it must be True or False")
+    payoff = _payoff(payoff_matrix)
+    # What red gets for red coins, blue gets for blue ones.
+    alike = payoff[0] == [payoff[1][1], payoff[1][0], payoff[1][2]]
+    table = rewards(payoff, shared_rewards, alike)
+    return EnvSpec(
+        name="CoinGame",
+        version=0,
+        summary="Collect coins, of which those of the other's colour cost him more than they bring",
+        state=(*places(THINGS), Field("time", max((inner - 1).bit_length(), 1))),
+        action=Field("action", 3),
+        observation=places(SEEN[1:] if egocentric else SEEN),
+        reward=Field("reward", (len(table) - 1).bit_length()),
+        rewards=table,
+        observation_space=Box(0, 1, (SIZE, SIZE, CHANNELS) if cnn else (CELLS * CHANNELS,), np.uint8),
+        action_space=Discrete(5),
+        golden=Golden(initial, make_step(inner, shared_rewards, alike), make_observe(egocentric)),
+        agents=2,
+        unpack=unpack_around if egocentric else unpack,
+        reset_draws=1,
+        step_draws=1,
+        max_cycles=inner * outer,
+        options={
+            "num_inner_steps": inner,
+            "num_outer_steps": outer,
+            "cnn": cnn,
+            "egocentric": egocentric,
+            "shared_rewards": shared_rewards,
+            "payoff_matrix": payoff,
+        },
+        configure=configure,
+        draw=draw,
+        render_modes=("rgb_array",),
+        grid=None if egocentric else Grid(SIZE, SIZE, _cell),
+    )
+
+
+def _cell(observations: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """Return the number of the cell that a player is in."""
+    cells: npt.NDArray[Any] = observations.reshape(-1, CELLS, CHANNELS)[:, :, 0].argmax(1)
+    return cells
+
+
+def _integer(name: str, value: object) -> int:
+    """Return a number of steps or games."""
+    number = not isinstance(value, bool) and isinstance(value, (int, np.integer))
+    if not number or not STEPS[0] <= value < STEPS[1]:  # type: ignore[operator]
+        raise ArgumentError(f"{name} is {value!r}; it must be an integer from {STEPS[0]} to {STEPS[1] - 1}")
+    return int(value)  # type: ignore[call-overload, no-any-return]
+
+
+def _payoff(matrix: object) -> list[list[float]]:
+    """Return two rows of three finite numbers."""
+    if isinstance(matrix, np.ndarray):
+        matrix = matrix.tolist()
+    rows = matrix if isinstance(matrix, Sequence) else []
+    numbers = [one for row in rows if isinstance(row, Sequence) and len(row) == 3 for one in row]
+    if len(rows) != 2 or len(numbers) != 6 or not all(map(_finite, numbers)):
+        raise ArgumentError(f"payoff_matrix is {matrix!r}; it must be two rows of three finite numbers")
+    return [[float(one) for one in row] for row in rows]
+
+
+def _finite(value: object) -> bool:
+    return isinstance(value, Real) and not isinstance(value, bool) and math.isfinite(value)
+
+
+SPEC = configure()

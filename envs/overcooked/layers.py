@@ -1,0 +1,143 @@
+"""The package's ``lossless_state_encoding``: 26 layers, made from the words of an observation."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from pearl_marl.golden import GoldenFunction, Word
+
+from .kitchen import Kitchen
+from .step import clock_bits
+
+COUNT = 26
+OWN_PLACE, OTHER_PLACE, OWN_NORTH, OTHER_NORTH, FIRST_STATION = 0, 1, 2, 6, 10
+"""Where the layers of the cooks begin, and those of the kitchen itself."""
+ONIONS_IN_POT, TOMATOES_IN_POT, ONIONS_IN_SOUP, TOMATOES_IN_SOUP, TIME_LEFT = range(16, 21)
+DONE, DISH, ONION, TOMATO, URGENT = range(21, COUNT)
+STATIONS = "PXOTDS"
+"""What the layers of the kitchen show, in their order."""
+
+
+def background(kitchen: Kitchen) -> npt.NDArray[np.uint8]:
+    """Return the layers of an empty kitchen, flat."""
+    layers = np.zeros((kitchen.width, kitchen.height, COUNT), np.uint8)
+    for k, kind in enumerate(STATIONS):
+        for x, y in kitchen.cells(kind):
+            layers[x, y, FIRST_STATION + k] = 1
+    return layers.ravel()
+
+
+def make_unpack(kitchen: Kitchen) -> GoldenFunction:
+    """Return the function that writes an observation of shape ``(width, height, 26)``."""
+    empty = background(kitchen)
+    size = len(empty)
+
+    def places(cells: list[tuple[int, int]]) -> tuple[int, ...]:
+        return tuple((x * kitchen.height + y) * COUNT for x, y in cells)
+
+    # For all numbers that the bits of a cell can hold.
+    floor = (places(kitchen.floor) * 2)[: 1 << kitchen.cell_bits]
+    counters, pots = places(kitchen.counters), places(kitchen.pots)
+    onion, dish, tomato = kitchen.onion, kitchen.dish, kitchen.tomato
+    n_counters, n_pots, soup_bits, time_bits = (
+        len(counters),
+        len(pots),
+        kitchen.soup_bits,
+        clock_bits(kitchen),
+    )
+    any_soup, any_time = (1 << soup_bits) - 1, (1 << time_bits) - 1
+
+    def show_item(item: int, place: int, row: Any) -> None:
+        if item == onion:
+            row[place + ONION] = 1
+        elif item == dish:
+            row[place + DISH] = 1
+        elif item == tomato:
+            row[place + TOMATO] = 1
+        elif item:
+            row[place + ONIONS_IN_SOUP] = item & 3
+            row[place + TOMATOES_IN_SOUP] = item >> 2
+            row[place + DONE] = 1
+
+    def show(
+        own_cell: Word,
+        own_facing: Word,
+        own_holds: Word,
+        other_cell: Word,
+        other_facing: Word,
+        other_holds: Word,
+        plane_0: Word,
+        plane_1: Word,
+        plane_2: Word,
+        plane_3: Word,
+        in_pots: Word,
+        urgent: Word,
+        row: Any,
+    ) -> None:
+        for k in range(size):
+            row[k] = empty[k]
+        place = floor[own_cell]
+        row[place + OWN_PLACE] = 1
+        row[place + OWN_NORTH + int(own_facing)] = 1
+        show_item(int(own_holds), place, row)
+        place = floor[other_cell]
+        row[place + OTHER_PLACE] = 1
+        row[place + OTHER_NORTH + int(other_facing)] = 1
+        show_item(int(other_holds), place, row)
+        planes_0, planes_1, planes_2, planes_3 = int(plane_0), int(plane_1), int(plane_2), int(plane_3)
+        for k in range(n_counters):
+            low = (planes_0 >> k & 1) | (planes_1 >> k & 1) << 1
+            show_item(low | (planes_2 >> k & 1) << 2 | (planes_3 >> k & 1) << 3, counters[k], row)
+        left = int(in_pots)
+        for k in range(n_pots):
+            place, soup, clock = pots[k], left & any_soup, left >> soup_bits & any_time
+            left >>= soup_bits + time_bits
+            if clock:
+                row[place + ONIONS_IN_SOUP] = soup & 3
+                row[place + TOMATOES_IN_SOUP] = soup >> 2
+                row[place + TIME_LEFT] = clock - 1
+                row[place + DONE] = clock == 1
+            else:
+                row[place + ONIONS_IN_POT] = soup & 3
+                row[place + TOMATOES_IN_POT] = soup >> 2
+        if urgent:
+            for k in range(URGENT, size, COUNT):
+                row[k] = 1
+
+    if kitchen.item_bits == 4:
+        return show
+
+    def unpack(
+        own_cell: Word,
+        own_facing: Word,
+        own_holds: Word,
+        other_cell: Word,
+        other_facing: Word,
+        other_holds: Word,
+        plane_0: Word,
+        plane_1: Word,
+        plane_2: Word,
+        in_pots: Word,
+        urgent: Word,
+        row: Any,
+    ) -> None:
+        show(
+            own_cell,
+            own_facing,
+            own_holds,
+            other_cell,
+            other_facing,
+            other_holds,
+            plane_0,
+            plane_1,
+            plane_2,
+            0,
+            in_pots,
+            urgent,
+            row,
+        )
+
+    return unpack

@@ -1,0 +1,169 @@
+"""The spec of Overcooked: the words of a kitchen, and what its options are."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from numbers import Real
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from gymnasium.spaces import Box, Discrete
+
+from pearl_marl.errors import ArgumentError
+from pearl_marl.spec import EnvSpec, Field, Golden, Grid
+
+from .kitchen import LAYOUTS, MOST, Kitchen
+from .layers import COUNT, OWN_PLACE, make_unpack
+from .picture import make_draw
+from .step import (
+    clock_bits,
+    has_time,
+    last_calm,
+    make_initial,
+    make_observe,
+    make_step,
+    rewards,
+)
+
+SHAPING = {"PLACEMENT_IN_POT_REW": 3.0, "DISH_PICKUP_REWARD": 3.0, "SOUP_PICKUP_REWARD": 5.0}
+"""The package's shaped rewards."""
+HORIZONS, COOK_TIMES = (1, (1 << 32) - 1), (1, 254)
+
+
+def configure(
+    layout: str = "cramped_room",
+    horizon: int = 400,
+    cook_time: int | None = None,
+    reward_shaping_factor: float = 0.0,
+    rew_shaping_params: Mapping[str, float] | None = None,
+) -> EnvSpec:
+    """Return the spec of a kitchen.
+
+    Parameters
+    ----------
+    layout
+        The name of a layout: those of the package that :data:`.kitchen.LAYOUTS` lists.
+    horizon
+        The time limit. Observations of the last steps say that it is near.
+    cook_time
+        How long a soup cooks, 1 to 254; None is the layout's own time, which is 20 for most.
+    reward_shaping_factor
+        How much shaped rewards, which each cook gets for himself, count beside the price of soups.
+    rew_shaping_params
+        The shaped rewards, by the package's names: for an ingredient put into a pot, for a useful dish taken
+        and for a soup taken from its pot. Those left out are 3, 3 and 5.
+    """
+    if not isinstance(layout, str) or layout not in LAYOUTS:
+        raise ArgumentError(f"layout is {layout!r}; it must be one of {', '.join(LAYOUTS)}")
+    horizon = _integer("horizon", horizon, HORIZONS)
+    factor = _number("reward_shaping_factor", reward_shaping_factor)
+    shaping = _shaping(rew_shaping_params)
+    kitchen = LAYOUTS[layout]
+    if cook_time is not None:
+        if kitchen.recipes or kitchen.ingredients:
+            raise ArgumentError(
+                f"cook_time is {cook_time!r}, and {layout} has cooking times of its own; leave it out"
+            )
+        kitchen = kitchen.cooking(_integer("cook_time", cook_time, COOK_TIMES))
+    table = rewards(kitchen, tuple(factor * shaping[name] for name in SHAPING))
+    shape = kitchen.width, kitchen.height, COUNT
+    return EnvSpec(
+        name="Overcooked",
+        version=0,
+        summary="Two cooks put onions into pots, and serve the soup",
+        state=state_fields(kitchen, horizon),
+        action=Field("action", 3),
+        observation=observation_fields(kitchen),
+        reward=Field("reward", (len(table) - 1).bit_length()),
+        rewards=table,
+        observation_space=Box(0, max(MOST, *kitchen.times), shape, np.uint8),
+        action_space=Discrete(6),
+        golden=Golden(
+            make_initial(kitchen, horizon), make_step(kitchen, horizon), make_observe(kitchen, horizon)
+        ),
+        agents=2,
+        unpack=make_unpack(kitchen),
+        max_cycles=horizon,
+        options={
+            "layout": layout,
+            "horizon": horizon,
+            "cook_time": cook_time,
+            "reward_shaping_factor": factor,
+            "rew_shaping_params": None if rew_shaping_params is None else shaping,
+        },
+        configure=configure,
+        draw=make_draw(kitchen),
+        render_modes=("rgb_array",),
+        grid=Grid(kitchen.height, kitchen.width, _cell),
+    )
+
+
+def cook_fields(names: tuple[str, str], kitchen: Kitchen) -> list[Field]:
+    """Return the fields of the two cooks."""
+    widths = {"cell": kitchen.cell_bits, "facing": 2, "holds": kitchen.item_bits}
+    return [Field(f"{name}_{what}", bits) for name in names for what, bits in widths.items()]
+
+
+def plane_fields(kitchen: Kitchen) -> list[Field]:
+    """Return the planes of the counters."""
+    return [Field(f"counters_{bit}", len(kitchen.counters)) for bit in range(kitchen.item_bits)]
+
+
+def state_fields(kitchen: Kitchen, horizon: int) -> tuple[Field, ...]:
+    """Return the state's fields."""
+    fields = [*cook_fields(("cook_0", "cook_1"), kitchen), *plane_fields(kitchen)]
+    for k in range(len(kitchen.pots)):
+        fields += Field(f"pot_{k}_soup", kitchen.soup_bits), Field(f"pot_{k}_clock", clock_bits(kitchen))
+    if has_time(horizon):
+        fields.append(Field("time", (last_calm(horizon) + 1).bit_length()))
+    return tuple(fields)
+
+
+def observation_fields(kitchen: Kitchen) -> tuple[Field, ...]:
+    """Return the observation's fields, of which ``unpack`` makes layers."""
+    pots = len(kitchen.pots) * (kitchen.soup_bits + clock_bits(kitchen))
+    cooks = cook_fields(("own", "other"), kitchen)
+    return (*cooks, *plane_fields(kitchen), Field("pots", pots), Field("urgent", 1))
+
+
+def _cell(observations: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """Return the number of the cell that a cook is in, row by row."""
+    own = observations[..., OWN_PLACE].swapaxes(1, 2)
+    cells: npt.NDArray[Any] = own.reshape(len(own), -1).argmax(1)
+    return cells
+
+
+def _integer(name: str, value: object, limits: tuple[int, int]) -> int:
+    """Return a number that is within its limits."""
+    number = not isinstance(value, bool) and isinstance(value, (int, np.integer))
+    if not number or not limits[0] <= value <= limits[1]:  # type: ignore[operator]
+        raise ArgumentError(f"{name} is {value!r}; it must be an integer from {limits[0]} to {limits[1]}")
+    return int(value)  # type: ignore[call-overload, no-any-return]
+
+
+def _number(name: str, value: object) -> float:
+    """Return a finite number."""
+    if isinstance(value, bool) or not isinstance(value, Real) or not math.isfinite(value):
+        raise ArgumentError(f"{name} is {value!r}; it must be a finite number")
+    return float(value)
+
+
+def _shaping(given: Mapping[str, float] | None) -> dict[str, float]:
+    """Return all shaped rewards."""
+    known = ", ".join(SHAPING)
+    if given is not None and not isinstance(given, Mapping):
+        raise ArgumentError(f"rew_shaping_params is {given!r}; it must be None or a dict of {known}")
+    result = dict(SHAPING)
+    for name, value in (given or {}).items():
+        if name not in SHAPING:
+            raise ArgumentError(
+                f"rew_shaping_params has {name!r}; possible are {known}, and overcooked-ai 1.1.0 itself uses "
+                "no other"
+            )
+        result[name] = _number(f"rew_shaping_params[{name!r}]", value)
+    return result
+
+
+SPEC = configure()
