@@ -8,7 +8,7 @@ there are ``where``, ``minimum``, ``maximum`` and ``clip``. ``docs/golden_steps.
 from __future__ import annotations
 
 import types
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -48,6 +48,50 @@ def uniform_below(draw: Word, n: Word) -> Word:
     """
     # Outside of golden functions it is called with NumPy's words, which do overflow: hence the casts.
     return u32((u64(draw) * u64(n)) >> u64(32))
+
+
+OUTCOMES = 1 << 16
+"""How many outcomes one draw decides at most: each is off by less than ``2**-16`` of its probability."""
+
+
+def draws_of(outcomes: Iterable[int]) -> list[int]:
+    """Return which draw makes each of several decisions, given how many outcomes each has."""
+    draw, together, result = 0, 1, []
+    for n in outcomes:
+        together *= n
+        if together > OUTCOMES:
+            draw, together = draw + 1, n
+        result.append(draw)
+    return result
+
+
+def digits(draws: Iterable[Word], outcomes: Sequence[int]) -> list[Word]:
+    """Return several decisions, each below its number of outcomes, of the draws that :func:`draws_of` tells.
+
+    The upper half of a product is one; its lower half serves as the next draw.
+    """
+    left, result = list(draws), []
+    for n, k in zip(outcomes, draws_of(outcomes), strict=True):
+        product = left[k] * n
+        left[k] = u32(product)
+        result.append(product >> 32)
+    return result
+
+
+def another(rank: Word, taken: Sequence[Word]) -> Word:
+    """Return the number of this rank among those that are not taken; ``taken`` is in order."""
+    for number in taken:
+        rank = rank + (rank >= number)
+    return rank
+
+
+def inserted(numbers: Sequence[Word], number: Word) -> list[Word]:
+    """Put a number into its place among others, which are in order."""
+    result = []
+    for other in numbers:
+        result.append(np.minimum(other, number))
+        number = np.maximum(other, number)
+    return [*result, number]
 
 
 def reference(function: GoldenFunction, *agent: int) -> Callable[..., tuple[Any, ...]]:

@@ -15,8 +15,9 @@ import numpy as np
 
 from pearl_marl import rng
 from pearl_marl.batch import slot_memory
-from pearl_marl.compiler import pieces
+from pearl_marl.compiler import flag_pieces, pieces
 from pearl_marl.compiler.pieces import Pieces, assign, call, cell_dtype, each, indented, start, times
+from pearl_marl.compiler.straight_line import observers
 from pearl_marl.spec import EnvSpec
 
 BLOCK = 2048
@@ -80,6 +81,7 @@ class BlockPieces(Pieces):
         self.take = assign(self.new, each("stored_{}[i]", self.state))
         self.functions: dict[str, list[str]] = {}
         self._taken, draws = 0, self.step_draws.stop
+        self.runs = flag_pieces.runs(spec)
         self.places = {
             "E": self.column("memory", self.elapsed),
             "N": self.column("memory", self.ended),
@@ -97,6 +99,11 @@ class BlockPieces(Pieces):
             "all_draws": "uint32_column(draws, 0, 0)",
             **self.words(),
             **{f"part_{f.name}": part(f"given_{f.name}", f.dtype, agents) for f in spec.seen},
+            **{
+                f"run_{k}_{r}": self.space(spec.observation[run.first].dtype, self.size)
+                for k in range(agents)
+                for r, run in enumerate(self.runs)
+            },
         }
         """Where words lie, by name; a function is given what that takes."""
 
@@ -221,7 +228,22 @@ class BlockPieces(Pieces):
 
     def observed(self) -> list[str]:
         """Return what observes all slots of a block."""
-        return self.over_slots("observe_all", *self.observe(self.block))
+        return self.seen_in(self.block)
+
+    def seen_in(self, state: Sequence[str]) -> list[str]:
+        """Return what observes all slots of a block in a state."""
+        if not self.runs:
+            return self.over_slots("observe_all", *self.observe(state))
+        packing, writing, size = [], [], self.spec.observation_size
+        observed = each("observed_{}", self.seen)
+        for k, name in enumerate(observers(self.spec)):
+            packing += [call(name, state, observed), *self.masks(observed, k)]
+            for r, run in enumerate(self.runs):
+                word, at = f"run_{k}_{r}[i]", f"{self.agents * size} * i + {k * size + run.first}"
+                dtype = self.spec.observation[run.first].dtype
+                packing.append(f"{word} = {flag_pieces.packed(run, str(dtype), observed)}")
+                writing.append(flag_pieces.written(run, str(self.dtype), at, word))
+        return [*self.over_slots("observe_all", *packing), *self.over_slots("write_all", *writing)]
 
     def observed_start(self) -> list[str]:
         """Return what observes a slot that has just started."""

@@ -21,7 +21,7 @@ class LanePieces(BlockPieces):
     """Seaquest steps 40 M slots/s like this, with the arrays of its 41 fields as they are 6 M."""
 
     def __init__(self, spec: EnvSpec) -> None:
-        self.lane = np.dtype(np.uint64 if any(f.bits > 32 for f in spec.state) else np.uint32)
+        self.lane = np.dtype(f"uint{8 * max(field.dtype.itemsize for field in spec.state)}")
         super().__init__(spec)
         self.show = "show(blocks, O, M, i)" if spec.mask_fields else "show(blocks, O, i)"
         self.loaded = narrowed(spec.state, self.block)
@@ -106,8 +106,7 @@ class LanePieces(BlockPieces):
 
     def observed(self) -> list[str]:
         """Return what observes all slots of a block."""
-        lines = self.observe(self.loaded) if self.flat else [self.show]
-        return self.over_slots("observe_all", *lines)
+        return self.seen_in(self.loaded) if self.flat else self.over_slots("observe_all", self.show)
 
     def observed_start(self) -> list[str]:
         """Return what observes a slot that has just started."""

@@ -152,6 +152,17 @@ def _vocabulary(builder: Any) -> dict[str, Any]:
     def column(type_: Any, of: Column, start: Word | int, index: Word | int) -> Column:
         return of.from_byte(type_, start, index)
 
+    def flags(type_: Any, to: Column, index: Word | int, word: Word, count: int) -> None:
+        # As a vector: LLVM does not find out by itself that a bit each of a word are numbers side by side.
+        value = builder.trunc(word.value, ir.IntType(count)) if count < word.type.bitwidth else word.value
+        numbers = ir.VectorType(_llvm(type_), count)
+        chosen = builder.select(
+            builder.bitcast(value, ir.VectorType(ir.IntType(1), count)),
+            ir.Constant(numbers, [1] * count),
+            ir.Constant(numbers, [0] * count),
+        )
+        builder.store(chosen, builder.bitcast(to.at(index), numbers.as_pointer()), type_.bitwidth // 8)
+
     def turns(*bounds: Word | int) -> Iterator[Word]:
         *start, stop = map(_number, bounds)
         if isinstance(bounds[-1], int):
@@ -169,6 +180,7 @@ def _vocabulary(builder: Any) -> dict[str, Any]:
         }
     for t in NUMBERS:
         named |= {f"{t}_choose": partial(choose, t), f"{t}_column": partial(column, t)}
+        named[f"{t}_flags"] = partial(flags, t)
     return named
 
 

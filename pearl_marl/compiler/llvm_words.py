@@ -193,7 +193,8 @@ def operations() -> dict[str, Any]:
     """Return all operations by their names, for a kernel's source to call."""
     named = {"allocate": _allocate, "release": _release}
     for t in NUMBERS:
-        named |= {f"{t}_column": _column(t), f"{t}_row": _row(t), f"{t}_choose": _named(f"{t}_choose")}
+        named |= {f"{t}_column": _column(t), f"{t}_row": _row(t)}
+        named |= {f"{t}_{name}": _named(f"{t}_{name}") for name in ("choose", "flags")}
     for t in INTEGERS:
         named |= {f"{t}_{name}": _named(f"{t}_{name}") for name in (*ARITHMETIC, *COMPARISONS)}
     return named

@@ -7,7 +7,7 @@ in as expressions. Variables that stand for a field are named as :data:`PREFIXES
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -132,13 +132,17 @@ class Pieces:
             lines += [call(name, state, observed), *self.deliver(observed, k)]
         return lines
 
+    def masks(self, words: Sequence[str], agent: int = 0) -> list[str]:
+        """Return what writes an agent's masks, the last of the words that it is shown."""
+        flags = words[len(self.spec.observation) :]
+        places = each(self.mask, range(agent * len(flags), (agent + 1) * len(flags)))
+        return assign(places, each("np.int8({})", flags))
+
     def deliver(self, words: Iterable[str], agent: int = 0) -> list[str]:
         """Return what makes an observation of its words, element by element or by ``unpack``, and masks."""
         fields, dtype, size = self.spec.observation, self.dtype, self.spec.observation_size
         words = list(words)
-        own, flags = narrowed(fields, words[: len(fields)]), words[len(fields) :]
-        places = each(self.mask, range(agent * len(flags), (agent + 1) * len(flags)))
-        masks = assign(places, each("np.int8({})", flags))
+        own, masks = narrowed(fields, words[: len(fields)]), self.masks(words, agent)
         if self.spec.unpack is not None:
             more = f" + {agent * size}" if agent else ""
             return [f"unpack({', '.join(own)}, {self.row.format(more)})", *masks]

@@ -1,0 +1,1 @@
+"""RobotWarehouse: robots carry shelves that are asked for to a goal, and back."""

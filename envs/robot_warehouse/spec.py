@@ -1,0 +1,173 @@
+"""The spec of RobotWarehouse: what the package's options come to, in words."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from gymnasium.spaces import Box, Discrete
+
+from pearl_marl.errors import ArgumentError
+from pearl_marl.golden import draws_of
+from pearl_marl.spec import EnvSpec, Field, Golden, Grid
+
+from .moves import MOST
+from .picture import make_draw
+from .rules import Rules
+from .step import decisions, make_initial, make_observe, make_step
+
+SIZES = {"tiny": (1, 3), "small": (2, 3), "medium": (2, 5), "large": (3, 5)}
+"""Rows and columns of blocks of racks, by the package's names."""
+REWARDS = {"individual": (0.0, 1.0), "global": (0.0, 1.0, 2.0), "two_stage": (0.0, 0.5)}
+"""The rewards of each category, by the package's names."""
+HEIGHTS, SIGHTS, REQUESTS = (1, 15), (1, 5), 19
+"""Those that the package registers warehouses with."""
+MOST_STEPS = (1 << 32) - 1
+
+
+def configure(
+    size: str = "tiny",
+    robots: int = 2,
+    request_queue_size: int | None = None,
+    column_height: int = 8,
+    sensor_range: int = 1,
+    reward_type: str = "individual",
+    max_steps: int | None = 500,
+) -> EnvSpec:
+    """Return the spec of a warehouse; by default it is the package's ``rware-tiny-2ag-v2``.
+
+    Parameters
+    ----------
+    size
+        How many blocks of racks there are: ``"tiny"``, ``"small"``, ``"medium"`` or ``"large"``.
+    robots
+        How many robots there are, 1 to 4; the package's ``n_agents``.
+    request_queue_size
+        How many shelves are asked for at a time. None is one for each robot; what the package calls easy is
+        twice, hard half as many.
+    column_height
+        Racks in a column of a block, 1 to 15.
+    sensor_range
+        How many cells far a robot sees, 1 to 5.
+    reward_type
+        Who is paid: ``"individual"``, ``"global"`` or ``"two_stage"``.
+    max_steps
+        The time limit; None is none.
+    """
+    rules = rules_of(size, robots, request_queue_size, column_height, sensor_range, reward_type)
+    if max_steps is not None:
+        max_steps = _integer("max_steps", max_steps, 1, MOST_STEPS)
+    observation, table = observation_fields(rules), REWARDS[reward_type]
+    return EnvSpec(
+        name="RobotWarehouse",
+        version=0,
+        summary="Carry shelves that are asked for to a goal and back, in each other's way",
+        state=state_fields(rules),
+        action=Field("action", 3),
+        observation=observation,
+        reward=Field("reward", (len(table) - 1).bit_length()),
+        rewards=table,
+        observation_space=Box(-np.inf, np.inf, (len(observation),), np.float32),
+        action_space=Discrete(5),
+        golden=Golden(make_initial(rules), make_step(rules), make_observe(rules)),
+        agents=rules.robots,
+        reset_draws=draws_of(decisions(rules))[-1] + 1,
+        step_draws=len(rules.goals),
+        max_cycles=max_steps,
+        options={
+            "size": size,
+            "robots": rules.robots,
+            "request_queue_size": request_queue_size,
+            "column_height": rules.column_height,
+            "sensor_range": rules.sight,
+            "reward_type": reward_type,
+            "max_steps": max_steps,
+        },
+        configure=configure,
+        draw=make_draw(rules),
+        render_modes=("rgb_array",),
+        grid=grid(rules),
+    )
+
+
+def rules_of(
+    size: str,
+    robots: int,
+    request_queue_size: int | None,
+    column_height: int,
+    sensor_range: int,
+    reward_type: str,
+) -> Rules:
+    """Return the warehouse of some options; ArgumentError says which one is not possible."""
+    for name, value, known in (("size", size, SIZES), ("reward_type", reward_type, REWARDS)):
+        if not isinstance(value, str) or value not in known:
+            raise ArgumentError(f"{name} is {value!r}; possible are {', '.join(map(repr, known))}")
+    if isinstance(robots, int) and robots > MOST:
+        raise ArgumentError(
+            f"robots is {robots}; it must be an integer from 1 to {MOST}, as with more there are ties in the "
+            "package that are not told apart here"
+        )
+    rules = Rules(
+        *SIZES[size],
+        column_height=_integer("column_height", column_height, *HEIGHTS),
+        robots=_integer("robots", robots, 1, MOST),
+        requests=0,
+        sight=_integer("sensor_range", sensor_range, *SIGHTS),
+        reward=reward_type,
+    )
+    # One shelf has to be left that can be asked for next.
+    requests = rules.robots if request_queue_size is None else request_queue_size
+    return rules._replace(
+        requests=_integer("request_queue_size", requests, 1, min(len(rules.racks) - 1, REQUESTS))
+    )
+
+
+def _integer(name: str, value: object, low: int, high: int) -> int:
+    """Return a number that is within its limits."""
+    number = not isinstance(value, bool) and isinstance(value, (int, np.integer))
+    if not number or not low <= value <= high:  # type: ignore[operator]
+        raise ArgumentError(f"{name} is {value!r}; it must be an integer from {low} to {high}")
+    return int(value)  # type: ignore[call-overload, no-any-return]
+
+
+def state_fields(rules: Rules) -> tuple[Field, ...]:
+    """Return the state's fields."""
+    x, y = place_bits(rules)
+    fields: list[Field] = []
+    for k in range(rules.robots):
+        fields += [Field(f"robot_{k}_x", x), Field(f"robot_{k}_y", y), Field(f"robot_{k}_direction", 2)]
+        fields.append(Field(f"robot_{k}_origin", rules.cell_bits))
+        if rules.two_stage:
+            fields.append(Field(f"robot_{k}_brought", 1))
+    return (*fields, *(Field(f"request_{r}", rules.cell_bits) for r in range(rules.requests)))
+
+
+def observation_fields(rules: Rules) -> tuple[Field, ...]:
+    """Return the observation's fields: as many as its space has elements."""
+    x, y = place_bits(rules)
+    side = 2 * rules.sight + 1
+    flags = ["carries", "up", "down", "left", "right", "highway"]
+    for cell in range(side * side):
+        flags += (
+            f"cell_{cell}_{what}" for what in ("robot", "up", "down", "left", "right", "shelf", "asked")
+        )
+    return (Field("x", x), Field("y", y), *(Field(flag, 1) for flag in flags))
+
+
+def place_bits(rules: Rules) -> tuple[int, int]:
+    """Return how many bits a column and a row take."""
+    return (rules.width - 1).bit_length(), (rules.height - 1).bit_length()
+
+
+def grid(rules: Rules) -> Grid:
+    """Return where robots are who see where they are."""
+
+    def cell(observations: npt.NDArray[Any]) -> npt.NDArray[Any]:
+        x, y = observations[:, :2].T.astype(np.int64)
+        return y * rules.width + x
+
+    return Grid(rules.height, rules.width, cell)
+
+
+SPEC = configure()
