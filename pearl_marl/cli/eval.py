@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from pathlib import Path
 from typing import Annotated, Any
 
 import typer
@@ -14,10 +15,12 @@ from pearl_marl.benchmark.measure import duration
 from pearl_marl.cli import common
 from pearl_marl.cli.common import console, error_console
 from pearl_marl.devices import Lockstep
-from pearl_marl.errors import LockstepError, PearlError
+from pearl_marl.errors import ArgumentError, LockstepError, PearlError
+from pearl_marl.evaluation.matches import OPENINGS, Match, cross_table
 from pearl_marl.evaluation.report import write_report
 from pearl_marl.evaluation.run import LIMIT, Evaluation
 from pearl_marl.policies.loading import load_policy
+from pearl_marl.spec import EnvSpec
 
 PolicyName = Annotated[
     str,
@@ -26,6 +29,24 @@ PolicyName = Annotated[
         help="`random`, a table of action values (FILE.npy, FILE.npz), a model of Stable-Baselines3 "
         "(FILE.zip), a folder of `pearl train`, or a function of observations (MODULE:FUNCTION, "
         "FILE.py:FUNCTION).",
+    ),
+]
+Against = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--against",
+        help="Another policy, which plays all agents of a world but one. Given more than once: a table of "
+        "who beats whom.",
+        show_default="none",
+    ),
+]
+Openings = Annotated[
+    int | None,
+    typer.Option(
+        "--openings",
+        min=0,
+        help="With --against: with how many random steps every episode begins.",
+        show_default=f"{OPENINGS} in games of turns",
     ),
 ]
 Episodes = Annotated[
@@ -45,11 +66,14 @@ InLockstep = Annotated[
 ]
 
 REFERENCE = "reference"
+_ENDS = ("wins", "won"), ("draws", "drawn"), ("losses", "lost")
 
 
 def command(
     env_id: common.EnvName,
     policy: PolicyName,
+    against: Against = None,
+    openings: Openings = None,
     n_agents: common.Agents = None,
     device: common.DeviceName = "native",
     episodes: Episodes = None,
@@ -67,17 +91,28 @@ def command(
     """
     spec = common.spec_of(env_id, option)
     n_agents = common.agents_of(spec, n_agents)
-    evaluation = Evaluation(
-        spec,
-        load_policy(policy, spec, seed),
-        n_agents,
-        Lockstep(device, REFERENCE) if lockstep else device,
-        episodes=episodes,
-        seed=seed,
-        max_cycles=max_cycles,
-    )
+    rivals = against or []
+    given: dict[str, Any] = {"seed": seed, "max_cycles": max_cycles}
+    if rivals and episodes is not None:
+        raise ArgumentError("with --against every agent plays one episode: leave --episodes out")
+    if openings is not None and not rivals:
+        raise ArgumentError("--openings is of games between policies: give --against, too")
     if out is not None:
         common.out_folder(out)
+    if len(rivals) > 1:
+        if lockstep:
+            raise ArgumentError("--lockstep compares one evaluation: give one --against, or none")
+        given |= {"device": device, "openings": openings}
+        _tournament(spec, [policy, *rivals], n_agents, given, out, as_json)
+        return
+    stepped = Lockstep(device, REFERENCE) if lockstep else device
+    chooses = load_policy(policy, spec, seed)
+    evaluation: Evaluation
+    if rivals:
+        rival = load_policy(rivals[0], spec, seed + 1)
+        evaluation = Match(spec, chooses, rival, n_agents, stepped, openings, **given)
+    else:
+        evaluation = Evaluation(spec, chooses, n_agents, stepped, episodes=episodes, **given)
     try:
         for _ in common.progress(
             evaluation.run(), evaluation.episodes, f"{spec.name} on {device}, {n_agents:,} agents: episodes"
@@ -95,6 +130,7 @@ def command(
     result = {
         **evaluation.summary(),
         "policy": policy,
+        **({"against": rivals[0], "match": evaluation.outcome()} if isinstance(evaluation, Match) else {}),
         "device": device,
         "lockstep": REFERENCE if lockstep else None,
         "machine": machine(),
@@ -121,11 +157,59 @@ def command(
         console.print(f"Wrote {path}")
 
 
+def _tournament(
+    spec: EnvSpec,
+    names: list[str],
+    n_agents: int,
+    given: dict[str, Any],
+    out: Path | None,
+    as_json: bool,
+) -> None:
+    """Evaluate each policy against each of the others; show who beats whom."""
+    for name in names:
+        if names.count(name) > 1:
+            raise ArgumentError(f"{name!r} is given as --policy or --against twice; a table has it once")
+    policies = {name: load_policy(name, spec, given["seed"] + k) for k, name in enumerate(names)}
+    pairs = len(policies) * (len(policies) - 1) // 2
+    label = f"{spec.name} on {given['device']}, {n_agents:,} agents: pairs"
+    rows = list(common.progress(cross_table(spec, policies, n_agents, **given), pairs, label))
+    result = {
+        "environment": spec.id,
+        "options": dict(spec.options),
+        "n_agents": n_agents,
+        **given,
+        "matches": rows,
+        "machine": machine(),
+    }
+    if common.delivered(result, as_json, out, "matches.json"):
+        return
+    won: dict[tuple[str, str], tuple[int, int]] = {}
+    for row in rows:
+        won[row["policy"], row["against"]] = row["wins"], row["games"]
+        won[row["against"], row["policy"]] = row["losses"], row["games"]
+    headings = [str(k + 1) for k in range(len(policies))]
+    grid = common.table(f"{spec.name}: wins of the row's policy", ["", "policy"], headings)
+    for k, name in enumerate(policies):
+        cells = (won.get((name, other)) for other in policies)
+        shown = ("-" if cell is None else f"{cell[0] / cell[1]:.1%}" for cell in cells)
+        grid.add_row(str(k + 1), escape(name), *shown)
+    console.print(grid)
+
+
 def _outcome(result: dict[str, Any]) -> Table:
     grid = Table(title=f"{result['environment']} on {result['device']}", show_header=False)
     grid.add_column("what", style="bold")
     grid.add_column("figure")
     grid.add_row("policy", escape(result["policy"]))
+    if "match" in result:
+        match = result["match"]
+        games = match["games"]
+        shares = (f"{match[what] / games:.1%} {name}" for what, name in _ENDS)
+        grid.add_row("against", escape(result["against"]))
+        grid.add_row("match", f"{games:,} games: {', '.join(shares)}")
+        grid.add_row(
+            "its returns", f"{match['return']['mean']:,.3f}, theirs {match['their_return']['mean']:,.3f}"
+        )
     limit = f"at most {result['max_cycles']:,} steps each" if result["max_cycles"] else "no time limit"
     grid.add_row("episodes", f"{result['episodes']:,} of {result['n_agents']:,} agents, {limit}")
     grid.add_row("truncated", f"{result['truncated']:,}")
@@ -135,6 +219,10 @@ def _outcome(result: dict[str, Any]) -> Table:
         if figures["ci95_low"] is not None:
             text += f" ± {figures['mean'] - figures['ci95_low']:,.2f} (95 %)"
         grid.add_row(name, f"{text}, from {figures['min']:g} to {figures['max']:g}")
+    if "world_return" in result:
+        grid.add_row("return of a world", f"{result['world_return']['mean']:,.3f}")
+        each = ", ".join(f"{row['mean']:,.3f} ({row['role']} {row['agent']})" for row in result["agents"])
+        grid.add_row("of its agents", each)
     grid.add_row("digest", result["digest"])
     return grid
 

@@ -13,7 +13,12 @@ from pearl_marl.cli.common import console, error_console
 from pearl_marl.cli.interrupts import interrupts
 from pearl_marl.errors import ArgumentError
 
-Algorithm = Annotated[str, typer.Option("--algo", help="`ppo`, `dqn` or `q-learning`.")]
+Algorithm = Annotated[
+    str,
+    typer.Option(
+        "--algo", help="`ppo`, `dqn`, `q-learning`; in worlds also `ippo`, `mappo`, `iql`, `self-play`."
+    ),
+]
 Agents = Annotated[
     int | None, typer.Option("--n-agents", help="How many agents gather experience.", show_default="preset")
 ]
@@ -25,7 +30,8 @@ Given = Annotated[
     typer.Option("--set", metavar="NAME=VALUE", help="Another setting of the algorithm; may be repeated."),
 ]
 Goal = Annotated[
-    float | None, typer.Option("--goal", help="End as soon as an evaluation reaches this mean return.")
+    float | None,
+    typer.Option("--goal", help="End as soon as an evaluation reaches this mean return of an agent."),
 ]
 Every = Annotated[
     int | None,

@@ -3,6 +3,7 @@
 May import ``devices``, ``policies`` and what is below them.
 """
 
+from pearl_marl.evaluation.matches import Match, cross_table
 from pearl_marl.evaluation.run import LIMIT, Evaluation
 
-__all__ = ["LIMIT", "Evaluation"]
+__all__ = ["LIMIT", "Evaluation", "Match", "cross_table"]

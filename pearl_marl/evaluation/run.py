@@ -164,6 +164,25 @@ class Evaluation:
         self._done[slots] += 1
         return slots.size
 
+    @property
+    def world_returns(self) -> npt.NDArray[np.float64]:
+        """Returns of each agent of a world, shape ``(episodes, K)``: of those that count for all of them."""
+        agents = self.config.spec.agents
+        whole = self._quota.reshape(-1, agents).min(1)
+        first = np.repeat(self._first.reshape(-1, agents), whole, axis=0)
+        number = np.arange(whole.sum()) - np.repeat(np.cumsum(whole) - whole, whole)
+        returns: npt.NDArray[np.float64] = self._returns[first + number[:, None]]
+        return returns
+
+    def _of_worlds(self) -> dict[str, Any]:
+        """Return how teams did: all agents of a world together, and each of them."""
+        spec, returns = self.config.spec, self.world_returns
+        if spec.agents == 1 or not len(returns):
+            return {}
+        names = [role.name for role in spec.roles] or ["agent"] * spec.agents
+        each = [{"agent": k, "role": name, **interval(returns[:, k])} for k, name in enumerate(names)]
+        return {"world_return": interval(returns.sum(1)), "agents": each}
+
     def summary(self) -> dict[str, Any]:
         """Return all figures by name, for JSON.
 
@@ -183,6 +202,7 @@ class Evaluation:
             "return": interval(self.returns),
             "length": interval(self.lengths),
             "interval": "mean +- 1.96 standard errors: 95 %, by normal approximation",
+            **self._of_worlds(),
             "digest": self._digest.hexdigest(),
             "latency": [
                 {"stage": name, "paper": STAGES.get(name), **spread([row[name] for row in self._seconds])}

@@ -40,11 +40,11 @@ def load_policy(name: str, spec: EnvSpec, seed: int = 0) -> Policy:
         ``"random"``: uniform actions, of those that masks allow. ``FILE.npy`` or ``FILE.npz`` (its array
         ``q``): a table of action values, of shape ``(*observations, actions)``; the greedy policy.
         ``FILE.zip``: a model of Stable-Baselines3, without exploration. A folder of ``pearl train``, or its
-        ``policy.safetensors``: the best actions. ``MODULE:FUNCTION`` or ``FILE.py:FUNCTION``: a function.
+        ``policy.safetensors``: what was learned. ``MODULE:FUNCTION`` or ``FILE.py:FUNCTION``: a function.
     spec
         The environment it is for.
     seed
-        Of ``"random"``.
+        Of random actions, where a policy has any.
 
     Raises
     ------
@@ -63,7 +63,7 @@ def load_policy(name: str, spec: EnvSpec, seed: int = 0) -> Policy:
         if path.suffix in suffixes:
             if not path.is_file():
                 raise ArgumentError(f"there is no file {path}")
-            return load(path, spec)
+            return load(path, spec, seed)
     module, colon, function = name.rpartition(":")
     if colon and module and function.isidentifier():
         return _function(module, function)
@@ -109,7 +109,7 @@ def table_policy(table: npt.ArrayLike, spec: EnvSpec) -> Policy:
     return lambda observations, _=None: greedy[observations]
 
 
-def _table(path: Path, spec: EnvSpec) -> Policy:
+def _table(path: Path, spec: EnvSpec, _: int) -> Policy:
     try:
         found = np.load(path)
         table = found if isinstance(found, np.ndarray) else found["q"]
@@ -142,7 +142,7 @@ def _function(module: str, name: str) -> Policy:
     return policy  # type: ignore[no-any-return]
 
 
-def _stable_baselines3(path: Path, spec: EnvSpec) -> Policy:
+def _stable_baselines3(path: Path, spec: EnvSpec, _: int) -> Policy:
     try:
         import stable_baselines3 as sb3
         from stable_baselines3.common.save_util import load_from_zip_file
@@ -170,7 +170,7 @@ def _check_space(path: Path, what: str, theirs: Any, ours: Any) -> None:
         raise ArgumentError(f"{path} was trained on {what} in {theirs}; here they are in {ours}")
 
 
-def _trained(path: Path, spec: EnvSpec) -> Policy:
+def _trained(path: Path, spec: EnvSpec, seed: int) -> Policy:
     try:
         from pearl_marl.policies import network  # which takes torch
 
@@ -179,10 +179,11 @@ def _trained(path: Path, spec: EnvSpec) -> Policy:
         raise ArgumentError(f"{path} takes {error.name}: pip install 'pearl-marl[train]'") from None
     _check_space(path, "observations", found.spec.observation_space, spec.observation_space)
     _check_space(path, "actions", found.spec.action_space, spec.action_space)
+    found.seed(seed)
     return found.choose
 
 
-_LOADERS: dict[tuple[str, ...], Callable[[Path, EnvSpec], Policy]] = {
+_LOADERS: dict[tuple[str, ...], Callable[[Path, EnvSpec, int], Policy]] = {
     (".npy", ".npz"): _table,
     (".safetensors",): _trained,
     (".zip",): _stable_baselines3,

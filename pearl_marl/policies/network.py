@@ -30,6 +30,18 @@ FORMAT = "pearl-policy-1"
 KINDS = ("logits", "values", "mean")
 """How a network's outputs are meant: see :class:`NetworkPolicy`."""
 
+SHARING = ("all", "indicator", "none")
+"""What the networks of a world's agents have in common: see :class:`NetworkPolicy`."""
+
+MASKED = torch.finfo(torch.float32).min
+"""The output of a masked action. Minus infinity would do for its probability, but makes the entropy NaN.
+Where all actions are masked, all are equally likely, and the first is the best."""
+
+
+def masked(outputs: Tensor, masks: Tensor | None) -> Tensor:
+    """Return outputs, shape ``(..., actions)``, with :data:`MASKED` where ``masks`` are 0."""
+    return outputs if masks is None else outputs.masked_fill(masks == 0, MASKED)
+
 
 class Encoder(nn.Module):
     """The first layer: makes ``width`` features of an observation, whatever its space.
@@ -77,9 +89,9 @@ class Encoder(nn.Module):
     @torch.no_grad()
     def see(self, obs: Tensor) -> None:
         """Take a batch of observations into the statistics."""
-        if self.kind != "vector":
+        if self.kind != "vector" or not len(obs):
             return
-        rows = obs.reshape(len(obs), -1).double()
+        rows = obs.reshape(len(obs), self.mean.numel()).double()
         variance, mean = torch.var_mean(rows, 0, correction=0)
         total = self.count + len(rows)
         apart = mean - self.mean
@@ -89,24 +101,30 @@ class Encoder(nn.Module):
         self.count.copy_(total)
 
     def forward(self, obs: Tensor) -> Tensor:
-        """Return features, shape ``(batch, width)``."""
+        """Return features, shape ``(batch, width)``; the batch may be empty."""
         if self.kind == "numbers":
-            rows: Tensor = self.table(obs.reshape(len(obs), -1) + self.offsets)
-            return rows.sum(1) + self.bias
+            found: Tensor = self.table(obs.reshape(len(obs), self.offsets.numel()) + self.offsets)
+            return found.sum(1) + self.bias
         if self.kind == "picture":
             planes = obs.permute(0, 3, 1, 2).float()
             given = torch.relu(self.convolution(planes)).flatten(1)
         else:
             scale = (self.variance + 1e-8).rsqrt().float()
-            given = ((obs.reshape(len(obs), -1) - self.mean.float()) * scale).clamp(-10, 10)
+            rows = obs.reshape(len(obs), self.mean.numel())
+            given = ((rows - self.mean.float()) * scale).clamp(-10, 10)
         features: Tensor = self.linear(given)
         return features
 
 
 class Network(nn.Module):
-    """An :class:`Encoder`, a hidden layer as wide, and an output layer whose first weights have ``scale``."""
+    """An :class:`Encoder`, a hidden layer as wide, and an output layer whose first weights have ``scale``.
 
-    def __init__(self, space: Space[Any], outputs: int, width: int, scale: float = 1.0) -> None:
+    With ``positions``, the first layer is told who of so many agents of a world it is, too.
+    """
+
+    def __init__(
+        self, space: Space[Any], outputs: int, width: int, scale: float = 1.0, positions: int = 0
+    ) -> None:
         super().__init__()
         self.encoder = Encoder(space, width)
         self.activation: nn.Module = nn.ReLU() if self.encoder.kind == "picture" else nn.Tanh()
@@ -115,16 +133,49 @@ class Network(nn.Module):
         nn.init.orthogonal_(self.output.weight, scale)
         nn.init.zeros_(self.hidden.bias)
         nn.init.zeros_(self.output.bias)
+        self.indicator = nn.Embedding(positions, width) if positions else None
 
-    def features(self, obs: Tensor) -> Tensor:
+    def see(self, obs: Tensor, _: Tensor | None = None) -> None:
+        """Take a batch of observations into the statistics by which they are standardised."""
+        self.encoder.see(obs)
+
+    def features(self, obs: Tensor, position: Tensor | None = None) -> Tensor:
         """Return what the output layer is given, shape ``(batch, width)``."""
-        features: Tensor = self.activation(self.hidden(self.activation(self.encoder(obs))))
+        first = self.encoder(obs)
+        if self.indicator is not None:
+            first = first + self.indicator(position)
+        features: Tensor = self.activation(self.hidden(self.activation(first)))
         return features
 
-    def forward(self, obs: Tensor) -> Tensor:
-        """Return the outputs, shape ``(batch, outputs)``."""
-        outputs: Tensor = self.output(self.features(obs))
+    def forward(self, obs: Tensor, position: Tensor | None = None) -> Tensor:
+        """Return the outputs, shape ``(batch, outputs)``; of agents with these positions in their worlds."""
+        outputs: Tensor = self.output(self.features(obs, position))
         return outputs
+
+
+class Apart(nn.ModuleList):
+    """A :class:`Network` for each agent of a world, which have nothing in common."""
+
+    def see(self, obs: Tensor, position: Tensor) -> None:
+        """Take a batch of observations into the statistics of those that they are for."""
+        for k, network in enumerate(self):
+            network.see(obs[position == k])  # type: ignore[operator]
+
+    def forward(self, obs: Tensor, position: Tensor) -> Tensor:
+        """Return the outputs, shape ``(batch, outputs)``."""
+        rows = [(position == k).nonzero()[:, 0] for k in range(len(self))]
+        outputs = torch.cat([network(obs[each]) for network, each in zip(self, rows, strict=True)])
+        return outputs[torch.cat(rows).argsort()]
+
+
+def networks(
+    spec: EnvSpec, outputs: int, width: int, scale: float = 1.0, sharing: str = "all"
+) -> Network | Apart:
+    """Return what maps observations of a world's agents to ``outputs``; ``sharing`` is of :data:`SHARING`."""
+    space = spec.observation_space
+    if sharing == "none":
+        return Apart(Network(space, outputs, width, scale) for _ in range(spec.agents))
+    return Network(space, outputs, width, scale, spec.agents if sharing == "indicator" else 0)
 
 
 class _Trained(nn.Module):
@@ -135,15 +186,27 @@ class _Trained(nn.Module):
         self.spec = spec
         self.about = {"environment": spec.name, "options": dict(spec.options), **about}
 
-    def best(self, obs: Tensor) -> Tensor:
-        """Return the best actions."""
+    def best(self, obs: Tensor, masks: Tensor | None = None) -> Tensor:
+        """Return the best actions that masks allow; of agents of whole worlds, in their order."""
         raise NotImplementedError
 
-    def choose(self, obs: Array, _: Array | None = None) -> Array:
-        """Return the best action for each observation, as ``step_batch`` takes them; masks are not asked."""
+    def choose(self, obs: Array, masks: Array | None = None) -> Array:
+        """Return an action for each observation, as ``step_batch`` takes them, of those allowed."""
         where = next(self.buffers()).device
-        actions: Array = self.best(torch.from_numpy(obs).to(where)).cpu().numpy()
+        allowed = None if masks is None else torch.from_numpy(masks).to(where)
+        actions: Array = self.act(torch.from_numpy(obs).to(where), allowed).cpu().numpy()
         return actions
+
+    def act(self, obs: Tensor, masks: Tensor | None = None) -> Tensor:
+        """Return the actions that it takes where it is used: the best, unless it says otherwise."""
+        return self.best(obs, masks)
+
+    def seed(self, seed: int) -> None:
+        """Begin the random numbers anew, of a policy that uses any."""
+
+    def positions(self, n: int) -> Tensor:
+        """Return who of its world each of ``n`` agents is."""
+        return torch.arange(n, device=next(self.buffers()).device) % self.spec.agents
 
     def save(self, path: Path) -> None:
         """Write what :func:`load` reads."""
@@ -163,37 +226,72 @@ class NetworkPolicy(_Trained):
         most valuable. ``"mean"``: the outputs are the action, of a ``Box``, in units of its bounds.
     width
         Of the network's layers.
+    sharing
+        What agents of a world have in common. ``"all"``: one network, that sees nothing but observations.
+        ``"indicator"``: one network, which is told whose they are. ``"none"``: each has its own.
+    chance
+        What part chance has in what it does where it is used. With ``"logits"``, the temperature at which
+        actions are drawn; 0 for the most probable. With ``"values"``, the share of random actions. Agents of
+        a team who always do their best wait for each other for ever, where both want to be in the same cell.
     """
 
     bound: Tensor
 
-    def __init__(self, spec: EnvSpec, kind: str, width: int) -> None:
-        super().__init__(spec, kind=kind, width=width)
+    def __init__(
+        self, spec: EnvSpec, kind: str, width: int, sharing: str = "all", chance: float = 0.0
+    ) -> None:
+        sharing = sharing if spec.agents > 1 else "all"
+        super().__init__(spec, kind=kind, width=width, sharing=sharing, chance=chance)
+        self.chance, self.random = chance, torch.Generator().manual_seed(0)
         actions = spec.action_space
         if isinstance(actions, Box) != (kind == "mean"):
             raise ArgumentError(
                 f"dqn chooses among numbered actions, and {spec.name}'s are in {actions}: use ppo"
             )
         self.outputs = int(actions.n) if isinstance(actions, Discrete) else int(np.prod(actions.shape))
-        self.network = Network(
-            spec.observation_space, self.outputs, width, scale=1.0 if kind == "values" else 0.01
-        )
+        self.network = networks(spec, self.outputs, width, 1.0 if kind == "values" else 0.01, sharing)
         high = actions.high if isinstance(actions, Box) else np.ones(1, np.float32)
         self.register_buffer("bound", torch.from_numpy(high.copy()))
 
-    def forward(self, obs: Tensor) -> Tensor:
-        """Return the network's outputs, shape ``(batch, outputs)``."""
-        outputs: Tensor = self.network(obs)
-        return outputs
+    def forward(self, obs: Tensor, masks: Tensor | None = None, position: Tensor | None = None) -> Tensor:
+        """Return the network's outputs, shape ``(batch, outputs)``; :data:`MASKED` where ``masks`` are 0.
+
+        Unless positions are given, the batch is of whole worlds.
+        """
+        if position is None and self.about["sharing"] != "all":
+            position = self.positions(len(obs))
+        return masked(self.network(obs, position), masks)
+
+    def see(self, obs: Tensor, position: Tensor | None) -> None:
+        """Take a batch of observations into the statistics by which they are standardised."""
+        network: Any = self.network
+        network.see(obs, position)
 
     @torch.no_grad()
-    def best(self, obs: Tensor) -> Tensor:
+    def best(self, obs: Tensor, masks: Tensor | None = None) -> Tensor:
         """Return the best actions: ``int64`` numbers, or ``float32`` within the bounds."""
-        outputs = self(obs)
+        outputs = self(obs, masks)
         if self.about["kind"] == "mean":
             return self.within_bounds(outputs)
         best: Tensor = outputs.argmax(1)
         return best
+
+    @torch.no_grad()
+    def act(self, obs: Tensor, masks: Tensor | None = None) -> Tensor:
+        """Return actions of the policy's probabilities, if chance has a part in it, else the best."""
+        if not self.chance or self.about["kind"] == "mean":
+            return self.best(obs, masks)
+        outputs = self(obs, masks)
+        noise = torch.rand(outputs.shape, generator=self.random).to(outputs.device)
+        if self.about["kind"] == "logits":  # Gumbel's trick
+            drawn: Tensor = (outputs / self.chance - noise.log().neg().log()).argmax(1)
+            return drawn
+        anyone = torch.rand(len(outputs), generator=self.random).to(outputs.device) < self.chance
+        return torch.where(anyone, masked(noise, masks).argmax(1), outputs.argmax(1))
+
+    def seed(self, seed: int) -> None:
+        """Begin the random numbers anew."""
+        self.random.manual_seed(seed)
 
     def within_bounds(self, outputs: Tensor) -> Tensor:
         """Return outputs of the kind ``"mean"`` as actions that the environment takes."""
@@ -233,9 +331,9 @@ class Table(_Trained):
             rows = rows + torch.arange(len(obs), device=obs.device) * learners // len(obs) * size
         return torch.as_tensor(rows)
 
-    def best(self, obs: Tensor) -> Tensor:
+    def best(self, obs: Tensor, masks: Tensor | None = None) -> Tensor:
         """Return the best actions, as ``int64`` numbers."""
-        return self.values.view(-1, self.values.shape[2])[self.rows(obs)].argmax(1)
+        return masked(self.values.view(-1, self.values.shape[2])[self.rows(obs)], masks).argmax(1)
 
 
 def load(path: Path) -> NetworkPolicy | Table:
@@ -287,10 +385,17 @@ def _rebuilt(about: dict[str, Any], tensors: dict[str, Tensor]) -> NetworkPolicy
     if about["kind"] == "table":
         policy = Table(spec, len(tensors.get("values", ())))
     elif about["kind"] in KINDS:
-        width, hidden = about["width"], tensors.get("network.hidden.weight", torch.empty(0))
+        width, sharing = about["width"], about.get("sharing", "all")  # which older files do not tell
+        if sharing not in SHARING:
+            raise ArgumentError(f"its policy has the sharing {sharing!r}; possible are {', '.join(SHARING)}")
+        layer = "network.0.hidden.weight" if sharing == "none" else "network.hidden.weight"
+        hidden = tensors.get(layer, torch.empty(0))
         if hidden.shape != (width, width):  # and memory for another width need not be there
             raise ArgumentError(f"its policy has the width {width}, and layers of {tuple(hidden.shape)}")
-        policy = NetworkPolicy(spec, about["kind"], width)
+        chance = about.get("chance", 0.0)
+        if not isinstance(chance, (int, float)) or not 0 <= chance < float("inf"):
+            raise ArgumentError(f"its policy has the chance {chance!r}; it must be a number from 0")
+        policy = NetworkPolicy(spec, about["kind"], width, sharing, chance)
     else:
         raise ArgumentError(
             f"its policy has the kind {about['kind']!r}; possible are {', '.join(KINDS)}, table"

@@ -1,7 +1,8 @@
 """Deep Q-learning, one network for all agents (Mnih et al., 2015, doi:10.1038/nature14236).
 
 With double estimation (van Hasselt et al., 2016, arXiv:1509.06461). All agents explore at once, each with its
-own share of random actions, and the replay memory holds their last steps.
+own share of random actions, and the replay memory holds their last steps. In worlds it is independent
+Q-learning (IQL): to an agent, the others are part of the environment.
 """
 
 from __future__ import annotations
@@ -12,10 +13,11 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from pearl_marl.policies.network import NetworkPolicy
+from pearl_marl.errors import ArgumentError
+from pearl_marl.policies.network import SHARING, NetworkPolicy
 from pearl_marl.spec import EnvSpec
-from pearl_marl.training.rollout import Agents, Trainer
-from pearl_marl.training.settings import SEEDS, SLOTS, WIDEST, Checked, check_memory, count, number
+from pearl_marl.training.rollout import TEAM, Agents, Trainer, team_rewards
+from pearl_marl.training.settings import SEEDS, SLOTS, WIDEST, Checked, check_memory, choice, count, number
 
 
 @dataclass(frozen=True)
@@ -36,6 +38,9 @@ class Settings(Checked):
     exploring: float = number(0.2, most=1, above=True)  # the part of the run in which it falls
     reward_scale: float = number(1.0, above=True)  # what rewards are multiplied with before anything else
     width: int = count(64, most=WIDEST)  # of the network's layers
+    sharing: str = choice(*SHARING)  # what a world's agents share: all; all but being told who they are; none
+    rewards: str = choice(*TEAM)  # what an agent wants: its own, or the mean or the sum of its world's
+    chance: float = number(0.0, most=1)  # share of random actions where the policy is used
     seed: int = count(0, least=0, most=SEEDS)  # of everything random
 
 
@@ -44,12 +49,16 @@ class DQN(Trainer):
 
     def __init__(self, spec: EnvSpec, device: Any, settings: Settings) -> None:
         n, depth = settings.n_agents, settings.memory
+        if spec.turns:
+            raise ArgumentError(
+                f"dqn learns from every step, and in {spec.name} agents take turns: use self-play"
+            )
         # Of every step in memory two observations, action, reward and end; of those learned from, no less.
         rows = n * depth + settings.minibatch
         check_memory(spec, settings, device, ("n_agents", "memory", "minibatch"), 2 * rows, 13 * rows)
         torch.manual_seed(settings.seed)
-        self.policy = NetworkPolicy(spec, "values", settings.width)
-        self.target = NetworkPolicy(spec, "values", settings.width)
+        self.policy = NetworkPolicy(spec, "values", settings.width, settings.sharing, settings.chance)
+        self.target = NetworkPolicy(spec, "values", settings.width, settings.sharing)
         agents = Agents(spec, device, n, settings.seed)
         obs, where = agents.obs, agents.obs.device
         super().__init__(settings, agents, where)
@@ -60,14 +69,20 @@ class DQN(Trainer):
         self.learned = {"policy": self.policy, "target": self.target, "optimiser": self.optimiser}
         self.losses: list[Tensor] = []
         one = obs.shape[1:]
-        # A row a step: what was seen, done, got, where it led, and whether that was the end of it.
+        # A row a step: what was seen, done, got, where it led, and whether that was the end; whether the
+        # agent was there, as it may have ended before its world; and of masks, what it might do next.
         self.memory = {
             "obs": torch.zeros((depth, n, *one), dtype=obs.dtype, device=where),
             "actions": torch.zeros((depth, n), dtype=torch.int64, device=where),
             "rewards": torch.zeros((depth, n), device=where),
             "arrivals": torch.zeros((depth, n, *one), dtype=obs.dtype, device=where),
             "over": torch.zeros((depth, n), dtype=torch.bool, device=where),
+            "alive": torch.ones((depth, n), dtype=torch.bool, device=where),
         }
+        if agents.view.masks is not None:
+            self.memory["masks"] = torch.zeros(
+                (depth, *agents.view.masks.shape), dtype=torch.int8, device=where
+            )
         self.updated = 0
 
     def iterate(self) -> None:
@@ -89,13 +104,18 @@ class DQN(Trainer):
         return settings.explore_first + passed * (settings.explore_last - settings.explore_first)
 
     def _step(self) -> None:
-        obs = self.agents.obs
-        self.policy.network.encoder.see(obs)
-        actions = self.explore(self.policy.best(obs), self.policy.outputs, self.explored)
+        view, alive = self.agents.view, self.agents.alive
+        self.policy.see(view.obs, view.position)
+        best = self.policy.best(view.obs, view.masks)
+        actions = self.explore(best, self.policy.outputs, self.explored, view.masks)
         step = self.agents.step(actions)
         self.episodes.add(step.rewards[None], step.ended[None])
-        rewards = step.rewards * self.settings.reward_scale
-        seen = obs, actions, rewards, step.arrivals(), step.terminations
+        rewards = team_rewards(step.rewards, self.agents.spec.agents, self.settings.rewards)
+        rewards = rewards * self.settings.reward_scale
+        seen = [view.obs, actions, rewards, step.arrivals(), step.terminations, alive]
+        if self.agents.view.masks is not None:
+            # Where a time limit cut an episode short, nobody is told what was allowed next: anything.
+            seen.append(self.agents.view.masks.masked_fill(step.ended[:, None], 1))
         for rows, value in zip(self.memory.values(), seen, strict=True):
             rows[self.done % self.settings.memory] = value
         self.done += 1
@@ -106,15 +126,18 @@ class DQN(Trainer):
         chosen = torch.randint(
             rows * settings.n_agents, (settings.minibatch,), generator=self.random, device=self.where
         )
-        obs, actions, rewards, arrivals, over = (
+        obs, actions, rewards, arrivals, over, alive, *masks = (
             part[:rows].reshape(-1, *part.shape[2:])[chosen] for part in self.memory.values()
         )
+        position = chosen % settings.n_agents % self.agents.spec.agents
+        allowed = masks[0] if masks else None
         with torch.no_grad():
-            best = self.policy(arrivals).argmax(1, keepdim=True)
-            later = self.target(arrivals).gather(1, best)[:, 0]
+            best = self.policy(arrivals, allowed, position).argmax(1, keepdim=True)
+            later = self.target(arrivals, None, position).gather(1, best)[:, 0]
             wanted = rewards + settings.discount * later * ~over
-        values: Tensor = self.policy(obs).gather(1, actions[:, None])[:, 0]
-        loss = nn.functional.smooth_l1_loss(values, wanted)
+        values: Tensor = self.policy(obs, None, position).gather(1, actions[:, None])[:, 0]
+        losses = nn.functional.smooth_l1_loss(values, wanted, reduction="none")
+        loss = (losses * alive).sum() / alive.sum().clamp(1)
         self.optimiser.zero_grad()
         loss.backward()  # type: ignore[no-untyped-call]
         nn.utils.clip_grad_norm_(self.policy.parameters(), 10.0)

@@ -15,9 +15,11 @@ import torch
 from torch import Tensor, nn
 
 from pearl_marl.errors import ArgumentError
+from pearl_marl.policies.network import SHARING
 from pearl_marl.spec import EnvSpec
-from pearl_marl.training.rollout import ActorCritic, RolloutWorker, Trainer
-from pearl_marl.training.settings import SEEDS, SLOTS, WIDEST, Checked, check_memory, count, number
+from pearl_marl.training.actor_critic import ActorCritic, View
+from pearl_marl.training.rollout import TEAM, Experience, RolloutWorker, Trainer
+from pearl_marl.training.settings import SEEDS, SLOTS, WIDEST, Checked, check_memory, choice, count, number
 from pearl_marl.training.workers import RayWorkers
 
 
@@ -41,6 +43,9 @@ class Settings(Checked):
     entropy: float = number(0.0)  # its weight in the loss
     reward_scale: float = number(1.0, above=True)  # what rewards are multiplied with before anything else
     width: int = count(64, most=WIDEST)  # of the networks' layers
+    sharing: str = choice(*SHARING)  # what a world's agents share: all; all but being told who they are; none
+    rewards: str = choice(*TEAM)  # what an agent wants: its own, or the mean or the sum of its world's
+    chance: float = number(0.0)  # temperature of the policy where it is used; 0 is its best actions
     blocks: int = count(1, most=SLOTS)
     seed: int = count(0, least=0, most=SEEDS)  # of everything random
 
@@ -53,21 +58,27 @@ class Settings(Checked):
 
 
 class PPO(Trainer):
-    """A run of PPO: :meth:`iterate` is one update.
+    """A run of PPO: :meth:`iterate` is one update. In worlds it is IPPO, as each agent goes by what it sees.
 
     Learned is where the device has its observations: with ``"cuda"``, on the GPU. This process gathers
     experience, or as many of Ray's as ``shards`` says; what is learned is the same.
     """
+
+    central = False
+    """Whether the critic is given the state of the world."""
+
+    gathers: type[RolloutWorker] = RolloutWorker
+    """What gathers experience in this process."""
 
     def __init__(self, spec: EnvSpec, device: Any, settings: Settings, shards: int | None = None) -> None:
         # Of every step at least an observation, and six numbers of its experience.
         rows = settings.n_agents * settings.depth
         check_memory(spec, settings, device, ("n_agents", "depth"), rows, 6 * 4 * rows)
         torch.manual_seed(settings.seed)
-        self.model = ActorCritic(spec, settings.width)
+        self.model = ActorCritic(spec, settings.width, settings.sharing, settings.chance, self.central)
         self.worker: Any
         if shards is None:
-            self.worker = RolloutWorker(spec, device, settings, self.model)
+            self.worker = self.gathers(spec, device, settings, self.model)
             agents = self.worker.agents
         else:
             agents = self.worker = RayWorkers(spec, device, settings, self.model, shards)
@@ -86,31 +97,38 @@ class PPO(Trainer):
         for group in self.optimiser.param_groups:
             group["lr"] = settings.learning_rate * (1 - self.done / settings.iterations)
         experience = self.worker.gather(self.done)
-        self.episodes.add(experience.rewards, experience.ended)
-        rollout = [part.flatten(0, 1) for part in experience[:5]]
-        self.model.see(rollout[0])
-        losses = [self._learn(*part) for part in self._minibatches(rollout)]
-        self.losses = torch.stack(losses).mean(0)
+        self.count(experience)
+        view, rows = experience.view.flat(), experience.learned.flatten().nonzero()[:, 0]
+        if len(rows):
+            self.model.see(view if len(rows) == len(view.obs) else view.pick(rows))
+            others = [part.flatten(0, 1) for part in experience[1:5]]
+            losses = [
+                self._learn(view.pick(some), *(part[some] for part in others))
+                for some in self._minibatches(rows)
+            ]
+            self.losses = torch.stack(losses).mean(0)
         self.done += 1
+
+    def count(self, experience: Experience) -> None:
+        """Count the episodes that ended."""
+        self.episodes.add(experience.rewards, experience.ended)
 
     def figures(self) -> dict[str, float | None]:
         """Return figures for the metrics: of episodes since they were last asked for, and the last losses."""
         names = ("policy_loss", "value_loss", "entropy", "clipped")
         return {**super().figures(), **dict(zip(names, self.losses.tolist(), strict=True))}
 
-    def _minibatches(self, rollout: list[Tensor]) -> Iterator[list[Tensor]]:
-        size = len(rollout[0])
+    def _minibatches(self, rows: Tensor) -> Iterator[Tensor]:
         for _ in range(self.settings.epochs):
-            order = torch.randperm(size, generator=self.random, device=self.where)
-            shuffled = [torch.split(part[order], self.settings.minibatch) for part in rollout]
-            yield from map(list, zip(*shuffled, strict=True))
+            order = torch.randperm(len(rows), generator=self.random, device=self.where)
+            yield from torch.split(rows[order], self.settings.minibatch)
 
     def _learn(
-        self, obs: Tensor, actions: Tensor, old_logs: Tensor, advantages: Tensor, returns: Tensor
+        self, view: View, actions: Tensor, old_logs: Tensor, advantages: Tensor, returns: Tensor
     ) -> Tensor:
         """Take one step of gradient descent; return policy loss, value loss, entropy, share clipped."""
         clip = self.settings.clip
-        outputs, values = self.model(obs)
+        outputs, values = self.model(view)
         logs, entropy = self.model.weigh(outputs, actions)
         ratio = (logs - old_logs).exp()
         if len(advantages) > 1:  # one alone has no deviation
@@ -126,3 +144,12 @@ class PPO(Trainer):
         with torch.no_grad():
             clipped = ((ratio - 1).abs() > clip).float().mean()
             return torch.stack((policy_loss, value_loss, entropy, clipped))
+
+
+class MAPPO(PPO):
+    """PPO whose critic is given the state of the whole world (Yu et al., 2022, arXiv:2103.01955).
+
+    The policy is what PPO's is: each agent acts by what it observes.
+    """
+
+    central = True

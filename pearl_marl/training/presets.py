@@ -4,6 +4,17 @@ from __future__ import annotations
 
 from typing import Any
 
+# Two who want to be in the same cell have to know who gives way, or leave it to chance.
+FORAGING: dict[str, Any] = {
+    "n_agents": 512,
+    "depth": 16,
+    "iterations": 120,
+    "minibatch": 1024,
+    "entropy": 0.01,
+    "sharing": "indicator",
+    "chance": 1.0,
+}
+
 PRESETS: dict[tuple[str, str], dict[str, Any]] = {
     # Fast rather than frugal: every step is learned from once, so another costs little.
     ("ppo", "CartPole"): {
@@ -41,6 +52,8 @@ PRESETS: dict[tuple[str, str], dict[str, Any]] = {
         "entropy": 0.03,
         "width": 128,
     },
+    ("ppo", "LevelBasedForaging"): FORAGING,
+    ("mappo", "LevelBasedForaging"): FORAGING,
     # Rewards are random: entries have to become means of many targets.
     ("q-learning", "Blackjack"): {"rate": 1.0, "fading": 0.2, "epsilon": 0.5},
 }

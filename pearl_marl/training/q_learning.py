@@ -16,7 +16,7 @@ import torch
 from torch import Tensor
 
 from pearl_marl.errors import ArgumentError
-from pearl_marl.policies.network import Table
+from pearl_marl.policies.network import Table, masked
 from pearl_marl.spec import EnvSpec
 from pearl_marl.training.rollout import Agents, Trainer
 from pearl_marl.training.settings import SEEDS, SLOTS, Checked, check_memory, count, number
@@ -71,6 +71,10 @@ class QLearning(Trainer):
         rewards: npt.NDArray[Any] | None = None,
     ) -> None:
         n, learners = settings.n_agents, settings.learners
+        if spec.turns:
+            raise ArgumentError(
+                f"q-learning learns from every step, and in {spec.name} agents take turns: use self-play"
+            )
         # Of every agent an observation and some ten numbers; of every entry of a table, one.
         others = n * 10 * 8 + learners * Table(spec).values.numel() * 4
         check_memory(spec, settings, device, ("n_agents", "learners"), n, others)
@@ -107,14 +111,20 @@ class QLearning(Trainer):
         """Step all agents and update the tables."""
         rows, n_actions = self.rows, self.policy.values.shape[2]
         values = self.policy.values.view(-1, n_actions)  # of all learners, one below the other
-        actions = self.explore(values[rows].argmax(1), n_actions, self.explored)
+        masks, alive = self.agents.view.masks, self.agents.alive
+        best = masked(values[rows], masks).argmax(1)
+        actions = self.explore(best, n_actions, self.explored, masks)
         step = self.agents.step(actions)
         rewards = step.rewards
         if self.rewards is not None:
             rewards = self.rewards[self.learner, rewards.long()]
         # Where the step itself led; in its place there may be the next episode's start already.
-        later = values[self.policy.rows(step.arrivals())].amax(1) * ~step.terminations
-        self._update(rows * n_actions + actions, rewards + self.settings.discount * later)
+        later = values[self.policy.rows(step.arrivals())]
+        if self.agents.view.masks is not None:
+            # Where a time limit cut an episode short, nobody is told what was allowed next: anything.
+            later = masked(later, self.agents.view.masks.masked_fill(step.ended[:, None], 1))
+        targets = rewards + self.settings.discount * later.amax(1) * ~step.terminations
+        self._update(rows * n_actions + actions, targets, alive)
         self.episodes.add(rewards[None], step.ended[None])
         self.rows = self.policy.rows(step.obs)
         self.done += 1
@@ -123,14 +133,17 @@ class QLearning(Trainer):
         """Return figures for the metrics: of episodes since they were last asked for."""
         return {**super().figures(), "explored": self.explored}
 
-    def _update(self, entries: Tensor, targets: Tensor) -> None:
+    def _update(self, entries: Tensor, targets: Tensor, alive: Tensor) -> None:
         """Move the entries that agents visited towards the mean of their targets."""
+        learner = self.learner
+        if self.agents.spec.agents > 1:  # else nobody has ended before its world
+            entries, targets, learner = entries[alive], targets[alive], learner[alive]
         values, updates = self.policy.values.view(-1), self.updates
         self.visits.index_add_(0, entries, torch.ones_like(targets, dtype=torch.float64))
         self.sums.index_add_(0, entries, targets.double())
         # Who visited the same entry computes the same for it, so that it matters not whose is kept.
         mean = (self.sums[entries] / self.visits[entries]).float()
-        rates = self.rates[self.learner] / (1 + self.settings.fading * updates[entries])
+        rates = self.rates[learner] / (1 + self.settings.fading * updates[entries])
         old = values[entries]
         values[entries] = old + rates * (mean - old)
         updates[entries] = updates[entries] + 1

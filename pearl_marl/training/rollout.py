@@ -7,41 +7,79 @@ nothing else. Whoever gathers, and with whomever the agents are shared, gathers 
 from __future__ import annotations
 
 import itertools
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 import torch
-from torch import Tensor, nn
-from torch.distributions import Normal
+from torch import Tensor
 
 from pearl_marl.batch.config import worlds_of
 from pearl_marl.batch.saved_state import SavedState
 from pearl_marl.devices import BatchConfig, BatchStep, Device, make_device
-from pearl_marl.policies.network import Network, NetworkPolicy
+from pearl_marl.policies.network import MASKED, masked
 from pearl_marl.spec import EnvSpec
+from pearl_marl.training.actor_critic import ActorCritic, View
+from pearl_marl.training.advantages import Course, advantages
 
 ROWS = 16_384
 """Observations that the critic is given at a time, for the memory that its layers take."""
 
 
 class Agents:
-    """``n`` agents of whole worlds, the first of the global number ``first``; ``obs`` is what they see now.
+    """``n`` agents of whole worlds, the first of the global number ``first``; ``view`` is what they see now.
 
     They are stepped by tensors. Where the device has its results, these stay: of ``"cuda"`` on the GPU.
+    With ``central``, the view has the states of their worlds.
     """
 
-    def __init__(self, spec: EnvSpec, device: str | Device, n: int, seed: int, first: int = 0) -> None:
+    view: View
+    alive: Tensor  # who takes part in the next step
+    acting: Tensor  # and has something to decide in it: not who waits for its turn
+
+    def __init__(
+        self,
+        spec: EnvSpec,
+        device: str | Device,
+        n: int,
+        seed: int,
+        first: int = 0,
+        central: bool = False,
+    ) -> None:
+        self.spec, self.central = spec, central
         self.device = make_device(device, tensors=True)
         first_slot = first // spec.agents
         self.device.open(BatchConfig(spec=spec, n_envs=worlds_of(spec, n), first_slot=first_slot))
-        self.obs = torch.as_tensor(self.device.reset(seed))
+        obs = torch.as_tensor(self.device.reset(seed))
+        number = torch.arange(n, device=obs.device)
+        self.position = number % spec.agents if spec.agents > 1 else None
+        self.alive = number >= 0
+        self._look(obs)
+
+    @property
+    def obs(self) -> Tensor:
+        """What they observe now."""
+        return self.view.obs
 
     def step(self, actions: Tensor) -> Any:
         """Step every agent; return a :class:`BatchStep` of tensors."""
         given: Any = actions if self.device.tensors else actions.numpy()
         step: Any = BatchStep(*map(torch.as_tensor, self.device.step(given)))  # type: ignore[arg-type]
-        self.obs = step.obs
+        self._look(step.obs)
         return step
+
+    def _look(self, obs: Any) -> None:
+        obs = torch.as_tensor(obs)
+        masks = state = None
+        if self.device.action_masks is not None:
+            masks = torch.as_tensor(self.device.action_masks, device=obs.device)
+        if self.central:
+            words = torch.as_tensor(self.device.state().astype(np.float32), device=obs.device)
+            state = words.repeat_interleave(self.spec.agents, 0)
+        self.view = View(obs, masks, self.position, state)
+        if self.spec.agents > 1:  # who is alone in its world does not end before it
+            self.alive = torch.as_tensor(self.device.alive, device=obs.device)
+        self.acting = self.alive if masks is None else self.alive & (masks != 0).any(1)
 
     @property
     def identity(self) -> dict[str, Any]:
@@ -54,7 +92,20 @@ class Agents:
 
     def load(self, state: SavedState) -> None:
         """Go on from what :meth:`state` returned."""
-        self.obs = torch.as_tensor(self.device.restore(state))
+        self._look(self.device.restore(state))
+
+
+TEAM = ("own", "mean", "sum")
+"""Whose rewards an agent wants: see :func:`team_rewards`."""
+
+
+def team_rewards(rewards: Tensor, agents: int, whose: str) -> Tensor:
+    """Return, for each agent of a world, its own reward, or the mean or the sum of all of them."""
+    if whose == "own" or agents == 1:
+        return rewards
+    worlds = rewards.reshape(*rewards.shape[:-1], -1, agents)
+    together = worlds.mean(-1) if whose == "mean" else worlds.sum(-1)
+    return together.repeat_interleave(agents, -1)
 
 
 class Returns:
@@ -132,10 +183,14 @@ class Trainer:
         """Return figures for the metrics, of episodes since they were last asked for."""
         return self.episodes.take()
 
-    def explore(self, best: Tensor, n_actions: int, share: float) -> Tensor:
-        """Return the best actions, of which a share is replaced by random ones."""
+    def explore(self, best: Tensor, n_actions: int, share: float, masks: Tensor | None = None) -> Tensor:
+        """Return the best actions, of which a share is replaced by random ones that the masks allow."""
         random = torch.rand(len(best), generator=self.random, device=self.where) < share
-        anything = torch.randint(n_actions, best.shape, generator=self.random, device=self.where)
+        if masks is None:
+            anything = torch.randint(n_actions, best.shape, generator=self.random, device=self.where)
+        else:
+            chances = torch.rand(masks.shape, generator=self.random, device=self.where)
+            anything = masked(chances, masks).argmax(1)
         return torch.where(random, anything, best)
 
     def state(self) -> dict[str, Any]:
@@ -159,76 +214,27 @@ class Trainer:
         self.episodes.load(state["episodes"])
 
 
-class ActorCritic(nn.Module):
-    """A policy, and a critic that says what is still to come by it."""
-
-    def __init__(self, spec: EnvSpec, width: int) -> None:
-        super().__init__()
-        self.continuous = not hasattr(spec.action_space, "n")
-        self.policy = NetworkPolicy(spec, "mean" if self.continuous else "logits", width)
-        # Of a picture, most of the work is to see what is on it: actor and critic do that together.
-        self.shared = self.policy.network.encoder.kind == "picture"
-        self.critic: nn.Module = (
-            nn.Linear(width, 1) if self.shared else Network(spec.observation_space, 1, width)
-        )
-        if self.continuous:
-            self.log_deviation = nn.Parameter(torch.full((1,), -0.5))
-
-    def see(self, obs: Tensor) -> None:
-        """Take a batch of observations into the statistics by which they are standardised."""
-        self.policy.network.encoder.see(obs)
-        if isinstance(self.critic, Network):
-            self.critic.encoder.see(obs)
-
-    def values(self, obs: Tensor) -> Tensor:
-        """Return what the critic expects, shape ``(batch,)``."""
-        values: Tensor = self.critic(self.policy.network.features(obs) if self.shared else obs)
-        return values[:, 0]
-
-    def forward(self, obs: Tensor) -> tuple[Tensor, Tensor]:
-        """Return the policy's outputs, and what the critic expects."""
-        if not self.shared:
-            return self.policy(obs), self.critic(obs)[:, 0]
-        features = self.policy.network.features(obs)
-        return self.policy.network.output(features), self.critic(features)[:, 0]
-
-    def noise(self, shape: tuple[int, ...], random: torch.Generator) -> Tensor:
-        """Return what makes random actions of outputs of that shape: see :meth:`draw`."""
-        noise = torch.empty(shape, device=random.device)
-        if self.continuous:
-            return noise.normal_(generator=random)
-        return -noise.exponential_(generator=random).log_()
-
-    def draw(self, outputs: Tensor, noise: Tensor) -> tuple[Tensor, Tensor]:
-        """Return actions of the policy's probabilities, and as the environment takes them."""
-        if self.continuous:
-            actions = outputs + self.log_deviation.exp() * noise
-            return actions, self.policy.within_bounds(actions)
-        # Gumbel's trick: the largest of logits with such noise has the probabilities that these are of.
-        actions = (outputs + noise).argmax(-1)
-        return actions, actions
-
-    def weigh(self, outputs: Tensor, actions: Tensor) -> tuple[Tensor, Tensor]:
-        """Return the logarithms of the actions' probabilities, and the mean entropy."""
-        if self.continuous:
-            chosen = Normal(outputs, self.log_deviation.exp().expand_as(outputs), validate_args=False)
-            logs = chosen.log_prob(actions).sum(-1)  # type: ignore[no-untyped-call]
-            return logs, chosen.entropy().sum(-1).mean()  # type: ignore[no-untyped-call]
-        everything = outputs.log_softmax(-1)
-        logs = everything.gather(-1, actions[..., None])[..., 0]
-        return logs, -(everything.exp() * everything).sum(-1).mean()
-
-
 class Experience(NamedTuple):
     """A rollout, a row a step and a column an agent."""
 
-    obs: Tensor
+    view: View
     actions: Tensor  # of the policy's own form
     logs: Tensor  # logarithms of the actions' probabilities
     advantages: Tensor  # how much better than expected it went
     returns: Tensor  # what came of it
+    learned: Tensor  # whether it is to be learned from
     rewards: Tensor  # as the device had them, and the ends
     ended: Tensor
+
+    def parts(self) -> list[Any]:
+        """Return all tensors, and None for what there is not: :meth:`of` takes them."""
+        return [*self.view, *self[1:]]
+
+    @classmethod
+    def of(cls, parts: Sequence[Any]) -> Experience:
+        """Return the experience of these parts."""
+        others = 7
+        return cls(View(*parts[:-others]), *parts[-others:])
 
 
 class RolloutWorker:
@@ -245,65 +251,97 @@ class RolloutWorker:
         model: ActorCritic,
         blocks: range | None = None,
     ) -> None:
-        self.settings, self.model = settings, model
+        self.spec, self.settings, self.model = spec, settings, model
         self.numbers = range(settings.blocks) if blocks is None else blocks
         edges = block_edges(settings, self.numbers)
         self.blocks = [slice(a - edges[0], b - edges[0]) for a, b in itertools.pairwise(edges)]
-        self.agents = Agents(spec, device, edges[-1] - edges[0], settings.seed, edges[0])
+        n = edges[-1] - edges[0]
+        self.agents = Agents(spec, device, n, settings.seed, edges[0], model.central)
         self.where = self.agents.obs.device
 
     @torch.no_grad()
     def gather(self, rollout: int) -> Experience:
         """Step all agents; return the experience of the rollout of that number."""
         settings, agents, model = self.settings, self.agents, self.model
-        size = (settings.depth, len(agents.obs), model.policy.outputs)
+        noise = self._noise(rollout)
+        views, made, taken, steps = [agents.view], [], [], []
+        acting, alive = [self.acting()], [agents.alive]
+        for t in range(settings.depth):
+            made.append(self.decide(agents.view, t))
+            actions, given = model.draw(made[-1], noise[t])
+            taken.append(actions)
+            steps.append(agents.step(given))
+            views.append(agents.view)
+            acting.append(self.acting())
+            alive.append(agents.alive)
+        view, actions = View.stacked(views), torch.stack(taken)
+        rewards, terminations, truncations = map(torch.stack, list(zip(*steps, strict=True))[1:4])
+        ended = over = terminations | truncations
+        logs, _ = model.weigh(torch.stack(made), actions)
+        wanted = team_rewards(rewards, self.spec.agents, settings.rewards) * settings.reward_scale
+        if settings.rewards != "own":  # what the others still earn counts until the whole world ends
+            gone = ended | ~torch.stack(alive[:-1])
+            worlds = gone.reshape(len(gone), -1, self.spec.agents).all(2)
+            over = worlds.repeat_interleave(self.spec.agents, 1)
+        decides = torch.stack(acting)
+        values = self._values(view, decides)
+        cut = truncations & ~terminations
+        # Only the time limit ended it: what was to come counts. Of what a central critic is given, and of who
+        # is on turn then, nothing is told.
+        unknown = cut & (model.central or self.spec.turns)
+        cut &= ~unknown
+        unknown |= self.strays() & decides[:-1]
+        if cut.any():
+            final = view.pick(slice(0, -1))._replace(obs=torch.stack([step.final_obs for step in steps]))
+            wanted += settings.discount * self._values(final, cut)
+        course = Course(wanted, values, over, decides, unknown)
+        gains, learned = advantages(course, settings.discount, settings.trace)
+        return Experience(
+            view.pick(slice(0, -1)), actions, logs, gains, gains + values[:-1], learned, rewards, ended
+        )
+
+    def acting(self) -> Tensor:
+        """Return whose decisions are to be learned from, of those that come next."""
+        return self.agents.acting
+
+    def strays(self) -> Tensor:
+        """Return which decisions of the rollout the policy did not make; they are not learned from."""
+        return torch.zeros((), dtype=torch.bool, device=self.where)
+
+    def decide(self, view: View, _: int) -> Tensor:
+        """Return the policy's outputs for the rollout's step of that number."""
+        if not self.spec.turns:
+            return _joined([self.model.outputs(view.pick(block)) for block in self.blocks])
+        rows = self.agents.acting.nonzero()[:, 0]  # of the others nothing is asked
+        outputs = torch.full((len(view.obs), self.model.policy.outputs), MASKED, device=self.where)
+        outputs[rows] = self.model.outputs(view.pick(rows))
+        return outputs
+
+    def _noise(self, rollout: int) -> Tensor:
+        """Return what makes the rollout's actions random."""
+        settings = self.settings
+        size = (settings.depth, len(self.agents.obs), self.model.policy.outputs)
         noise = torch.empty(size, device=self.where)
         for number, block in zip(self.numbers, self.blocks, strict=True):
-            seed = np.random.SeedSequence([settings.seed, rollout, number]).generate_state(1, np.uint64)
-            random = torch.Generator(self.where).manual_seed(int(seed[0]) >> 1)
-            noise[:, block] = model.noise((size[0], block.stop - block.start, size[2]), random)
-        seen, made, taken, steps = [agents.obs], [], [], []
-        for t in range(settings.depth):
-            outputs = _joined([model.policy(agents.obs[block]) for block in self.blocks])
-            actions, given = model.draw(outputs, noise[t])
-            steps.append(agents.step(given))
-            seen.append(agents.obs)
-            made.append(outputs)
-            taken.append(actions)
-        obs, actions = torch.stack(seen), torch.stack(taken)
-        rewards, terminations, truncations = map(torch.stack, list(zip(*steps, strict=True))[1:4])
-        logs, _ = model.weigh(torch.stack(made), actions)
-        values = _joined([self._values(obs[:, block]) for block in self.blocks], 1)
-        wanted = rewards * settings.reward_scale
-        cut = truncations & ~terminations
-        if cut.any():  # only the time limit ended it: what was to come counts
-            final = torch.stack([step.final_obs for step in steps])
-            for block in self.blocks:
-                rows = cut[:, block].nonzero(as_tuple=True)
-                if len(rows[0]):
-                    wanted[:, block][rows] += settings.discount * self._values(final[:, block][rows])
-        ended = terminations | truncations
-        advantages = self._advantages(wanted, values, ended)
-        return Experience(obs[:-1], actions, logs, advantages, advantages + values[:-1], rewards, ended)
+            random = torch.Generator(self.where).manual_seed(seed_of(settings.seed, rollout, number))
+            noise[:, block] = self.model.noise((size[0], block.stop - block.start, size[2]), random)
+        return noise
 
-    def _values(self, obs: Tensor) -> Tensor:
-        """Return what the critic expects; ``obs`` may have an axis of steps."""
-        one = self.agents.obs.ndim - 1
-        leading = obs.shape[: obs.ndim - one]
-        rows = obs.reshape(-1, *obs.shape[obs.ndim - one :])
-        return torch.cat([self.model.values(part) for part in torch.split(rows, ROWS)]).reshape(leading)
+    def _values(self, view: View, wanted: Tensor) -> Tensor:
+        """Return what the critic expects of those wanted, else 0; a row a step and a column an agent."""
+        values = torch.zeros(wanted.shape, device=self.where)
+        for block in self.blocks:
+            steps, columns = wanted[:, block].nonzero(as_tuple=True)
+            rows = steps, columns + block.start
+            for k in range(0, len(steps), ROWS):
+                some = rows[0][k : k + ROWS], rows[1][k : k + ROWS]
+                values[some] = self.model.values(view.pick(some))
+        return values
 
-    def _advantages(self, rewards: Tensor, values: Tensor, ended: Tensor) -> Tensor:
-        discount, trace = self.settings.discount, self.settings.trace
-        going_on = (~ended).float() * discount
-        errors = rewards + values[1:] * going_on - values[:-1]
-        going_on *= trace
-        advantages = torch.empty_like(errors)
-        advantage = torch.zeros_like(errors[0])
-        for t in reversed(range(len(errors))):
-            advantage = torch.addcmul(errors[t], going_on[t], advantage)
-            advantages[t] = advantage
-        return advantages
+
+def seed_of(*numbers: int) -> int:
+    """Return a seed that these numbers make, for a generator of PyTorch."""
+    return int(np.random.SeedSequence(numbers).generate_state(1, np.uint64)[0]) >> 1
 
 
 def block_edges(settings: Any, blocks: range) -> list[int]:

@@ -15,15 +15,32 @@ import torch
 
 from pearl_marl.batch.config import worlds_of
 from pearl_marl.errors import ArgumentError, PearlError, SavedStateError
+from pearl_marl.evaluation.matches import Match
 from pearl_marl.evaluation.run import Evaluation
+from pearl_marl.policies.loading import RANDOM, load_policy
 from pearl_marl.registry import get_spec
 from pearl_marl.spec import EnvSpec
-from pearl_marl.training import dqn, ppo, q_learning
+from pearl_marl.training import dqn, ppo, q_learning, self_play
 from pearl_marl.training.presets import PRESETS
 from pearl_marl.training.run_folder import RunFolder
 
-ALGORITHMS: dict[str, Any] = {"ppo": ppo.PPO, "dqn": dqn.DQN, "q-learning": q_learning.QLearning}
-SETTINGS: dict[str, Any] = {"ppo": ppo.Settings, "dqn": dqn.Settings, "q-learning": q_learning.Settings}
+ALGORITHMS: dict[str, Any] = {
+    "ppo": ppo.PPO,
+    "mappo": ppo.MAPPO,
+    "self-play": self_play.SelfPlay,
+    "dqn": dqn.DQN,
+    "q-learning": q_learning.QLearning,
+}
+SETTINGS: dict[str, Any] = {
+    "ppo": ppo.Settings,
+    "mappo": ppo.Settings,
+    "self-play": self_play.Settings,
+    "dqn": dqn.Settings,
+    "q-learning": q_learning.Settings,
+}
+
+ALIASES = {"ippo": "ppo", "iql": "dqn"}
+"""What the algorithms are called where they learn for every agent of a world."""
 
 BLOCKS = 8
 """Into how many blocks agents are divided for shards, unless said otherwise: see ``ppo.Settings``."""
@@ -48,8 +65,10 @@ def settings_for(
     ArgumentError
         There is no such algorithm or setting, or a value is out of its range.
     """
+    algorithm = ALIASES.get(algorithm, algorithm)
     if algorithm not in ALGORITHMS:
-        raise ArgumentError(f"--algo is {algorithm!r}; possible are {', '.join(map(repr, ALGORITHMS))}")
+        possible = ", ".join(map(repr, (*ALGORITHMS, *ALIASES)))
+        raise ArgumentError(f"--algo is {algorithm!r}; possible are {possible}")
     names = [setting.name for setting in dataclasses.fields(SETTINGS[algorithm])]
     for name in given:
         if name not in names:
@@ -63,7 +82,7 @@ def settings_for(
         settings = dataclasses.replace(settings, n_agents=n)
     if shards is None:
         return settings
-    if "blocks" not in names:
+    if algorithm != "ppo":
         raise ArgumentError(f"{algorithm} does not learn with --shards: leave it out, or use ppo")
     if "blocks" in given:
         return settings
@@ -91,11 +110,11 @@ def train(
     env_id, options, device
         The environment, and where agents are stepped.
     algorithm, settings
-        One of :data:`ALGORITHMS`, and what :func:`settings_for` made.
+        One of :data:`ALGORITHMS` or :data:`ALIASES`, and what :func:`settings_for` made.
     folder
         Of the run. If it holds one of the same settings, that goes on where its last checkpoint was.
     goal
-        The mean return of an evaluation with which the run is done before its last iteration.
+        The mean return of an agent in an evaluation, with which the run is done before its last iteration.
     evaluate_every
         Iterations between evaluations, which are also when metrics are noted; by default there are 50.
     progress
@@ -114,6 +133,7 @@ def train(
         The folder holds a run of other settings, or cannot be written; or the algorithm does not suit the
         environment.
     """
+    algorithm = ALIASES.get(algorithm, algorithm)
     every = max(1, settings.iterations // 50) if evaluate_every is None else evaluate_every
     if every < 1:
         raise ArgumentError(f"--evaluate-every is {every}; it must be a whole number of at least 1")
@@ -159,12 +179,16 @@ def train(
         mean, deviation = evaluate(trainer.policy, spec, n)
         seconds = time.perf_counter() - began
         row = {"seconds": seconds, **trainer.figures(), "eval_return": mean, "eval_deviation": deviation}
+        if spec.agents > 1 and not spec.turns:
+            row["eval_world_return"] = mean * spec.agents
         run.report(trainer.agent_steps, **row)
         progress(trainer.done, settings.iterations, row)
         finished = goal is not None and mean >= goal
-        if mean > best:
-            best = mean
+        # Whoever always beats a random player can still become better at beating others.
+        if mean > best or spec.turns:
+            best = max(best, mean)
             trainer.policy.save(folder / "policy.safetensors")
+        run.keep(getattr(trainer, "past", {}))
         if last or finished or time.perf_counter() - kept >= checkpoint_seconds:
             run.checkpoint({"trainer": trainer.state(), "seconds": seconds, "best": best})
             kept = time.perf_counter()
@@ -176,23 +200,29 @@ def _check_worlds(spec: EnvSpec, settings: Any) -> None:
     """Refuse worlds that the trainers, with one policy for all agents, cannot learn in."""
     worlds_of(spec, settings.n_agents)
     name = spec.name
-    if spec.masked == "refused":
+    if not spec.mask_fields and any(role.action_space != spec.action_space for role in spec.roles):
         raise ArgumentError(
-            f"{name} refuses masked actions, and the trainers know no masks; train by a library that does, "
-            f"around pearl_marl.parallel_env({name!r})"
-        )
-    if any(role.action_space != spec.action_space for role in spec.roles):
-        raise ArgumentError(
-            f"{name} has roles with other actions, and the trainers learn one policy for all: train by "
-            f"a library that learns one for each role, around pearl_marl.parallel_env({name!r})"
+            f"{name} has roles with other actions, and no masks to tell them: train by a library that learns "
+            f"one policy for each role, around pearl_marl.parallel_env({name!r})"
         )
     if spec.agents > 1 and getattr(settings, "blocks", 1) > 1:
         raise ArgumentError(f"agents of {name} share worlds, and --shards is for those that are alone")
 
 
 def evaluate(policy: Any, spec: EnvSpec, n: int, seed: int = 1) -> tuple[float, float]:
-    """Return mean and standard deviation of the return of ``n`` agents' first episodes, by best actions."""
-    evaluation = Evaluation(spec, policy.choose, n, seed=seed)
+    """Return mean and standard deviation of the return of ``n`` agents' first episodes.
+
+    In a game of turns, the return against players who make random moves: against itself it would be that of
+    every policy.
+    """
+    policy.seed(seed)
+    if spec.turns:
+        match = Match(spec, policy.choose, load_policy(RANDOM, spec, seed), n, openings=0, seed=seed)
+        evaluation: Evaluation = match
+        counted = match.seats
+    else:
+        evaluation, counted = Evaluation(spec, policy.choose, n, seed=seed), np.ones(n, np.bool_)
     for _ in evaluation.run():
         pass
-    return float(evaluation.returns.mean()), float(evaluation.returns.std())
+    returns = evaluation.returns[counted]
+    return float(returns.mean()), float(returns.std())

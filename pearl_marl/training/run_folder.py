@@ -12,6 +12,7 @@ import errno
 import io
 import json
 import zipfile
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +26,7 @@ from pearl_marl.rendering import import_pyplot
 
 CHECKPOINT, PREVIOUS = "checkpoint.pt", "checkpoint.previous.pt"
 
-FORMAT = 3
+FORMAT = 4
 """Of checkpoints; another number for every change of what trainers keep in them."""
 
 
@@ -137,6 +138,14 @@ class RunFolder:
         torch.save({**state, "rows": self.rows, "format": FORMAT}, buffer)
         replace_file(self.path / CHECKPOINT, buffer.getvalue(), keep=self.path / PREVIOUS)
         self.write_metrics()
+
+    def keep(self, past: Mapping[int, Any]) -> None:
+        """Write policies of earlier iterations, which change no more: ``past/000010.safetensors``, ..."""
+        for done, policy in past.items():
+            path = self.path / "past" / f"{done:06}.safetensors"
+            if not path.exists():
+                path.parent.mkdir(exist_ok=True)
+                policy.save(path)
 
     def write_metrics(self) -> None:
         """Write metrics.csv."""

@@ -61,8 +61,26 @@ def number(default: float, most: float = math.inf, above: bool = False) -> Any:
     return field(default=default, metadata={"range": Range(0, most, above, whole=False)})
 
 
+@dataclass(frozen=True)
+class Choice:
+    """One of some words."""
+
+    words: tuple[str, ...]
+
+    def __contains__(self, value: Any) -> bool:
+        return isinstance(value, str) and value in self.words
+
+    def __str__(self) -> str:
+        return f"one of {', '.join(self.words)}"
+
+
+def choice(*words: str) -> Any:
+    """Return a setting that is one of some words, by default the first."""
+    return field(default=words[0], metadata={"range": Choice(words)})
+
+
 class Checked:
-    """A dataclass of :func:`count` and :func:`number`, each within its range."""
+    """A dataclass of :func:`count`, :func:`number` and :func:`choice`, each within its range."""
 
     def __post_init__(self) -> None:
         for setting in fields(self):  # type: ignore[arg-type]

@@ -19,7 +19,8 @@ from pearl_marl.devices.ray import Parcel, contents, parcel
 from pearl_marl.errors import ArgumentError, DeviceError
 from pearl_marl.policies.network import Array
 from pearl_marl.spec import EnvSpec
-from pearl_marl.training.rollout import ActorCritic, Experience, RolloutWorker, block_edges
+from pearl_marl.training.actor_critic import ActorCritic
+from pearl_marl.training.rollout import Experience, RolloutWorker, block_edges
 
 RESOURCES: dict[str, dict[str, float]] = {"cuda": {"GPU": 1}, "xdma": {"fpga": 1}, "serial": {"fpga": 1}}
 """What a worker takes up of the machine that it is placed on, by its device."""
@@ -35,21 +36,21 @@ class Worker:
         """Make the agents; return their state. In the parcel are arguments of :class:`RolloutWorker`."""
         torch.set_num_threads(1)
         spec, device, settings, blocks = contents(parcel)
-        self.model = ActorCritic(spec, settings.width)
+        self.model = ActorCritic(spec, settings.width, settings.sharing)
         self.worker = RolloutWorker(spec, device, settings, self.model, blocks)
         self.model.to(self.worker.where)
         return self.worker.agents.state()
 
     def gather(
         self, rollout: int, weights: dict[str, Array], state: SavedState | None
-    ) -> tuple[list[Array], SavedState]:
+    ) -> tuple[list[Array | None], SavedState]:
         """Return a rollout's experience, and the agents' state after it; they begin at ``state``, if any."""
         if state is not None:
             self.worker.agents.load(state)
         # Copies: what comes out of the object store cannot be written to.
         self.model.load_state_dict({name: torch.tensor(array) for name, array in weights.items()})
-        experience = self.worker.gather(rollout)
-        return [part.cpu().numpy() for part in experience], self.worker.agents.state()
+        parts = self.worker.gather(rollout).parts()
+        return [None if part is None else part.cpu().numpy() for part in parts], self.worker.agents.state()
 
 
 class RayWorkers:
@@ -104,7 +105,7 @@ class RayWorkers:
         under_way = [self._ask(i, rollout, weights) for i in range(len(self._actors))]
         # Should it fail, all begin at the states noted here, whichever were done.
         self._apart = [True] * len(self._actors)
-        gathered: list[tuple[list[Array], SavedState]] = []
+        gathered: list[tuple[list[Array | None], SavedState]] = []
         for i, asked in enumerate(under_way):
             for attempt in itertools.count(1):
                 try:
@@ -118,8 +119,14 @@ class RayWorkers:
                     asked = self._ask(i, rollout, weights)
         self._states = [state for _, state in gathered]
         self._apart = [False] * len(self._actors)
-        parts = zip(*(share for share, _ in gathered), strict=True)
-        return Experience(*(torch.from_numpy(np.concatenate(part, 1)).to(self.where) for part in parts))
+        return Experience.of(
+            [self._joined(part) for part in zip(*(share for share, _ in gathered), strict=True)]
+        )
+
+    def _joined(self, parts: tuple[Array | None, ...]) -> torch.Tensor | None:
+        """Return what shards have of something, side by side; all have it, or none does."""
+        arrays = [part for part in parts if part is not None]
+        return torch.from_numpy(np.concatenate(arrays, 1)).to(self.where) if arrays else None
 
     def _give_up(self, i: int, attempt: int, when: str, error: BaseException, advice: str = "") -> None:
         """Raise where a worker was lost too often, or can never start."""

@@ -94,13 +94,14 @@ class TestWorlds:
         status, _, err = pearl("verify", "ConnectFour", "--n-agents", 20, "--steps", 40)
         assert status == 0, err
 
-    def test_training_where_it_is_not_possible(self, pearl: Pearl, tmp_path: Path) -> None:
+    @pytest.mark.parametrize("algorithm", ["dqn", "iql", "q-learning"])
+    def test_training_where_it_is_not_possible(self, algorithm: str, pearl: Pearl, tmp_path: Path) -> None:
         pytest.importorskip("torch")
-        status, _, err = pearl("train", "ConnectFour", "--out", tmp_path / "run")
+        status, _, err = pearl("train", "ConnectFour", "--algo", algorithm, "--out", tmp_path / "run")
         assert status == 2
         assert err.strip() == (
-            "pearl: ConnectFour refuses masked actions, and the trainers know no masks; train by a library "
-            "that does, around pearl_marl.parallel_env('ConnectFour')"
+            f"pearl: {algorithm.replace('iql', 'dqn')} learns from every step, and in ConnectFour agents "
+            "take turns: use self-play"
         )
 
     def test_training(self, pearl: Pearl, tmp_path: Path) -> None:

@@ -27,6 +27,7 @@ torch = pytest.importorskip("torch", reason="torch is not installed: pip install
 training = importlib.import_module("pearl_marl.training.run")
 policy = importlib.import_module("pearl_marl.policies.network")
 rollout = importlib.import_module("pearl_marl.training.rollout")
+actor_critic = importlib.import_module("pearl_marl.training.actor_critic")
 
 EVALUATED = 50
 """A thousand episodes take longer than such training."""
@@ -44,6 +45,12 @@ SMALL: dict[str, dict[str, Any]] = {
     },
     "q-learning": {"n_agents": 64, "iterations": 40},
 }
+
+OF_WORLDS: dict[str, tuple[str, dict[str, Any]]] = {
+    "mappo": ("LevelBasedForaging", {**SMALL["ppo"], "rewards": "sum", "sharing": "none"}),
+    "self-play": ("ConnectFour", {**SMALL["ppo"], "join_every": 2}),
+}
+"""Trainers that are for several agents: an environment, and settings."""
 
 
 @pytest.fixture(autouse=True)
@@ -144,12 +151,13 @@ def test_advantages_are_those_of_their_definition() -> None:
     )
     first = trainer.worker.agents.obs
     e = trainer.worker.gather(0)
-    assert torch.equal(e.obs[0], first)
+    assert torch.equal(e.view.obs[0], first)
     assert e.ended[199].all(), "an episode of Pendulum has 200 steps"
     assert e.ended.sum() == 3
     with torch.no_grad():
-        values = torch.stack([trainer.model.values(obs) for obs in (*e.obs, trainer.worker.agents.obs)])
-        outputs = torch.stack([trainer.policy(obs) for obs in e.obs])
+        seen = [*e.view.obs, trainer.worker.agents.obs]
+        values = torch.stack([trainer.model.values(actor_critic.View(obs)) for obs in seen])
+        outputs = torch.stack([trainer.policy(obs) for obs in e.view.obs])
     logs, _ = trainer.model.weigh(outputs, e.actions)
     torch.testing.assert_close(e.logs, logs)
     wanted = torch.zeros(3)
@@ -240,21 +248,22 @@ from pathlib import Path
 training = importlib.import_module("pearl_marl.training.run")
 import torch
 torch.set_num_threads(1)
-algorithm, folder, given = sys.argv[1], Path(sys.argv[2]), eval(sys.argv[3])
-settings = training.settings_for(algorithm, "FrozenLake", given)
+algorithm, env, folder, given = sys.argv[1], sys.argv[2], Path(sys.argv[3]), eval(sys.argv[4])
+settings = training.settings_for(algorithm, env, given)
 def slow(done, total, row):
     print(done, flush=True)
     time.sleep(0.05)
 arguments = {"progress": slow, "checkpoint_seconds": 0.2, "evaluated": 50}
-training.train("FrozenLake", {}, algorithm, settings, "native", folder, **arguments)
+training.train(env, {}, algorithm, settings, "native", folder, **arguments)
 """
 
 
-@pytest.mark.parametrize("algorithm", SMALL)
+@pytest.mark.parametrize("algorithm", [*SMALL, *OF_WORLDS])
 def test_a_killed_run_goes_on_as_if_nothing_had_been(algorithm: str, tmp_path: Path) -> None:
-    whole = run(algorithm, "FrozenLake", tmp_path / "whole", **SMALL[algorithm])
+    env, given = OF_WORLDS[algorithm] if algorithm in OF_WORLDS else ("FrozenLake", SMALL[algorithm])
+    whole = run(algorithm, env, tmp_path / "whole", **given)
     killed = tmp_path / "killed"
-    command = [sys.executable, "-c", ENDLESS, algorithm, str(killed), repr(SMALL[algorithm])]
+    command = [sys.executable, "-c", ENDLESS, algorithm, env, str(killed), repr(given)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
         for line in process.stdout:
@@ -263,13 +272,19 @@ def test_a_killed_run_goes_on_as_if_nothing_had_been(algorithm: str, tmp_path: P
                 process.send_signal(signal.SIGKILL)
                 break
     assert process.wait() == -signal.SIGKILL
-    rows = run(algorithm, "FrozenLake", killed, **SMALL[algorithm])
+    rows = run(algorithm, env, killed, **given)
     timeless = [[{**row, "seconds": 0} for row in part] for part in (whole, rows)]
     assert timeless[0] == timeless[1]
     ends = [
         torch.load(folder / "checkpoint.pt", weights_only=True) for folder in (tmp_path / "whole", killed)
     ]
     assert same(ends[0]["trainer"], ends[1]["trainer"])
+    files = [
+        sorted(path.relative_to(folder) for path in folder.rglob("*.safetensors"))
+        for folder in (tmp_path / "whole", killed)
+    ]
+    assert files[0] == files[1]
+    assert all((tmp_path / "whole" / file).read_bytes() == (killed / file).read_bytes() for file in files[0])
 
 
 def same(one: Any, other: Any) -> bool:
@@ -290,7 +305,7 @@ def same(one: Any, other: Any) -> bool:
 @pytest.mark.parametrize(
     ("algorithm", "given", "words"),
     [
-        ("sarsa", {}, "'sarsa'.*'ppo', 'dqn', 'q-learning'"),
+        ("sarsa", {}, "'sarsa'.*'ppo', 'mappo', 'self-play', 'dqn', 'q-learning', 'ippo', 'iql'"),
         ("ppo", {"n_agent": 5}, "'n_agent'.*'n_agents'"),
         ("ppo", {"depth": 1.5}, "'depth' is 1.5"),
         ("dqn", {"discount": -1}, "'discount' is -1"),

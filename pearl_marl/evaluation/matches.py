@@ -1,0 +1,131 @@
+"""Policies against each other: who beats whom, where the agents of a world are not of one policy."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from pearl_marl.batch.actions import random_actions
+from pearl_marl.batch.step import BatchStep
+from pearl_marl.devices import Device
+from pearl_marl.errors import ArgumentError
+from pearl_marl.evaluation.run import Evaluation, interval
+from pearl_marl.policies.loading import Policy
+from pearl_marl.spec import EnvSpec
+
+Array = npt.NDArray[Any]
+
+OPENINGS = 4
+"""Random steps with which games of turns begin, unless said otherwise."""
+
+
+class Match(Evaluation):
+    """An evaluation of a policy that plays one agent of each world, against another that plays all others.
+
+    In world ``w`` it plays agent ``w % K``, so that it has every seat equally often. Every agent plays one
+    episode. Other arguments are those of :class:`~pearl_marl.evaluation.Evaluation`, without ``episodes``.
+
+    Parameters
+    ----------
+    openings
+        With how many random steps every episode begins: where neither chance nor policies make a difference,
+        all games would be the same. If not given, :data:`OPENINGS` in games of turns, else none.
+
+    Attributes
+    ----------
+    seats
+        Which agents are of the first policy, ``bool`` of shape ``(n,)``.
+    elapsed
+        How many steps the episode of each world has had.
+    """
+
+    def __init__(
+        self,
+        spec: EnvSpec,
+        policy: Policy,
+        against: Policy,
+        n_agents: int,
+        device: str | Device = "native",
+        openings: int | None = None,
+        *,
+        seed: int = 0,
+        max_cycles: int | None = None,
+    ) -> None:
+        if openings is None:
+            openings = OPENINGS if spec.turns else 0
+        if openings < 0:
+            raise ArgumentError(f"openings is {openings}; it must be at least 0")
+        if spec.agents < 2:
+            raise ArgumentError(
+                f"{spec.name} has one agent in a world, which has nobody to play against: leave --against out"
+            )
+        self.seats = _seats(n_agents, spec.agents)
+
+        rng = np.random.default_rng(seed)
+
+        def both(*seen: Array) -> Array:
+            # Both are given everything: some policies go by which row an agent has.
+            ours, theirs = np.asarray(policy(*seen)), np.asarray(against(*seen))
+            actions = np.where(_like(self.seats, ours), ours, theirs)
+            if self.elapsed.min() < openings:
+                anything = random_actions(spec, rng, n_agents, *seen[1:])
+                begins = np.repeat(self.elapsed < openings, spec.agents)
+                actions = np.where(_like(begins, actions), anything, actions)
+            return actions
+
+        super().__init__(spec, both, n_agents, device, seed=seed, max_cycles=max_cycles)
+        self.elapsed = np.zeros(self.config.n_envs, np.int64)
+
+    def _count(self, step: BatchStep) -> int:
+        ended, alive = (flags.reshape(len(self.elapsed), -1) for flags in (step.ended, step.alive))
+        self.elapsed = np.where(ended.any(1) & alive.all(1), 0, self.elapsed + 1)
+        return super()._count(step)
+
+    def outcome(self) -> dict[str, Any]:
+        """Return how it went for the first policy: wins, draws and losses, and the returns of both.
+
+        A world is won by who has a higher return there than each of the others.
+        """
+        agents = self.config.spec.agents
+        returns, seats = self.world_returns, self.seats.reshape(-1, agents)
+        ours, theirs = returns[seats], returns[~seats].reshape(-1, agents - 1)
+        most = theirs.max(1)
+        games = len(ours)
+        wins, losses = int((ours > most).sum()), int((ours < most).sum())
+        return {
+            "games": games,
+            "wins": wins,
+            "draws": games - wins - losses,
+            "losses": losses,
+            "return": interval(ours),
+            "their_return": interval(theirs.mean(1)),
+        }
+
+
+def cross_table(
+    spec: EnvSpec, policies: Mapping[str, Policy], n_agents: int, **given: Any
+) -> Iterator[dict[str, Any]]:
+    """Yield the outcomes of all policies, each against each of the others, a row a pair.
+
+    ``given`` is what :class:`Match` takes.
+    """
+    names = list(policies)
+    for k, first in enumerate(names):
+        for second in names[k + 1 :]:
+            match = Match(spec, policies[first], policies[second], n_agents, **given)
+            for _ in match.run():
+                pass
+            yield {"policy": first, "against": second, **match.outcome()}
+
+
+def _like(flags: Array, actions: Array) -> Array:
+    """Return a flag an agent in a shape that goes with its action's."""
+    return flags.reshape(-1, *(1,) * (actions.ndim - 1))
+
+
+def _seats(n: int, agents: int) -> npt.NDArray[np.bool_]:
+    row = np.arange(n)
+    return np.asarray(row % agents == row // agents % agents)

@@ -1,0 +1,140 @@
+"""What PPO learns: a policy, and a critic that says what is still to come by it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from gymnasium.spaces import Box
+from torch import Tensor, nn
+from torch.distributions import Normal
+
+from pearl_marl.policies.network import Network, NetworkPolicy, masked, networks
+from pearl_marl.spec import EnvSpec
+
+
+class View(NamedTuple):
+    """What networks are given, a row an agent, or a row a step and a column an agent."""
+
+    obs: Tensor
+    masks: Tensor | None = None  # where the environment has any
+    position: Tensor | None = None  # of the agent in its world; where there are others
+    state: Tensor | None = None  # of its world; for a central critic
+
+    def each(self, function: Callable[[Tensor], Tensor]) -> View:
+        """Return the same with a function of every tensor in its place."""
+        others = (None if part is None else function(part) for part in self[1:])
+        return View(function(self.obs), *others)
+
+    def pick(self, rows: Tensor | slice | tuple[Tensor, ...]) -> View:
+        """Return some rows."""
+        return self.each(lambda part: part[rows])
+
+    def flat(self) -> View:
+        """Return steps and agents as one axis."""
+        return self.each(lambda part: part.flatten(0, 1))
+
+    @staticmethod
+    def stacked(views: Sequence[View]) -> View:
+        """Return views one step after the other."""
+        obs, *others = zip(*views, strict=True)
+        return View(torch.stack(obs), *(None if part[0] is None else torch.stack(part) for part in others))
+
+
+class ActorCritic(nn.Module):
+    """A policy and its critic.
+
+    Parameters
+    ----------
+    spec
+        The environment that they are for.
+    width
+        Of their networks' layers.
+    sharing, chance
+        See :class:`~pearl_marl.policies.network.NetworkPolicy`.
+    central
+        Whether the critic is given the state of the whole world, and has an output for each of its agents,
+        instead of what the agent observes. The policy is not, so agents act on their own all the same.
+    """
+
+    def __init__(
+        self, spec: EnvSpec, width: int, sharing: str = "all", chance: float = 0.0, central: bool = False
+    ) -> None:
+        super().__init__()
+        self.continuous = not hasattr(spec.action_space, "n")
+        self.central = central
+        self.policy = NetworkPolicy(spec, "mean" if self.continuous else "logits", width, sharing, chance)
+        network: Any = self.policy.network
+        # Of a picture, most of the work is to see what is on it: actor and critic do that together.
+        self.shared = not central and isinstance(network, Network) and network.encoder.kind == "picture"
+        self.critic: Any
+        if central:
+            state = Box(-np.inf, np.inf, (len(spec.state),), np.float32)
+            self.critic = Network(state, spec.agents, width)
+        else:
+            self.critic = nn.Linear(width, 1)
+            if not self.shared:
+                self.critic = networks(spec, 1, width, sharing=self.policy.about["sharing"])
+        if self.continuous:
+            self.log_deviation = nn.Parameter(torch.full((1,), -0.5))
+
+    def see(self, view: View) -> None:
+        """Take a batch into the statistics by which observations and states are standardised."""
+        self.policy.see(view.obs, view.position)
+        if self.central:
+            self.critic.see(view.state)
+        elif not self.shared:
+            self.critic.see(view.obs, view.position)
+
+    def outputs(self, view: View) -> Tensor:
+        """Return the policy's outputs."""
+        outputs: Tensor = self.policy(view.obs, view.masks, view.position)
+        return outputs
+
+    def values(self, view: View) -> Tensor:
+        """Return what the critic expects, shape ``(batch,)``."""
+        if self.central:
+            values: Tensor = self.critic(view.state)
+            return values[:, 0] if view.position is None else values.gather(1, view.position[:, None])[:, 0]
+        if self.shared:
+            network: Any = self.policy.network
+            values = self.critic(network.features(view.obs, view.position))
+        else:
+            values = self.critic(view.obs, view.position)
+        return values[:, 0]
+
+    def forward(self, view: View) -> tuple[Tensor, Tensor]:
+        """Return the policy's outputs, and what the critic expects."""
+        if not self.shared:
+            return self.outputs(view), self.values(view)
+        network: Any = self.policy.network
+        features = network.features(view.obs, view.position)
+        return masked(network.output(features), view.masks), self.critic(features)[:, 0]
+
+    def noise(self, shape: tuple[int, ...], random: torch.Generator) -> Tensor:
+        """Return what makes random actions of outputs of that shape: see :meth:`draw`."""
+        noise = torch.empty(shape, device=random.device)
+        if self.continuous:
+            return noise.normal_(generator=random)
+        return -noise.exponential_(generator=random).log_()
+
+    def draw(self, outputs: Tensor, noise: Tensor) -> tuple[Tensor, Tensor]:
+        """Return actions of the policy's probabilities, and as the environment takes them."""
+        if self.continuous:
+            actions = outputs + self.log_deviation.exp() * noise
+            return actions, self.policy.within_bounds(actions)
+        # Gumbel's trick: the largest of logits with such noise has the probabilities that these are of.
+        actions = (outputs + noise).argmax(-1)
+        return actions, actions
+
+    def weigh(self, outputs: Tensor, actions: Tensor) -> tuple[Tensor, Tensor]:
+        """Return the logarithms of the actions' probabilities, and the mean entropy."""
+        if self.continuous:
+            chosen = Normal(outputs, self.log_deviation.exp().expand_as(outputs), validate_args=False)
+            logs = chosen.log_prob(actions).sum(-1)  # type: ignore[no-untyped-call]
+            return logs, chosen.entropy().sum(-1).mean()  # type: ignore[no-untyped-call]
+        everything = outputs.log_softmax(-1)
+        logs = everything.gather(-1, actions[..., None])[..., 0]
+        return logs, -(everything.exp() * everything).sum(-1).mean()

@@ -1,0 +1,130 @@
+"""Self-play: PPO against its past selves, for games that somebody wins.
+
+From time to time the policy, as it is, joins the *league*, and stays there. In some worlds the learner plays
+all sides, in the others one, against members of the league. So it cannot forget how to beat who it has been.
+"""
+
+from __future__ import annotations
+
+import copy
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.func import functional_call
+
+from pearl_marl.errors import ArgumentError
+from pearl_marl.policies.network import MASKED, NetworkPolicy, masked
+from pearl_marl.spec import EnvSpec
+from pearl_marl.training import ppo
+from pearl_marl.training.actor_critic import View
+from pearl_marl.training.rollout import Experience, RolloutWorker, seed_of
+from pearl_marl.training.settings import count, number
+
+
+@dataclass(frozen=True)
+class Settings(ppo.Settings):
+    """What a run depends on: PPO's settings, and these."""
+
+    join_every: int = count(10)  # iterations, after which the policy joins the league; and it does at first
+    opponents: int = count(4)  # members of the league that are met in a rollout
+    random_moves: float = number(0.1, most=1)  # share of moves, so that games differ; not learned from
+    mirrored: float = number(0.5, most=1)  # share of worlds in which the learner plays all sides
+
+
+class LeagueWorker(RolloutWorker):
+    """Gathers with the learner among members of the ``league``, the weights of policies by iteration."""
+
+    league: dict[int, dict[str, Tensor]]
+
+    def __init__(self, spec: EnvSpec, device: Any, settings: Any, model: Any) -> None:
+        super().__init__(spec, device, settings, model)
+        n, agents, seat = len(self.agents.obs), spec.agents, self.agents.position
+        world = torch.arange(n, device=self.where) // agents
+        first = round(settings.mirrored * (n // agents))
+        # Whose row it is: 0 the learner's, k the k-th opponent's. The learner has each seat equally often.
+        group = 1 + (world - first) // agents % settings.opponents
+        self.players = torch.where((world < first) | (world % agents == seat), 0, group)
+        self.met: list[int] = []
+        self.random_moves = torch.zeros(settings.depth, n, dtype=torch.bool, device=self.where)
+
+    def gather(self, rollout: int) -> Any:
+        """Step all agents, against members that the rollout's number decides; return the experience."""
+        settings = self.settings
+        draw = np.random.default_rng(seed_of(settings.seed, rollout, 1))
+        self.met = draw.choice(list(self.league), settings.opponents).tolist()
+        random = torch.Generator(self.where).manual_seed(seed_of(settings.seed, rollout, 2))
+        chances = torch.rand((settings.depth, len(self.players)), generator=random, device=self.where)
+        self.random_moves = chances < settings.random_moves
+        return super().gather(rollout)
+
+    def acting(self) -> Tensor:
+        """Return whose decisions are to be learned from: the learner's."""
+        return self.agents.acting & (self.players == 0)
+
+    def strays(self) -> Tensor:
+        """Return which moves are random."""
+        return self.random_moves
+
+    def decide(self, view: View, step: int) -> Tensor:
+        """Return the outputs of the policies of all who play; equal ones where the move is random."""
+        policy, acting = self.model.policy, self.agents.acting
+        outputs = torch.full((len(view.obs), policy.outputs), MASKED, device=self.where)
+        for player, weights in enumerate([{}, *(self.league[k] for k in self.met)]):
+            rows = (acting & (self.players == player)).nonzero()[:, 0]
+            seen = view.pick(rows)
+            outputs[rows] = functional_call(policy, weights, (seen.obs, seen.masks, seen.position))
+        anything = masked(torch.zeros_like(outputs), view.masks)
+        return torch.where(self.random_moves[step][:, None], anything, outputs)
+
+
+class SelfPlay(ppo.PPO):
+    """A run of self-play: :meth:`iterate` is one update."""
+
+    gathers = LeagueWorker
+
+    def __init__(self, spec: EnvSpec, device: Any, settings: Settings) -> None:
+        if spec.agents < 2:
+            raise ArgumentError(f"{spec.name} has one agent in a world, and self-play takes two: use ppo")
+        super().__init__(spec, device, settings)
+        self.league: dict[int, dict[str, Tensor]] = {}
+        self.worker.league = self.league
+        self._join()
+
+    def iterate(self) -> None:
+        """Gather experience and learn from it; join the league, if it is time."""
+        super().iterate()
+        if self.done % self.settings.join_every == 0:
+            self._join()
+
+    def count(self, experience: Experience) -> None:
+        """Count the episodes that ended: the learner's against the league, as against itself it wins half."""
+        players = self.worker.players.reshape(-1, self.worker.spec.agents)
+        counted = ((players == 0) & (players != 0).any(1, keepdim=True)).flatten()
+        self.episodes.add(experience.rewards * counted, experience.ended & counted)
+
+    def _join(self) -> None:
+        weights = self.policy.state_dict()
+        self.league[self.done] = {name: tensor.detach().clone() for name, tensor in weights.items()}
+
+    @property
+    def past(self) -> dict[int, NetworkPolicy]:
+        """The members of the league, by the iterations after which they joined."""
+        members = {}
+        for done, weights in self.league.items():
+            members[done] = copy.deepcopy(self.policy)
+            members[done].load_state_dict(weights)
+        return members
+
+    def state(self) -> dict[str, Any]:
+        """Return all that the continuation depends on."""
+        return {**super().state(), "league": self.league}
+
+    def load(self, state: dict[str, Any]) -> None:
+        """Go on from what :meth:`state` returned."""
+        super().load(state)
+        self.league.clear()
+        for done, weights in state["league"].items():
+            self.league[done] = {name: tensor.to(self.where) for name, tensor in weights.items()}
