@@ -70,6 +70,15 @@ PRESETS: dict[tuple[str, str], dict[str, Any]] = {
     ("ppo", "LevelBasedForaging"): FORAGING,
     ("mappo", "LevelBasedForaging"): FORAGING,
     ("ppo", "Overcooked"): COOKING,
+    # Two players who share nothing: each has a network of its own.
+    ("ppo", "CoinGame"): {
+        "n_agents": 512,
+        "depth": 16,
+        "minibatch": 2048,
+        "entropy": 0.01,
+        "sharing": "none",
+        "chance": 1.0,
+    },
     # Rewards are random: entries have to become means of many targets.
     ("q-learning", "Blackjack"): {"rate": 1.0, "fading": 0.2, "epsilon": 0.5},
 }
