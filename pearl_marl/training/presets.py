@@ -15,6 +15,21 @@ FORAGING: dict[str, Any] = {
     "chance": 1.0,
 }
 
+# Cooks who both go for the one pot stand in each other's way for ever, unless chance moves one of them.
+COOKING: dict[str, Any] = {
+    "n_agents": 256,
+    "depth": 64,
+    "iterations": 120,
+    "minibatch": 2048,
+    "learning_rate": 2e-3,
+    "discount": 0.99,
+    "trace": 0.95,
+    "entropy": 0.01,
+    "reward_scale": 0.1,
+    "sharing": "indicator",
+    "chance": 1.0,
+}
+
 PRESETS: dict[tuple[str, str], dict[str, Any]] = {
     # Fast rather than frugal: every step is learned from once, so another costs little.
     ("ppo", "CartPole"): {
@@ -67,6 +82,16 @@ PRESETS: dict[tuple[str, str], dict[str, Any]] = {
     },
     ("ppo", "LevelBasedForaging"): FORAGING,
     ("mappo", "LevelBasedForaging"): FORAGING,
+    ("ppo", "Overcooked"): COOKING,
+    # Two players who share nothing: each has a network of its own.
+    ("ppo", "CoinGame"): {
+        "n_agents": 512,
+        "depth": 16,
+        "minibatch": 2048,
+        "entropy": 0.01,
+        "sharing": "none",
+        "chance": 1.0,
+    },
     # Rewards are random: entries have to become means of many targets.
     ("q-learning", "Blackjack"): {"rate": 1.0, "fading": 0.2, "epsilon": 0.5},
 }
