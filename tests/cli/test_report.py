@@ -98,7 +98,18 @@ def test_quick(tmp_path: Path, recwarn: pytest.WarningsRecorder) -> None:
     rows = {name: check(tmp_path, name, page)["rows"] for name in report.SECTIONS}
     for link in page.links:
         assert (tmp_path / link).exists() if not link.startswith("#") else link[1:] in report.SECTIONS
-    for name in ("figure3", "equations", "figure6", "figure7", "figure8", "figure9", "goals", "population"):
+    pictures = (
+        "figure3",
+        "equations",
+        "figure6",
+        "figure7",
+        "figure8",
+        "figure9",
+        "goals",
+        "worlds",
+        "population",
+    )
+    for name in pictures:
         assert (tmp_path / f"{name}.png").stat().st_size > 10_000
 
     kinds = {row["contender"]: row["kind"] for row in rows["figure6"] if row.get("steps_per_second")}
