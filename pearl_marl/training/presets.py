@@ -15,7 +15,7 @@ FORAGING: dict[str, Any] = {
     "chance": 1.0,
 }
 
-# Soups are far apart, and 20 is much: a long view, and small rewards.
+# Many steps make a soup, which is worth 20: a long view, and small rewards.
 # Learn with --option reward_shaping_factor=1; what is cooked counts without it.
 COOKING: dict[str, Any] = {
     "n_agents": 256,
