@@ -189,6 +189,8 @@ def _tournament(
         won[row["against"], row["policy"]] = row["losses"], row["games"]
     headings = [str(k + 1) for k in range(len(policies))]
     grid = common.table(f"{spec.name}: wins of the row's policy", ["", "policy"], headings)
+    for column in grid.columns:  # a long name is folded, and leaves the figures their room
+        column.no_wrap, column.overflow = column.header != "policy", "fold"
     for k, name in enumerate(policies):
         cells = (won.get((name, other)) for other in policies)
         shown = ("-" if cell is None else f"{cell[0] / cell[1]:.1%}" for cell in cells)
