@@ -30,7 +30,7 @@ OPEN_GATING = {
         *("reward_o.reward_0", "reward_o.reward_1", "state_o.request_0", "state_o.request_1"),
     },
 }
-"""Products, of which nothing is taken to be known; and what follows from a new request, on which z3 gives up."""
+"""Products, of which nothing is known; and what follows from a new request, on which z3 gives up."""
 
 
 def unproved_text(spec: EnvSpec, target: Target, folder: Path) -> Iterator[str]:
