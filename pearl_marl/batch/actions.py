@@ -54,9 +54,9 @@ def refuse_masked(
     """Raise ActionError for the first agent, counted from ``first``, whose action is masked.
 
     Who has masks that are all 0 may send anything. Of so many agents after each other that take turns, that
-    is all but one.
+    is all but one; so no action is masked where as many are allowed as there are such groups.
     """
-    if taking_turns > 1 and _one_allowed(words, masks, taking_turns):
+    if taking_turns > 1 and taking_turns * _allowed_count(words, masks) == len(words):
         return
     i = _first_masked(words, masks)
     if i < len(words):
@@ -192,19 +192,14 @@ def _largest(source: Any) -> Any:
 
 
 @compiled
-def _one_allowed(words: Any, masks: Any, agents: int) -> Any:
-    """Return whether in each group of so many rows there is one whose action is allowed.
-
-    Without a branch, as nobody can predict whose turn it is. That no other row's is masked follows where all
-    others of a group have masks that are all 0.
-    """
-    flat, wide, none = masks.reshape(-1), masks.shape[1], 0
-    for first in range(0, words.size, agents):
-        some = 0
-        for i in range(first, first + agents):
-            some |= flat[wide * i + words[i]]
-        none |= some == 0
-    return not none
+def _allowed_count(words: Any, masks: Any) -> Any:
+    """Return how many rows there are whose action is allowed; no branch, as turns cannot be predicted."""
+    flat, wide, count = masks.reshape(-1), np.uint64(masks.shape[1]), 0
+    first = np.uint64(0)  # unsigned: Numba looks for indices below zero
+    for i in range(words.size):
+        count += flat[first + np.uint64(words[i])]
+        first += wide
+    return count
 
 
 @compiled

@@ -60,13 +60,13 @@ class BlockPieces(Pieces):
         super().__init__(spec, *patterns(agents))
         # The same of single agents, whatever slot they are in.
         self.alone = Pieces(spec, *patterns(1))
-        size, element = own * agents, self.element
+        self.whole, element = own * agents, self.element
         self.table = "rates"
         self.flat = spec.unpack is None
         kept = each("F" + element[1:], range(len(spec.observation)))
         self.copy_one = assign(kept, each(element, range(len(spec.observation))))
         if not self.flat or agents > 1:
-            self.copy_one = [f"for k in range({size}):", f"    F[{size} * i + k] = O[{size} * i + k]"]
+            self.copy_one = [f"{self.dtype}_copy(F, O, {self.whole} * i, {self.whole})"]
         *self.fields, self.elapsed, self.ended = slot_memory.columns(spec)
         # What a slot that starts over has to forget.
         self.forget_one, self.forget = ["E[i] = np.uint32(0)"], ["E[i] = uint32_choose(flag[i], 0, E[i])"]
@@ -85,8 +85,8 @@ class BlockPieces(Pieces):
         self.places = {
             "E": self.column("memory", self.elapsed),
             "N": self.column("memory", self.ended),
-            "O": part("observations", self.dtype, size),
-            "F": part("final_observations", self.dtype, size),
+            "O": part("observations", self.dtype, self.whole),
+            "F": part("final_observations", self.dtype, self.whole),
             "A": part("actions", spec.action.dtype, agents),
             "R": part("rewards", "float32", agents),
             "T": part("terminations", "uint8", agents),
@@ -100,7 +100,7 @@ class BlockPieces(Pieces):
             **self.words(),
             **{f"part_{f.name}": part(f"given_{f.name}", f.dtype, agents) for f in spec.seen},
             **{
-                f"run_{k}_{r}": self.space(spec.observation[run.first].dtype, self.size)
+                f"run_{k}_{r}": self.space(spec.seen[run.word].dtype, self.size)
                 for k in range(agents)
                 for r, run in enumerate(self.runs)
             },
@@ -234,19 +234,27 @@ class BlockPieces(Pieces):
         """Return what observes all slots of a block in a state."""
         if not self.runs:
             return self.over_slots("observe_all", *self.observe(state))
-        packing, writing, size = [], [], self.spec.observation_size
+        packing, writing, single = [], [], []
+        only_masks = all(run.array == "M" for run in self.runs)
+        widths = {"O": self.spec.observation_size, "M": len(self.spec.mask_fields)}
+        dtypes = {"O": self.dtype, "M": np.dtype(np.int8)}
         observed = each("observed_{}", self.seen)
         for k, name in enumerate(observers(self.spec)):
-            packing += [call(name, state, observed), *self.masks(observed, k)]
+            look = call(name, state, observed)
+            packing.append(look)
             for r, run in enumerate(self.runs):
-                word, at = f"run_{k}_{r}[i]", f"{self.agents * size} * i + {k * size + run.first}"
-                field = self.spec.observation[run.first]
+                word, width = f"run_{k}_{r}[i]", widths[run.array]
+                at = f"{self.agents * width} * i + {k * width + run.at}"
+                field = self.spec.seen[run.word]
                 packing.append(f"{word} = {flag_pieces.packed(run, str(field.dtype), observed)}")
                 if run.size > 1:
-                    writing.append(f"{self.dtype}_flags(O, {at}, {word}, {run.size})")
+                    writing.append(f"{dtypes[run.array]}_flags({run.array}, {at}, {word}, {run.size})")
                 else:
-                    writing.append(f"O[{at}] = {self.value(word, field)}")
-        return [*self.over_slots("observe_all", *packing), *self.over_slots("write_all", *writing)]
+                    writing.append(f"{run.array}[{at}] = {pieces.element(word, field, dtypes[run.array])}")
+            if only_masks:
+                single += [look, *self.deliver(observed, k)]
+        lines = [*self.over_slots("pack_all", *packing), *self.over_slots("write_all", *writing)]
+        return lines + (self.over_slots("observe_all", *single) if single else [])
 
     def observed_start(self) -> list[str]:
         """Return what observes a slot that has just started."""
@@ -256,9 +264,11 @@ class BlockPieces(Pieces):
         """Return what starts over the slots that ended, which are listed."""
         keep = self.apart("keep_last", self.copy_one)
         one = [*keep, *self.start_one(), *self.store_one(), *self.observed_start()]
-        listed = ["for j in range(count):", *indented(["i = np.int64(ended_slots[j])", *one])]
+        number = "i = np.int64(ended_slots[j])"
+        listed = ["for j in range(count):", *indented([number, *one])]
         if self.listed:
-            return listed
+            fetch = self.apart("fetch_last", [f"{self.dtype}_prefetch(F, {self.whole} * i, {self.whole})"])
+            return ["for j in range(count):", *indented([number, *fetch]), *listed]
         at_once = [
             *self.over_slots("keep_all_last", *self.copy_one),
             *self.start_over(),
@@ -273,7 +283,7 @@ class BlockPieces(Pieces):
 
     def delivered(self, name: str, words: Sequence[str], agents: int) -> list[str]:
         """Return what turns the words of observations into the observations themselves, a row an agent."""
-        return self.apart(name, each_slot(*self.alone.deliver(words), rows=agents))
+        return self.apart(name, each_slot(*self.alone.deliver(words), *self.alone.masks(words), rows=agents))
 
     def golden_step(self) -> list[str]:
         """Return the loop over the golden step."""

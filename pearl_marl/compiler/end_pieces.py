@@ -78,6 +78,7 @@ def _of_several(p: BlockPieces) -> Parts:
     delivered += [f"g = {word}_and({word}_left(t, 1), {every})", "gone[i] = g"]
     delivered.append(f"flag[i] = uint8_or(late, {word}_equal(g, {every}))")
     scratch = [f"{name} = {p.space(p.ended.dtype, p.size)}" for name in ("gone", "gone_before")]
+    hidden = [f"hidden = {p.space('uint8', p.size)}", "hidden_words = uint64_column(hidden, 0, 0)"]
     return {
         "hide": p.over_slots(
             "hide",
@@ -99,8 +100,8 @@ def _of_several(p: BlockPieces) -> Parts:
             "no_reward", *(f"{r} = float32_choose(resetting[i], np.float32(0), {r})" for r in rewards)
         ),
         "delivered_ends": p.over_slots("delivered_ends", *delivered),
-        "gone": scratch,
-        "gone_delivered": scratch[:1],
+        "gone": [*scratch, *hidden],
+        "gone_delivered": [*scratch[:1], *hidden],
         "gone_before": [f"gone_before = {part('gone_words', p.ended.dtype)}"],
         "gone_at_reset": p.over_slots("gone_at_reset", f"gone[i] = {word}_and(N[i], {every})"),
         "bury_rewards": p.over_slots(
@@ -130,21 +131,27 @@ def _seen_of_several(p: BlockPieces, gone: list[str], lives: list[str]) -> Parts
                 lines += assign(places, (f"{dtype}_choose(dead, 0, {place})" for place in places))
     bury = p.apart("bury", lines)
     keep = p.apart("keep_last", p.copy_one)
-    alive = p.over_slots(
-        "show_alive",
-        *(
-            f"{place} = uint8_or(flag[i], {alive})"
-            for place, alive in zip(p.of_agents("L"), lives, strict=True)
-        ),
-    )
+    shown = [
+        f"{place} = uint8_or(flag[i], {alive})" for place, alive in zip(p.of_agents("L"), lives, strict=True)
+    ]
+    # Few slots have something to hide or to keep in most steps: eight that have not are one comparison.
+    # SAME_STEP keeps what was seen last in an episode when it starts the next.
+    found = f"hidden[i] = uint8_choose(flag[i], next_step, {p.ended.dtype}_differ(gone[i], 0))"
     one = [
         "if flag[i]:",
-        # SAME_STEP keeps it when it starts the next episode.
-        *indented(["if next_step:", *indented(keep)]),
-        "elif gone[i]:",
+        *indented(keep),
+        "else:",
         *indented(["if gone[i] != gone_before[i]:", *indented(keep), *bury]),
     ]
+    some = ["if hidden[i]:", *indented(one)]
+    each_eight = ["if hidden_words[w]:", "    for i in range(8 * w, 8 * w + 8):", *indented(indented(some))]
+    hide = [f"clear(hidden, m, {p.size})", *p.over_slots("show_alive", *shown, found)]
+    hide += [f"for w in range({p.size // 8}):", *indented(each_eight)]
     return {
-        "bury": [*alive, "for i in range(m):", *indented(one)],
-        "bury_at_reset": [*alive, "for i in range(m):", *indented(["if gone[i]:", *indented(bury)])],
+        "bury": hide,
+        "bury_at_reset": [
+            *p.over_slots("show_alive_at_reset", *shown),
+            "for i in range(m):",
+            *indented(["if gone[i]:", *indented(bury)]),
+        ],
     }

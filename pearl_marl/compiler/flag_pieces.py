@@ -1,4 +1,4 @@
-"""The pieces of the CPU's kernels that write observations of many flags.
+"""The pieces of the CPU's kernels that write observations of many flags, and masks.
 
 Left to itself, a loop that writes a long row for each slot is scalar, or scatters its words. So one loop
 packs the flags into bytes, in SIMD code, and another one writes a byte's bits out, all of them at once.
@@ -13,14 +13,19 @@ from typing import NamedTuple
 from pearl_marl.spec import EnvSpec, Field
 
 FEW = 16
-"""Up to so many flags are written one by one."""
+"""Up to so many flags of an observation are written one by one."""
 BYTE = 8
 
 
 class Run(NamedTuple):
-    """Elements of an observation that are written at once: flags that a byte holds, or a single one."""
+    """Elements of a row that are written at once: flags that a byte holds, or a single one."""
 
-    first: int
+    array: str
+    """``O`` for observations, ``M`` for masks."""
+    at: int
+    """The first element's place in an agent's row."""
+    word: int
+    """The first element's place among the words that ``observe`` returns."""
     size: int
 
 
@@ -30,22 +35,30 @@ def is_flag(field: Field) -> bool:
 
 
 def runs(spec: EnvSpec) -> list[Run]:
-    """Return all elements in runs; none where there are few flags, or the fields are not the elements."""
-    flags = [is_flag(field) for field in spec.observation]
-    if spec.unpack is not None or sum(flags) <= FEW:
-        return []
+    """Return the elements of an agent's row that are written in runs.
+
+    That is all masks, and all of an observation whose elements are its fields and that has many flags.
+    """
+    masks = _runs("M", spec.mask_fields, len(spec.observation))
+    if spec.unpack is not None or sum(map(is_flag, spec.observation)) <= FEW:
+        return masks
+    return _runs("O", spec.observation, 0) + masks
+
+
+def _runs(array: str, fields: Sequence[Field], first: int) -> list[Run]:
     found: list[Run] = []
+    flags = [is_flag(field) for field in fields]
     for k, flag in enumerate(flags):
-        if flag and found and flags[k - 1] and found[-1].size < BYTE:
-            found[-1] = Run(found[-1].first, found[-1].size + 1)
+        if flag and k and flags[k - 1] and found[-1].size < BYTE:
+            found[-1] = found[-1]._replace(size=found[-1].size + 1)
         else:
-            found.append(Run(k, 1))
+            found.append(Run(array, k, first + k, 1))
     return found
 
 
 def packed(run: Run, dtype: str, words: Sequence[str]) -> str:
     """Return the word of a run, of the words of its elements."""
-    text = f"np.{dtype}({words[run.first]})"
-    for bit, flag in enumerate(words[run.first + 1 : run.first + run.size], 1):
+    text = f"np.{dtype}({words[run.word]})"
+    for bit, flag in enumerate(words[run.word + 1 : run.word + run.size], 1):
         text = f"uint8_or({text}, uint8_left({flag}, {bit}))"
     return text

@@ -89,7 +89,7 @@ class LanePieces(BlockPieces):
         for k, name in enumerate(observers(self.spec)):
             see = name.replace("observe", "see")
             lines += [*self.apart(see, [call(name, self.loaded, observed)], observed)]
-            lines += self.deliver(observed, k)
+            lines += [*self.deliver(observed, k), *self.masks(observed, k)]
         return lines
 
     def start_over(self) -> list[str]:

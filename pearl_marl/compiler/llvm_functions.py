@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from llvmlite import ir
 from numba import types
-from numba.core.cgutils import for_range
+from numba.core import cgutils
 from numba.extending import intrinsic
 
 from pearl_marl.compiler.llvm_words import (
@@ -31,6 +31,9 @@ from pearl_marl.compiler.llvm_words import (
     arrays,
 )
 from pearl_marl.remaking import remade
+
+LINE = 64
+"""Bytes of a cache line."""
 
 _Tuple: Any = types.Tuple
 
@@ -163,12 +166,27 @@ def _vocabulary(builder: Any) -> dict[str, Any]:
         )
         builder.store(chosen, builder.bitcast(to.at(index), numbers.as_pointer()), type_.bitwidth // 8)
 
+    def copy(type_: Any, to: Column, of: Column, index: Word, count: int) -> None:
+        # Of a constant length: LLVM makes moves of it as wide as they come, where a loop has a scalar tail.
+        copied: Any = cgutils.raw_memcpy
+        copied(builder, to.at(index), of.at(index), ir.IntType(64)(count), type_.bitwidth // 8)
+
+    def prefetch(type_: Any, to: Column, index: Word, count: int) -> None:
+        # Words that will be written, of all slots before the first is: so the cache misses overlap.
+        i32, size = ir.IntType(32), count * type_.bitwidth // 8
+        takes = ir.FunctionType(ir.VoidType(), [BYTES, i32, i32, i32])
+        request = builder.module.declare_intrinsic("llvm.prefetch", [BYTES], takes)
+        first = builder.bitcast(to.at(index), BYTES)
+        for byte in (*range(0, size, LINE), size - 1):
+            address = builder.gep(first, [ir.IntType(64)(byte)])
+            builder.call(request, [address, i32(1), i32(3), i32(1)])  # to write, to keep, data
+
     def turns(*bounds: Word | int) -> Iterator[Word]:
         *start, stop = map(_number, bounds)
         if isinstance(bounds[-1], int):
             # LLVM would write out every turn of a loop around others; so it is not told how many there are.
             stop = builder.asm(ir.FunctionType(stop.type, [stop.type]), "", "=r,0", [stop], False)
-        with for_range(builder, stop, *start) as loop:
+        with cgutils.for_range(builder, stop, *start) as loop:
             yield Word(builder, loop.index, types.int64)
 
     named: dict[str, Any] = {str(t): partial(cast, t) for t in NUMBERS}
@@ -180,7 +198,11 @@ def _vocabulary(builder: Any) -> dict[str, Any]:
         }
     for t in NUMBERS:
         named |= {f"{t}_choose": partial(choose, t), f"{t}_column": partial(column, t)}
-        named[f"{t}_flags"] = partial(flags, t)
+        named |= {
+            f"{t}_flags": partial(flags, t),
+            f"{t}_copy": partial(copy, t),
+            f"{t}_prefetch": partial(prefetch, t),
+        }
     return named
 
 

@@ -194,7 +194,7 @@ def operations() -> dict[str, Any]:
     named = {"allocate": _allocate, "release": _release}
     for t in NUMBERS:
         named |= {f"{t}_column": _column(t), f"{t}_row": _row(t)}
-        named |= {f"{t}_{name}": _named(f"{t}_{name}") for name in ("choose", "flags")}
+        named |= {f"{t}_{name}": _named(f"{t}_{name}") for name in ("choose", "flags", "copy", "prefetch")}
     for t in INTEGERS:
         named |= {f"{t}_{name}": _named(f"{t}_{name}") for name in (*ARITHMETIC, *COMPARISONS)}
     return named

@@ -129,12 +129,8 @@ class Pieces:
         """Return what makes the observations and masks of a slot in a state."""
         lines, state, observed = [], list(state), each("observed_{}", self.seen)
         for k, name in enumerate(observers(self.spec)):
-            lines += [call(name, state, observed), *self.deliver(observed, k)]
+            lines += [call(name, state, observed), *self.deliver(observed, k), *self.masks(observed, k)]
         return lines
-
-    def value(self, word: str, field: Field) -> str:
-        """Return the element that a word of the observation is delivered as."""
-        return f"np.{self.dtype}({word}){_scale(str(self.dtype), field)}"
 
     def masks(self, words: Sequence[str], agent: int = 0) -> list[str]:
         """Return what writes an agent's masks, the last of the words that it is shown."""
@@ -143,20 +139,24 @@ class Pieces:
         return assign(places, each("np.int8({})", flags))
 
     def deliver(self, words: Iterable[str], agent: int = 0) -> list[str]:
-        """Return what makes an observation of its words, element by element or by ``unpack``, and masks."""
+        """Return what makes an observation of the words that are shown, one by one or by ``unpack``."""
         fields, size = self.spec.observation, self.spec.observation_size
-        words = list(words)
-        own, masks = narrowed(fields, words[: len(fields)]), self.masks(words, agent)
+        own = narrowed(fields, list(words)[: len(fields)])
         if self.spec.unpack is not None:
             more = f" + {agent * size}" if agent else ""
-            return [f"unpack({', '.join(own)}, {self.row.format(more)})", *masks]
-        values = map(self.value, own, fields)
-        return [*assign(each(self.element, range(agent * size, (agent + 1) * size)), values), *masks]
+            return [f"unpack({', '.join(own)}, {self.row.format(more)})"]
+        values = (element(word, field, self.dtype) for word, field in zip(own, fields, strict=True))
+        return assign(each(self.element, range(agent * size, (agent + 1) * size)), values)
 
 
 def times(count: int, what: str) -> str:
     """Return a product; where the count is 1, what there is that often."""
     return what if count == 1 else f"{count} * {what}"
+
+
+def element(word: str, field: Field, dtype: np.dtype[Any]) -> str:
+    """Return the element of a row that a word of a field is delivered as."""
+    return f"np.{dtype}({word}){_scale(str(dtype), field)}"
 
 
 def _scale(dtype: str, field: Field) -> str:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from gymnasium.spaces import Box, Discrete
 
-from pearl_marl.compiler.flag_pieces import runs
+from pearl_marl.compiler.flag_pieces import Run, runs
 from pearl_marl.devices import BatchConfig, Lockstep
 from pearl_marl.golden import Word
 from pearl_marl.spec import EnvSpec, Field, Golden
@@ -69,6 +69,8 @@ def test_runs() -> None:
     sizes = [run.size for run in runs(spec(MIXED, np.float32, masks=False))]
     assert sizes == [1, 8, 8, 3, 1, 1, 8, 1, 1]
     assert runs(spec(LONG[:16], np.float32, masks=False)) == []
+    few = spec(LONG[:16], np.float32, masks=True)
+    assert runs(few) == [Run("M", 0, 16, 3)]
 
 
 @pytest.mark.parametrize(
