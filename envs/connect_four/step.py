@@ -70,8 +70,8 @@ def observe(first: Word, second: Word, turn: Word, agent: int) -> tuple[Word, Wo
 
 def masks(first: Word, second: Word, turn: Word, agent: int) -> tuple[Word, ...]:
     """Return which columns have room; none for who is not on turn."""
-    on_turn = turn == agent
-    return tuple(on_turn & ((first | second) >> column & 1 ^ 1) for column in range(COLUMNS))
+    room = np.where(turn == agent, ~(first | second) & TOP_ROW, 0)
+    return tuple(room >> column & 1 for column in range(COLUMNS))
 
 
 def has_four(board: Word) -> Word:
