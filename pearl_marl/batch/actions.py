@@ -74,7 +74,9 @@ def _encode(actions: Any, spec: EnvSpec, target: npt.NDArray[Any], first: int) -
         scale = 2.0**spec.action.fraction
         if array.shape != (len(target), 1) or array.dtype.kind not in "iuf":
             raise refusal(actions, space, len(target), first)
-        numbers = np.array(array[:, 0], np.float64 if array.dtype.itemsize > 4 else np.float32)
+        numbers = array.reshape(-1)
+        if array.dtype not in _FLOATS or not array.flags.carray:
+            numbers = np.array(numbers, np.float64 if array.dtype.itemsize > 4 else np.float32)
         if not _fix(numbers, target, float(space.low[0]), float(space.high[0]), scale):
             raise refusal(actions, space, len(target), first)
         return target
@@ -179,6 +181,7 @@ def limits(space: Discrete | Box) -> str:
     return f"{space} takes integers from 0 to {space.n - 1}"
 
 
+_FLOATS = (np.float32, np.float64)
 _UNSIGNED: dict[int, np.dtype[Any]] = {size: np.dtype(f"u{size}") for size in (1, 2, 4, 8)}
 
 
@@ -216,12 +219,12 @@ def _first_masked(words: Any, masks: Any) -> Any:
 @compiled
 def _fix(source: Any, target: Any, low: float, high: float, scale: float) -> Any:
     """Round numbers to fixed point; return whether all are in range, which NaN is not."""
-    inside = True
+    inside = 0  # counted: a flag would be a branch, and the loop scalar
     for i in range(source.size):
         x = np.float64(source[i])
-        inside = bool(inside and low <= x <= high)
+        inside += int((low <= x) & (x <= high))
         target[i] = target.dtype.type(math.floor(x * scale + 0.5))
-    return inside
+    return inside == source.size
 
 
 @compiled

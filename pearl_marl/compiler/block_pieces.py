@@ -76,7 +76,7 @@ class BlockPieces(Pieces):
         # From about so many on, fewer where a start takes draws, SIMD code for all slots is faster. Not with
         # large observations, of which all would be made anew, nor those of agents that have ended.
         self.listed = not self.flat or agents > 1
-        self.few = self.size + 1 if self.listed else self.size // (4 + 3 * spec.reset_draws)
+        self.few = self.size // (16 + 3 * spec.reset_draws)
         self.block = each("block_{}[i]", self.state)
         self.take = assign(self.new, each("stored_{}[i]", self.state))
         self.functions: dict[str, list[str]] = {}
@@ -261,21 +261,31 @@ class BlockPieces(Pieces):
         return self.apart("observe_start", self.observe(self.new))
 
     def restart(self) -> list[str]:
-        """Return what starts over the slots that ended, which are listed."""
+        """Return what starts over the slots that ended: one by one where they are few, else all at once."""
         keep = self.apart("keep_last", self.copy_one)
         one = [*keep, *self.start_one(), *self.store_one(), *self.observed_start()]
         number = "i = np.int64(ended_slots[j])"
-        listed = ["for j in range(count):", *indented([number, *one])]
+        listed = [
+            "count = 0",
+            f"for w in range({self.size // 8}):",
+            "    if flag_words[w]:",
+            "        for i in range(8 * w, 8 * w + 8):",
+            "            ended_slots[count] = i",
+            "            count += flag[i]",
+        ]
         if self.listed:
             fetch = self.apart("fetch_last", [f"{self.dtype}_prefetch(F, {self.whole} * i, {self.whole})"])
-            return ["for j in range(count):", *indented([number, *fetch]), *listed]
+            listed += ["for j in range(count):", *indented([number, *fetch])]
+        listed += ["for j in range(count):", *indented([number, *one])]
+        if self.listed:
+            return listed
         at_once = [
             *self.over_slots("keep_all_last", *self.copy_one),
             *self.start_over(),
             *self.over_slots("reset_elapsed", *self.forget),
             *self.observed(),
         ]
-        return [f"if count < {self.few}:", *indented(listed), "else:", *indented(at_once)]
+        return [f"if ended < {self.few}:", *indented(listed), "else:", *indented(at_once)]
 
     def start_delivered(self) -> list[str]:
         """Return what starts a single slot and observes it, after another device has ended it."""
@@ -294,8 +304,7 @@ class BlockPieces(Pieces):
         outcome = [*self.each_agent("r"), *self.each_agent("t")]
         given = [*sources, *self.of_agents("A"), *each("draw_{}[i]", self.step_draws)]
         step = call("golden_step", given, [*self.new, *outcome])
-        ends = self.of_agents("T") if self.agents > 1 else ["flag[i]"]
-        targets = [*self.block, *self.of_agents("code"), *ends]
+        targets = [*self.block, *self.of_agents("code"), *self.of_agents("T")]
         return self.over_slots("step_all", step, *assign(targets, [*results, *outcome]))
 
     def rewards(self) -> list[str]:

@@ -14,12 +14,13 @@ Parts = dict[str, list[str]]
 LONG = 16
 """Elements of an observation from which on they are hidden by a loop; it would take longer for a few."""
 
-COUNT = (
-    "e = uint32_choose(resetting[i], 0, uint32_add(E[i], 1))",
-    "late = uint32_at_least(e, limit)",
-    "E[i] = e",
-)
-"""What counts a step, and finds out whether it was the last one that the time limit allows."""
+
+def counted(resetting: bool) -> list[str]:
+    """Return what counts a step, and finds out whether it was the last one that the time limit allows."""
+    e = "uint32_add(E[i], 1)"
+    if resetting:
+        e = f"uint32_choose(resetting[i], 0, {e})"
+    return [f"e = {e}", "late = uint32_at_least(e, limit)", "E[i] = e"]
 
 
 def end_pieces(p: BlockPieces) -> Parts:
@@ -29,13 +30,10 @@ def end_pieces(p: BlockPieces) -> Parts:
 
 def _of_one(p: BlockPieces) -> Parts:
     return {
-        "hide": p.over_slots(
-            "hide", "T[i] = uint8_choose(resetting[i], 0, flag[i])", "flag[i] = resetting[i]"
-        ),
-        "flag_terminated": p.over_slots("flag_terminated", "flag[i] = T[i]"),
-        "terminated": p.over_slots("terminated", "T[i] = flag[i]"),
-        "truncated": p.over_slots("truncated", *COUNT, "U[i] = late", "flag[i] = uint8_or(flag[i], late)"),
-        "not_truncated": p.over_slots("not_truncated", "U[i] = np.uint8(0)"),
+        "hide": p.over_slots("hide", "T[i] = uint8_choose(resetting[i], 0, T[i])", "flag[i] = resetting[i]"),
+        "end_agents": [],
+        "truncated": _truncated(p, "U[i] = late", "flag[i] = uint8_or(T[i], late)"),
+        "not_truncated": p.over_slots("not_truncated", "U[i] = np.uint8(0)", "flag[i] = T[i]"),
         "ending": p.over_slots("ending", "N[i] = flag[i]"),
         "no_reward": p.over_slots("no_reward", "R[i] = float32_choose(resetting[i], np.float32(0), R[i])"),
         "delivered_ends": p.over_slots(
@@ -86,11 +84,9 @@ def _of_several(p: BlockPieces) -> Parts:
             f"N[i] = {word}_choose(resetting[i], 0, N[i])",
             "flag[i] = resetting[i]",
         ),
-        "flag_terminated": p.over_slots("end_agents", *end_agents),
-        "terminated": p.over_slots("end_agents", *end_agents),
-        "truncated": p.over_slots(
-            "truncated",
-            *COUNT,
+        "end_agents": p.over_slots("end_agents", *end_agents),
+        "truncated": _truncated(
+            p,
             *(f"{truncated[k]} = uint8_and(late, {lives('gone_before[i]', k)})" for k in agents),
             "flag[i] = uint8_or(flag[i], late)",
         ),
@@ -113,6 +109,13 @@ def _of_several(p: BlockPieces) -> Parts:
         ),
         **_seen_of_several(p, [bit("gone[i]", k) for k in agents], [lives("gone[i]", k) for k in agents]),
     }
+
+
+def _truncated(p: BlockPieces, *lines: str) -> list[str]:
+    """Return what ends episodes by the time limit; few steps have slots that spend them resetting."""
+    some = p.over_slots("truncated_or_reset", *counted(resetting=True), *lines)
+    none = p.over_slots("truncated", *counted(resetting=False), *lines)
+    return ["if any_resetting:", *indented(some), "else:", *indented(none)]
 
 
 def _seen_of_several(p: BlockPieces, gone: list[str], lives: list[str]) -> Parts:

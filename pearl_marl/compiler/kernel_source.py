@@ -84,7 +84,6 @@ def _source(itself: _Itself) -> str:
         "OVER": "np.uint8(N[i] & 1)" if several else "N[i]",
         "GONE": " gone_words," if several else "",
         "SHOWN": shown,
-        "FEW": str(p.few),
         "LAST": f"final_observations,{shown}",
         "GIVEN": ", ".join(given),
         "SEEN": ", ".join(seen),

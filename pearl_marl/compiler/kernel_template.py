@@ -80,9 +80,7 @@ def step(
             # These slots have run on unseen; what they did gives way to the start of a new episode.
             $hide
             $start_over
-            $flag_terminated
-        else:
-            $terminated
+        $end_agents
         if limit:
             $truncated
         else:
@@ -96,19 +94,10 @@ def step(
             if any_resetting:
                 $no_reward
 
-        any_ended = np.uint64(0)
-        for i in range($FLAG_WORDS):
-            any_ended |= flag_words[i]
-        if any_ended and not next_step:
-            # Listed, since most often few ended; but no further than their number matters.
-            count = 0
-            for w in range($FLAG_WORDS):
-                if flag_words[w]:
-                    for i in range(8 * w, 8 * w + 8):
-                        ended_slots[count] = i
-                        count += flag[i]
-                    if count >= $FEW:
-                        break
+        ended = np.uint64(0)
+        for w in range($FLAG_WORDS):
+            ended += flag_words[w] * np.uint64(0x0101010101010101) >> np.uint64(56)  # the sum of its bytes
+        if ended and not next_step:
             $restart
         $store_block
     $release
@@ -170,7 +159,6 @@ def advance(memory, actions, table, rewards, terminations, n, lo, hi):
         m = least($BLOCK, hi - b)
         slot_0 = b
         $load_block
-        flag = uint8_column(terminations, 0, b)
         $draw_for_step
         $golden_step
         $rewards
