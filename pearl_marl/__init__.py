@@ -12,6 +12,7 @@ from pearl_marl.interfaces.aec import env, raw_env
 from pearl_marl.interfaces.parallel import PearlParallelEnv, parallel_env
 from pearl_marl.interfaces.registration import announce, register
 from pearl_marl.interfaces.vector import PearlVectorEnv, make_vec
+from pearl_marl.packing import unpacked
 from pearl_marl.registry import get_spec
 from pearl_marl.registry import names as envs
 from pearl_marl.spec import EnvSpec
@@ -31,6 +32,7 @@ __all__ = [
     "parallel_env",
     "raw_env",
     "register",
+    "unpacked",
     "wrappers",
 ]
 

@@ -34,7 +34,7 @@ ROOMS = (
         "registry",
         "memory_map",
     ),
-    *("batch", "rendering", "policies", "comparison", "compiler", "hardware", "devices"),
+    *("batch", "rendering", "comparison", "compiler", "packing", "policies", "hardware", "devices"),
     *("verification", "latency", "evaluation", "interfaces", "wrappers", "plan", "benchmark"),
     *("testing", "training", "experiments", "cli"),
 )

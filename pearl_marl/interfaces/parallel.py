@@ -21,6 +21,7 @@ from pearl_marl.devices import BatchConfig, BatchStep, Device, make_device
 from pearl_marl.errors import ArgumentError, OrderError
 from pearl_marl.interfaces.batch import Mask, World
 from pearl_marl.interfaces.parallel_interface import ParallelInterface
+from pearl_marl.packing import observed_as
 from pearl_marl.registry import get_spec
 from pearl_marl.rendering import Renderer, check_render_mode, renderer
 from pearl_marl.spec import snake_case
@@ -244,6 +245,7 @@ def parallel_env(
     initial_states: str = "random",
     render_mode: str | None = None,
     copy: bool = True,
+    observations: str = "whole",
     **options: Any,
 ) -> PearlParallelEnv:
     """Make an environment whose agents are those of a PettingZoo ``ParallelEnv``.
@@ -268,6 +270,9 @@ def parallel_env(
         ``"human"``, ``"rgb_array"`` or ``"ansi"``, where Gymnasium has it.
     copy
         Whether results are yours to keep. If not, the next step overwrites them.
+    observations
+        ``"packed"`` delivers planes as the bytes of the words that they are made of, ``uint8``, for
+        :func:`pearl_marl.unpacked` to make planes of. By default they are ``"whole"``.
     **options
         The environment's own arguments, named as Gymnasium names them.
 
@@ -282,7 +287,7 @@ def parallel_env(
     if not isinstance(autoreset, bool):
         raise ArgumentError(f"autoreset is {autoreset!r}; it must be True or False")
     config = BatchConfig(
-        spec=spec,
+        spec=observed_as(spec, observations),
         n_envs=worlds_of(spec, n_agents),
         max_cycles=max_cycles,
         initial_states=initial_states,

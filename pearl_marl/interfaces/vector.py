@@ -14,6 +14,7 @@ from pearl_marl.devices import BatchConfig, BatchStep, Device, make_device
 from pearl_marl.errors import ArgumentError
 from pearl_marl.interfaces.batch import World
 from pearl_marl.interfaces.vector_interface import Shown, VectorInterface, slot_autoreset_mode
+from pearl_marl.packing import observed_as
 from pearl_marl.registry import get_spec
 
 
@@ -94,6 +95,7 @@ def make_vec(
     rewards: npt.ArrayLike | None = None,
     initial_states: str = "random",
     copy: bool = True,
+    observations: str = "whole",
     **options: Any,
 ) -> PearlVectorEnv:
     """Make a ``gymnasium.vector.VectorEnv``.
@@ -106,7 +108,7 @@ def make_vec(
         How many slots.
     autoreset_mode
         A ``gymnasium.vector.AutoresetMode`` or its value: see :class:`PearlVectorEnv`.
-    device, max_cycles, rewards, initial_states, copy, **options
+    device, max_cycles, rewards, initial_states, copy, observations, **options
         As in :func:`pearl_marl.parallel_env`.
 
     Raises
@@ -128,7 +130,7 @@ def make_vec(
             f"call pearl_marl.parallel_env({spec.name!r}, n_agents=...) instead"
         )
     config = BatchConfig(
-        spec=spec,
+        spec=observed_as(spec, observations),
         n_envs=num_envs,
         autoreset_mode=slot_autoreset_mode(mode),
         max_cycles=max_cycles,

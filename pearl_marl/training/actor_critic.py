@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
@@ -9,10 +10,12 @@ import numpy as np
 import torch
 from gymnasium.spaces import Box
 from torch import Tensor, nn
-from torch.distributions import Normal
 
 from pearl_marl.policies.network import Network, NetworkPolicy, masked, networks
 from pearl_marl.spec import EnvSpec
+from pearl_marl.training.adam import Gradients
+
+LOG_TURN = math.log(2 * math.pi)
 
 
 class View(NamedTuple):
@@ -41,6 +44,16 @@ class View(NamedTuple):
         """Return views one step after the other."""
         obs, *others = zip(*views, strict=True)
         return View(torch.stack(obs), *(None if part[0] is None else torch.stack(part) for part in others))
+
+
+class Weighed(NamedTuple):
+    """How probable some actions are."""
+
+    logs: Tensor  # logarithms of their probabilities
+    entropy: Tensor  # the mean over observations
+    gradients: Callable[[Tensor, float], Gradients]
+    """Returns a loss's gradients from those by ``logs`` and by ``entropy``. It is written out, since autograd
+    would take longer than the network does that is learned."""
 
 
 class ActorCritic(nn.Module):
@@ -130,12 +143,34 @@ class ActorCritic(nn.Module):
         actions = (outputs + noise).argmax(-1)
         return actions, actions
 
-    def weigh(self, outputs: Tensor, actions: Tensor) -> tuple[Tensor, Tensor]:
-        """Return the logarithms of the actions' probabilities, and the mean entropy."""
-        if self.continuous:
-            chosen = Normal(outputs, self.log_deviation.exp().expand_as(outputs), validate_args=False)
-            logs = chosen.log_prob(actions).sum(-1)  # type: ignore[no-untyped-call]
-            return logs, chosen.entropy().sum(-1).mean()  # type: ignore[no-untyped-call]
+    def weigh(self, outputs: Tensor, actions: Tensor) -> Weighed:
+        """Return how probable actions are, and how far the policy is from being certain."""
+        weigh = self._weigh_numbers if self.continuous else self._weigh_choices
+        with torch.no_grad():
+            return weigh(outputs, actions)
+
+    def _weigh_numbers(self, outputs: Tensor, actions: Tensor) -> Weighed:
+        spread = self.log_deviation.exp()
+        apart = (actions - outputs) / spread
+        logs = -(0.5 * apart.square() + self.log_deviation + 0.5 * LOG_TURN).sum(-1)
+        entropy = (0.5 + 0.5 * LOG_TURN + self.log_deviation).expand_as(outputs).sum(-1).mean()
+
+        def gradients(by_logs: Tensor, by_entropy: float) -> Gradients:
+            by_apart = by_logs[..., None] * apart
+            wider = (by_apart * apart).sum() - outputs.shape[-1] * (by_logs.sum() - by_entropy)
+            return [(outputs, by_apart / spread), (self.log_deviation, wider[None])]
+
+        return Weighed(logs, entropy, gradients)
+
+    def _weigh_choices(self, outputs: Tensor, actions: Tensor) -> Weighed:
         everything = outputs.log_softmax(-1)
-        logs = everything.gather(-1, actions[..., None])[..., 0]
-        return logs, -(everything.exp() * everything).sum(-1).mean()
+        shares, taken = everything.exp(), actions[..., None]
+        entropies = -(shares * everything).sum(-1, keepdim=True)
+
+        def gradients(by_logs: Tensor, by_entropy: float) -> Gradients:
+            by_outputs = (shares * -by_logs[..., None]).scatter_add_(-1, taken, by_logs[..., None])
+            if by_entropy:
+                by_outputs -= shares * (everything + entropies) * (by_entropy / entropies.numel())
+            return [(outputs, by_outputs)]
+
+        return Weighed(everything.gather(-1, taken)[..., 0], entropies.mean(), gradients)

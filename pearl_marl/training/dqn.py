@@ -11,12 +11,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from pearl_marl.errors import ArgumentError
 from pearl_marl.policies.network import SHARING, NetworkPolicy
 from pearl_marl.spec import EnvSpec
-from pearl_marl.training.rollout import TEAM, Agents, Trainer, team_rewards
+from pearl_marl.training.adam import Adam
+from pearl_marl.training.rollout import TEAM, Agents, Trainer, seen_spec, team_rewards
 from pearl_marl.training.settings import SEEDS, SLOTS, WIDEST, Checked, check_memory, choice, count, number
 
 
@@ -55,7 +56,14 @@ class DQN(Trainer):
             )
         # Of every step in memory two observations, action, reward and end; of those learned from, no less.
         rows = n * depth + settings.minibatch
-        check_memory(spec, settings, device, ("n_agents", "memory", "minibatch"), 2 * rows, 13 * rows)
+        check_memory(
+            seen_spec(spec, device),
+            settings,
+            device,
+            ("n_agents", "memory", "minibatch"),
+            2 * rows,
+            13 * rows,
+        )
         torch.manual_seed(settings.seed)
         self.policy = NetworkPolicy(spec, "values", settings.width, settings.sharing, settings.chance)
         self.target = NetworkPolicy(spec, "values", settings.width, settings.sharing)
@@ -65,7 +73,7 @@ class DQN(Trainer):
         self.policy.to(where)
         self.target.to(where)
         self.target.load_state_dict(self.policy.state_dict())
-        self.optimiser = torch.optim.Adam(self.policy.parameters(), lr=settings.learning_rate, fused=True)
+        self.optimiser = Adam(self.policy.parameters(), epsilon=1e-8, longest=10.0)
         self.learned = {"policy": self.policy, "target": self.target, "optimiser": self.optimiser}
         self.losses: list[Tensor] = []
         one = obs.shape[1:]
@@ -135,17 +143,19 @@ class DQN(Trainer):
             best = self.policy(arrivals, allowed, position).argmax(1, keepdim=True)
             later = self.target(arrivals, None, position).gather(1, best)[:, 0]
             wanted = rewards + settings.discount * later * ~over
-        values: Tensor = self.policy(obs, None, position).gather(1, actions[:, None])[:, 0]
-        losses = nn.functional.smooth_l1_loss(values, wanted, reduction="none")
-        loss = (losses * alive).sum() / alive.sum().clamp(1)
-        self.optimiser.zero_grad()
-        loss.backward()  # type: ignore[no-untyped-call]
-        nn.utils.clip_grad_norm_(self.policy.parameters(), 10.0)
-        self.optimiser.step()
+        outputs = self.policy(obs, None, position)
+        with torch.no_grad():
+            apart = outputs.gather(1, actions[:, None])[:, 0] - wanted
+            share = alive / alive.sum().clamp(1)
+            # Huber's loss, and its gradient: of those who are far off it is no larger.
+            near = apart.clamp(-1, 1)
+            loss: Tensor = ((apart - 0.5 * near) * near * share).sum()
+            gradient = torch.zeros_like(outputs).scatter_(1, actions[:, None], (near * share)[:, None])
+        self.optimiser.step([(outputs, gradient)], settings.learning_rate)
         self.updated += 1
         if self.updated % settings.refresh == 0:
             self.target.load_state_dict(self.policy.state_dict())
-        return loss.detach()
+        return loss
 
     def state(self) -> dict[str, Any]:
         """Return all that the continuation depends on."""

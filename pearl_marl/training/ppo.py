@@ -12,13 +12,14 @@ from dataclasses import dataclass
 from typing import Any
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from pearl_marl.errors import ArgumentError
 from pearl_marl.policies.network import SHARING
 from pearl_marl.spec import EnvSpec
 from pearl_marl.training.actor_critic import ActorCritic, View
-from pearl_marl.training.rollout import TEAM, Experience, RolloutWorker, Trainer
+from pearl_marl.training.adam import Adam
+from pearl_marl.training.rollout import TEAM, Experience, RolloutWorker, Trainer, seen_spec
 from pearl_marl.training.settings import SEEDS, SLOTS, WIDEST, Checked, check_memory, choice, count, number
 from pearl_marl.training.workers import RayWorkers
 
@@ -73,7 +74,7 @@ class PPO(Trainer):
     def __init__(self, spec: EnvSpec, device: Any, settings: Settings, shards: int | None = None) -> None:
         # Of every step at least an observation, and six numbers of its experience.
         rows = settings.n_agents * settings.depth
-        check_memory(spec, settings, device, ("n_agents", "depth"), rows, 6 * 4 * rows)
+        check_memory(seen_spec(spec, device), settings, device, ("n_agents", "depth"), rows, 6 * 4 * rows)
         torch.manual_seed(settings.seed)
         self.model = ActorCritic(spec, settings.width, settings.sharing, settings.chance, self.central)
         self.worker: Any
@@ -86,16 +87,12 @@ class PPO(Trainer):
         self.depth = settings.depth
         self.model.to(self.where)
         self.policy = self.model.policy
-        self.parameters = list(self.model.parameters())
-        self.optimiser = torch.optim.Adam(self.parameters, lr=settings.learning_rate, eps=1e-5, fused=True)
+        self.optimiser = Adam(self.model.parameters(), epsilon=1e-5, longest=0.5)
         self.learned = {"model": self.model, "optimiser": self.optimiser}
         self.losses = torch.zeros(4, device=self.where)
 
     def iterate(self) -> None:
         """Gather experience and learn from it."""
-        settings = self.settings
-        for group in self.optimiser.param_groups:
-            group["lr"] = settings.learning_rate * (1 - self.done / settings.iterations)
         experience = self.worker.gather(self.done)
         self.count(experience)
         view, rows = experience.view.flat(), experience.learned.flatten().nonzero()[:, 0]
@@ -127,23 +124,24 @@ class PPO(Trainer):
         self, view: View, actions: Tensor, old_logs: Tensor, advantages: Tensor, returns: Tensor
     ) -> Tensor:
         """Take one step of gradient descent; return policy loss, value loss, entropy, share clipped."""
-        clip = self.settings.clip
+        clip, n = self.settings.clip, len(advantages)
         outputs, values = self.model(view)
-        logs, entropy = self.model.weigh(outputs, actions)
-        ratio = (logs - old_logs).exp()
-        if len(advantages) > 1:  # one alone has no deviation
-            deviation, mean = torch.std_mean(advantages)
-            advantages = (advantages - mean) / (deviation + 1e-8)
-        policy_loss = -torch.min(ratio * advantages, ratio.clamp(1 - clip, 1 + clip) * advantages).mean()
-        value_loss = (values - returns).square().mean()
-        self.optimiser.zero_grad()
-        loss = policy_loss + 0.5 * value_loss - self.settings.entropy * entropy
-        loss.backward()
-        nn.utils.clip_grad_norm_(self.parameters, 0.5)
-        self.optimiser.step()
         with torch.no_grad():
-            clipped = ((ratio - 1).abs() > clip).float().mean()
-            return torch.stack((policy_loss, value_loss, entropy, clipped))
+            logs, entropy, gradients = self.model.weigh(outputs, actions)
+            ratio = (logs - old_logs).exp()
+            if n > 1:  # one alone has no deviation
+                deviation, mean = torch.std_mean(advantages)
+                advantages = (advantages - mean) / (deviation + 1e-8)
+            gains, clipped = ratio * advantages, ratio.clamp(1 - clip, 1 + clip) * advantages
+            policy_loss = -torch.min(gains, clipped).mean()
+            apart = values - returns
+            # A ratio that has gone too far is not pulled further.
+            by_logs = torch.where(gains <= clipped, gains, 0) / -n
+            by = [(values, apart / n), *gradients(by_logs, -self.settings.entropy)]
+        rate = self.settings.learning_rate * (1 - self.done / self.settings.iterations)
+        self.optimiser.step(by, rate)
+        far = ((ratio - 1).abs() > clip).float().mean()
+        return torch.stack((policy_loss, apart.square().mean(), entropy, far))
 
 
 class MAPPO(PPO):

@@ -16,7 +16,8 @@ from torch import Tensor
 
 from pearl_marl.batch.config import worlds_of
 from pearl_marl.batch.saved_state import SavedState
-from pearl_marl.devices import BatchConfig, BatchStep, Device, make_device
+from pearl_marl.devices import BatchConfig, BatchStep, Cuda, Device, make_device
+from pearl_marl.packing import packed
 from pearl_marl.policies.network import MASKED, masked
 from pearl_marl.spec import EnvSpec
 from pearl_marl.training.actor_critic import ActorCritic, View
@@ -24,6 +25,12 @@ from pearl_marl.training.advantages import Course, advantages
 
 ROWS = 16_384
 """Observations that the critic is given at a time, for the memory that its layers take."""
+
+
+def seen_spec(spec: EnvSpec, device: str | Device) -> EnvSpec:
+    """Return the spec by which agents observe: on the host, of planes the words that make them."""
+    on_gpu = device == Cuda.name or isinstance(device, Cuda)
+    return spec if spec.unpack is None or on_gpu else packed(spec)
 
 
 class Agents:
@@ -49,7 +56,8 @@ class Agents:
         self.spec, self.central = spec, central
         self.device = make_device(device, tensors=True)
         first_slot = first // spec.agents
-        self.device.open(BatchConfig(spec=spec, n_envs=worlds_of(spec, n), first_slot=first_slot))
+        kept = seen_spec(spec, device)
+        self.device.open(BatchConfig(spec=kept, n_envs=worlds_of(spec, n), first_slot=first_slot))
         obs = torch.as_tensor(self.device.reset(seed))
         number = torch.arange(n, device=obs.device)
         self.position = number % spec.agents if spec.agents > 1 else None
@@ -172,7 +180,7 @@ class Trainer:
         self.learned: dict[str, Any] = {}  # modules and optimisers, by their names in a checkpoint
         self.done = 0  # iterations so far
         self.depth = 1  # steps of every agent in an iteration
-        self.evaluated = 1000  # agents whose first episodes are an evaluation, unless said otherwise
+        self.evaluated = 256  # agents whose first episodes are an evaluation, unless said otherwise
 
     @property
     def agent_steps(self) -> int:
@@ -277,7 +285,7 @@ class RolloutWorker:
         view, actions = View.stacked(views), torch.stack(taken)
         rewards, terminations, truncations = map(torch.stack, list(zip(*steps, strict=True))[1:4])
         ended = over = terminations | truncations
-        logs, _ = model.weigh(torch.stack(made), actions)
+        logs = model.weigh(torch.stack(made), actions).logs
         wanted = team_rewards(rewards, self.spec.agents, settings.rewards) * settings.reward_scale
         if settings.rewards != "own":  # what the others still earn counts until the whole world ends
             gone = ended | ~torch.stack(alive[:-1])

@@ -1,0 +1,86 @@
+"""Observations as the words that an environment makes them of: a row of bytes instead of planes.
+
+Seaquest's ten planes of 100 elements are 69 bytes like this, ConnectFour's two boards 16. Whoever keeps or
+sends many of them does so packed, and unpacks those at hand.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from gymnasium.spaces import Box
+
+from pearl_marl.compiler.kernels import compile_kernels
+from pearl_marl.errors import ArgumentError
+from pearl_marl.golden import GoldenFunction
+from pearl_marl.spec import EnvSpec
+
+Array = npt.NDArray[Any]
+
+
+FORMS = ("whole", "packed")
+"""How observations are delivered."""
+
+
+def observed_as(spec: EnvSpec, observations: str) -> EnvSpec:
+    """Return a spec whose observations are in one of :data:`FORMS`."""
+    if observations not in FORMS:
+        raise ArgumentError(f"observations is {observations!r}; possible are {', '.join(map(repr, FORMS))}")
+    return packed(spec) if observations == "packed" else spec
+
+
+def row_dtype(spec: EnvSpec) -> np.dtype[Any]:
+    """Return the layout of a packed row: the words of the observation one after the other, little-endian."""
+    return np.dtype([(field.name, field.dtype.newbyteorder("<")) for field in spec.observation])
+
+
+def packed(spec: EnvSpec) -> EnvSpec:
+    """Return the same environment with packed observations, ``uint8``.
+
+    Raises
+    ------
+    ArgumentError
+        Its observations are numbers, which are no larger than the words.
+    """
+    if spec.unpack is None:
+        raise ArgumentError(
+            f"observations is 'packed', and {spec.name}'s are no planes to be packed: leave it out"
+        )
+    space = Box(0, 255, (row_dtype(spec).itemsize,), np.uint8)
+    roles = tuple(role._replace(observation_space=space) for role in spec.roles)
+    return replace(spec, observation_space=space, unpack=_packer(spec), roles=roles, configure=None)
+
+
+def _packer(spec: EnvSpec) -> GoldenFunction:
+    """Return what writes the words of an observation into a row, as ``unpack`` of a spec does."""
+    lines, layout = [], row_dtype(spec)
+    for field in spec.observation:
+        start = layout.fields[field.name][1]  # type: ignore[index]
+        for byte in range(field.dtype.itemsize):
+            lines.append(f"    row[{start + byte}] = int({field.name}) >> {8 * byte} & 255")
+    names = ", ".join(field.name for field in spec.observation)
+    scope: dict[str, Any] = {}
+    exec("\n".join([f"def pack({names}, row):", *lines]), scope)
+    pack: GoldenFunction = scope["pack"]
+    return pack
+
+
+def unpacked(spec: EnvSpec, rows: Array) -> Array:
+    """Return observations of shape ``(n, *spec.observation_shape)`` of packed ones, shape ``(n, bytes)``.
+
+    ``spec`` is that of the environment with its observations as they are.
+    """
+    layout = row_dtype(spec)
+    if rows.dtype != np.uint8 or rows.ndim != 2 or rows.shape[1] != layout.itemsize:
+        raise ArgumentError(
+            f"packed observations have the dtype {rows.dtype} and the shape {rows.shape}; {spec.name}'s are "
+            f"uint8 of the shape (n, {layout.itemsize})"
+        )
+    words = np.ascontiguousarray(rows).view(layout)[:, 0]
+    columns = (np.ascontiguousarray(words[f.name], f.dtype) for f in spec.observation)
+    observations = np.empty((len(rows), *spec.observation_shape), spec.observation_dtype)
+    compile_kernels(spec).deliver(*columns, observations)
+    return observations

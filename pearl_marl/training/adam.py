@@ -1,0 +1,68 @@
+"""Adam (Kingma and Ba, 2015, arXiv:1412.6980), for networks so small that the calls are what takes time.
+
+All parameters lie in one tensor and their gradients in another, so a step is a handful of operations, however
+many parameters there are. It does what ``torch.optim.Adam`` does after ``clip_grad_norm_``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+FADING, FADING_SQUARES = 0.9, 0.999
+"""What remains, at each step, of the means of gradients and of their squares."""
+
+
+Gradients = list[tuple[Tensor, Tensor]]
+"""Tensors, each with the gradient of the loss by it."""
+
+
+class Adam:
+    """Moves parameters, which it takes into one tensor; they have to be where they stay.
+
+    Parameters
+    ----------
+    parameters
+        All of the same dtype and device.
+    epsilon
+        What is added to the root of the mean square that steps are divided by.
+    longest
+        The length to which the gradient of all parameters together is cut.
+    """
+
+    def __init__(self, parameters: Iterable[nn.Parameter], epsilon: float, longest: float) -> None:
+        self.parameters = list(parameters)
+        self.epsilon, self.longest = epsilon, longest
+        with torch.no_grad():
+            self._values = torch.cat([parameter.flatten() for parameter in self.parameters])
+        self._gradient, self._mean, self._square = (torch.zeros_like(self._values) for _ in range(3))
+        self._steps = 0
+        sizes = [parameter.numel() for parameter in self.parameters]
+        parts = (torch.split(tensor, sizes) for tensor in (self._values, self._gradient))
+        for parameter, values, gradient in zip(self.parameters, *parts, strict=True):
+            parameter.data, parameter.grad = values.view_as(parameter), gradient.view_as(parameter)
+
+    def step(self, gradients: Gradients, rate: float) -> None:
+        """Learn at a learning rate from a loss of which some gradients are known, and the rest follow."""
+        gradient, mean, square = self._gradient.zero_(), self._mean, self._square
+        torch.autograd.backward(*map(list, zip(*gradients, strict=True)))  # type: ignore[arg-type]
+        with torch.no_grad():
+            gradient *= (self.longest / (gradient.norm() + 1e-6)).clamp(max=1)
+            self._steps += 1
+            mean.lerp_(gradient, 1 - FADING)
+            square.mul_(FADING_SQUARES).addcmul_(gradient, gradient, value=1 - FADING_SQUARES)
+            root = square.div(1 - FADING_SQUARES**self._steps).sqrt_().add_(self.epsilon)
+            self._values.addcdiv_(mean, root, value=-rate / (1 - FADING**self._steps))
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return all that later steps depend on, but for the parameters."""
+        return {"mean": self._mean, "square": self._square, "steps": self._steps}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Go on from what :meth:`state_dict` returned."""
+        self._mean.copy_(state["mean"])
+        self._square.copy_(state["square"])
+        self._steps = int(state["steps"])
