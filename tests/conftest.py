@@ -21,6 +21,8 @@ os.environ.setdefault("NUMBA_ENABLE_CUDASIM", "0" if os.path.exists("/dev/nvidia
 # Processes of tests share the cores. PyTorch with as many threads as cores in each of them is slower than
 # with one, and on a busy machine many times.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
+# Ray gives way to all other processes in what its actors do, and on a busy machine they never get to it.
+os.environ.setdefault("RAY_worker_niceness", "0")
 # Simulated devices take longer to compile than a test takes to step them.
 os.environ.setdefault("PEARL_LIGHT_SIMULATION", "1")
 
