@@ -37,7 +37,7 @@ def cache_folder(name: str) -> Path:
 
 @contextlib.contextmanager
 def locked(path: Path) -> Iterator[None]:
-    """Let one process or thread at a time make an entry of the cache; ``path`` is a file for the lock alone."""
+    """Let one process or thread at a time make an entry of the cache; ``path`` serves the lock alone."""
     with path.open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         yield

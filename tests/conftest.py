@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import fcntl
+import importlib
 import os
 import shutil
 import sys
@@ -91,6 +92,23 @@ def once(tmp_path_factory: pytest.TempPathFactory) -> Once:
         return folder
 
     return once
+
+
+@pytest.fixture
+def ray_cluster() -> None:
+    """Have this process in a Ray cluster with one board, which takes seconds to begin and ends with it."""
+    ray = importlib.import_module("ray")
+    if ray.is_initialized():
+        return
+    ray.init(
+        address="local",  # or it would join the cluster of another test that runs beside
+        num_cpus=1,
+        resources={"fpga": 1},
+        object_store_memory=100_000_000,
+        include_dashboard=False,
+        log_to_driver=False,
+        logging_level="ERROR",
+    )
 
 
 @pytest.fixture
