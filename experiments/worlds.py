@@ -37,7 +37,7 @@ COLUMNS = {
 SEEDS = (0, 1, 2)
 FRESH, EPISODES = 1000, 10_000
 """Seed of the episodes by which a trained policy is judged, and of how many agents."""
-QUICK_ITERATIONS, QUICK_EPISODES = 4, 200
+QUICK_ITERATIONS, QUICK_EPISODES = 2, 100
 
 
 class Task(NamedTuple):

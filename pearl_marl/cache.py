@@ -6,11 +6,13 @@
 from __future__ import annotations
 
 import atexit
+import contextlib
+import fcntl
 import functools
 import os
 import shutil
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +33,14 @@ def cache_folder(name: str) -> Path:
         temporary = Path(tempfile.mkdtemp(prefix=f"pearl_marl_{name}_"))
         atexit.register(shutil.rmtree, temporary, ignore_errors=True)
         return temporary
+
+
+@contextlib.contextmanager
+def locked(path: Path) -> Iterator[None]:
+    """Let one process or thread at a time make an entry of the cache; ``path`` serves the lock alone."""
+    with path.open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        yield
 
 
 def compiled(function: Callable[..., Any]) -> Callable[..., Any]:

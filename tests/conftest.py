@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import fcntl
+import importlib
 import os
 import shutil
 import sys
@@ -21,6 +22,8 @@ os.environ.setdefault("NUMBA_ENABLE_CUDASIM", "0" if os.path.exists("/dev/nvidia
 # Processes of tests share the cores. PyTorch with as many threads as cores in each of them is slower than
 # with one, and on a busy machine many times.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
+# Ray gives way to all other processes in what its actors do, and on a busy machine they never get to it.
+os.environ.setdefault("RAY_worker_niceness", "0")
 # Simulated devices take longer to compile than a test takes to step them.
 os.environ.setdefault("PEARL_LIGHT_SIMULATION", "1")
 
@@ -89,6 +92,23 @@ def once(tmp_path_factory: pytest.TempPathFactory) -> Once:
         return folder
 
     return once
+
+
+@pytest.fixture
+def ray_cluster() -> None:
+    """Have this process in a Ray cluster with one board, which takes seconds to begin and ends with it."""
+    ray = importlib.import_module("ray")
+    if ray.is_initialized():
+        return
+    ray.init(
+        address="local",  # or it would join the cluster of another test that runs beside
+        num_cpus=1,
+        resources={"fpga": 1},
+        object_store_memory=100_000_000,
+        include_dashboard=False,
+        log_to_driver=False,
+        logging_level="ERROR",
+    )
 
 
 @pytest.fixture

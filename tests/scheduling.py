@@ -35,9 +35,15 @@ FIRST = (
 """Beginnings of groups' names; what comes after them takes less than half a minute each."""
 
 
+CLUSTER = ("tests/devices/test_ray.py", "tests/training/test_workers.py")
+"""Files whose tests share a Ray cluster."""
+
+
 def group(test: str) -> str:
     """Return the group of a test: of the contract an environment, of the pages a test, else a file."""
     file, _, rest = test.partition("::")
+    if file in CLUSTER:
+        return CLUSTER[0]
     if file.endswith("contract/test_environments.py"):
         environment = re.search(r"\[(\w+)", rest)
         return f"{file}::{rest.partition('::')[0]}::{environment[1] if environment else ''}"

@@ -19,6 +19,7 @@ import numba
 import numpy as np
 
 from pearl_marl import remaking, rng
+from pearl_marl.cache import cache_folder, locked
 from pearl_marl.compiler import llvm_functions, llvm_planes, llvm_words
 from pearl_marl.compiler.kernel_source import kernel_source
 from pearl_marl.compiler.loading import fingerprint, load, with_callees
@@ -95,7 +96,7 @@ def compile_kernels(spec: EnvSpec) -> Kernels:
         module, path = load(
             name,
             source,
-            kernel=numba.njit(nogil=True, cache=True, error_model="numpy", **_NOT_FOR_C),
+            kernel=partial(_kernel, name),
             called=numba.njit(error_model="numpy", **_FOR_KERNELS),
             called_inline=numba.njit(forceinline=_FORCE_INLINE, error_model="numpy", **_FOR_KERNELS),
             inlined=llvm_functions.inlined,
@@ -110,6 +111,22 @@ def compile_kernels(spec: EnvSpec) -> Kernels:
 
 _loaded: dict[str, Kernels] = {}
 """By name, which is a hash of all that a kernel depends on."""
+
+
+def _kernel(name: str, function: Callable[..., None]) -> Any:
+    """Have Numba compile a function of the kernels of that name, in one process at a time.
+
+    Processes that need it at the same time, as shards do, find it in the cache once the first has made it.
+    """
+    made = numba.njit(nogil=True, cache=True, error_model="numpy", **_NOT_FOR_C)(function)
+    compile_, lock = made.compile, cache_folder("kernels") / f"{name}.lock"
+
+    def compile_alone(signature: Any) -> Any:
+        with locked(lock):
+            return compile_(signature)
+
+    made.compile = compile_alone
+    return made
 
 
 def functions(spec: EnvSpec) -> dict[str, GoldenFunction]:

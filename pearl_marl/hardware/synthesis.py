@@ -20,7 +20,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from pearl_marl.cache import cache_folder
+from pearl_marl.cache import cache_folder, locked
 from pearl_marl.compiler.targets import Target
 from pearl_marl.errors import ArgumentError, DeviceError
 from pearl_marl.hardware import elaboration, toolchain
@@ -208,13 +208,14 @@ def synthesise(build: Build, family: Family = Family.XC7, *, fmax: bool = False)
         )
     placement = PLACEMENTS[family] if fmax else None
     job = _job(build, family, placement)
-    found = _read(job.path)
-    if found is None:
-        found = _run(job, CELLS[family], placement)
-        # Written beside and renamed, so that another process never reads half a file.
-        with tempfile.NamedTemporaryFile("w", dir=job.path.parent, suffix=".tmp", delete=False) as file:
-            json.dump(found, file)
-        os.replace(file.name, job.path)
+    with locked(job.path.with_suffix(".lock")):
+        found = _read(job.path)
+        if found is None:
+            found = _run(job, CELLS[family], placement)
+            # Written beside and renamed, so that `synthesised` never reads half a file.
+            with tempfile.NamedTemporaryFile("w", dir=job.path.parent, suffix=".tmp", delete=False) as file:
+                json.dump(found, file)
+            os.replace(file.name, job.path)
     return _usage(build.layout, found, job.tools)
 
 

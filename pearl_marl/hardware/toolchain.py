@@ -16,6 +16,7 @@ import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from pearl_marl.cache import cache_folder, locked
 from pearl_marl.errors import DeviceError
 
 _FROM_PYPI = "pip install 'pearl-marl[rtl]'"
@@ -58,6 +59,13 @@ def find(program: str) -> str:
     return path
 
 
+@functools.cache
+def prepare(program: str) -> None:
+    """Have a tool that is WebAssembly made ready, in one process at a time: its first call compiles it."""
+    with locked(cache_folder("tools") / f"{program}.lock"):
+        subprocess.run([find(program), "--version"], env=environment(), capture_output=True, check=False)
+
+
 def run(
     command: Sequence[str], *, cwd: Path | None = None, variables: Mapping[str, str] | None = None
 ) -> str:
@@ -71,6 +79,8 @@ def run(
         The tool is missing, or failed: then with its last words.
     """
     arguments = [find(command[0]), *command[1:]]
+    if command[0].startswith("yowasp-"):
+        prepare(command[0])
     done = subprocess.run(
         arguments,
         cwd=cwd,

@@ -28,13 +28,12 @@ SIZE, STEPS = 70, 40
 """What a test uses where size is not its subject: just over a cache line of slots."""
 
 HALF = SIZE // 2
-"""And where it needs a second size, or few agents. A simulated device is compiled for its size, so there
-are no others on it."""
+"""And where it needs a second size."""
 
-SIZES = {"native": (1, 7, SIZE, 1000, 43008), "rtl": (HALF, SIZE)}
-"""The sizes that must begin with one another; not so many where slots are slow to step."""
+SIZES = {"native": (1, 7, SIZE, 1000, 43008), "rtl": (SIZE,)}
+"""The sizes that must begin with one another; not so many where slots are slow to step or to build."""
 
-SPLITS = {"native": (1, HALF, 64), "rtl": (HALF,)}
+SPLITS: dict[str, tuple[int, ...]] = {"native": (1, HALF, 64), "rtl": ()}
 """Where a batch of :data:`SIZE` slots is cut in two."""
 
 by_mode = pytest.mark.parametrize(

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pearl_marl.devices import BatchStep, Device, Native
-from pearl_marl.testing.case import HALF, SIZE, Array, Case, assert_same_trajectory, rows, trajectory
+from pearl_marl.testing.case import SIZE, Array, Case, assert_same_trajectory, rows, trajectory
 
 
 def run(device: Device, actions: Array, seed: int = 8) -> tuple[Array, list[BatchStep]]:
@@ -57,6 +57,8 @@ class DeterminismContract:
     def test_a_larger_batch_begins_with_the_smaller_one(self, case: Case) -> None:
         """Slot 5 of a million is slot 5 of ten."""
         (*smaller, largest), k = case.sizes, case.spec.agents
+        if not smaller:
+            pytest.skip(f"{case.device_name} is built for its size, and has one here")
         actions = case.actions(12, largest)
         obs, whole = run(case.open(largest, max_cycles=5), actions)
         assert obs.shape[0] == largest * k
@@ -69,6 +71,8 @@ class DeterminismContract:
     def test_a_split_batch_equals_the_whole(self, case: Case) -> None:
         """Two devices can share the slots of a run."""
         actions, k = case.actions(), case.spec.agents
+        if not case.splits:
+            pytest.skip(f"{case.device_name} is built for its size, and has one here")
         obs, whole = run(case.open(max_cycles=9), actions)
         for split in case.splits:
             for start, stop in ((0, split), (split, SIZE)):
@@ -79,9 +83,9 @@ class DeterminismContract:
 
     def test_the_last_slots_that_random_numbers_know(self, case: Case) -> None:
         """Slot numbers are 32 bits wide, so these would wrap where one of them was kept signed."""
-        high = case.open(HALF, first_slot=2**32 - HALF)
-        low = case.open(HALF, first_slot=0)
-        actions = case.actions(6, HALF)
+        high = case.open(SIZE, first_slot=2**32 - SIZE)
+        low = case.open(SIZE, first_slot=0)
+        actions = case.actions(6, SIZE)
         (_, a), (_, b) = run(high, actions), run(low, actions)
         if case.spec.reset_draws:
             assert (a[0].obs != b[0].obs).any()

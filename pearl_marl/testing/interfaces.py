@@ -18,7 +18,7 @@ from pearl_marl.errors import ArgumentError, OrderError
 from pearl_marl.interfaces.aec import env as aec_env
 from pearl_marl.interfaces.aec import raw_env
 from pearl_marl.interfaces.vector import PearlVectorEnv
-from pearl_marl.testing.case import HALF, SIZE, Array, Case, names_of, sampled
+from pearl_marl.testing.case import SIZE, Array, Case, names_of, sampled
 
 
 def packed(obs: Any) -> Array:
@@ -50,26 +50,26 @@ class InterfacesContract:
         """PettingZoo's own test."""
         with warnings.catch_warnings():
             warnings.simplefilter("error")
-            parallel_api_test(case.parallel(HALF, autoreset=False), num_cycles=60)
+            parallel_api_test(case.parallel(SIZE, autoreset=False), num_cycles=60)
 
     def test_aec_api(self, case: Case) -> None:
         """PettingZoo's own test of agents that act in turns."""
         if isinstance(case.spec.observation_space, Tuple):
             pytest.skip("PettingZoo's test asks a tuple for its dtype")
-        n = HALF * case.agents
-        env = aec_env(case.env_id, n_agents=n, device=case.device(HALF), max_cycles=15)
+        n = SIZE * case.agents
+        env = aec_env(case.env_id, n_agents=n, device=case.device(SIZE), max_cycles=15)
         with warnings.catch_warnings():
             warnings.simplefilter("error")
             # A flat Box is no image; PettingZoo says so where the bounds are its business.
             warnings.filterwarnings("ignore", message=".*[Oo]bservation")
             warnings.filterwarnings("ignore", message="Action mask numpy array is all zeros")
-            api_test(env, num_cycles=4 * HALF)
+            api_test(env, num_cycles=4 * SIZE)
         env.close()
 
     def test_raw_aec(self, case: Case) -> None:
         """Every agent acts until its end, and looks once more."""
-        n = HALF * case.agents
-        env = raw_env(case.env_id, n_agents=n, device=case.device(HALF), max_cycles=4)
+        n = SIZE * case.agents
+        env = raw_env(case.env_id, n_agents=n, device=case.device(SIZE), max_cycles=4)
         env.reset(seed=0)
         turns: dict[str, int] = {}
         for agent in env.agent_iter():
@@ -89,7 +89,7 @@ class InterfacesContract:
 
     def test_whole_episodes_repeat_with_a_seed(self, case: Case) -> None:
         """Every dict of several episodes."""
-        envs = (case.parallel(HALF, autoreset=False, max_cycles=8) for _ in range(3))
+        envs = (case.parallel(SIZE, autoreset=False, max_cycles=8) for _ in range(3))
         first, second, third = (
             whole_episodes(env, seed, 2) for env, seed in zip(envs, (42, 42, 43), strict=True)
         )
@@ -100,11 +100,11 @@ class InterfacesContract:
 
     def test_pettingzoos_registry(self, case: Case) -> None:
         """``pettingzoo.make`` gives the same environment, in both of its forms."""
-        name, n = f"pearl/{case.spec.id}", HALF * case.agents
-        parallel = pettingzoo.make("parallel", name, n_agents=n, device=case.device(HALF), max_cycles=3)
-        ours = case.parallel(HALF, max_cycles=3, seed=0)
+        name, n = f"pearl/{case.spec.id}", SIZE * case.agents
+        parallel = pettingzoo.make("parallel", name, n_agents=n, device=case.device(SIZE), max_cycles=3)
+        ours = case.parallel(SIZE, max_cycles=3, seed=0)
         parallel.reset(seed=0)
-        for actions in case.actions(5, HALF):
+        for actions in case.actions(5, SIZE):
             given = dict(zip(ours.agents, actions, strict=True))
             np.testing.assert_equal(
                 [dict(part) for part in parallel.step(given)], [dict(part) for part in ours.step(given)]
@@ -112,7 +112,7 @@ class InterfacesContract:
         assert parallel.unwrapped.step_batch(actions).obs.shape[0] == n
         parallel.close()
 
-        aec = pettingzoo.make("aec", name, n_agents=n, device=case.device(HALF), max_cycles=2)
+        aec = pettingzoo.make("aec", name, n_agents=n, device=case.device(SIZE), max_cycles=2)
         aec.reset(seed=0)
         turns = 0
         for agent in aec.agent_iter():
@@ -124,19 +124,19 @@ class InterfacesContract:
 
     def test_gymnasiums_registry(self, case: Case) -> None:
         """``gymnasium.make_vec`` gives the same environment."""
-        ours = case.vector(HALF, max_cycles=3)
+        ours = case.vector(SIZE, max_cycles=3)
         env = gymnasium.make_vec(
             f"Pearl/{case.spec.id}",
-            num_envs=HALF,
+            num_envs=SIZE,
             vectorization_mode="vector_entry_point",
-            device=case.device(HALF),
+            device=case.device(SIZE),
             max_cycles=3,
         )
         assert isinstance(env.unwrapped, PearlVectorEnv)
-        assert env.num_envs == HALF
+        assert env.num_envs == SIZE
         assert env.metadata["autoreset_mode"] is AutoresetMode.SAME_STEP
         np.testing.assert_array_equal(env.reset(seed=1)[0], ours.reset(seed=1)[0])
-        for actions in case.actions(8, HALF):
+        for actions in case.actions(8, SIZE):
             for a, b in zip(env.step(actions)[:4], ours.step(actions)[:4], strict=True):
                 np.testing.assert_array_equal(a, b)
         env.close()
@@ -144,7 +144,7 @@ class InterfacesContract:
 
     def test_vector_spaces_are_batches(self, case: Case) -> None:
         """Of the one agent's spaces."""
-        env = case.vector(HALF)
+        env = case.vector(SIZE)
         assert env.single_observation_space == case.spec.observation_space
         assert env.single_action_space == case.spec.action_space
         obs, infos = env.reset(seed=0)
@@ -189,8 +189,8 @@ class InterfacesContract:
 
     def test_a_closed_vector_environment_refuses_steps(self, case: Case) -> None:
         """And may be closed again."""
-        env = case.vector(HALF, seed=0)
+        env = case.vector(SIZE, seed=0)
         env.close()
         env.close()
         with pytest.raises(OrderError, match=r"after close\(\)"):
-            env.step(case.actions(1, HALF)[0])
+            env.step(case.actions(1, SIZE)[0])

@@ -9,7 +9,7 @@ import pytest
 
 from pearl_marl.devices import Reference
 from pearl_marl.errors import ActionError, OrderError
-from pearl_marl.testing.case import HALF, SIZE, Case, assert_same_dicts, names_of, rows_of
+from pearl_marl.testing.case import SIZE, Case, assert_same_dicts, names_of, rows_of
 
 
 class LifetimesContract:
@@ -81,12 +81,12 @@ class LifetimesContract:
 
     def test_max_cycles_can_be_assigned(self, case: Case) -> None:
         """As PettingZoo's own test does, before the first reset and later."""
-        env = case.parallel(HALF)
+        env = case.parallel(SIZE)
         env.max_cycles = 2  # few hands of Blackjack last longer
         assert env.max_cycles == 2
         env.reset(seed=0)
-        assert env.agents == names_of(HALF * case.agents)
-        first, second = (env.step_batch(actions).truncations for actions in case.actions(2, HALF))
+        assert env.agents == names_of(SIZE * case.agents)
+        first, second = (env.step_batch(actions).truncations for actions in case.actions(2, SIZE))
         assert second.any()
         assert not first.any()
         env.max_cycles = None

@@ -10,7 +10,7 @@ import pytest
 from gymnasium.spaces import Box, Discrete, Tuple
 
 from pearl_marl.errors import ActionError
-from pearl_marl.testing.case import HALF, SIZE, STEPS, Case, names_of, rows_of, shown_space
+from pearl_marl.testing.case import SIZE, STEPS, Case, names_of, rows_of, shown_space
 from pearl_marl.testing.golden_functions import contains_all
 
 
@@ -170,8 +170,8 @@ class SpacesContract:
         """Both ends of the space are taken, and the number after each is not."""
         if case.spec.roles:
             pytest.skip(f"agents of {case.spec.name} have spaces of their roles")
-        space, n = case.spec.action_space, HALF * case.agents
-        device = case.open(HALF, seed=0)
+        space, n = case.spec.action_space, SIZE * case.agents
+        device = case.open(SIZE, seed=0)
         least: Any
         most: Any
         beyond: list[Any]

@@ -12,6 +12,7 @@ import sys
 import tempfile
 import types
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -121,6 +122,13 @@ def test_a_second_process_compiles_nothing(tmp_path: Path) -> None:
     assert second["hits"] == [1, 1]
     assert second["compiled"] == 0
     assert second["obs"] == first["obs"]
+
+
+def test_processes_that_begin_together_compile_once(tmp_path: Path) -> None:
+    """Shards do, on a machine that has not had their kernel yet."""
+    with ThreadPoolExecutor(2) as pool:
+        begun = list(pool.map(process, [FIRST_STEP] * 2, [tmp_path] * 2))
+    assert np.sum([each["misses"] for each in begun], 0).tolist() == [1, 1]
 
 
 def test_a_new_kernel_is_announced_once(cache: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -27,10 +27,32 @@ from ..devices.boards import OwnBoard
 from ..toy import TOYS
 from ..toy_world import MEADOW, WORLDS
 
+TWO_SIZES = ("CliffWalking", "LevelBasedForaging", "Pendulum")
+"""What is simulated at two sizes, of three processing elements and of one: an environment without draws,
+one of several agents, and one of wide words. How slots fall to elements is no matter of an environment."""
+
+
+class TwoSizesCase(Case):
+    """A simulated device has another model for each size."""
+
+    @property
+    def sizes(self) -> tuple[int, ...]:
+        return (HALF, SIZE) if self.device_name == "rtl" else super().sizes
+
+    @property
+    def splits(self) -> tuple[int, ...]:
+        return (HALF,) if self.device_name == "rtl" else super().splits
+
 
 class TestEnvironments(ContractSuite):
     environments = tuple(pearl_marl.envs())
     devices = ("native", "rtl")
+
+    @pytest.fixture
+    def case(self, env_id: str, device_name: str) -> Iterator[Case]:
+        case = (TwoSizesCase if env_id in TWO_SIZES else Case)(env_id, device_name)
+        yield case
+        case.close()
 
     @pytest.mark.slow
     def test_a_million_agents(self, native: Case) -> None:
@@ -74,6 +96,12 @@ class TestWorlds(DeviceSuite):
 
     environments = (MEADOW.name,)
     devices = ("rtl", "lockstep", "reference")
+
+    @pytest.fixture
+    def case(self, env_id: str, device_name: str) -> Iterator[Case]:
+        case = TwoSizesCase(env_id, device_name)
+        yield case
+        case.close()
 
 
 @pytest.mark.usefixtures("toys")

