@@ -118,7 +118,7 @@ def test_the_seed_can_be_given_in_two_ways(pearl: Pearl, given: tuple[str, Any],
     arguments = ("CliffWalking", "--algo", "q-learning", "--n-agents", 64, "--iterations", 1)
     status, _, err = pearl("train", *arguments, *given, "--out", tmp_path)
     assert status == 0, err
-    assert json.loads((tmp_path / "config.json").read_text())["settings"]["seed"] == 3
+    assert json.loads((tmp_path / "config.json").read_text())["settings"]["settings"]["seed"] == 3
 
 
 def test_shards(pearl: Pearl, tmp_path: Path) -> None:
