@@ -74,8 +74,10 @@ def command(
         ) from None
     spec = common.spec_of(env_id, option)
     options = dict(spec.options)
-    chosen = {"n_agents": n_agents, "iterations": iterations, "seed": seed}
-    given = common.env_options(setting, "--set") | {name: n for name, n in chosen.items() if n is not None}
+    chosen = {"n_agents": n_agents, "iterations": iterations}
+    # --seed always has a value, which must not overrule what --set says.
+    given = {"seed": seed, **common.env_options(setting, "--set")}
+    given |= {name: n for name, n in chosen.items() if n is not None}
     settings = training.settings_for(algo, env_id, given, shards, spec.agents)
 
     columns = (

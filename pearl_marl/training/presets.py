@@ -31,6 +31,21 @@ COOKING: dict[str, Any] = {
     "chance": 1.0,
 }
 
+# A random player brings a shelf in one episode of sixty: rewards are made large, so that the first few count.
+WAREHOUSE: dict[str, Any] = {
+    "n_agents": 1024,
+    "depth": 64,
+    "iterations": 240,
+    "minibatch": 2048,
+    "learning_rate": 2e-3,
+    "discount": 0.99,
+    "trace": 0.95,
+    "entropy": 0.01,
+    "reward_scale": 10.0,
+    "sharing": "indicator",
+    "chance": 1.0,
+}
+
 PRESETS: dict[tuple[str, str], dict[str, Any]] = {
     # Fast rather than frugal: every step is learned from once, so another costs little.
     ("ppo", "CartPole"): {
@@ -84,6 +99,8 @@ PRESETS: dict[tuple[str, str], dict[str, Any]] = {
     ("ppo", "LevelBasedForaging"): FORAGING,
     ("mappo", "LevelBasedForaging"): FORAGING,
     ("ppo", "Overcooked"): COOKING,
+    ("ppo", "RobotWarehouse"): WAREHOUSE,
+    ("mappo", "RobotWarehouse"): WAREHOUSE,
     # Two players who share nothing: each has a network of its own.
     ("ppo", "CoinGame"): {
         "n_agents": 512,

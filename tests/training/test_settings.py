@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import json
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -110,6 +111,14 @@ def test_what_is_set(pearl: Pearl, algorithm: str, given: str, words: str, tmp_p
 def test_options(pearl: Pearl, algorithm: str, option: str, value: Any, words: str, tmp_path: Path) -> None:
     env = "CliffWalking" if algorithm == "q-learning" else "CartPole"
     assert words in refused(pearl, tmp_path, env, "--algo", algorithm, option, value)
+
+
+@pytest.mark.parametrize("given", [("--seed", 3), ("--set", "seed=3")])
+def test_the_seed_can_be_given_in_two_ways(pearl: Pearl, given: tuple[str, Any], tmp_path: Path) -> None:
+    arguments = ("CliffWalking", "--algo", "q-learning", "--n-agents", 64, "--iterations", 1)
+    status, _, err = pearl("train", *arguments, *given, "--out", tmp_path)
+    assert status == 0, err
+    assert json.loads((tmp_path / "config.json").read_text())["settings"]["settings"]["seed"] == 3
 
 
 def test_shards(pearl: Pearl, tmp_path: Path) -> None:
