@@ -45,12 +45,19 @@ Shards = Annotated[
         show_default="this process",
     ),
 ]
-Folder = Annotated[Path, typer.Option("--out", metavar="DIR", help="The run's folder, new or to go on with.")]
+Folder = Annotated[
+    Path | None,
+    typer.Option(
+        "--out",
+        metavar="DIR",
+        help="The run's folder, new or to go on with.",
+        show_default="out/ENV-ALGORITHM",
+    ),
+]
 
 
 def command(
     env_id: common.EnvName,
-    out: Folder,
     algo: Algorithm = "ppo",
     n_agents: Agents = None,
     iterations: Iterations = None,
@@ -61,9 +68,11 @@ def command(
     evaluate_every: Every = None,
     shards: Shards = None,
     option: common.Options = None,
+    out: Folder = None,
     as_json: common.AsJson = False,
 ) -> None:
     """Train a policy that all agents share; with the --out of a run that was killed, go on with it."""
+    out = out or Path("out") / f"{env_id.rpartition(':')[2]}-{algo}"
     interrupts.advice = f": to go on, give the same command again, with the same --out {out}"
     try:
         with interrupts.at_once():  # PyTorch takes seconds to load

@@ -91,6 +91,10 @@ def command(
     mode = None if autoreset_mode is None else AutoresetMode[autoreset_mode.name]
     plan = runs(spec, n_agents, steps, mode, initial_states and initial_states.value, max_cycles)
     device, reference = device or "native", reference or "reference"
+    if device == reference:
+        raise ArgumentError(
+            f"--device and --reference are both {device!r}, which always agrees with itself: name another one"
+        )
     if out is not None:  # before the work, not after it
         try:
             out.mkdir(parents=True, exist_ok=True)

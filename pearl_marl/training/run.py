@@ -46,6 +46,9 @@ ALIASES = {"ippo": "ppo", "iql": "dqn"}
 WIDE = 256
 """From this width on a network's layers are worth more than one thread."""
 
+OPTIONS = ("n_agents", "iterations", "seed")
+"""Settings that ``pearl train`` has options of their own for; others are given by ``--set``."""
+
 BLOCKS = 8
 """Into how many blocks agents are divided for shards, unless said otherwise: see ``ppo.Settings``."""
 
@@ -74,11 +77,15 @@ def settings_for(
         possible = ", ".join(map(repr, (*ALGORITHMS, *ALIASES)))
         raise ArgumentError(f"--algo is {algorithm!r}; possible are {possible}")
     names = [setting.name for setting in dataclasses.fields(SETTINGS[algorithm])]
-    for name in given:
+    for name, value in given.items():
         if name not in names:
             near = difflib.get_close_matches(name, names, 1)
             hint = f"did you mean {near[0]!r}?" if near else f"there are {', '.join(names)}"
-            raise ArgumentError(f"{algorithm} has no setting {name!r}; {hint}")
+            raise ArgumentError(f"--set {name}: {algorithm} has no such setting; {hint}")
+        possible = SETTINGS[algorithm].range(name)
+        if value not in possible:
+            option = f"--{name.replace('_', '-')}" if name in OPTIONS else f"--set {name}"
+            raise ArgumentError(f"{option} is {value!r}; it must be {possible}")
     preset = PRESETS.get((algorithm, get_spec(env_id).name), {})
     settings = SETTINGS[algorithm](**{**preset, **given})
     if "n_agents" not in given:

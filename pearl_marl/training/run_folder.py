@@ -62,10 +62,11 @@ class RunFolder:
             about = {"settings": settings, "machine": machine()}
             replace_file(config, json.dumps(about, indent=2).encode())
             return
-        for name in {**theirs, **settings}:
-            if theirs.get(name) != settings.get(name):
+        before, now = _flat(theirs), _flat(settings)
+        for name in {**before, **now}:
+            if before.get(name) != now.get(name):
                 raise ArgumentError(
-                    f"{path} holds a run with {name} {theirs.get(name)!r}, not {settings.get(name)!r}: "
+                    f"{path} holds a run with {name} {before.get(name)!r}, not {now.get(name)!r}: "
                     "give the same settings to go on with it, or another --out"
                 )
 
@@ -186,3 +187,9 @@ def _settings(config: Path) -> dict[str, Any]:
             f"{config} is damaged, and does not say of what settings the run is: give another --out"
         )
     return settings
+
+
+def _flat(settings: dict[str, Any]) -> dict[str, Any]:
+    """Return a run's settings with those of its algorithm among them."""
+    own = settings.get("settings")
+    return {**settings, **own, "settings": None} if isinstance(own, dict) else settings

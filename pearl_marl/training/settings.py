@@ -82,9 +82,15 @@ def choice(*words: str) -> Any:
 class Checked:
     """A dataclass of :func:`count`, :func:`number` and :func:`choice`, each within its range."""
 
+    @classmethod
+    def range(cls, name: str) -> Range | Choice:
+        """Return what a setting may be."""
+        (found,) = (f.metadata["range"] for f in fields(cls) if f.name == name)  # type: ignore[arg-type]
+        return found  # type: ignore[no-any-return]
+
     def __post_init__(self) -> None:
         for setting in fields(self):  # type: ignore[arg-type]
-            value, possible = getattr(self, setting.name), setting.metadata["range"]
+            value, possible = getattr(self, setting.name), self.range(setting.name)
             if value not in possible:
                 raise ArgumentError(f"setting {setting.name!r} is {value!r}; it must be {possible}")
 

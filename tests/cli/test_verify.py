@@ -240,3 +240,9 @@ def test_agents_that_share_a_state(pearl):
     status, _, err = pearl("verify", "Meadow", "--n-agents", 42)
     assert status == 2
     assert "n_agents is 42, and a world of Meadow has 4 agents; 40 and 44 fit" in err
+
+
+def test_a_device_is_not_held_against_itself(pearl) -> None:
+    status, out, err = pearl("verify", "Taxi", "--device", "reference", "--n-agents", 4)
+    assert (status, out) == (2, "")
+    assert "--device and --reference are both 'reference', which always agrees with itself" in err

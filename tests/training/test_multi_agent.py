@@ -262,10 +262,10 @@ def test_an_unknown_sharing_of_a_file_is_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("algorithm", "given", "words"),
     [
-        ("ppo", {"sharing": "some"}, "'sharing' is 'some'; it must be one of all, indicator, none"),
-        ("iql", {"rewards": 3}, "'rewards' is 3; it must be one of own, mean, sum"),
-        ("self-play", {"join_every": 0}, "'join_every' is 0"),
-        ("self-play", {"mirrored": 1.5}, "'mirrored' is 1.5"),
+        ("ppo", {"sharing": "some"}, "--set sharing is 'some'; it must be one of all, indicator, none"),
+        ("iql", {"rewards": 3}, "--set rewards is 3; it must be one of own, mean, sum"),
+        ("self-play", {"join_every": 0}, "--set join_every is 0"),
+        ("self-play", {"mirrored": 1.5}, "--set mirrored is 1.5"),
     ],
 )
 def test_wrong_settings_are_refused(algorithm: str, given: dict[str, Any], words: str) -> None:

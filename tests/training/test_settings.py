@@ -83,7 +83,10 @@ def test_what_is_set(pearl: Pearl, algorithm: str, given: str, words: str, tmp_p
     shown = {"NaN": "nan", "Infinity": "inf", "-1e999": "-inf", "high": "'high'", "true": "True"}.get(
         value, value
     )
-    assert f"setting '{name}' is {shown}; it must" in sentence
+    option = f"--{name.replace('_', '-')}" if name in training.OPTIONS else f"--set {name}"
+    # What depends on another setting is told by the settings themselves.
+    told = (f"{option} is {shown}; it must", f"setting '{name}' is {shown}; it must")
+    assert any(words in sentence for words in told)
     assert words in sentence
 
 
@@ -91,15 +94,15 @@ def test_what_is_set(pearl: Pearl, algorithm: str, given: str, words: str, tmp_p
 @pytest.mark.parametrize(
     ("option", "value", "words"),
     [
-        ("--iterations", 0, "setting 'iterations' is 0; it must be a whole number from 1 to"),
-        ("--iterations", -1, "setting 'iterations' is -1; it must be a whole number from 1 to"),
-        ("--n-agents", 0, "setting 'n_agents' is 0; it must be a whole number from 1 to 4,294,967,296"),
+        ("--iterations", 0, "--iterations is 0; it must be a whole number from 1 to"),
+        ("--iterations", -1, "--iterations is -1; it must be a whole number from 1 to"),
+        ("--n-agents", 0, "--n-agents is 0; it must be a whole number from 1 to 4,294,967,296"),
         (
             "--n-agents",
             5_000_000_000,
-            "setting 'n_agents' is 5000000000; it must be a whole number from 1 to",
+            "--n-agents is 5000000000; it must be a whole number from 1 to",
         ),
-        ("--seed", -1, "setting 'seed' is -1; it must be a whole number from 0 to"),
+        ("--seed", -1, "--seed is -1; it must be a whole number from 0 to"),
         ("--evaluate-every", 0, "--evaluate-every is 0; it must be a whole number of at least 1"),
         ("--evaluate-every", -5, "--evaluate-every is -5; it must be a whole number of at least 1"),
         ("--goal", "nan", "--goal is nan; it must be a finite number"),
@@ -152,3 +155,31 @@ def test_one_step_to_learn_from_leaves_finite_weights() -> None:
     trainer = training.ALGORITHMS["ppo"](get_spec("CartPole"), "native", settings)
     trainer.iterate()
     assert all(tensor.isfinite().all() for tensor in trainer.model.state_dict().values())
+
+
+def test_the_setting_that_differs_is_named(pearl: Pearl, tmp_path: Path) -> None:
+    arguments = (
+        "CliffWalking",
+        "--algo",
+        "q-learning",
+        "--n-agents",
+        64,
+        "--iterations",
+        1,
+        "--out",
+        tmp_path,
+    )
+    assert pearl("train", *arguments, "--set", "rate=0.25")[0] == 0
+    status, _, err = pearl("train", *arguments, "--set", "rate=0.5")
+    assert status == 2
+    assert f"{tmp_path} holds a run with rate 0.25, not 0.5: " in err
+    assert "give the same settings to go on with it, or another --out" in err
+
+
+def test_without_out_a_run_is_named_after_what_it_is(
+    pearl: Pearl, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    status, _, err = pearl("train", "Taxi", "--algo", "q-learning", "--n-agents", 64, "--iterations", 1)
+    assert status == 0, err
+    assert (tmp_path / "out" / "Taxi-q-learning" / "policy.safetensors").exists()

@@ -305,11 +305,11 @@ def same(one: Any, other: Any) -> bool:
     ("algorithm", "given", "words"),
     [
         ("sarsa", {}, "'sarsa'.*'ppo', 'mappo', 'self-play', 'dqn', 'q-learning', 'ippo', 'iql'"),
-        ("ppo", {"n_agent": 5}, "'n_agent'.*'n_agents'"),
-        ("ppo", {"depth": 1.5}, "'depth' is 1.5"),
-        ("dqn", {"discount": -1}, "'discount' is -1"),
+        ("ppo", {"n_agent": 5}, "--set n_agent: .*'n_agents'"),
+        ("ppo", {"depth": 1.5}, "--set depth is 1.5"),
+        ("dqn", {"discount": -1}, "--set discount is -1"),
         ("q-learning", {"n_agents": 10, "learners": 3}, "'learners' is 3; it must divide n_agents, 10"),
-        ("dqn", {"discount": "high"}, "'discount' is 'high'"),
+        ("dqn", {"discount": "high"}, "--set discount is 'high'"),
     ],
 )
 def test_wrong_settings_are_refused(
