@@ -7,12 +7,13 @@ PYTHON ?= python3
 VENV := .venv
 RLLIB := .venv-rllib
 TORCHRL := .venv-torchrl
+PEERS := .venv-peers
 BIN := $(VENV)/bin
 OUT ?= out
 CORES := $(shell nproc 2>/dev/null || echo 2)
 PACKAGE := pyproject.toml constraints.txt
 
-.PHONY: demo test test-rllib test-torchrl test-cuda lint format bench figures ulx3s clean
+.PHONY: demo test test-rllib test-torchrl test-cuda lint format bench bench-peers figures ulx3s clean
 .DELETE_ON_ERROR:
 
 demo: $(VENV)/.render
@@ -47,6 +48,11 @@ bench: $(VENV)/.dev
 	$(BIN)/pearl bench CliffWalking --n-agents 43008 --out $(OUT)/bench
 	$(BIN)/python -m pytest --benchmark-enable --benchmark-only tests/benchmarks/bench_*.py
 
+# Whole trainings beside those of other packages: 20 minutes of two cores. gymnax takes Gymnasium below 1.4, so they
+# have an environment of their own.
+bench-peers: $(PEERS)/.peers
+	$(PEERS)/bin/pearl bench --training --out $(OUT)/bench
+
 # Every table and figure of the paper, measured here, as a page. Takes hours; started again, it goes on.
 figures: $(VENV)/.report
 	$(BIN)/pearl report --out $(OUT)/report
@@ -56,7 +62,7 @@ ulx3s: $(VENV)/.rtl
 	$(BIN)/pearl board ulx3s CliffWalking --n-envs 1024 --out $(OUT)/ulx3s
 
 clean:
-	rm -rf $(VENV) $(RLLIB) $(TORCHRL) $(OUT) build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis .benchmarks
+	rm -rf $(VENV) $(RLLIB) $(TORCHRL) $(PEERS) $(OUT) build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis .benchmarks
 
 # One stamp for each set of extras; asking for more adds to the same environment.
 $(VENV)/.render: EXTRAS := render
@@ -82,6 +88,14 @@ $(TORCHRL)/.torchrl: $(PACKAGE)
 	@sed 's/^torchrl==.*/torchrl==0.14.1/; s/^tensordict==.*/tensordict==0.14.3/' constraints.txt > $(TORCHRL)/constraints.txt
 	@$(TORCHRL)/bin/python -W ignore -m pip install --quiet --disable-pip-version-check \
 		-c $(TORCHRL)/constraints.txt -e '.[torchrl,testing]'
+	@touch $@
+
+$(PEERS)/.peers: $(PACKAGE)
+	@echo "Installing pearl-marl[peers] into $(PEERS) ..."
+	@$(PYTHON) -m venv $(PEERS)
+	@sed 's/^gymnasium==.*/gymnasium==1.3.0/' constraints.txt > $(PEERS)/constraints.txt
+	@$(PEERS)/bin/python -W ignore -m pip install --quiet --disable-pip-version-check \
+		-c $(PEERS)/constraints.txt -e '.[peers]'
 	@touch $@
 
 $(BIN)/python:

@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import gymnasium
-import numpy as np
 import typer
 from gymnasium.spaces import Box
 from rich.console import Console
@@ -25,11 +24,11 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecNormalize
 from torch import nn
 
 import pearl_marl
-from pearl_marl.benchmark.peers import quiet_spaces
 from pearl_marl.errors import ArgumentError, PearlError
 from pearl_marl.evaluation.run import Evaluation
 from pearl_marl.registry import get_spec
 from pearl_marl.training.run_folder import RunFolder
+from pearl_marl.training_benchmark.sb3 import EnvPoolVecEnv
 
 MODELS: dict[str, Any] = {"ppo": PPO, "dqn": DQN}
 
@@ -66,62 +65,6 @@ EVALUATION_LIMIT = 500
 console = Console(stderr=True)
 
 
-class EnvPoolVecEnv(VecEnv):
-    """EnvPool's environments for Stable-Baselines3. Those that ended are reset at once, all in one call."""
-
-    def __init__(self, name: str, n: int, seed: int) -> None:
-        try:
-            import envpool
-        except ImportError:
-            raise ArgumentError("EnvPool is not installed: pip install 'pearl-marl[bench]'") from None
-        self._envs = envpool.make(name, env_type="gymnasium", num_envs=n, seed=seed)
-        with quiet_spaces():
-            super().__init__(n, self._envs.observation_space, self._envs.action_space)
-        self._actions = np.zeros(n, self._envs.action_space.dtype)
-
-    def reset(self) -> Any:
-        """Return the first observations."""
-        return self._envs.reset()[0]
-
-    def step_async(self, actions: Any) -> None:
-        """Keep the actions."""
-        self._actions = actions.astype(self._actions.dtype)
-
-    def step_wait(self) -> Any:
-        """Step all; return observations, rewards, ends and infos."""
-        obs, rewards, terminations, truncations, _ = self._envs.step(self._actions)
-        ended = terminations | truncations
-        infos: list[dict[str, Any]] = [{}] * self.num_envs
-        slots = np.flatnonzero(ended)
-        if slots.size:
-            obs = obs.copy()
-            for slot in slots:
-                cut = bool(truncations[slot] and not terminations[slot])
-                infos[slot] = {"terminal_observation": obs[slot].copy(), "TimeLimit.truncated": cut}
-            obs[slots] = self._envs.reset(slots.astype(np.int32))[0]
-        return obs, rewards.astype(np.float32), ended, infos
-
-    def close(self) -> None:
-        """Close them."""
-        self._envs.close()
-
-    def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
-        """Return an attribute, the same for every environment."""
-        return [getattr(self._envs, attr_name, None)] * self.num_envs
-
-    def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
-        """Refuse: EnvPool's environments have none to be set."""
-        raise NotImplementedError
-
-    def env_method(self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any) -> list[Any]:
-        """Refuse: EnvPool's environments have no methods of their own."""
-        raise NotImplementedError
-
-    def env_is_wrapped(self, wrapper_class: Any, indices: Any = None) -> list[bool]:
-        """Return that none is."""
-        return [False] * self.num_envs
-
-
 def vec_env(source: str, env_id: str, n: int, seed: int) -> VecEnv:
     """Return ``n`` environments for Stable-Baselines3, stepped by one of :data:`SOURCES`."""
     if source not in SOURCES:
@@ -132,7 +75,11 @@ def vec_env(source: str, env_id: str, n: int, seed: int) -> VecEnv:
     elif oracle is None or ":" in oracle:
         raise ArgumentError(f"--source {source} has no {env_id}")
     elif source == "envpool":
-        return EnvPoolVecEnv(oracle, n, seed)
+        try:
+            from pearl_marl.training_benchmark.envpool_agents import environments
+        except ImportError:
+            raise ArgumentError("EnvPool is not installed: pip install 'pearl-marl[bench]'") from None
+        return EnvPoolVecEnv(environments(oracle, n, seed), n)
     else:
         env = DummyVecEnv([partial(gymnasium.make, oracle)] * n)
     env.seed(seed)

@@ -36,7 +36,7 @@ ROOMS = (
     ),
     *("batch", "rendering", "comparison", "compiler", "packing", "policies", "hardware", "devices"),
     *("verification", "latency", "evaluation", "interfaces", "wrappers", "plan", "benchmark"),
-    *("testing", "training", "experiments", "cli"),
+    *("testing", "training", "training_benchmark", "experiments", "cli"),
 )
 """From the ground up. The package itself, ``pearl_marl/__init__.py``, is the roof: nobody imports it."""
 

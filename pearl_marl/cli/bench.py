@@ -14,7 +14,7 @@ from rich.table import Table
 from pearl_marl.benchmark.contenders import contenders
 from pearl_marl.benchmark.machine import machine
 from pearl_marl.benchmark.measure import Contender, duration, measure, rate
-from pearl_marl.cli import common
+from pearl_marl.cli import common, trainings
 from pearl_marl.cli.common import console
 from pearl_marl.errors import ArgumentError
 from pearl_marl.registry import names
@@ -43,11 +43,17 @@ AnyEnv = Annotated[
     str | None, typer.Argument(metavar="[ENV]", help="An environment of `pearl envs`; else CliffWalking.")
 ]
 Every = Annotated[bool, typer.Option("--all", help="Every environment in turn, with fewer contenders.")]
+Training = Annotated[
+    bool, typer.Option("--training", help="Whole trainings beside those of other packages, of ENV or all.")
+]
+Quick = Annotated[bool, typer.Option("--quick", help="Of --training, a few iterations of one seed.")]
 
 
 def command(
     env_id: AnyEnv = None,
     every: Every = False,
+    training: Training = False,
+    quick: Quick = False,
     n_agents: common.Agents = None,
     rounds: Rounds = 7,
     seconds: Seconds = 0.2,
@@ -56,6 +62,13 @@ def command(
     as_json: common.AsJson = False,
 ) -> None:
     """Measure steps per second against EnvPool, Gymnasium's vector environments and the games' packages."""
+    if training:
+        if every or option or n_agents is not None:
+            raise ArgumentError(
+                "--training has settings of its own: leave out --all, --option and --n-agents"
+            )
+        trainings.show(env_id, quick, out, as_json)
+        return
     if every:
         if env_id is not None or option:
             raise ArgumentError("--all takes every environment as it is: leave out ENV and --option")
