@@ -73,6 +73,17 @@ def agents_of(spec: EnvSpec, given: int | None, about: int = ABOUT) -> int:
     return max(about // spec.agents, 1) * spec.agents if given is None else given
 
 
+def simulated(device: str) -> bool:
+    """Return whether a device is simulated hardware, so that its times say nothing of a board's."""
+    name, _, where = device.partition(":")
+    return name == "rtl" or (name == "xdma" and bool(where) and not where.isdecimal())
+
+
+def on_device(what: str, device: str) -> str:
+    """Return the title of figures of something on a device; of simulated hardware it says so."""
+    return f"{what} on {device}" + (", simulated: times are the simulator's" if simulated(device) else "")
+
+
 def in_file_name(device: str) -> str:
     """Return a device's name as it can be part of a file's: ``xdma:/dev/shm/board`` has more than letters."""
     return re.sub(r"[^\w.-]+", "_", device)

@@ -132,6 +132,7 @@ def command(
         "policy": policy,
         **({"against": rivals[0], "match": evaluation.outcome()} if isinstance(evaluation, Match) else {}),
         "device": device,
+        "simulated": common.simulated(device),
         "lockstep": REFERENCE if lockstep else None,
         "machine": machine(),
     }
@@ -199,7 +200,7 @@ def _tournament(
 
 
 def _outcome(result: dict[str, Any]) -> Table:
-    grid = Table(title=f"{result['environment']} on {result['device']}", show_header=False)
+    grid = Table(title=common.on_device(result["environment"], result["device"]), show_header=False)
     grid.add_column("what", style="bold")
     grid.add_column("figure")
     grid.add_row("policy", escape(result["policy"]))
@@ -230,7 +231,11 @@ def _outcome(result: dict[str, Any]) -> Table:
 
 
 def _latency(result: dict[str, Any]) -> Table:
-    grid = common.table("One step of all agents", ["stage", "time"], ["median", "90 %", "99 %", "max"])
+    grid = common.table(
+        common.on_device("One step of all agents", result["device"]),
+        ["stage", "time"],
+        ["median", "90 %", "99 %", "max"],
+    )
     for row in (*result["latency"], {"stage": "step without policy", "paper": None, **result["step"]}):
         figures = (duration(row[key] * 1e-6) for key in ("p50_us", "p90_us", "p99_us", "max_us"))
         grid.add_row(row["stage"], row["paper"], *figures)

@@ -95,6 +95,7 @@ def command(
         "environment": spec.id,
         "options": dict(spec.options),
         "device": device,
+        "simulated": common.simulated(device),
         "n_agents": n_agents,
         "steps": steps,
         "seed": seed,
@@ -150,7 +151,7 @@ def _given(path: Path, spec: EnvSpec, n: int, steps: int) -> Iterator[npt.NDArra
 
 
 def _table(result: dict[str, Any]) -> Table:
-    table = Table(title=f"{result['environment']} on {result['device']}", show_header=False)
+    table = Table(title=common.on_device(result["environment"], result["device"]), show_header=False)
     table.add_column("what", style="bold")
     table.add_column("figure")
     step_seconds = result["microseconds_per_step"] * 1e-6

@@ -53,9 +53,11 @@ def write_report(evaluation: Evaluation, result: dict[str, Any], path: Path) -> 
     ``result`` is the evaluation's :meth:`~pearl_marl.evaluation.Evaluation.summary`, and what the caller
     knows besides: ``policy``, ``lockstep`` and ``machine``.
     """
+    note = ", simulated: times are the simulator's" if result["simulated"] else ""
     facts = {
         "Policy": result["policy"],
-        "Device": result["device"],
+        "Device": result["device"]
+        + (", simulated: times are the simulator's" if result["simulated"] else ""),
         "Agents": f"{result['n_agents']:,}, seed {result['seed']}",
         "Steps": f"{result['steps']:,} of every agent",
         "Time limit": f"{result['max_cycles']:,} steps" if result["max_cycles"] else "none",

@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from pearl_marl.cli.common import on_device
+
 Pearl = Callable[..., tuple[int, str, str]]
 
 
@@ -145,3 +147,13 @@ class TestVideo:
         assert (status, out) == (2, "")
         assert words in err
         assert len(err.splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    ("device", "simulated"),
+    [("rtl", True), ("xdma:/dev/shm/board", True), ("xdma:1", False), ("xdma", False), ("native", False)],
+)
+def test_figures_of_simulated_hardware_are_labelled(device: str, simulated: bool) -> None:
+    title = on_device("Taxi-v0", device)
+    assert title.startswith(f"Taxi-v0 on {device}")
+    assert title.endswith("simulated: times are the simulator's") == simulated
