@@ -13,6 +13,7 @@ from typing import Annotated
 import typer
 from rich.markup import escape
 
+from pearl_marl.cli import common
 from pearl_marl.cli.common import console, out_folder
 from pearl_marl.errors import ArgumentError
 from pearl_marl.hardware import elaboration
@@ -28,7 +29,7 @@ SharedBy = Annotated[int, typer.Option("--agents", help="How many agents share a
 Where = Annotated[Path, typer.Option("--out", metavar="DIR", help="Where to make the package's folder.")]
 
 
-def command(name: NewName, agents: SharedBy = 1, out: Where = Path()) -> None:
+def command(name: NewName, agents: SharedBy = 1, out: Where = Path(), as_json: common.AsJson = False) -> None:
     """Write a package with a small environment of that name: golden step, spec, tests, all working."""
     folder = _checked(name, out)
     if not 1 <= agents <= MAX_AGENTS:
@@ -45,6 +46,11 @@ def command(name: NewName, agents: SharedBy = 1, out: Where = Path()) -> None:
     if agents > 1:
         copied |= set(_copy(templates / "world", folder, words))  # over the other
     written = sorted(copied)
+    if as_json:
+        common.print_json(
+            {"folder": str(folder), "files": [str(path.relative_to(folder)) for path in written]}
+        )
+        return
     console.print(f"Wrote {folder}:", soft_wrap=True, markup=False)
     for path in written:
         console.print(f"  {path.relative_to(folder)}", soft_wrap=True, markup=False)

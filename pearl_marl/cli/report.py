@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 from rich.markup import escape
 
-from pearl_marl.cli.common import console, error_console, progress, table
+from pearl_marl.cli.common import AsJson, console, error_console, print_json, progress, table
 
 Quick = Annotated[bool, typer.Option("--quick", help="A small part of everything, in a minute or two.")]
 Folder = Annotated[
@@ -21,7 +21,12 @@ Only = Annotated[
 ]
 
 
-def command(quick: Quick = False, out: Folder = Path("out/report"), only: Only = None) -> None:
+def command(
+    quick: Quick = False,
+    out: Folder = Path("out/report"),
+    only: Only = None,
+    as_json: AsJson = False,
+) -> None:
     """Measure every table and figure of the paper's evaluation, and write them as a page with its data.
 
     A full run takes hours. Started again, it keeps the sections that it had finished. Exit status 1: one
@@ -34,6 +39,13 @@ def command(quick: Quick = False, out: Folder = Path("out/report"), only: Only =
     from pearl_marl.experiments import report  # which takes what the report extra has
 
     made = report.report(out, quick, only or (), progress, say)
+    if as_json:
+        sections = [
+            {"section": name, "rows": None if data is None else len(data["rows"]), "problem": problem}
+            for name, data, problem in made
+        ]
+        print_json({"page": str(out / "index.html"), "sections": sections})
+        sys.exit(any(each.problem for each in made))
     kinds = ["measured", "simulated", "predicted", "quoted", "missing"]
     grid = table("Report", ["section"], ["rows", *kinds])
     for name, data, problem in made:

@@ -56,8 +56,7 @@ def write_report(evaluation: Evaluation, result: dict[str, Any], path: Path) -> 
     note = ", simulated: times are the simulator's" if result["simulated"] else ""
     facts = {
         "Policy": result["policy"],
-        "Device": result["device"]
-        + (", simulated: times are the simulator's" if result["simulated"] else ""),
+        "Device": result["device"] + note,
         "Agents": f"{result['n_agents']:,}, seed {result['seed']}",
         "Steps": f"{result['steps']:,} of every agent",
         "Time limit": f"{result['max_cycles']:,} steps" if result["max_cycles"] else "none",
