@@ -59,7 +59,7 @@ def test_the_import_alone_takes_no_library() -> None:
 REGISTERED = """
 import json, sys
 {imports}
-registered = {{*gymnasium.registry}} | {{*pettingzoo.registry["parallel"]}} | {{*pettingzoo.registry["aec"]}}
+registered = {{*gymnasium.registry}} | ({{*pettingzoo.parallel_registry}} & {{*pettingzoo.aec_registry}})
 watching = [finder for finder in sys.meta_path if type(finder).__module__.startswith("pearl_marl")]
 kept = gymnasium.__loader__.get_source("gymnasium") != pettingzoo.__spec__.loader.get_source("pettingzoo")
 print(json.dumps({{"registered": sorted(registered), "watching": len(watching), "kept": kept}}))
@@ -74,7 +74,8 @@ print(json.dumps({{"registered": sorted(registered), "watching": len(watching), 
         "import gymnasium, pearl_marl, pettingzoo.utils",
         "import pearl_marl, pettingzoo, gymnasium",
         "import pearl_marl; pearl_marl.parallel_env; import gymnasium, pettingzoo",
-        "import importlib.util, pearl_marl; importlib.util.find_spec('gymnasium'); import pettingzoo, gymnasium",
+        "from importlib.util import find_spec; import pearl_marl; find_spec('gymnasium')\n"
+        "import pettingzoo, gymnasium",
     ],
 )
 def test_both_libraries_know_the_environments_in_whatever_order(imports: str) -> None:
@@ -115,3 +116,37 @@ def test_public_names() -> None:
 
     for name in pearl_marl.__all__:
         assert hasattr(pearl_marl, name)
+
+
+COMMAND = """
+import atexit, json, sys
+from pearl_marl_entry import main
+sys.argv = ["pearl", *{arguments!r}]
+atexit.register(lambda: print(json.dumps(list(sys.modules)), file=sys.stderr))
+main()
+"""
+
+
+def imported_by(*arguments: str) -> tuple[int, set[str]]:
+    """Return the exit status of a command in a process of its own, and what it imported."""
+    script = COMMAND.format(arguments=arguments)
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, cwd="/")
+    return done.returncode, set(json.loads(done.stderr.splitlines()[-1]))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "status"),
+    [
+        (["--help"], 0),
+        (["--version"], 0),
+        ([], 2),
+        (["no-command"], 2),
+        (["train", "--help"], 0),
+        (["train", "CartPole", "--no-option"], 2),
+        (["train"], 2),
+    ],
+)
+def test_what_needs_no_library_imports_none(arguments: list[str], status: int) -> None:
+    done, modules = imported_by(*arguments)
+    assert done == status
+    assert not modules & {*HEAVY, *LIBRARIES} - {"typer"}
