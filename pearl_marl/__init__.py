@@ -5,18 +5,52 @@
 >>> observations, infos = env.reset(seed=0)
 """
 
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
 import pearl_marl.envs  # the folders; the function below takes their name  # noqa: F401
-import pearl_marl.wrappers as wrappers
-from pearl_marl import devices, errors
-from pearl_marl.interfaces.aec import env, raw_env
-from pearl_marl.interfaces.parallel import PearlParallelEnv, parallel_env
-from pearl_marl.interfaces.registration import announce, register
-from pearl_marl.interfaces.vector import PearlVectorEnv, make_vec
-from pearl_marl.packing import unpacked
+from pearl_marl import errors
+from pearl_marl.interfaces.registration import announce_all, register
 from pearl_marl.registry import get_spec
 from pearl_marl.registry import names as envs
-from pearl_marl.spec import EnvSpec
 from pearl_marl.version import __version__
+
+if TYPE_CHECKING:
+    import pearl_marl.wrappers as wrappers
+    from pearl_marl import devices
+    from pearl_marl.interfaces.aec import env, raw_env
+    from pearl_marl.interfaces.parallel import PearlParallelEnv, parallel_env
+    from pearl_marl.interfaces.vector import PearlVectorEnv, make_vec
+    from pearl_marl.packing import unpacked
+    from pearl_marl.spec import EnvSpec
+else:
+    # Numba, Gymnasium and PettingZoo take a second to import: whoever asks for one of these waits for it.
+    _MODULES = {
+        "EnvSpec": "spec",
+        "PearlParallelEnv": "interfaces.parallel",
+        "PearlVectorEnv": "interfaces.vector",
+        "devices": "devices",
+        "env": "interfaces.aec",
+        "make_vec": "interfaces.vector",
+        "parallel_env": "interfaces.parallel",
+        "raw_env": "interfaces.aec",
+        "unpacked": "packing",
+        "wrappers": "wrappers",
+    }
+
+    def __getattr__(name):
+        if name not in _MODULES:
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        from importlib import import_module
+
+        module = import_module(f"{__name__}.{_MODULES[name]}")
+        globals()[name] = module if name == _MODULES[name] else getattr(module, name)
+        return globals()[name]
+
+    def __dir__():
+        return sorted({*globals(), *__all__})
+
 
 __all__ = [
     "EnvSpec",
@@ -36,5 +70,4 @@ __all__ = [
     "wrappers",
 ]
 
-for _name in envs():
-    announce(get_spec(_name))
+announce_all()

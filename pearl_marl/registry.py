@@ -12,9 +12,12 @@ import functools
 import importlib
 import pkgutil
 import warnings
+from typing import TYPE_CHECKING
 
 from pearl_marl.errors import ArgumentError
-from pearl_marl.spec import EnvSpec
+
+if TYPE_CHECKING:
+    from pearl_marl.spec import EnvSpec
 
 _PACKAGE = "pearl_marl.envs"
 
@@ -24,17 +27,30 @@ def _key(name: str) -> str:
 
 
 @functools.cache
-def _specs() -> dict[str, EnvSpec]:
-    folders = sorted(
-        m.name for m in pkgutil.iter_modules(importlib.import_module(_PACKAGE).__path__) if m.ispkg
-    )
-    specs = (importlib.import_module(f"{_PACKAGE}.{folder}.spec").SPEC for folder in folders)
-    return {_key(spec.name): spec for spec in specs}
+def _folders() -> dict[str, str]:
+    """Return the folders of this package's environments, by the keys of their names."""
+    found = pkgutil.iter_modules(importlib.import_module(_PACKAGE).__path__)
+    return {_key(module.name): module.name for module in found if module.ispkg}
+
+
+_specs: dict[str, EnvSpec] = {}
+"""Those that somebody has asked for, or registered, by the keys of their names."""
+
+
+def ids() -> dict[str, str]:
+    """Return the ids of all environments, as in ``"CliffWalking-v0"``, by their names in alphabetical order.
+
+    An environment of this package has its folder's name and, as a test holds all to, version 0: nothing is
+    imported to list them.
+    """
+    folders = ("".join(map(str.capitalize, folder.split("_"))) for folder in _folders().values())
+    known = {name: f"{name}-v0" for name in folders if _key(name) not in _specs}
+    return dict(sorted((known | {spec.name: spec.id for spec in _specs.values()}).items()))
 
 
 def names() -> list[str]:
     """Return the names of all environments, in alphabetical order."""
-    return sorted(spec.name for spec in _specs().values())
+    return list(ids())
 
 
 def get_spec(name: str) -> EnvSpec:
@@ -52,10 +68,14 @@ def get_spec(name: str) -> EnvSpec:
     module, colon, plain = name.rpartition(":")
     if colon:
         _import(module, name)
-    spec = _specs().get(_key(plain))
+    key = _key(plain)
+    if key not in _specs and key in _folders():
+        _specs[key] = importlib.import_module(f"{_PACKAGE}.{_folders()[key]}.spec").SPEC
+    spec = _specs.get(key)
     if spec is None:
-        near = difflib.get_close_matches(_key(plain), _specs(), n=3, cutoff=0.5)
-        hint = f"did you mean {' or '.join(repr(_specs()[k].name) for k in near)}?" if near else ""
+        known = {_key(other): other for other in names()}
+        near = difflib.get_close_matches(key, known, n=3, cutoff=0.5)
+        hint = f"did you mean {' or '.join(repr(known[k]) for k in near)}?" if near else ""
         missing = f"module {module!r} registers no environment {plain!r}" if colon else ""
         raise ArgumentError(
             f"{missing or f'there is no environment {name!r}'}; {hint or 'there are ' + ', '.join(names())}"
@@ -81,8 +101,10 @@ def _import(module: str, name: str) -> None:
 
 def register(spec: EnvSpec) -> None:
     """Add an environment under its ``spec.name``; one of the same name is replaced, with a warning."""
+    from pearl_marl.spec import EnvSpec
+
     if not isinstance(spec, EnvSpec):
         raise ArgumentError(f"register() takes an EnvSpec, not {type(spec).__name__}")
-    if _key(spec.name) in _specs():
+    if _key(spec.name) in {**_folders(), **_specs}:
         warnings.warn(f"environment {spec.name!r} was registered before and is replaced", stacklevel=3)
-    _specs()[_key(spec.name)] = spec
+    _specs[_key(spec.name)] = spec

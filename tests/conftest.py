@@ -114,7 +114,7 @@ def ray_cluster() -> None:
 @pytest.fixture
 def toys() -> Iterator[None]:
     """Register the toy environments for one test; the list of environments is as before afterwards."""
-    with mock.patch.dict(registry._specs()):
+    with mock.patch.dict(registry._specs):
         for spec in (*TOYS, *WORLDS):
             pearl_marl.register(spec)
         yield

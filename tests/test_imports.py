@@ -24,10 +24,14 @@ HEAVY = (
     "benchmarl",
 )
 
+LIBRARIES = ("numpy", "numba", "gymnasium", "pettingzoo", "typer")
+"""What nothing is done without, and `import pearl_marl` does nothing yet."""
+
 SCRIPT = """
 import json, sys
 from numba.core import event
 with event.install_recorder("numba:compile") as compiled:
+    from pearl_marl import *
     import pearl_marl
 print(json.dumps({"modules": list(sys.modules), "compiled": len(compiled.buffer), "envs": pearl_marl.envs()}))
 """
@@ -35,11 +39,63 @@ print(json.dumps({"modules": list(sys.modules), "compiled": len(compiled.buffer)
 
 @pytest.fixture(scope="module")
 def imported() -> Any:
-    """What a fresh process sees after the import, from a folder that is not the project's."""
+    """What a fresh process sees once it has all public names."""
+    return told(SCRIPT)
+
+
+def told(script: str) -> Any:
+    """Run a script in a folder that is not the project's; return what it prints, which is JSON."""
     output = subprocess.run(
-        [sys.executable, "-c", SCRIPT], capture_output=True, text=True, check=True, cwd="/"
+        [sys.executable, "-c", script], capture_output=True, text=True, check=True, cwd="/"
     )
     return json.loads(output.stdout)
+
+
+def test_the_import_alone_takes_no_library() -> None:
+    modules = told("import json, sys, pearl_marl; print(json.dumps(list(sys.modules)))")
+    assert not set(modules) & {*HEAVY, *LIBRARIES}
+
+
+REGISTERED = """
+import json, sys
+{imports}
+registered = {{*gymnasium.registry}} | ({{*pettingzoo.parallel_registry}} & {{*pettingzoo.aec_registry}})
+watching = [finder for finder in sys.meta_path if type(finder).__module__.startswith("pearl_marl")]
+kept = gymnasium.__loader__.get_source("gymnasium") != pettingzoo.__spec__.loader.get_source("pettingzoo")
+print(json.dumps({{"registered": sorted(registered), "watching": len(watching), "kept": kept}}))
+"""
+
+
+@pytest.mark.parametrize(
+    "imports",
+    [
+        "import gymnasium, pettingzoo, pearl_marl",
+        "import pearl_marl, gymnasium, pettingzoo",
+        "import gymnasium, pearl_marl, pettingzoo.utils",
+        "import pearl_marl, pettingzoo, gymnasium",
+        "import pearl_marl; pearl_marl.parallel_env; import gymnasium, pettingzoo",
+        "from importlib.util import find_spec; import pearl_marl; find_spec('gymnasium')\n"
+        "import pettingzoo, gymnasium",
+    ],
+)
+def test_both_libraries_know_the_environments_in_whatever_order(imports: str) -> None:
+    import pearl_marl
+
+    seen = told(REGISTERED.format(imports=imports))
+    ids = [pearl_marl.get_spec(name).id for name in pearl_marl.envs()]
+    assert {name for name in seen["registered"] if "earl/" in name} >= {
+        f"{library}/{env_id}" for library in ("Pearl", "pearl") for env_id in ids
+    }
+    assert (seen["watching"], seen["kept"]) == (0, True)
+
+
+def test_ids_are_known_without_the_specs() -> None:
+    script = "import json, sys; from pearl_marl import registry; known = registry.ids()\n"
+    known = told(script + "print(json.dumps([known, 'pearl_marl.spec' in sys.modules]))")
+    from pearl_marl.registry import get_spec
+
+    assert known[1] is False
+    assert known[0] == {get_spec(name).name: get_spec(name).id for name in known[0]}
 
 
 @pytest.mark.parametrize("name", HEAVY)
@@ -60,3 +116,37 @@ def test_public_names() -> None:
 
     for name in pearl_marl.__all__:
         assert hasattr(pearl_marl, name)
+
+
+COMMAND = """
+import atexit, json, sys
+from pearl_marl_entry import main
+sys.argv = ["pearl", *{arguments!r}]
+atexit.register(lambda: print(json.dumps(list(sys.modules)), file=sys.stderr))
+main()
+"""
+
+
+def imported_by(*arguments: str) -> tuple[int, set[str]]:
+    """Return the exit status of a command in a process of its own, and what it imported."""
+    script = COMMAND.format(arguments=arguments)
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, cwd="/")
+    return done.returncode, set(json.loads(done.stderr.splitlines()[-1]))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "status"),
+    [
+        (["--help"], 0),
+        (["--version"], 0),
+        ([], 2),
+        (["no-command"], 2),
+        (["train", "--help"], 0),
+        (["train", "CartPole", "--no-option"], 2),
+        (["train"], 2),
+    ],
+)
+def test_what_needs_no_library_imports_none(arguments: list[str], status: int) -> None:
+    done, modules = imported_by(*arguments)
+    assert done == status
+    assert not modules & {*HEAVY, *LIBRARIES} - {"typer"}

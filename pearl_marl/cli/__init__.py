@@ -1,4 +1,4 @@
-"""The command line: ``pearl``. One file a command; this one puts them together.
+"""The command line: ``pearl``. One file a command, which is imported when it is called.
 
 May import everything; of the experiments, :mod:`~pearl_marl.cli.report` alone.
 """
@@ -6,59 +6,61 @@ May import everything; of the experiments, :mod:`~pearl_marl.cli.report` alone.
 from __future__ import annotations
 
 import sys
-from typing import Annotated, NoReturn
+from importlib import import_module
+from typing import Annotated, Any, NoReturn
 
 import typer
 from rich.markup import escape
+from typer.core import TyperGroup
 
-from pearl_marl.cli import (
-    bench,
-    board,
-    core,
-    doctor,
-    envs,
-    eval,
-    new,
-    plan,
-    report,
-    run,
-    serve,
-    synth,
-    train,
-    verify,
-)
 from pearl_marl.cli.common import error_console
 from pearl_marl.cli.interrupts import STATUS, interrupts
 from pearl_marl.errors import PearlError
 from pearl_marl.version import __version__
 
+COMMANDS = {
+    "envs": "List the environments: spaces, widths, rewards, limits.",
+    "doctor": "Check what this machine can run; each lack comes with its mend.",
+    "run": "Step every agent with random (or given) actions: throughput and episode statistics.",
+    "train": "Train a policy that all agents share; with the --out of a run that was killed, go on with it.",
+    "eval": "Evaluate a policy on a device: returns, lengths, latency of every stage, and a digest.",
+    "bench": "Measure steps per second against EnvPool, "
+    "Gymnasium's vector environments and the games' packages.",
+    "verify": "Compare a device with the golden functions, "
+    "every word of every field, or replay a divergence.",
+    "serve": "Serve a simulated board, to be used with --device xdma:DIR, until Ctrl-C.",
+    "core": "Show the SystemVerilog core that an environment's golden functions become.",
+    "synth": "Synthesise a design with Yosys: LUT, FF, block RAM, DSP.",
+    "plan": "Choose processing elements and word width for a link and a part; "
+    "predict throughput and bottleneck.",
+    "board": "Make a board's bitstream, or all that its maker's tool needs for that.",
+    "new": "Write a package with a small environment of that name: golden step, spec, tests, all working.",
+    "report": "Measure every table and figure of the paper's evaluation, "
+    "and write them as a page with its data.",
+}
+"""The commands, in the order of their list, each with the first sentence of its own help."""
+
+
+class _Commands(TyperGroup):
+    """Has the list of commands without importing any, and imports the one that is called."""
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        name, _, rest = super().resolve_command(ctx, args)  # which refuses what is no command
+        alone = typer.Typer(add_completion=False, rich_markup_mode=self.rich_markup_mode)
+        with interrupts.at_once():  # Numba and PyTorch take seconds to load
+            alone.command(name)(import_module(f"{__name__}.{name}").command)
+        return name, typer.main.get_command(alone), rest
+
+
 app = typer.Typer(
     name="pearl",
+    cls=_Commands,
     no_args_is_help=True,
     pretty_exceptions_show_locals=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-COMMANDS = {
-    module.__name__.rpartition(".")[2]: module.command
-    for module in (
-        envs,
-        doctor,
-        run,
-        train,
-        eval,
-        bench,
-        verify,
-        serve,
-        core,
-        synth,
-        plan,
-        board,
-        new,
-        report,
-    )
-}
-for name, command in COMMANDS.items():
-    app.command(name)(command)
+for _name, _help in COMMANDS.items():
+    app.command(_name, help=_help)(lambda: None)
 
 
 def _print_version(wanted: bool) -> None:

@@ -8,16 +8,18 @@ import json
 import re
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-from rich.table import Table
 
 from pearl_marl.errors import ArgumentError
 from pearl_marl.registry import get_spec
-from pearl_marl.spec import EnvSpec
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from pearl_marl.spec import EnvSpec
 
 T = TypeVar("T")
 
@@ -100,6 +102,8 @@ def out_folder(folder: Path) -> Path:
 
 def progress(items: Iterable[T], total: int, label: str) -> Iterator[T]:
     """Iterate with a progress bar on standard error, so that standard output stays for results."""
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=error_console, transient=True) as bar:
         yield from bar.track(items, total=total, description=label, update_period=0.2)
@@ -107,6 +111,8 @@ def progress(items: Iterable[T], total: int, label: str) -> Iterator[T]:
 
 def table(title: str, text: Iterable[str], figures: Iterable[str], **arguments: Any) -> Table:
     """Return an empty table: columns of text, then columns of figures, each as wide as what is in it."""
+    from rich.table import Table
+
     made = Table(title=title, **arguments)
     for heading in text:
         made.add_column(heading, no_wrap=True)

@@ -1,16 +1,21 @@
-"""Registering environments: here, and in the registries of PettingZoo and Gymnasium."""
+"""Registering environments: here, and in the registries of PettingZoo and Gymnasium.
+
+Neither library is imported for that. Whichever is there is told at once, the other when somebody imports it.
+"""
 
 from __future__ import annotations
 
+import sys
 import warnings
-from typing import Any, NoReturn
-
-import gymnasium
-import pettingzoo
+from functools import partial
+from typing import TYPE_CHECKING, Any, NoReturn
 
 from pearl_marl import registry
 from pearl_marl.errors import ArgumentError
-from pearl_marl.spec import EnvSpec
+from pearl_marl.interfaces.importing import when_imported
+
+if TYPE_CHECKING:
+    from pearl_marl.spec import EnvSpec
 
 
 def register(spec: EnvSpec) -> None:
@@ -21,26 +26,47 @@ def register(spec: EnvSpec) -> None:
     A second registration of the same name replaces the first, with a warning.
     """
     registry.register(spec)
-    announce(spec)
+    for library, announce in _LIBRARIES.items():
+        if library in sys.modules:
+            announce(spec.name, spec.id)
 
 
-def announce(spec: EnvSpec) -> None:
-    """Make an environment known to the registries of PettingZoo and Gymnasium."""
-    arguments = {"env_id": spec.name}
+def announce_all() -> None:
+    """Make every environment known to the registries of PettingZoo and Gymnasium."""
+    for library in _LIBRARIES:
+        when_imported(library, partial(_announce_all_to, library))
+
+
+def _announce_all_to(library: str) -> None:
+    for name, env_id in registry.ids().items():
+        _LIBRARIES[library](name, env_id)
+
+
+def _announce_to_gymnasium(name: str, env_id: str) -> None:
+    from gymnasium.envs import registration
+
+    registered = f"Pearl/{env_id}"
+    registration.registry.pop(registered, None)
+    registration.register(
+        registered,
+        "pearl_marl.interfaces.registration:refuse_make",
+        vector_entry_point="pearl_marl.interfaces.vector:make_vec",
+        kwargs={"env_id": name},
+    )
+
+
+def _announce_to_pettingzoo(name: str, env_id: str) -> None:
+    import pettingzoo
+
     for kind, entry_point in (("parallel", "parallel:parallel_env"), ("aec", "aec:env")):
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # PettingZoo warns of every replacement; register() has done so
             pettingzoo.register(
-                kind, f"pearl/{spec.id}", f"pearl_marl.interfaces.{entry_point}", kwargs=arguments
+                kind, f"pearl/{env_id}", f"pearl_marl.interfaces.{entry_point}", kwargs={"env_id": name}
             )
-    name = f"Pearl/{spec.id}"
-    gymnasium.registry.pop(name, None)
-    gymnasium.register(
-        name,
-        "pearl_marl.interfaces.registration:refuse_make",
-        vector_entry_point="pearl_marl.interfaces.vector:make_vec",
-        kwargs=arguments,
-    )
+
+
+_LIBRARIES = {"gymnasium": _announce_to_gymnasium, "pettingzoo": _announce_to_pettingzoo}
 
 
 def refuse_make(env_id: str, **arguments: Any) -> NoReturn:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import importlib.util
 import os
 import signal
@@ -35,6 +36,19 @@ def test_h_is_help(pearl: Pearl, command: str) -> None:
     assert status == 0
     assert (0, short, "") == pearl(*arguments, "--help")
     assert "-h" in short
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_the_list_says_what_a_commands_own_help_does(command: str) -> None:
+    own = importlib.import_module(f"pearl_marl.cli.{command}").command.__doc__
+    assert COMMANDS[command] == " ".join(own.strip().split("\n\n")[0].split())
+
+
+def test_every_command_is_listed(pearl: Pearl) -> None:
+    _, listed, _ = pearl("--help")
+    assert [line.split()[1] for line in listed.splitlines() if line.startswith("│ ")][-len(COMMANDS) :] == [
+        *COMMANDS
+    ]
 
 
 def started(hook: str, *arguments: Any, **options: Any) -> subprocess.Popen[str]:

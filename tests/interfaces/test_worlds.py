@@ -26,7 +26,7 @@ DEVICES = ("reference", "native")
 
 @pytest.fixture(autouse=True)
 def world_toys() -> Iterator[None]:
-    with mock.patch.dict(registry._specs()):
+    with mock.patch.dict(registry._specs):
         for spec in WORLDS:
             pearl_marl.register(spec)
         yield

@@ -1,0 +1,56 @@
+"""Something to do once a library has been imported, whoever imports it and whenever."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Sequence
+from importlib.abc import Loader, MetaPathFinder
+from importlib.machinery import ModuleSpec
+from types import ModuleType
+from typing import Any
+
+
+def when_imported(library: str, call: Callable[[], None]) -> None:
+    """Call a function as soon as a library has been imported: at once if it has been already."""
+    if library in sys.modules:
+        call()
+    else:
+        sys.meta_path.insert(0, _Watch(library, call))
+
+
+class _Watch(MetaPathFinder):
+    """Finds a library where the other finders do, and is told when it has been executed."""
+
+    def __init__(self, library: str, call: Callable[[], None]) -> None:
+        self._library, self._call = library, call
+
+    def find_spec(
+        self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None
+    ) -> ModuleSpec | None:
+        if fullname != self._library:
+            return None
+        others = (finder.find_spec(fullname, path, target) for finder in sys.meta_path if finder is not self)
+        spec = next(filter(None, others), None)
+        if spec is not None and spec.loader is not None:
+            spec.loader = _Watched(spec.loader, self._imported)
+        return spec
+
+    def _imported(self) -> None:
+        if self in sys.meta_path:
+            sys.meta_path.remove(self)
+        self._call()
+
+
+class _Watched(Loader):
+    """Loads a module by its own loader, which the module then keeps."""
+
+    def __init__(self, loader: Loader, then: Callable[[], None]) -> None:
+        self._loader, self._then = loader, then
+
+    def create_module(self, spec: ModuleSpec) -> ModuleType | None:
+        return self._loader.create_module(spec)
+
+    def exec_module(self, module: Any) -> None:
+        module.__loader__ = module.__spec__.loader = self._loader
+        self._loader.exec_module(module)
+        self._then()
