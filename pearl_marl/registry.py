@@ -54,7 +54,7 @@ def names() -> list[str]:
 
 
 def get_spec(name: str) -> EnvSpec:
-    """Return the spec of an environment by its name, whatever its case.
+    """Return the spec of an environment by its name, whatever its case, or by its id: ``"CliffWalking-v0"``.
 
     ``"my_package:MyEnv"`` imports ``my_package`` first, where ``MyEnv`` is registered.
 
@@ -68,10 +68,13 @@ def get_spec(name: str) -> EnvSpec:
     module, colon, plain = name.rpartition(":")
     if colon:
         _import(module, name)
+    plain, versioned, version = plain.partition("-v")
     key = _key(plain)
     if key not in _specs and key in _folders():
         _specs[key] = importlib.import_module(f"{_PACKAGE}.{_folders()[key]}.spec").SPEC
     spec = _specs.get(key)
+    if spec is not None and versioned and version != str(spec.version):
+        raise ArgumentError(f"there is no environment {name!r}; {spec.name} has the id {spec.id!r}")
     if spec is None:
         known = {_key(other): other for other in names()}
         near = difflib.get_close_matches(key, known, n=3, cutoff=0.5)

@@ -12,7 +12,9 @@ from typing import Annotated, Any, NoReturn
 import typer
 from rich.markup import escape
 from typer.core import TyperGroup
+from typer.exceptions import TyperException
 
+from pearl_marl.cli import usage
 from pearl_marl.cli.common import error_console
 from pearl_marl.cli.interrupts import STATUS, interrupts
 from pearl_marl.errors import PearlError
@@ -86,13 +88,17 @@ def main() -> None:
     """
     with interrupts.watched():
         try:
-            app()
+            sys.exit(app(standalone_mode=False))
         except BaseException as error:
             # A library may have made another exception of Ctrl-C.
             if interrupts.noted and not (isinstance(error, SystemExit) and not error.code):
                 _leave(interrupts.sentence, STATUS)
             if isinstance(error, PearlError):
                 _leave(str(error), 2)
+            if isinstance(error, TyperException):
+                if len(sys.argv) == 1:  # `pearl` alone has shown its help
+                    sys.exit(2)
+                _leave(usage.sentence(error, COMMANDS, sys.argv[1:]), 2)
             raise
 
 

@@ -6,7 +6,7 @@ import ast
 import contextlib
 import json
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
@@ -14,7 +14,7 @@ import typer
 from rich.console import Console
 
 from pearl_marl.errors import ArgumentError
-from pearl_marl.registry import get_spec
+from pearl_marl.registry import get_spec, names
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -29,14 +29,31 @@ error_console = Console(stderr=True, highlight=False)
 ABOUT = 43008
 """How many agents a command has by default: the paper's number, or a little less to have whole worlds."""
 
-EnvName = Annotated[str, typer.Argument(metavar="ENV", help="An environment of `pearl envs`.")]
+
+def completed(possible: Callable[[], Iterable[str]]) -> Callable[[str], list[str]]:
+    """Return what tells a shell the words that one may become."""
+
+    def complete(incomplete: str) -> list[str]:  # Typer wants this name
+        return [name for name in possible() if name.startswith(incomplete)]
+
+    return complete
+
+
+EnvName = Annotated[
+    str,
+    typer.Argument(metavar="ENV", help="An environment of `pearl envs`.", autocompletion=completed(names)),
+]
 Agents = Annotated[
     int | None,
     typer.Option(
         "--n-agents", help="How many agents, those of whole worlds.", show_default=f"about {ABOUT:,}"
     ),
 ]
-DeviceName = Annotated[str, typer.Option("--device", help="Where they are stepped.")]
+DEVICES = ("native", "rtl", "cuda", "reference", "xdma", "serial")
+DeviceName = Annotated[
+    str,
+    typer.Option("--device", help="Where they are stepped.", autocompletion=completed(lambda: DEVICES)),
+]
 Seed = Annotated[int, typer.Option("--seed", help="Of the random numbers.")]
 Steps = Annotated[int, typer.Option("--steps", help="Steps of every agent.")]
 Out = Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Where to write results.")]

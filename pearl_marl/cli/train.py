@@ -13,10 +13,13 @@ from pearl_marl.cli.common import console, error_console
 from pearl_marl.cli.interrupts import interrupts
 from pearl_marl.errors import ArgumentError
 
+ALGORITHMS = ("ppo", "dqn", "q-learning", "ippo", "mappo", "iql", "self-play")
 Algorithm = Annotated[
     str,
     typer.Option(
-        "--algo", help="`ppo`, `dqn`, `q-learning`; in worlds also `ippo`, `mappo`, `iql`, `self-play`."
+        "--algo",
+        help="`ppo`, `dqn`, `q-learning`; in worlds also `ippo`, `mappo`, `iql`, `self-play`.",
+        autocompletion=common.completed(lambda: ALGORITHMS),
     ),
 ]
 Agents = Annotated[

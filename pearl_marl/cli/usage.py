@@ -1,0 +1,58 @@
+"""What a wrong command line is told: one sentence with the value, what is possible, and the fix."""
+
+from __future__ import annotations
+
+import difflib
+import shlex
+from collections.abc import Iterable
+from typing import Any
+
+
+def sentence(error: Any, commands: Iterable[str], arguments: Iterable[str]) -> str:
+    """Return it for one of Typer's errors, the names of all commands, and the words of the command line."""
+    kind, context = type(error).__name__, getattr(error, "ctx", None)
+    command = f"pearl {context.info_name}" if context and context.parent else "pearl"
+    help_ = f"{command} --help"
+    if kind == "BadParameter":
+        return _of_value(error)
+    if kind == "MissingParameter":
+        what = getattr(error.param, "metavar", None) or error.param.name.upper()
+        name = error.param.opts[0] if error.param.param_type_name == "option" else what
+        return f"{command} needs {name}: {_lower(error.param.help)} ({help_} tells more)"
+    if kind == "NoSuchOption":
+        near = difflib.get_close_matches(error.option_name, error.possibilities or (), 1)
+        hint = f"did you mean {near[0]}?" if near else f"{help_} lists those that there are"
+        return f"{command} has no option {error.option_name}; {hint}"
+    if kind == "BadOptionUsage":
+        return f"{error.format_message().rstrip('.')}: see {help_}"
+    message = error.format_message()
+    if message.startswith("No such command"):
+        name = message.split("'")[1]
+        near = difflib.get_close_matches(name, list(commands), 1)
+        hint = f"did you mean {near[0]!r}?" if near else f"there are {', '.join(commands)}"
+        return f"there is no command {name!r}; {hint}"
+    if message.startswith("Got unexpected extra argument"):
+        extra = message.split("(", 2)[2].rstrip(")")
+        return f"{command} does not take {extra!r}, in: pearl {shlex.join(arguments)}; see {help_}"
+    return str(message)
+
+
+def _of_value(error: Any) -> str:
+    """Return what is wrong with the value of an option or an argument."""
+    param = error.param
+    name = max(param.opts, key=len) if param.param_type_name == "option" else param.name.upper()
+    reasons: list[Any] = getattr(error.__cause__, "errors", list)()
+    if not reasons:
+        return f"{name}: {error.message}"
+    value, why = reasons[0]["input"], reasons[0]["msg"]
+    if "is not one of" in why:
+        return f"{name} is {value!r}; it must be one of {why.split('is not one of ')[1].rstrip('.')}"
+    wanted = (
+        why.removeprefix("Input should be ").partition(", unable")[0].replace("a valid integer", "an integer")
+    )
+    return f"{name} is {value!r}; it must be {wanted.replace('a valid ', 'a ')}"
+
+
+def _lower(text: str | None) -> str:
+    words = (text or "").strip().rstrip(".")
+    return words[:1].lower() + words[1:]
