@@ -114,7 +114,7 @@ TASKS = (
 
 
 def collect(quick: bool, progress: Progress) -> list[Row]:
-    """Train and judge; with ``quick`` a little, of one task an environment and algorithm, and with one seed."""
+    """Train and judge; with ``quick`` a little: one task an environment and algorithm, and one seed."""
     tasks = {(task.env_id, task.algorithm): task for task in reversed(TASKS)}.values() if quick else TASKS
     work = [(task, seed) for task in tasks for seed in (task.seeds[:1] if quick else task.seeds)]
     return [
