@@ -24,7 +24,7 @@ from pearl_marl.hardware.build import Build
         ("CliffWalking", {}, (193, 24, 32), 0.2, 4),
         ("CliffWalking", {}, (40, 16, 1024), 0.0, 4),
         ("ShiftAdd", {}, (23, 5, 64), 0.0, 6),
-        ("ShiftAdd", {}, (260, 4, 32), 0.1, 4),
+        ("ShiftAdd", {}, (90, 4, 32), 0.1, 4),
         ("Meadow", {}, (23, 5, 64), 0.1, 6),
     ],
     ids=lambda value: "-".join(map(str, value)) if isinstance(value, tuple) else None,
