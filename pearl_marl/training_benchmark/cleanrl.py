@@ -20,6 +20,7 @@ from gymnasium.spaces import Discrete
 from torch import Tensor, nn
 from torch.distributions import Categorical
 
+from pearl_marl.benchmark.peers import quiet_spaces
 from pearl_marl.registry import get_spec
 
 from .tasks import Task
@@ -119,8 +120,9 @@ def train(task: Task, settings: Any, watch: Watch) -> None:
     torch.manual_seed(settings.seed)
     rng = np.random.default_rng(settings.seed)
     envs = environments(task, n, settings.seed)
-    space: Any = getattr(envs, "single_observation_space", envs.observation_space)
-    actions_space: Any = getattr(envs, "single_action_space", envs.action_space)
+    with quiet_spaces():
+        space: Any = getattr(envs, "single_observation_space", None) or envs.observation_space
+        actions_space: Any = getattr(envs, "single_action_space", None) or envs.action_space
     see = None
     if isinstance(space, Discrete):
         rows, shape = np.eye(int(space.n), dtype=np.float32), (int(space.n),)
