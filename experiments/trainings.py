@@ -14,8 +14,8 @@ TEXT = (
     "Rollout and learning together, by this package and by others, each in a process of its own, in turns. "
     "All have the same numbers of agents, networks, minibatches and epochs, those of our presets, as far as "
     "a trainer has the knob. A goal is reached when the best actions of 200 agents' first episodes have that "
-    "mean return; evaluations, imports and compilation are not counted. The others need an environment of their "
-    "own, which `make bench-peers` makes."
+    "mean return; evaluations, imports and compilation are not counted. The others need an environment of "
+    "their own, which `make bench-peers` makes."
 )
 COLUMNS = {
     "task": "task",
