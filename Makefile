@@ -13,7 +13,7 @@ OUT ?= out
 CORES := $(shell nproc 2>/dev/null || echo 2)
 PACKAGE := pyproject.toml constraints.txt
 
-.PHONY: demo test test-rllib test-torchrl test-cuda lint format bench bench-peers figures ulx3s clean
+.PHONY: demo test test-rllib test-torchrl test-peers test-cuda lint format bench bench-peers figures ulx3s clean
 .DELETE_ON_ERROR:
 
 demo: $(VENV)/.render
@@ -30,6 +30,11 @@ test-rllib: $(RLLIB)/.rllib
 # BenchMARL takes TorchRL below 0.12, and `make test` has those; this is the newest there was.
 test-torchrl: $(TORCHRL)/.torchrl
 	$(TORCHRL)/bin/python -m pytest --slow tests/wrappers/test_torchrl.py tests/docs/test_docs.py -k "not docs or TorchRL"
+
+# The benchmark of whole trainings with all that it compares: gymnax takes Gymnasium below 1.4, so they have an
+# environment of their own.
+test-peers: $(PEERS)/.peers
+	$(PEERS)/bin/python -m pytest --slow tests/training_benchmark
 
 # The contract over every environment on a GPU, or a simulated one: that takes 20 minutes of a core.
 test-cuda: $(VENV)/.dev
@@ -48,8 +53,7 @@ bench: $(VENV)/.dev
 	$(BIN)/pearl bench CliffWalking --n-agents 43008 --out $(OUT)/bench
 	$(BIN)/python -m pytest --benchmark-enable --benchmark-only tests/benchmarks/bench_*.py
 
-# Whole trainings beside those of other packages: 20 minutes of two cores. gymnax takes Gymnasium below 1.4, so they
-# have an environment of their own.
+# Whole trainings beside those of other packages: some 20 minutes of two cores.
 bench-peers: $(PEERS)/.peers
 	$(PEERS)/bin/pearl bench --training --out $(OUT)/bench
 
@@ -95,7 +99,7 @@ $(PEERS)/.peers: $(PACKAGE)
 	@$(PYTHON) -m venv $(PEERS)
 	@sed 's/^gymnasium==.*/gymnasium==1.3.0/' constraints.txt > $(PEERS)/constraints.txt
 	@$(PEERS)/bin/python -W ignore -m pip install --quiet --disable-pip-version-check \
-		-c $(PEERS)/constraints.txt -e '.[peers]'
+		-c $(PEERS)/constraints.txt -e '.[peers,testing]' pytest-benchmark
 	@touch $@
 
 $(BIN)/python:

@@ -29,7 +29,7 @@ from .section import KINDS, Progress, Row, Section, having
 
 SECTIONS = (
     *("figure3", "equations", "figure6", "table3", "figure7", "figure8", "figure9", "table1", "table2"),
-    *("goals", "worlds", "population"),
+    *("goals", "trainings", "worlds", "population"),
 )
 """Modules of this package, in the page's order."""
 

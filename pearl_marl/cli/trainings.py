@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime
+import os
 from pathlib import Path
 from typing import Any
 
@@ -34,7 +35,9 @@ def show(env_id: str | None, quick: bool, out: Path | None, as_json: bool) -> No
     file = f"trainings_{name or 'all'}.json"
     goals = {task.name: task.goal for task in chosen}
     rows: list[dict[str, Any]] = []
-    result: dict[str, Any] = {"machine": machine(), "quick": quick, "goals": goals, "rows": rows}
+    threads = os.environ.get("OMP_NUM_THREADS", "as each chooses")
+    result: dict[str, Any] = {"machine": machine(), "threads": threads, "quick": quick}
+    result |= {"goals": goals, "rows": rows}
     for row in common.progress(turns.run(work), len(work), "trainings"):
         rows.append(row)
         result["date"] = datetime.datetime.now().astimezone().isoformat(timespec="seconds")

@@ -30,7 +30,7 @@ def main(text: str) -> None:
         "agent_steps": spent[1],
         "training_seconds": spent[0],
         "best_return": watch.best,
-        "process_seconds": time.perf_counter() - began,
+        "preparing_seconds": watch.started - began,
     }
     print(json.dumps(figures))
 

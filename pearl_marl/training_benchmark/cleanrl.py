@@ -3,8 +3,8 @@
 Written after the algorithm of CleanRL's ``ppo_atari_envpool.py`` (Huang et al., 2022, JMLR 23:274), with its
 details: orthogonal weights, Adam with an epsilon of 1e-5, a learning rate that falls evenly, advantages
 normalised in each minibatch, gradients clipped. The step in which an environment starts over counts like any
-other, and a time limit is an end like any other. Values are not clipped (its ``--no-clip-vloss``), as ours
-are not.
+other, and a time limit is an end like any other. As with ours, values are not clipped (its
+``--no-clip-vloss``) and their squared errors have a weight of 1/2 (its ``--vf-coef 1``).
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from gymnasium.spaces import Discrete
 from torch import Tensor, nn
 from torch.distributions import Categorical
 
+from pearl_marl.benchmark.peers import quiet_spaces
 from pearl_marl.registry import get_spec
 
 from .tasks import Task
@@ -119,8 +120,9 @@ def train(task: Task, settings: Any, watch: Watch) -> None:
     torch.manual_seed(settings.seed)
     rng = np.random.default_rng(settings.seed)
     envs = environments(task, n, settings.seed)
-    space: Any = getattr(envs, "single_observation_space", envs.observation_space)
-    actions_space: Any = getattr(envs, "single_action_space", envs.action_space)
+    with quiet_spaces():
+        space: Any = getattr(envs, "single_observation_space", None) or envs.observation_space
+        actions_space: Any = getattr(envs, "single_action_space", None) or envs.action_space
     see = None
     if isinstance(space, Discrete):
         rows, shape = np.eye(int(space.n), dtype=np.float32), (int(space.n),)
@@ -184,7 +186,7 @@ def train(task: Task, settings: Any, watch: Watch) -> None:
                 clipped = ratio.clamp(1 - settings.clip, 1 + settings.clip)
                 policy_loss = torch.max(-scaled * ratio, -scaled * clipped).mean()
                 value_loss = 0.5 * ((expected - some_returns) ** 2).mean()
-                loss = policy_loss - settings.entropy * entropy.mean() + 0.5 * value_loss
+                loss = policy_loss - settings.entropy * entropy.mean() + value_loss
                 optimiser.zero_grad()
                 loss.backward()
                 nn.utils.clip_grad_norm_(agent.parameters(), 0.5)

@@ -2,8 +2,8 @@
 
 Written after the algorithm of PureJaxRL's ``ppo.py`` (Lu et al., 2022, arXiv:2210.05639): scans over steps,
 epochs and minibatches, environments that start over by themselves, a time limit that is an end like any
-other, values that are clipped. It compiles the whole training; here it is one update, so that the policy can
-be evaluated in between. Compilation is not counted.
+other, values that are clipped; their squared errors have a weight of 1/2, as ours. It compiles the whole training;
+here it is one update, so that the policy can be evaluated in between. Compilation is not counted.
 """
 
 from __future__ import annotations
@@ -101,11 +101,11 @@ def network(params: Any, obs: Any) -> tuple[Any, Any]:
     if "kernel" not in params:
         values = applied(params["critic"], obs, jnp.tanh)
         return applied(params["actor"], obs, jnp.tanh), values[:, 0]
+    # A product of slices is the same as XLA's convolution, and on a CPU many times as fast within a scan.
     kernel, bias = params["kernel"]
-    form = ("NHWC", "HWIO", "NHWC")
-    planes = jax.nn.relu(
-        jax.lax.conv_general_dilated(obs, kernel, (1, 1), "VALID", dimension_numbers=form) + bias
-    )
+    height, breadth = obs.shape[1] - 2, obs.shape[2] - 2
+    slices = [obs[:, i : i + height, j : j + breadth] for i in range(3) for j in range(3)]
+    planes = jax.nn.relu(jnp.concatenate(slices, 3) @ kernel.reshape(-1, kernel.shape[3]) + bias)
     features = planes.reshape(len(obs), -1)
     features = jax.nn.relu(applied(params["shared"], features, jax.nn.relu))
     return applied(params["actor"], features, None), applied(params["critic"], features, None)[:, 0]
@@ -140,7 +140,7 @@ def train(task: Task, settings: Any, watch: Watch) -> None:
         scaled = (gains - gains.mean()) / (gains.std() + 1e-8)
         policy_loss = -jnp.minimum(ratio * scaled, ratio.clip(1 - s.clip, 1 + s.clip) * scaled).mean()
         entropy = -(jnp.exp(chances) * chances).sum(1).mean()
-        return policy_loss + 0.5 * value_loss - s.entropy * entropy
+        return policy_loss + value_loss - s.entropy * entropy
 
     def act(carry: Any, _: Any) -> Any:
         params, statistics, states, obs, key = carry

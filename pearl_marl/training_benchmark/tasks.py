@@ -23,7 +23,7 @@ class Task(NamedTuple):
     goal: float | None
     least: int
     every: int = 1  # iterations between evaluations
-    seconds: float = 45.0
+    seconds: float = 40.0
 
     def settings(self, seed: int) -> Any:
         """Return the settings of our preset."""
@@ -37,7 +37,7 @@ class Task(NamedTuple):
 
 TASKS = (
     Task("PPO CartPole", "ppo", "CartPole", 475.0, least=20),
-    Task("PPO MountainCar", "ppo", "MountainCar", -130.0, least=10),
+    Task("PPO MountainCar", "ppo", "MountainCar", -115.0, least=10),
     Task("PPO FrozenLake", "ppo", "FrozenLake", 0.70, least=10),
     Task("PPO Seaquest", "ppo", "Seaquest", None, least=4, seconds=20.0),
     Task("PPO LevelBasedForaging", "ppo", "LevelBasedForaging", None, least=12),

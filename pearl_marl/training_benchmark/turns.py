@@ -1,4 +1,4 @@
-"""All trainings, one after the other: of each task and seed everybody in turn, each in a process of its own.
+"""All trainings, one after the other: of each seed and task everybody in turn, each in a process of its own.
 
 A machine that slows down or speeds up does so for all of them.
 """
@@ -34,8 +34,8 @@ def entries(tasks: Sequence[Task], seeds: Sequence[int]) -> list[tuple[Task, Con
     """Return all trainings, in the order in which they are run."""
     return [
         (task, contender, seed)
-        for task in tasks
         for seed in seeds
+        for task in tasks
         for contender in CONTENDERS
         if task.name.startswith(contender.tasks)
     ]

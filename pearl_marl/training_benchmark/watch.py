@@ -27,6 +27,8 @@ class Watch:
         Seconds of training and agent-steps, after every ``task.every`` iterations.
     reached
         The seconds after which the goal was reached, or None.
+    started
+        When it began, by ``time.perf_counter``.
     best
         The best mean return of all evaluations; None without any.
     """
@@ -37,11 +39,11 @@ class Watch:
         self.reached: float | None = None
         self.best: float | None = None
         self.iterations = 0
-        self._began = 0.0
+        self.started = self._began = 0.0
 
     def start(self) -> None:
         """Begin to count seconds."""
-        self._began = time.perf_counter()
+        self.started = self._began = time.perf_counter()
 
     def __call__(self, agent_steps: int, choose: Callable[[Any], Any]) -> bool:
         """Note an iteration; return whether the training is over."""

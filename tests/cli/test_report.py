@@ -106,6 +106,7 @@ def test_quick(tmp_path: Path, recwarn: pytest.WarningsRecorder) -> None:
         "figure8",
         "figure9",
         "goals",
+        "trainings",
         "worlds",
         "population",
     )
