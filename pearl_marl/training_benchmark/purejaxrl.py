@@ -2,8 +2,8 @@
 
 Written after the algorithm of PureJaxRL's ``ppo.py`` (Lu et al., 2022, arXiv:2210.05639): scans over steps,
 epochs and minibatches, environments that start over by themselves, a time limit that is an end like any
-other, values that are clipped; their squared errors have a weight of 1/2, as ours. It compiles the whole training;
-here it is one update, so that the policy can be evaluated in between. Compilation is not counted.
+other, values that are clipped; their squared errors have a weight of 1/2, as ours. It compiles the whole
+training; here it is one update, so that the policy can be evaluated in between. Compilation is not counted.
 """
 
 from __future__ import annotations
