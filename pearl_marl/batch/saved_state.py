@@ -109,7 +109,7 @@ class SavedState:
         header["lengths"] = [len(getattr(self, name)) for name in _ARRAYS]
         head = json.dumps(header).encode()
         # Gigabytes, perhaps: copied once.
-        arrays = (memoryview(np.ascontiguousarray(getattr(self, name))) for name in _ARRAYS)
+        arrays: list[Any] = [np.ascontiguousarray(getattr(self, name)) for name in _ARRAYS]
         body = [struct.pack("<Q", len(head)), head, *arrays]
         checksum = 0
         for part in body:

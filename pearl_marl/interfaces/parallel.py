@@ -207,11 +207,11 @@ class PearlParallelEnv(ParallelInterface):
                 f"render() without a render_mode: make the environment with one of {self.spec.render_modes}"
             )
         if agent is not None:
-            if agent not in self._names:
+            if agent not in self.names:
                 raise ArgumentError(
                     f"there is no agent {agent!r}; agents are agent_0 to agent_{self.batch_size - 1}"
                 )
-            slot = self._names.slot(agent)
+            slot = self.names.slot(agent)
             if not self._live[slot]:
                 raise OrderError(f"render({agent!r}): its episode has ended, and it has left until reset()")
             self._rendered_world = slot // self.world.agents

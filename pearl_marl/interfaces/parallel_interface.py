@@ -26,7 +26,8 @@ from pearl_marl.spec import Role
 class ParallelInterface(pettingzoo.ParallelEnv, Batch):  # type: ignore[misc]
     """A ``ParallelEnv`` made of a batch's methods, and of :meth:`step_slots`.
 
-    ``possible_agents`` are the names of all, in the order of the slots; ``slots`` has each one's slot.
+    ``possible_agents`` are the names of all, in the order of the slots; ``slots`` has each one's slot, and ``names``
+    is what dicts have for keys.
     ``action_kinds`` are the kinds of dtype that actions may have.
     """
 
@@ -41,8 +42,8 @@ class ParallelInterface(pettingzoo.ParallelEnv, Batch):  # type: ignore[misc]
         autoreset: bool,
         world: World,
     ) -> None:
-        self._names = Names(count)
-        self.possible_agents: list[str] = AgentList(self._names)
+        self.names = Names(count)
+        self.possible_agents: list[str] = AgentList(self.names)
         self.batch_size = count
         self.slot_observation_space, self.slot_action_space = observation_space, action_space
         self.autoreset, self.world = autoreset, world
@@ -70,7 +71,7 @@ class ParallelInterface(pettingzoo.ParallelEnv, Batch):  # type: ignore[misc]
     @functools.cached_property
     def slots(self) -> dict[str, int]:
         """Each agent's slot."""
-        return {agent: slot for slot, agent in enumerate(self._names)}
+        return {agent: slot for slot, agent in enumerate(self.names)}
 
     @property
     def agents_per_world(self) -> int:
@@ -99,7 +100,7 @@ class ParallelInterface(pettingzoo.ParallelEnv, Batch):  # type: ignore[misc]
 
     def _place(self, agent: str) -> int:
         """Return where in its world an agent is, if that matters."""
-        return self._names.slot(agent) % len(self._roles) if len(self._roles) > 1 else 0
+        return self.names.slot(agent) % len(self._roles) if len(self._roles) > 1 else 0
 
     def _observation_space(self, role: Role) -> Space[Any]:
         if not self.world.masked:
@@ -279,7 +280,7 @@ class ParallelInterface(pettingzoo.ParallelEnv, Batch):  # type: ignore[misc]
         if len(actions) != len(values):
             here = set(agents)
             extra = next(agent for agent in actions if agent not in here)
-            why = "its episode has ended" if extra in self._names else "there is no such agent"
+            why = "its episode has ended" if extra in self.names else "there is no such agent"
             raise ActionError(f"an action for {extra!r}, but {why}; only agents in env.agents act")
         return values
 
@@ -291,7 +292,7 @@ class ParallelInterface(pettingzoo.ParallelEnv, Batch):  # type: ignore[misc]
         """Return the agents that are there: whatever is done to the public list, dicts keep these."""
         live = self.live
         if live is not self._named:
-            self._here = self._names.of(live)
+            self._here = self.names.of(live)
             self._agents = AgentList(self._here)
             self._named = live
         return self._here
