@@ -26,9 +26,9 @@ from pearl_marl.spec import Role
 class ParallelInterface(pettingzoo.ParallelEnv, Batch):  # type: ignore[misc]
     """A ``ParallelEnv`` made of a batch's methods, and of :meth:`step_slots`.
 
-    ``possible_agents`` are the names of all, in the order of the slots; ``slots`` has each one's slot, and ``names``
-    is what dicts have for keys.
-    ``action_kinds`` are the kinds of dtype that actions may have.
+    ``possible_agents`` are the names of all, in the order of the slots; ``slots`` has each one's slot.
+    ``names`` are the same, made when they are read and never changed; ``action_kinds`` are the kinds of dtype
+    that actions may have.
     """
 
     slot_autoreset_mode = AutoresetMode.SAME_STEP
