@@ -180,28 +180,42 @@ class HeatMap:
 
     def save(self, path: str | Path) -> None:
         """Write the map as a picture. Needs matplotlib, of the ``render`` extra."""
-        plt = import_pyplot()
+        rows, columns = self.counts.shape
+        figure = new_figure(1 + 0.7 * columns, 1.2 + 0.7 * rows)
         from matplotlib.colors import LogNorm
 
-        path = Path(path)
-        rows, columns = self.counts.shape
-        figure, axes = plt.subplots(figsize=(1 + 0.7 * columns, 1.2 + 0.7 * rows), layout="constrained")
+        path, axes = Path(path), figure.subplots()
         image = axes.imshow(np.where(self.counts, self.counts, np.nan), norm=LogNorm(vmin=1), cmap="viridis")
         axes.set(xticks=range(columns), yticks=range(rows), xlabel="column", ylabel="row")
         axes.set_title(f"{self._spec.name}: visits of all agents ({self.counts.sum():,} steps)")
         figure.colorbar(image, label="visits (log scale)", shrink=0.9)
         path.parent.mkdir(parents=True, exist_ok=True)
         figure.savefig(path, dpi=120)
-        plt.close(figure)
 
 
-def import_pyplot() -> Any:
-    """Import matplotlib for drawing into files, or say how to install it."""
+def new_figure(width: float, height: float) -> Any:
+    """Return an empty figure of matplotlib, in inches, to be saved into a file.
+
+    Pyplot would keep it until it is closed, and takes as long to import as the rest of matplotlib.
+    """
+    _matplotlib()
+    from matplotlib.figure import Figure
+
+    return Figure(figsize=(width, height), layout="constrained")
+
+
+def _matplotlib() -> Any:
+    """Import matplotlib, or say how to install it."""
     try:
         import matplotlib
     except ImportError as error:
         raise PearlError("drawing needs matplotlib: pip install 'pearl-marl[render]'") from error
-    matplotlib.use("Agg")
+    return matplotlib
+
+
+def import_pyplot() -> Any:
+    """Import matplotlib's pyplot for drawing into files, or say how to install it."""
+    _matplotlib().use("Agg")
     import matplotlib.pyplot as plt
 
     return plt

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -150,3 +151,15 @@ def test_what_needs_no_library_imports_none(arguments: list[str], status: int) -
     done, modules = imported_by(*arguments)
     assert done == status
     assert not modules & {*HEAVY, *LIBRARIES} - {"typer"}
+
+
+TRAINING = ["train", "CartPole", "--n-agents", "8", "--iterations", "1", "--set", "minibatch=64"]
+
+
+def test_training_imports_what_it_uses(tmp_path: Path) -> None:
+    """PyTorch would import its compiler and SymPy for an optimiser and a backward pass."""
+    pytest.importorskip("torch", reason="torch is not installed: pip install '.[train]'")
+    status, modules = imported_by(*TRAINING, "--out", str(tmp_path / "run"))
+    assert status == 0
+    assert not modules & {"torch._dynamo", "torch._inductor", "sympy", "matplotlib.pyplot", "ray", "pygame"}
+    assert (tmp_path / "run" / "learning_curve.png").exists()

@@ -204,7 +204,8 @@ class PearlVecEnv(VecEnv):
                 f"images with render_mode {self.render_mode!r}: "
                 "make the environment by parallel_env(..., render_mode='rgb_array')"
             )
-        agents = self.env.possible_agents[:: self.env.world.agents][:RENDERED_SLOTS]
+        k = self.env.world.agents
+        agents = self.env.possible_agents[: RENDERED_SLOTS * k : k]
         return [self.env.render(agent) for agent in agents]
 
     def _own(self, obs: Array) -> Array:

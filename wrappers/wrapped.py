@@ -63,7 +63,7 @@ class WrappedParallelEnv(_Wrapped, ParallelInterface):
         self.env, self.transform = env, transform
         self.metadata, self.render_mode = env.metadata, env.render_mode
         spaces = transform.observation_space, transform.action_space
-        super().__init__(env.possible_agents, *spaces, transform.action_kinds, env.autoreset, transform.world)
+        super().__init__(env.batch_size, *spaces, transform.action_kinds, env.autoreset, transform.world)
 
     def reset_batch(self, seed: int | None = None) -> Array:
         """Begin an episode for every agent; return observations of shape ``(n_agents, ...)``."""

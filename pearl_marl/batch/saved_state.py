@@ -108,9 +108,13 @@ class SavedState:
         header = {"identity": self.identity, "seed": self.seed, "tick": self.tick, "rewards": self.rewards}
         header["lengths"] = [len(getattr(self, name)) for name in _ARRAYS]
         head = json.dumps(header).encode()
-        arrays = (getattr(self, name).tobytes() for name in _ARRAYS)
-        body = b"".join([struct.pack("<Q", len(head)), head, *arrays])
-        return _MAGIC + _VERSION + struct.pack("<I", zlib.crc32(body)) + body
+        # Gigabytes, perhaps: copied once.
+        arrays: list[Any] = [np.ascontiguousarray(getattr(self, name)) for name in _ARRAYS]
+        body = [struct.pack("<Q", len(head)), head, *arrays]
+        checksum = 0
+        for part in body:
+            checksum = zlib.crc32(part, checksum)
+        return b"".join([_MAGIC, _VERSION, struct.pack("<I", checksum), *body])
 
     @classmethod
     def from_bytes(cls, blob: bytes, identity: dict[str, Any]) -> SavedState:
@@ -125,7 +129,7 @@ class SavedState:
         if not isinstance(blob, (bytes, bytearray, memoryview)):
             raise SavedStateError(f"a saved state is bytes, not {type(blob).__name__}")
         blob = bytes(blob)
-        version, body = blob[len(_MAGIC) : len(_MAGIC) + 1], blob[len(_MAGIC) + 5 :]
+        version, body = blob[len(_MAGIC) : len(_MAGIC) + 1], memoryview(blob)[len(_MAGIC) + 5 :]
         if not blob.startswith(_MAGIC):
             raise SavedStateError("these bytes are no saved state of PEARL-MARL")
         if version != _VERSION:
@@ -136,7 +140,7 @@ class SavedState:
         if len(body) < 8 or zlib.crc32(body) != struct.unpack_from("<I", blob, len(_MAGIC) + 1)[0]:
             raise SavedStateError("the saved state is damaged or cut short: its checksum is wrong")
         start = 8 + struct.unpack_from("<Q", body)[0]
-        header = json.loads(body[8:start])
+        header = json.loads(bytes(body[8:start]))
         arrays = np.split(np.frombuffer(body, np.uint8, offset=start), np.cumsum(header["lengths"])[:-1])
         saved = cls(
             identity=header["identity"],

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from pearl_marl.evaluation.run import Evaluation
-from pearl_marl.rendering import import_pyplot
+from pearl_marl.rendering import new_figure
 
 _PAGE = Template("""<!DOCTYPE html>
 <html lang="en">
@@ -113,8 +113,8 @@ def _table(headings: Iterable[str], rows: Iterable[Iterable[Any]]) -> str:
 
 
 def _outcomes(evaluation: Evaluation, result: dict[str, Any]) -> str:
-    plt = import_pyplot()
-    figure, both = plt.subplots(1, 2, figsize=(9, 2.8), layout="constrained")
+    figure = new_figure(9, 2.8)
+    both = figure.subplots(1, 2)
     for axes, name, values in zip(
         both, ("return", "length"), (evaluation.returns, evaluation.lengths), strict=True
     ):
@@ -142,11 +142,9 @@ def _outcomes(evaluation: Evaluation, result: dict[str, Any]) -> str:
 
 
 def _stages(result: dict[str, Any]) -> str:
-    plt = import_pyplot()
     rows = result["latency"]
-    figure, grid = plt.subplots(
-        len(rows), 1, figsize=(9, 0.5 + 0.75 * len(rows)), sharex=True, squeeze=False, layout="constrained"
-    )
+    figure = new_figure(9, 0.5 + 0.75 * len(rows))
+    grid = figure.subplots(len(rows), 1, sharex=True, squeeze=False)
     for axes, row in zip(grid[:, 0], rows, strict=True):
         edges, counts = np.array(row["histogram"]["edges_us"]), row["histogram"]["counts"]
         axes.stairs(counts, edges, fill=True, color=_BLUE if row["paper"] else _GREY)
@@ -160,10 +158,10 @@ def _stages(result: dict[str, Any]) -> str:
 
 
 def _svg(figure: Any, title: str) -> str:
-    plt = import_pyplot()
+    import matplotlib
+
     text = io.StringIO()
-    with plt.rc_context({"svg.fonttype": "none"}):  # letters, not outlines of them
+    with matplotlib.rc_context({"svg.fonttype": "none"}):  # letters, not outlines of them
         figure.savefig(text, format="svg", metadata={"Date": None})
-    plt.close(figure)
     _, _, drawing = text.getvalue().partition("<svg ")  # what comes before is for a file of its own
     return f'<svg role="img" aria-label="{html.escape(title)}" {drawing}'

@@ -26,9 +26,6 @@ from pearl_marl.registry import get_spec
 from pearl_marl.rendering import Renderer, check_render_mode, renderer
 from pearl_marl.spec import snake_case
 
-NAME_BYTES = 200
-"""About what an agent's name takes, with its place in a list, a tuple and a dict."""
-
 
 class PearlParallelEnv(ParallelInterface):
     """Many slots of one environment, whose agents are those of a PettingZoo ``ParallelEnv``.
@@ -58,9 +55,9 @@ class PearlParallelEnv(ParallelInterface):
     ) -> None:
         spec = config.spec
         check_render_mode(spec, render_mode)
-        check_memory(config, NAME_BYTES)
+        check_memory(config)
         super().__init__(
-            [f"agent_{i}" for i in range(config.n_agents)],
+            config.n_agents,
             # Copies, or seeding one environment's spaces would seed another's.
             *deepcopy((spec.observation_space, spec.action_space)),
             "iu" if isinstance(spec.action_space, Discrete) else "iuf",
@@ -210,11 +207,11 @@ class PearlParallelEnv(ParallelInterface):
                 f"render() without a render_mode: make the environment with one of {self.spec.render_modes}"
             )
         if agent is not None:
-            slot = self.slots.get(agent)
-            if slot is None:
+            if agent not in self.names:
                 raise ArgumentError(
                     f"there is no agent {agent!r}; agents are agent_0 to agent_{self.batch_size - 1}"
                 )
+            slot = self.names.slot(agent)
             if not self._live[slot]:
                 raise OrderError(f"render({agent!r}): its episode has ended, and it has left until reset()")
             self._rendered_world = slot // self.world.agents

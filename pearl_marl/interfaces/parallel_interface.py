@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from abc import abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from itertools import cycle
@@ -18,6 +19,7 @@ from pearl_marl.batch.step import Array, BatchStep, on_host
 from pearl_marl.errors import ActionError, OrderError
 from pearl_marl.interfaces.agent_dict import AgentDict, ended_infos, observations_in, python_values
 from pearl_marl.interfaces.batch import Batch, Mask, World
+from pearl_marl.interfaces.names import AgentList, Names
 from pearl_marl.spec import Role
 
 
@@ -25,23 +27,24 @@ class ParallelInterface(pettingzoo.ParallelEnv, Batch):  # type: ignore[misc]
     """A ``ParallelEnv`` made of a batch's methods, and of :meth:`step_slots`.
 
     ``possible_agents`` are the names of all, in the order of the slots; ``slots`` has each one's slot.
-    ``action_kinds`` are the kinds of dtype that actions may have.
+    ``names`` are the same, made when they are read and never changed; ``action_kinds`` are the kinds of dtype
+    that actions may have.
     """
 
     slot_autoreset_mode = AutoresetMode.SAME_STEP
 
     def __init__(
         self,
-        agents: list[str],
+        count: int,
         observation_space: Space[Any],
         action_space: Discrete | Box,
         action_kinds: str,
         autoreset: bool,
         world: World,
     ) -> None:
-        self.possible_agents = agents
-        self.slots = {agent: slot for slot, agent in enumerate(agents)}
-        self.batch_size = len(agents)
+        self.names = Names(count)
+        self.possible_agents: list[str] = AgentList(self.names)
+        self.batch_size = count
         self.slot_observation_space, self.slot_action_space = observation_space, action_space
         self.autoreset, self.world = autoreset, world
         # One agent's after the other in a world, or the one that is everybody's.
@@ -53,9 +56,9 @@ class ParallelInterface(pettingzoo.ParallelEnv, Batch):  # type: ignore[misc]
         # An action that is possible, for whom nobody has one.
         self._idle: Any = action_space.low if isinstance(action_space, Box) else int(action_space.start)
         # As `live` is another array whenever it changes, these are known to fit it by which one it is: who is
-        # there, as a tuple that steps may keep and as the public list, and an array that says everybody.
+        # there, as names that steps may keep and as the public list, and an array that says everybody.
         self._named: Mask = np.zeros(0, np.bool_)
-        self._here: tuple[str, ...] = ()
+        self._here = Names(0)
         self._agents: list[str] = []
         self._everybody: Mask | None = None
 
@@ -64,6 +67,11 @@ class ParallelInterface(pettingzoo.ParallelEnv, Batch):  # type: ignore[misc]
         """The names of those that are there, in the order of the slots."""
         self._name_who_is_there()
         return self._agents
+
+    @functools.cached_property
+    def slots(self) -> dict[str, int]:
+        """Each agent's slot."""
+        return {agent: slot for slot, agent in enumerate(self.names)}
 
     @property
     def agents_per_world(self) -> int:
@@ -92,7 +100,7 @@ class ParallelInterface(pettingzoo.ParallelEnv, Batch):  # type: ignore[misc]
 
     def _place(self, agent: str) -> int:
         """Return where in its world an agent is, if that matters."""
-        return self.slots[agent] % len(self._roles) if len(self._roles) > 1 else 0
+        return self.names.slot(agent) % len(self._roles) if len(self._roles) > 1 else 0
 
     def _observation_space(self, role: Role) -> Space[Any]:
         if not self.world.masked:
@@ -246,7 +254,7 @@ class ParallelInterface(pettingzoo.ParallelEnv, Batch):  # type: ignore[misc]
         masks = np.zeros((len(rows), n), np.int8) if self.world.masked else None
         return self._shown(masks, slots)(rows)
 
-    def _action_array(self, agents: tuple[str, ...], actions: Mapping[str, Any]) -> Array:
+    def _action_array(self, agents: Sequence[str], actions: Mapping[str, Any]) -> Array:
         """Return a dict's actions as an array over all slots; the rows of agents that left hold anything."""
         values = self._values(agents, actions)
         try:
@@ -261,7 +269,7 @@ class ParallelInterface(pettingzoo.ParallelEnv, Batch):  # type: ignore[misc]
         whole[self._named] = array
         return whole
 
-    def _values(self, agents: tuple[str, ...], actions: Mapping[str, Any]) -> list[Any]:
+    def _values(self, agents: Sequence[str], actions: Mapping[str, Any]) -> list[Any]:
         """Return the actions of those that are there, who must be the ones that have one."""
         try:
             values = [actions[agent] for agent in agents]
@@ -272,7 +280,7 @@ class ParallelInterface(pettingzoo.ParallelEnv, Batch):  # type: ignore[misc]
         if len(actions) != len(values):
             here = set(agents)
             extra = next(agent for agent in actions if agent not in here)
-            why = "its episode has ended" if extra in self.slots else "there is no such agent"
+            why = "its episode has ended" if extra in self.names else "there is no such agent"
             raise ActionError(f"an action for {extra!r}, but {why}; only agents in env.agents act")
         return values
 
@@ -280,13 +288,12 @@ class ParallelInterface(pettingzoo.ParallelEnv, Batch):  # type: ignore[misc]
         """Return whether an array has the shape and kind of dtype of so many actions."""
         return array.shape == (count, *self._action_shape) and array.dtype.kind in self._action_kinds
 
-    def _name_who_is_there(self) -> tuple[str, ...]:
-        """Return the agents that are there. A tuple: whatever is done to the public list, dicts keep it."""
+    def _name_who_is_there(self) -> Names:
+        """Return the agents that are there: whatever is done to the public list, dicts keep these."""
         live = self.live
         if live is not self._named:
-            pairs = zip(self.possible_agents, live.tolist(), strict=True)
-            self._here = tuple(agent for agent, here in pairs if here)
-            self._agents = list(self._here)
+            self._here = self.names.of(live)
+            self._agents = AgentList(self._here)
             self._named = live
         return self._here
 

@@ -22,7 +22,7 @@ from torch.utils.tensorboard import SummaryWriter
 from pearl_marl.benchmark.machine import machine
 from pearl_marl.errors import ArgumentError
 from pearl_marl.files import replace_file
-from pearl_marl.rendering import import_pyplot
+from pearl_marl.rendering import new_figure
 
 CHECKPOINT, PREVIOUS = "checkpoint.pt", "checkpoint.previous.pt"
 
@@ -161,8 +161,8 @@ class RunFolder:
 
     def draw_curve(self, title: str, goal: float | None) -> None:
         """Draw the returns of training and of evaluations over agent-steps."""
-        plt = import_pyplot()
-        figure, axes = plt.subplots(figsize=(7, 4), layout="constrained")
+        figure = new_figure(7, 4)
+        axes = figure.subplots()
         for name, label in (("train_return", "episodes in training"), ("eval_return", "best actions")):
             points = [(row["agent_steps"] / 1e6, row[name]) for row in self.rows if row.get(name) is not None]
             if points:
@@ -173,7 +173,6 @@ class RunFolder:
         axes.grid(alpha=0.3)
         axes.legend()
         figure.savefig(self.path / "learning_curve.png", dpi=120)
-        plt.close(figure)
 
 
 def _settings(config: Path) -> dict[str, Any]:

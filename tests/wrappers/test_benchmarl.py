@@ -31,7 +31,7 @@ from pearl_marl.wrappers import benchmarl_task
 def _surroundings() -> Iterator[None]:
     before = torch.get_num_threads()
     torch.set_num_threads(1)
-    with mock.patch.dict(registry._specs()), warnings.catch_warnings():
+    with mock.patch.dict(registry._specs), warnings.catch_warnings():
         warnings.simplefilter("ignore")  # TorchRL and BenchMARL tell of their own coming changes
         for spec in (MEADOW, NIM):
             pearl_marl.register(spec)

@@ -31,7 +31,7 @@ from torchrl.envs.utils import check_env_specs, step_mdp
 
 @pytest.fixture(autouse=True)
 def toys() -> Iterator[None]:
-    with mock.patch.dict(registry._specs()):
+    with mock.patch.dict(registry._specs):
         for spec in (*TOYS, *WORLDS, crowd(4)):
             pearl_marl.register(spec)
         yield

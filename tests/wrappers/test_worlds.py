@@ -25,7 +25,7 @@ N, K = 12, 4
 
 @pytest.fixture(autouse=True)
 def world_toys() -> Iterator[None]:
-    with mock.patch.dict(registry._specs()):
+    with mock.patch.dict(registry._specs):
         for spec in (*WORLDS, crowd(4)):
             pearl_marl.register(spec)
         yield
