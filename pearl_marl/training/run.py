@@ -6,8 +6,7 @@ import dataclasses
 import difflib
 import math
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +23,7 @@ from pearl_marl.spec import EnvSpec
 from pearl_marl.training import dqn, ppo, q_learning, self_play
 from pearl_marl.training.presets import PRESETS
 from pearl_marl.training.run_folder import RunFolder
+from pearl_marl.training.threads import threads_for
 
 ALGORITHMS: dict[str, Any] = {
     "ppo": ppo.PPO,
@@ -42,9 +42,6 @@ SETTINGS: dict[str, Any] = {
 
 ALIASES = {"ippo": "ppo", "iql": "dqn"}
 """What the algorithms are called where they learn for every agent of a world."""
-
-WIDE = 256
-"""From this width on a network's layers are worth more than one thread."""
 
 OPTIONS = ("n_agents", "iterations", "seed")
 """Settings that ``pearl train`` has options of their own for; others are given by ``--set``."""
@@ -182,13 +179,13 @@ def train(
     began, kept = time.perf_counter() - seconds, time.perf_counter()
     finished = goal is not None and best >= goal
     while trainer.done < settings.iterations and not finished:
-        with _threads(spec, settings):
+        with threads_for(spec, settings):
             trainer.iterate()
         last = trainer.done == settings.iterations
         if trainer.done % every and not last:
             continue
         n = max((evaluated or trainer.evaluated) // spec.agents, 1) * spec.agents
-        with _threads(spec, settings):
+        with threads_for(spec, settings):
             mean, deviation = evaluate(trainer.policy, spec, n)
         seconds = time.perf_counter() - began
         row = {"seconds": seconds, **trainer.figures(), "eval_return": mean, "eval_deviation": deviation}
@@ -207,21 +204,6 @@ def train(
             kept = time.perf_counter()
     run.draw_curve(f"{spec.name}: {algorithm}, {settings.n_agents:,} agents", goal)
     return run.rows
-
-
-@contextmanager
-def _threads(spec: EnvSpec, settings: Any) -> Iterator[None]:
-    """Have PyTorch take one thread where networks are small, as more do not help.
-
-    Beside another program, threads that wait for each other after every operation take many times as long.
-    """
-    before = torch.get_num_threads()
-    pictures = len(spec.observation_space.shape or ()) == 3
-    torch.set_num_threads(before if pictures or getattr(settings, "width", 0) >= WIDE else 1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)
 
 
 def _check_worlds(spec: EnvSpec, settings: Any) -> None:
