@@ -83,14 +83,15 @@ class ActorCritic(nn.Module):
         # Of a picture, most of the work is to see what is on it: actor and critic do that together.
         self.shared = not central and isinstance(network, Network) and network.encoder.kind == "picture"
         self.critic: Any
+        # Of worlds nothing is expected at first: their rewards are rare, and noise would outdo them.
+        scale = 0.01 if spec.agents > 1 else 1.0
         if central:
             state = Box(-np.inf, np.inf, (len(spec.state),), np.float32)
-            # Nothing is expected at first: rewards of teams are small and rare, and noise would outdo them.
-            self.critic = Network(state, spec.agents, width, 0.01)
+            self.critic = Network(state, spec.agents, width, scale)
         else:
             self.critic = nn.Linear(width, 1)
             if not self.shared:
-                self.critic = networks(spec, 1, width, sharing=self.policy.about["sharing"])
+                self.critic = networks(spec, 1, width, scale, self.policy.about["sharing"])
         if self.continuous:
             self.log_deviation = nn.Parameter(torch.full((1,), -0.5))
 
