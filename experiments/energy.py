@@ -60,9 +60,7 @@ class Nvml:
             self._read = nvml.device_get_total_energy_consumption
             self.start()
         except ImportError as error:
-            raise UnmeasuredError(
-                f"NVML is not installed ({error}): pip install 'pearl-marl[cuda]'"
-            ) from None
+            raise UnmeasuredError(f"NVML is not installed ({error}): pip install '.[cuda]'") from None
         except Exception as error:  # NVML has a class for each of its errors, and others find its library
             raise UnmeasuredError(f"the machine has no GPU that NVML can read: {error}") from None
 

@@ -127,7 +127,7 @@ def collect(quick: bool, progress: Progress) -> list[Row]:
         torch.set_num_threads(before)
     rows: list[Row] = []
     if not envpool:
-        reason = "EnvPool is not installed: pip install 'pearl-marl[bench]'"
+        reason = "EnvPool is not installed: pip install '.[bench]'"
         rows.append(row_of("missing", reason, task="all", contender=ENVPOOL))
     for task in tasks:
         of_task = [run for (of, _, _), run in runs if of is task]

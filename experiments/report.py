@@ -111,16 +111,14 @@ def load(name: str) -> Section:
     try:
         return cast(Section, importlib.import_module(f"{__package__}.{name}"))
     except ModuleNotFoundError as error:
-        raise ArgumentError(
-            f"it needs the Python package {error.name}: pip install 'pearl-marl[report]'"
-        ) from None
+        raise ArgumentError(f"it needs the Python package {error.name}: pip install '.[report]'") from None
 
 
 def _template() -> Any:
     try:
         import jinja2
     except ImportError:
-        raise ArgumentError("a report needs Jinja2: pip install 'pearl-marl[report]'") from None
+        raise ArgumentError("a report needs Jinja2: pip install '.[report]'") from None
     text = resources.files(__package__).joinpath("report.html").read_text()
     environment = jinja2.Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
     return environment.from_string(text)

@@ -78,7 +78,7 @@ def vec_env(source: str, env_id: str, n: int, seed: int) -> VecEnv:
         try:
             from pearl_marl.training_benchmark.envpool_agents import environments
         except ImportError:
-            raise ArgumentError("EnvPool is not installed: pip install 'pearl-marl[bench]'") from None
+            raise ArgumentError("EnvPool is not installed: pip install '.[bench]'") from None
         return EnvPoolVecEnv(environments(oracle, n, seed), n)
     else:
         env = DummyVecEnv([partial(gymnasium.make, oracle)] * n)

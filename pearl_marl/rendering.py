@@ -92,7 +92,7 @@ def _installed(spec: EnvSpec) -> Iterator[None]:
     except (DependencyNotInstalled, ImportError) as error:
         missing = (getattr(error.__cause__ or error, "name", None) or "pygame").partition(".")[0]
         raise PearlError(
-            f"drawing {spec.name} needs {missing.replace('PIL', 'Pillow')}: pip install 'pearl-marl[render]'"
+            f"drawing {spec.name} needs {missing.replace('PIL', 'Pillow')}: pip install '.[render]'"
         ) from error
 
 
@@ -153,7 +153,7 @@ def _import_pillow() -> Any:
     try:
         from PIL import Image
     except ImportError as error:
-        raise PearlError("films need Pillow: pip install 'pearl-marl[render]'") from error
+        raise PearlError("films need Pillow: pip install '.[render]'") from error
     return Image
 
 
@@ -209,7 +209,7 @@ def _matplotlib() -> Any:
     try:
         import matplotlib
     except ImportError as error:
-        raise PearlError("drawing needs matplotlib: pip install 'pearl-marl[render]'") from error
+        raise PearlError("drawing needs matplotlib: pip install '.[render]'") from error
     return matplotlib
 
 

@@ -12,7 +12,7 @@ from pearl_marl.errors import PearlError
 try:
     from minatar.gym import register_envs
 except ImportError as error:
-    raise PearlError("Seaquest is drawn by MinAtar: pip install 'pearl-marl[render]'") from error
+    raise PearlError("Seaquest is drawn by MinAtar: pip install '.[render]'") from error
 
 if "MinAtar/Seaquest-v1" not in gymnasium.registry:
     register_envs()

@@ -124,7 +124,7 @@ def _envpool(spec: EnvSpec, n: int) -> Step | Game:
     try:
         import envpool
     except ImportError:
-        raise UnavailableError("not installed: pip install 'pearl-marl[bench]'") from None
+        raise UnavailableError("not installed: pip install '.[bench]'") from None
     name = ENVPOOL_GAMES.get(spec.name) or _required(spec, "EnvPool")
     options = dict(spec.options)
     known = envpool.list_all_envs()

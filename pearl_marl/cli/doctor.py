@@ -70,7 +70,7 @@ def _package(extra: str, *modules: str) -> Callable[[], Check]:
     def check() -> Check:
         missing = [module for module in modules if importlib.util.find_spec(module) is None]
         found = f"missing: {', '.join(missing)}" if missing else ", ".join(modules)
-        return not missing, found, f"pip install 'pearl-marl[{extra}]'"
+        return not missing, found, f"pip install '.[{extra}]'"
 
     return check
 

@@ -82,7 +82,7 @@ def command(
             from pearl_marl.training import run as training
     except ModuleNotFoundError as error:
         raise ArgumentError(
-            f"training needs the Python package {error.name}: pip install 'pearl-marl[train]'"
+            f"training needs the Python package {error.name}: pip install '.[train]'"
         ) from None
     spec = common.spec_of(env_id, option)
     options = dict(spec.options)

@@ -24,7 +24,7 @@ def show(env_id: str | None, quick: bool, out: Path | None, as_json: bool) -> No
         from pearl_marl.training_benchmark import tasks, turns
     except ModuleNotFoundError as error:
         raise ArgumentError(
-            f"training needs the Python package {error.name}: pip install 'pearl-marl[train]'"
+            f"training needs the Python package {error.name}: pip install '.[train]'"
         ) from None
     name = None if env_id is None else get_spec(env_id).name
     chosen = turns.tasks_of(name, quick)

@@ -162,8 +162,7 @@ def _fewest_registers(
         from scipy.sparse import coo_array
     except ModuleNotFoundError as error:
         raise DeviceError(
-            f"generating a core needs the Python package {error.name}; "
-            "install it with: pip install 'pearl-marl[rtl]'"
+            f"generating a core needs the Python package {error.name}; install it with: pip install '.[rtl]'"
         ) from None
     count = len(arguments)
     users: list[list[int]] = [[] for _ in arguments]

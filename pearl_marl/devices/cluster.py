@@ -33,7 +33,7 @@ def ray_module() -> Any:
         return importlib.import_module("ray")
     except ModuleNotFoundError as error:
         raise DeviceError(
-            f"Ray is not installed, as {error.name!r} is missing; pip install 'pearl-marl[ray]'"
+            f"Ray is not installed, as {error.name!r} is missing; pip install '.[ray]'"
         ) from error
 
 

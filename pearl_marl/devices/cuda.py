@@ -275,9 +275,7 @@ def available() -> Any:
     Otherwise DeviceError says what is missing, and what to do.
     """
     if find_spec("numba_cuda") is None:
-        raise DeviceError(
-            "cuda: numba-cuda is not installed; install it with: pip install 'pearl-marl[cuda]'"
-        )
+        raise DeviceError("cuda: numba-cuda is not installed; install it with: pip install '.[cuda]'")
     cuda: Any = import_module("numba.cuda")
     if simulated():
         return cuda
@@ -285,7 +283,7 @@ def available() -> Any:
         error = cuda.cuda_error()
         if error is None:
             raise DeviceError(
-                "cuda: the GPU's compiler was not found; install it with: pip install 'pearl-marl[cuda]'"
+                "cuda: the GPU's compiler was not found; install it with: pip install '.[cuda]'"
             )
         raise DeviceError(
             f"cuda: there is no GPU that programs can use ({' '.join(str(error).split())}); `nvidia-smi` has "
@@ -345,9 +343,7 @@ def grid(gpu: Any, n: int) -> tuple[int, int]:
 
 def _torch() -> Any:
     if find_spec("torch") is None:
-        raise DeviceError(
-            "cuda: results='torch' needs torch; install it with: pip install 'pearl-marl[train]'"
-        )
+        raise DeviceError("cuda: results='torch' needs torch; install it with: pip install '.[train]'")
     import torch
 
     if not (simulated() or torch.cuda.is_available()):

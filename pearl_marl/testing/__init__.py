@@ -8,7 +8,7 @@ A test module of yours runs all of it with
 ...     devices = ("native", "rtl")
 
 This repository's own ``tests/contract`` does the same, for its environments and its devices. The
-package needs pytest: ``pip install 'pearl-marl[testing]'``. It may import everything below ``training``.
+package needs pytest: ``pip install '.[testing]'``. It may import everything below ``training``.
 """
 
 import pkgutil
@@ -17,7 +17,7 @@ try:
     import pytest
 except ModuleNotFoundError as error:
     raise ModuleNotFoundError(
-        "pearl_marl.testing needs pytest; install it with: pip install 'pearl-marl[testing]'", name=error.name
+        "pearl_marl.testing needs pytest; install it with: pip install '.[testing]'", name=error.name
     ) from None
 
 # Before the modules are imported: pytest then shows the values in a failed assertion of theirs.

@@ -38,7 +38,7 @@ class Contender(NamedTuple):
             return f"gymnax has no {task.env_id}"
         absent = [package for package in self.needs if importlib.util.find_spec(package) is None]
         if absent:
-            return f"{', '.join(absent)} not installed: make bench-peers, or pip install 'pearl-marl[peers]'"
+            return f"{', '.join(absent)} not installed: make bench-peers, or pip install '.[peers]'"
         return None
 
     def counts(self, task: Task) -> str:

@@ -160,7 +160,7 @@ def test_without_torch_the_rest_is_made(tmp_path: Path, monkeypatch: pytest.Monk
     only = ["--only", "goals", "--only", "table2"]
     result = CliRunner().invoke(app, ["report", "--quick", "--out", str(tmp_path), *only])
     assert result.exit_code == 1
-    assert "it needs the Python package torch: pip install 'pearl-marl[report]'" in result.output
+    assert "it needs the Python package torch: pip install '.[report]'" in result.output
     assert json.loads((tmp_path / "table2.json").read_text())["rows"]
     assert "the Python package torch" in (tmp_path / "index.html").read_text()
 
@@ -265,7 +265,7 @@ def test_refused_calls(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     file.write_text("")
     assert "is no folder that can be written" in str(run(file, "--only", "table2").exception)
     monkeypatch.setitem(sys.modules, "jinja2", None)
-    assert "pip install 'pearl-marl[report]'" in str(run(tmp_path, "--only", "table2").exception)
+    assert "pip install '.[report]'" in str(run(tmp_path, "--only", "table2").exception)
 
 
 def test_every_contender_has_its_name() -> None:
@@ -358,7 +358,7 @@ def test_counters_that_cannot_be_read(tmp_path: Path, monkeypatch: pytest.Monkey
 
 def test_energy_of_a_gpu(monkeypatch: pytest.MonkeyPatch) -> None:
     """By a library of NVIDIA's that is played here, and which the machine of this test may not have."""
-    nvml = pytest.importorskip("cuda.bindings.nvml", reason="pip install 'pearl-marl[cuda]'")
+    nvml = pytest.importorskip("cuda.bindings.nvml", reason="pip install '.[cuda]'")
     millijoules = iter([5_000, 6_000, 8_500])
     monkeypatch.setattr(nvml, "init_v2", lambda: None)
     monkeypatch.setattr(nvml, "device_get_handle_by_uuid", lambda uuid: 7 if uuid.startswith("GPU-") else 8)

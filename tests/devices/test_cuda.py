@@ -27,7 +27,7 @@ from pearl_marl.devices import BatchConfig, Cuda, Lockstep, Native, Sharded, cud
 from pearl_marl.errors import ActionError, ArgumentError, DeviceError
 from pearl_marl.verification import runs, verify
 
-pytest.importorskip("numba_cuda", reason="numba-cuda is not installed: pip install 'pearl-marl[cuda]'")
+pytest.importorskip("numba_cuda", reason="numba-cuda is not installed: pip install '.[cuda]'")
 torch = pytest.importorskip("torch")
 
 N = 5
@@ -295,7 +295,7 @@ def test_the_command_line_says_why_there_is_nothing_to_measure(pearl: Any) -> No
     assert found == {
         "ok": False,
         "found": "numba-cuda is not installed",
-        "mend": "install it with: pip install 'pearl-marl[cuda]'",
+        "mend": "install it with: pip install '.[cuda]'",
     }
 
 
@@ -323,7 +323,7 @@ def test_the_real_compiler_takes_it(name: str) -> None:
     command = [sys.executable, "-c", COMPILE, name]
     done = subprocess.run(command, env=environment, capture_output=True, text=True)
     if "Failure finding" in done.stderr or "NvvmSupportError" in done.stderr:
-        pytest.skip("CUDA's compiler is not installed: pip install 'pearl-marl[cuda]'")
+        pytest.skip("CUDA's compiler is not installed: pip install '.[cuda]'")
     assert done.returncode == 0, done.stderr
     assert ".target sm_90" in done.stdout
     assert ".visible .entry" in done.stdout

@@ -27,7 +27,7 @@ from pearl_marl.testing import assert_same_step, assert_same_trajectory, traject
 
 from .boards import Faults, OwnBoard, faulty
 
-ray = pytest.importorskip("ray", reason="Ray is not installed: pip install 'pearl-marl[ray]'")
+ray = pytest.importorskip("ray", reason="Ray is not installed: pip install '.[ray]'")
 
 pytestmark = pytest.mark.usefixtures("ray_cluster")
 
@@ -415,7 +415,7 @@ def test_the_doctor_looks_for_ray(pearl: Any, monkeypatch: pytest.MonkeyPatch) -
     assert row() == {
         "ok": False,
         "found": "Ray is not installed, as 'ray' is missing",
-        "mend": "pip install 'pearl-marl[ray]'",
+        "mend": "pip install '.[ray]'",
     }
 
 

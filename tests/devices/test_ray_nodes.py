@@ -18,7 +18,7 @@ from pearl_marl.devices import BatchConfig, Native, Ray, cluster
 from pearl_marl.errors import DeviceError
 from pearl_marl.testing import assert_same_step
 
-ray = pytest.importorskip("ray", reason="Ray is not installed: pip install 'pearl-marl[ray]'")
+ray = pytest.importorskip("ray", reason="Ray is not installed: pip install '.[ray]'")
 
 MEMORY = {"object_store_memory": 80_000_000}
 HOST, BOARD = {"host": 1}, {"fpga": 1}

@@ -219,8 +219,8 @@ def test_in_lockstep() -> None:
 
 def test_a_device_that_keeps_its_results_as_tensors() -> None:
     """A policy is a function of NumPy arrays, wherever they come from."""
-    pytest.importorskip("numba_cuda", reason="numba-cuda is not installed: pip install 'pearl-marl[cuda]'")
-    pytest.importorskip("torch", reason="torch is not installed: pip install 'pearl-marl[train]'")
+    pytest.importorskip("numba_cuda", reason="numba-cuda is not installed: pip install '.[cuda]'")
+    pytest.importorskip("torch", reason="torch is not installed: pip install '.[train]'")
     assert digest(Cuda(results="torch")) == digest(Native())
 
 

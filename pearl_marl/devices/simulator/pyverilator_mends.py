@@ -66,7 +66,7 @@ def package() -> Any:
     if found != VERSION:
         raise DeviceError(
             f"PyVerilator {VERSION} loads simulated devices, and it is {found}; "
-            "install it with: pip install 'pearl-marl[rtl]'"
+            "install it with: pip install '.[rtl]'"
         )
     # tclwrapper fails to import on Python 3.11 and without a Tk; only GTKWave's remote control uses it.
     with mock.patch.dict(sys.modules, {"tclwrapper": types.ModuleType("tclwrapper")}):
