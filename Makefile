@@ -53,7 +53,7 @@ bench: $(VENV)/.dev
 	$(BIN)/pearl bench CliffWalking --n-agents 43008 --out $(OUT)/bench
 	$(BIN)/python -m pytest --benchmark-enable --benchmark-only tests/benchmarks/bench_*.py
 
-# Whole trainings beside those of other packages: some 20 minutes of two cores.
+# Whole trainings beside those of other packages, three seeds of each: leave the machine alone meanwhile.
 bench-peers: $(PEERS)/.peers
 	$(PEERS)/bin/pearl bench --training --out $(OUT)/bench
 
