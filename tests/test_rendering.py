@@ -13,7 +13,7 @@ import pearl_marl
 from pearl_marl.errors import PearlError
 from pearl_marl.rendering import HeatMap
 
-INSTALL = r"pip install 'pearl-marl\[render\]'"
+INSTALL = r"pip install '\.\[render\]'"
 DRAWN = [
     (name, mode)
     for name in pearl_marl.envs()

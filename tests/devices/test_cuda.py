@@ -188,7 +188,7 @@ class TestUnavailable:
     def test_without_numba_cuda(self) -> None:
         with (
             mock.patch.object(cuda, "find_spec", return_value=None),
-            pytest.raises(DeviceError, match=r"pip install 'pearl-marl\[cuda\]'"),
+            pytest.raises(DeviceError, match=r"pip install '\.\[cuda\]'"),
         ):
             opened()
 
@@ -200,7 +200,7 @@ class TestUnavailable:
                 "no GPU .*driver library cannot be found. Ensure.*nvidia-smi",
             ),
             ("CUDA_ERROR_NO_DEVICE (100)", "no GPU that programs can use .*NO_DEVICE.*device='native'"),
-            (None, r"compiler was not found.*pearl-marl\[cuda\]"),
+            (None, r"compiler was not found.*\.\[cuda\]"),
         ],
     )
     def test_without_a_gpu(self, error: str | None, message: str) -> None:

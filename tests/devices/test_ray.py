@@ -389,7 +389,7 @@ def test_a_device_is_one_shard() -> None:
 
 def test_without_ray(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "ray", None)
-    with pytest.raises(DeviceError, match=r"Ray is not installed.*pip install 'pearl-marl\[ray\]'"):
+    with pytest.raises(DeviceError, match=r"Ray is not installed.*pip install '\.\[ray\]'"):
         Ray(["native"]).open(BatchConfig(spec=SPEC, n_envs=N))
 
 
