@@ -24,11 +24,11 @@ Check = tuple[bool, str, str]
 
 
 def command(as_json: AsJson = False) -> None:
-    """Check what this machine can run; each lack comes with its mend."""
+    """Check what this machine can run; each lack comes with its fix."""
     results = {name: check() for name, check in _CHECKS.items()}
     if as_json:
         print_json(
-            {name: {"ok": ok, "found": found, "mend": mend} for name, (ok, found, mend) in results.items()}
+            {name: {"ok": ok, "found": found, "fix": fix} for name, (ok, found, fix) in results.items()}
         )
         return
     table = Table(title="What this machine can run")
@@ -36,9 +36,9 @@ def command(as_json: AsJson = False) -> None:
     table.add_column("what", style="bold")
     table.add_column("found", overflow="fold")
     table.add_column("what to do", overflow="fold")
-    for name, (ok, found, mend) in results.items():
+    for name, (ok, found, fix) in results.items():
         table.add_row(
-            "[green]yes[/]" if ok else "[yellow]no[/]", name, escape(found), "" if ok else escape(mend)
+            "[green]yes[/]" if ok else "[yellow]no[/]", name, escape(found), "" if ok else escape(fix)
         )
     console.print(table)
 
@@ -62,8 +62,8 @@ def _native() -> Check:
 def _cache() -> Check:
     folder = cache_folder("kernels")
     kept = not folder.name.startswith("pearl_marl_")  # the name of a temporary one
-    mend = "kernels are compiled in every process: make the cache folder writable, or set PEARL_CACHE_DIR"
-    return kept, str(folder), mend
+    fix = "kernels are compiled in every process: make the cache folder writable, or set PEARL_CACHE_DIR"
+    return kept, str(folder), fix
 
 
 def _package(extra: str, *modules: str) -> Callable[[], Check]:
@@ -87,8 +87,8 @@ def _gpu() -> Check:
     try:
         module = cuda.available()
     except DeviceError as error:
-        found, _, mend = str(error).removeprefix("cuda: ").partition("; ")
-        return False, found, mend
+        found, _, fix = str(error).removeprefix("cuda: ").partition("; ")
+        return False, found, fix
     name = module.get_current_device().name if not simulated() else "numba's simulator, for tests"
     return True, name.decode() if isinstance(name, bytes) else name, ""
 
@@ -100,8 +100,8 @@ def _ray() -> Check:
             cluster.check_address(address)
             found += f", cluster at {address}"
     except DeviceError as error:
-        found, _, mend = str(error).partition("; ")
-        return False, found, mend
+        found, _, fix = str(error).partition("; ")
+        return False, found, fix
     return True, found, ""
 
 

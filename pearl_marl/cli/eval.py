@@ -87,7 +87,7 @@ def command(
     """Evaluate a policy on a device: returns, lengths, latency of every stage, and a digest.
 
     The digest is the same on every device. --out gets evaluation.json and a page, evaluation.html.
-    Exit status 1: with --lockstep, the device parts from the golden functions.
+    Exit status 1: with --lockstep, the device differs from the golden functions.
     """
     spec = common.spec_of(env_id, option)
     n_agents = common.agents_of(spec, n_agents)

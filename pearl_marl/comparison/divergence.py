@@ -65,7 +65,9 @@ class Divergence:
     def __str__(self) -> str:
         at = f"step {self.step}" if self.call == "step" else f"{self.call}() before step {self.step}"
         first, *others = (f"{d.field} is {d.device_value}, not {d.reference_value}" for d in self.differences)
-        lines = [f"{self.environment} on {self.device} parts from {self.reference} at {at}, slot {self.slot}"]
+        lines = [
+            f"{self.environment} on {self.device} differs from {self.reference} at {at}, slot {self.slot}"
+        ]
         lines[0] += f": {first}"
         if others:
             lines.append(f"  also there: {'; '.join(others)}")

@@ -143,7 +143,7 @@ class Reference(Device):
                     raise DeviceError(
                         f"reference: the golden functions of {self.config.spec.name} gave {field.name} = "
                         f"{value}, and {'signed ' if field.signed else ''}{field.bits} bits hold "
-                        f"{low} to {high}; mend {function.__name__}() or widen the field in the spec"
+                        f"{low} to {high}; fix {function.__name__}() or widen the field in the spec"
                     )
             # Without arguments a golden function gives scalars.
             words.append(np.broadcast_to(word, self.config.n_envs).astype(field.dtype))

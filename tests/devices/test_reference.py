@@ -96,7 +96,7 @@ def test_a_refused_step_changes_nothing() -> None:
     for _ in range(7):
         device.step(np.ones(70, np.uint8))
     before = device.snapshot().to_bytes()
-    with pytest.raises(DeviceError, match=r"column = 8.* mend step\(\)"):
+    with pytest.raises(DeviceError, match=r"column = 8.* fix step\(\)"):
         device.step(np.ones(70, np.uint8))
     assert device.snapshot().to_bytes() == before
     device.step(np.zeros(70, np.uint8))
