@@ -1,7 +1,7 @@
-"""The order of the rooms: who may import whom, in code, in type annotations, and by string.
+"""The order of the layers (``ROOMS``): what may import what, in code, in type annotations, and by string.
 
-``docs/architecture.md`` draws the house. Here it is held: a room imports what stands below it, no circle of
-files exists anywhere, and nobody reaches into another module's private names.
+``docs/architecture.md`` lists them. These tests enforce it: a layer imports only layers below it, no files import
+each other in a circle, and no module uses another one's private names.
 """
 
 from __future__ import annotations
@@ -38,13 +38,13 @@ ROOMS = (
     *("verification", "latency", "evaluation", "interfaces", "wrappers", "plan", "benchmark"),
     *("testing", "training", "training_benchmark", "experiments", "cli"),
 )
-"""From the ground up. The package itself, ``pearl_marl/__init__.py``, is the roof: nobody imports it."""
+"""From the lowest up. The package itself, ``pearl_marl/__init__.py``, is above all: no module imports it."""
 
 OUTSIDE = ("rtl", "envs", "wrappers", "experiments")
 """Folders of the repository that are installed as rooms of the package."""
 
 SCRIPTS = {"benchmarl_foraging", "cliff_walking_q_learning", "sb3_rollout", "sb3_training"}
-"""Experiments that are programs of their own: they use the package as a user does, through its roof."""
+"""Experiments that are programs of their own: they import the package itself, as a user does."""
 
 PACKAGE = "pearl_marl"
 
