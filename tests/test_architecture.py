@@ -1,7 +1,7 @@
 """The order of the layers (``ROOMS``): what may import what, in code, in type annotations, and by string.
 
-``docs/architecture.md`` lists them. These tests enforce it: a layer imports only layers below it, no files import
-each other in a circle, and no module uses another one's private names.
+``docs/architecture.md`` lists them. These tests enforce it: a layer imports only layers below it, no files
+import each other in a circle, and no module uses another one's private names.
 """
 
 from __future__ import annotations
