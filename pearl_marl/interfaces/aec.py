@@ -63,7 +63,7 @@ class _CheckedAEC(parallel_to_aec_wrapper):  # type: ignore[misc]
 
 
 class _TurnsAEC(_CheckedAEC):
-    """A game of turns: whose masks are not all 0 is on turn."""
+    """A turn-based game: the agents whose masks are not all 0 are on turn."""
 
     def __init__(self, parallel: PearlParallelEnv) -> None:
         super().__init__(parallel)
@@ -82,7 +82,7 @@ class _TurnsAEC(_CheckedAEC):
         self.agent_selection = self._due[0]
 
     def step(self, action: Any) -> None:
-        """Take the action of who is selected; ``None`` of one whose episode has ended, who then leaves."""
+        """Take the selected agent's action; ``None`` from one whose episode has ended, which then leaves."""
         if not self.agents:
             raise OrderError("step() with no agent left: every episode has ended, call reset() first")
         agent = self.agent_selection
@@ -108,7 +108,7 @@ class _TurnsAEC(_CheckedAEC):
         return self.rewards, self._cumulative_rewards, self.terminations, self.truncations, self.infos
 
     def _play(self, last: int) -> None:
-        """Step all worlds with the actions given; ``last`` is who gave the last of them."""
+        """Step all worlds with the actions given; ``last`` is the agent that gave the last one."""
         # Nobody looks at the actions of those that are not on turn.
         actions = {agent: self._given.get(agent, 0) for agent in self.env.agents}
         self._given.clear()
@@ -125,7 +125,7 @@ class _TurnsAEC(_CheckedAEC):
         self._due.extend(self._on_turn())
 
     def _on_turn(self) -> list[str]:
-        """Return who is to act: if no game lets anybody, everybody may."""
+        """Return the agents to act: all of them, if no world has an agent on turn."""
         live = self.env.live
         turn = live & on_host(self.env.action_masks).any(1)
         slots = np.flatnonzero(turn if turn.any() else live)

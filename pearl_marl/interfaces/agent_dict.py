@@ -1,4 +1,4 @@
-"""A dict over agents that is backed by one array, and filled only when somebody looks inside.
+"""A dict over agents that is backed by one array, and filled only when it is read.
 
 A step of 43,008 agents takes some 20 microseconds; a plain dict of its observations takes a
 thousand times that. Most users never look at a single key, so :class:`AgentDict` puts the keys

@@ -1,4 +1,4 @@
-"""What wrappers and bridges know of an environment: its batch of slots, whichever interface is around it."""
+"""What wrappers and bridges use of an environment: its batch of slots, behind either interface."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ class World(NamedTuple):
     """What agents that share a state have in common; every world of a batch is alike."""
 
     agents: int = 1
-    """How many share one."""
+    """How many agents share a world."""
     roles: tuple[Role, ...] = ()
-    """A role for each of them; empty where they are all alike."""
+    """A role for each agent of a world; empty where all are alike."""
     masked: str = ""
-    """What becomes of masked actions: see :class:`EnvSpec`. Empty where there are no masks."""
+    """What happens to masked actions: see :class:`EnvSpec`. Empty where there are no masks."""
 
     @classmethod
     def of(cls, spec: EnvSpec) -> World:
@@ -33,7 +33,7 @@ class World(NamedTuple):
         return cls(spec.agents, spec.roles, spec.masked if spec.mask_fields else "")
 
     def shown(self, observations: Space[Any] | None, actions: Discrete | Box | None) -> World:
-        """Return the same where everybody has these spaces; ``None`` leaves those of the roles."""
+        """Return the same worlds with these spaces for every agent; ``None`` keeps those of the roles."""
         roles = (
             Role(role.name, observations or role.observation_space, actions or role.action_space)
             for role in self.roles
@@ -41,11 +41,11 @@ class World(NamedTuple):
         return self._replace(roles=tuple(roles))
 
     def rows(self, worlds: Mask) -> Mask:
-        """Return a mask of agents, from one of worlds."""
+        """Return a mask of agents for a mask of worlds."""
         return worlds if self.agents == 1 else worlds.repeat(self.agents)
 
     def begins(self, step: BatchStep) -> Mask:
-        """Return whose world has begun its next episode in a step, a row an agent: in SAME_STEP mode only."""
+        """Return which agents' worlds began a new episode in a step, a row an agent; SAME_STEP mode only."""
         if self.agents == 1:
             return step.ended
         # Where somebody ended and nobody is dead, everybody has begun again.
@@ -58,7 +58,7 @@ class Batch:
     """A batch of agents: every environment of this package is one, of either interface, wrapped or not."""
 
     batch_size: int
-    """How many agents: worlds times the agents of one. A *slot* is here the row of an agent."""
+    """Number of agents: worlds times agents per world. A *slot* here is the row of an agent."""
 
     world: World
     """How agents share states."""
@@ -70,18 +70,18 @@ class Batch:
     """The space of one slot's action."""
 
     slot_autoreset_mode: AutoresetMode
-    """When a slot that ended begins again: in the ``SAME_STEP``, or in the ``NEXT_STEP``.
+    """When a slot that ended starts over: in the ``SAME_STEP``, or in the ``NEXT_STEP``.
 
     That is what :meth:`step_batch` does. A ``VectorEnv`` in DISABLED mode and agents that leave only hide it.
     """
 
     autoreset: bool
-    """Whether whoever ended is seen to begin again, and need not be reset."""
+    """Whether slots that ended start over by themselves and need no reset."""
 
     @property
     @abstractmethod
     def live(self) -> Mask:
-        """Which slots' agents are there: they have not left for good. Shape ``(batch_size,)``.
+        """Which agents are present, that is, have not left for good. Shape ``(batch_size,)``.
 
         The array is never written into. When somebody leaves or comes back, it is another one.
         """
@@ -89,12 +89,12 @@ class Batch:
     @property
     @abstractmethod
     def alive(self) -> Mask:
-        """Who takes part in the next step: see :class:`BatchStep`."""
+        """Which agents take part in the next step: see :class:`BatchStep`."""
 
     @property
     @abstractmethod
     def action_masks(self) -> Array | None:
-        """Which actions may be taken in it: see :class:`BatchStep`. ``None`` where there are no masks."""
+        """Which actions are allowed in the next step: see :class:`BatchStep`. ``None`` without masks."""
 
     @property
     @abstractmethod
@@ -103,7 +103,7 @@ class Batch:
 
     @abstractmethod
     def step_batch(self, actions: npt.ArrayLike) -> BatchStep:
-        """Step every slot once; what ``actions`` hold for agents that left does not matter."""
+        """Step every slot once; actions of agents that left are ignored."""
 
     @abstractmethod
     def reset_batch(self, seed: int | None = None) -> Array:

@@ -1,4 +1,4 @@
-"""The PettingZoo interface: the agents of all slots are those of one ``ParallelEnv``."""
+"""The PettingZoo interface: one ``ParallelEnv`` whose agents are those of all slots."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from pearl_marl.spec import snake_case
 
 
 class PearlParallelEnv(ParallelInterface):
-    """Many slots of one environment, whose agents are those of a PettingZoo ``ParallelEnv``.
+    """Many slots of one environment, with their agents as the agents of a PettingZoo ``ParallelEnv``.
 
     A slot is a *world*: it has one agent, or several that share its state. Agents ``agent_0`` to
     ``agent_{K-1}`` are in the first, ``world`` is ``i // K``.
@@ -101,17 +101,17 @@ class PearlParallelEnv(ParallelInterface):
 
     @property
     def live(self) -> Mask:
-        """Which slots' agents are there: none before the first reset; see :class:`Batch`."""
+        """Which agents are present: none before the first reset; see :class:`Batch`."""
         return self._live
 
     @property
     def alive(self) -> Mask:
-        """Who takes part in the next step: all but those that are dead. Shape ``(n_agents,)``."""
+        """Which agents take part in the next step: all that are not dead. Shape ``(n_agents,)``."""
         return self.device.alive
 
     @property
     def action_masks(self) -> Array | None:
-        """Which actions may be taken in the next step: see :class:`pearl_marl.devices.BatchStep`."""
+        """Which actions are allowed in the next step: see :class:`pearl_marl.devices.BatchStep`."""
         return self.device.action_masks
 
     @property
@@ -128,7 +128,7 @@ class PearlParallelEnv(ParallelInterface):
         return self.device.reset(mask=mask)
 
     def send(self, actions: npt.ArrayLike) -> None:
-        """Start a step and return at once; :meth:`recv` has its results.
+        """Start a step and return immediately; :meth:`recv` returns its results.
 
         With two environments of half the slots each, one steps while the other's results are used.
         Takes and raises what :meth:`step_batch` does.
@@ -150,7 +150,7 @@ class PearlParallelEnv(ParallelInterface):
         return result
 
     def state(self) -> Array:
-        """Return the state of every world, shape ``(n_worlds, fields)``, as ``state_space`` has it."""
+        """Return the state of every world, shape ``(n_worlds, fields)``, within ``state_space``."""
         return self.device.state()
 
     @functools.cached_property
@@ -164,7 +164,7 @@ class PearlParallelEnv(ParallelInterface):
         )
 
     def save_state(self) -> bytes:
-        """Return all that the continuation depends on; :meth:`load_state` takes it, on any device."""
+        """Return everything that what follows depends on; :meth:`load_state` takes it, on any device."""
         saved = self.device.snapshot()
         live = self._live[:0] if self.autoreset else self._live
         return replace(saved, identity=self._identity(), live=live.view(np.uint8)).to_bytes()
@@ -183,7 +183,7 @@ class PearlParallelEnv(ParallelInterface):
         return obs
 
     def recover(self) -> None:
-        """Go on where the last call that succeeded left every agent, after one that raised DeviceError.
+        """After a DeviceError, continue from where the last successful call left every agent.
 
         Raises
         ------
