@@ -22,9 +22,6 @@ SOURCES = ("envs/*/*.py", "wrappers/observations.py", "examples/*.py", "examples
 ALSO = ("LICENSE", "CITATION.cff")
 """Files that pages link to, and that are delivered as they are."""
 
-MOVED = ("envs", "wrappers", "experiments", "rtl")
-"""Folders beside the package that are installed as parts of it."""
-
 REFERENCE = {
     "Environments": (
         *("parallel_env", "env", "raw_env", "make_vec", "envs", "get_spec", "register", "unpacked"),
@@ -34,7 +31,10 @@ REFERENCE = {
     "Devices": ("devices", "verification"),
     "Wrappers": (
         "wrappers",
-        *(f"wrappers.{to}" for to in ("stable_baselines3", "rllib", "torchrl", "benchmarl")),
+        "wrappers.stable_baselines3",
+        "wrappers.rllib",
+        "wrappers.torchrl",
+        "wrappers.benchmarl",
     ),
     "Evaluation": ("evaluation", "policies"),
     "Hardware": ("memory_map", "latency", "plan", "hardware"),
@@ -43,11 +43,11 @@ REFERENCE = {
 """Headings of the reference's pages, and what of ``pearl_marl`` is on them."""
 
 
-def on_pre_build(config: Any) -> None:
+def on_startup(**_: Any) -> None:
     """Lay the package out as it is installed, which is what the reference is read from."""
     package = ROOT / "out" / "reference" / "pearl_marl"
     package.mkdir(parents=True, exist_ok=True)
-    for target in [*(ROOT / "pearl_marl").iterdir(), *(ROOT / name for name in MOVED)]:
+    for target in [*(ROOT / "pearl_marl").iterdir(), ROOT / "wrappers"]:
         link = package / target.name
         if target.name != "__pycache__" and not link.is_symlink():
             link.symlink_to(target)
@@ -102,10 +102,23 @@ def reference(heading: str, names: tuple[str, ...]) -> str:
     return "\n\n".join([f"# {heading}", *(f"::: pearl_marl.{name}" for name in names)]) + "\n"
 
 
-class ModulesUnderTheirOwnNames(griffe.Extension):
-    """Drop aliases of themselves: griffe makes one of ``import pearl_marl.wrappers as wrappers``."""
+class Docstrings(griffe.Extension):
+    """What the reference shows of docstrings, and one name that griffe gets wrong."""
+
+    def on_instance(self, *, obj: griffe.Object, **_: Any) -> None:
+        """Make links of Sphinx's roles, and leave out what a room may import."""
+        if obj.docstring is None:
+            return
+        scope = obj if obj.is_class or obj.is_module else obj.parent
+
+        def link(role: re.Match[str]) -> str:
+            name = role[1] if role[1].startswith("pearl_marl") or scope is None else f"{scope.path}.{role[1]}"
+            return f'<autoref optional identifier="{name}"><code>{role[1].split(".")[-1]}</code></autoref>'
+
+        text = re.sub(r":(?:func|class|meth|mod|attr|data):`~?([\w.]+)`", link, obj.docstring.value)
+        obj.docstring.value = re.sub(r"(?m)^(It m|M)ay import .*(\n.+)*", "", text)
 
     def on_alias_instance(self, *, alias: griffe.Alias, **_: Any) -> None:
-        """Take such a name out of the module again, which the module itself gets then."""
+        """Take out what griffe makes of ``import pearl_marl.wrappers as wrappers``: an alias of itself."""
         if alias.target_path == alias.path and alias.parent is not None:
             del alias.parent.members[alias.name]
