@@ -99,7 +99,9 @@ def source(name: str) -> str:
 
 def reference(heading: str, names: tuple[str, ...]) -> str:
     """Return a page of the reference; mkdocstrings puts docstrings where it names things."""
-    return "\n\n".join([f"# {heading}", *(f"::: pearl_marl.{name}" for name in names)]) + "\n"
+    inherited = "\n    options: {inherited_members: true}"
+    blocks = [f"::: pearl_marl.{name}{inherited * name.startswith('Pearl')}" for name in names]
+    return "\n\n".join([f"# {heading}", *blocks]) + "\n"
 
 
 class Docstrings(griffe.Extension):
