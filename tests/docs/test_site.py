@@ -127,7 +127,19 @@ def opened(browser: Any, width: int) -> tuple[Any, list[str]]:
     """Return a tab of a width, and what goes wrong in it."""
     tab, wrong = browser.new_page(viewport={"width": width, "height": 844}), []
     tab.on("pageerror", lambda error: wrong.append(f"{tab.url}: {error}"))
-    tab.on("requestfailed", lambda request: wrong.append(f"{tab.url}: {request.url} was not loaded"))
+
+    def failed(request: Any) -> None:
+        if (
+            request.failure != "net::ERR_ABORTED"
+        ):  # which is what happens to a page's icon when the tab goes on
+            wrong.append(f"{tab.url}: {request.url} was not loaded: {request.failure}")
+
+    def answered(response: Any) -> None:
+        if response.status >= 400:
+            wrong.append(f"{tab.url}: {response.url} is answered with {response.status}")
+
+    tab.on("requestfailed", failed)
+    tab.on("response", answered)
     return tab, wrong
 
 
