@@ -13,7 +13,7 @@ OUT ?= out
 CORES := $(shell nproc 2>/dev/null || echo 2)
 PACKAGE := pyproject.toml constraints.txt
 
-.PHONY: demo test test-rllib test-torchrl test-peers test-cuda lint format bench bench-peers figures ulx3s clean
+.PHONY: demo test test-rllib test-torchrl test-peers test-cuda test-docs lint format bench bench-peers figures ulx3s docs dist clean
 .DELETE_ON_ERROR:
 
 demo: $(VENV)/.render
@@ -65,6 +65,19 @@ figures: $(VENV)/.report
 ulx3s: $(VENV)/.rtl
 	$(BIN)/pearl board ulx3s CliffWalking --n-envs 1024 --out $(OUT)/ulx3s
 
+# The documentation as a site; to look at it: python -m http.server -d out/site
+docs: export NO_MKDOCS_2_WARNING := 1
+docs: $(VENV)/.docs
+	$(BIN)/python -m mkdocs build --strict --site-dir $(OUT)/site
+
+# The site in a browser. It takes a Chromium: Debian's package, or `.venv/bin/playwright install chromium`.
+test-docs: $(VENV)/.browser
+	$(BIN)/python -m pytest --slow -rs tests/docs/test_site.py
+
+# What a release has, built and installed where nothing else is.
+dist: $(VENV)/.dev
+	.ci/dist $(BIN)/python
+
 clean:
 	rm -rf $(VENV) $(RLLIB) $(TORCHRL) $(PEERS) $(OUT) build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis .benchmarks
 
@@ -73,7 +86,9 @@ $(VENV)/.render: EXTRAS := render
 $(VENV)/.rtl: EXTRAS := rtl
 $(VENV)/.report: EXTRAS := report
 $(VENV)/.dev: EXTRAS := report,cuda,ray,marl,dev
-$(VENV)/.render $(VENV)/.rtl $(VENV)/.report $(VENV)/.dev: $(PACKAGE) | $(BIN)/python
+$(VENV)/.docs: EXTRAS := docs
+$(VENV)/.browser: EXTRAS := docs,browser,testing
+$(VENV)/.render $(VENV)/.rtl $(VENV)/.report $(VENV)/.dev $(VENV)/.docs $(VENV)/.browser: $(PACKAGE) | $(BIN)/python
 	@echo "Installing pearl-marl[$(EXTRAS)] into $(VENV) ..."
 	@$(BIN)/python -W ignore -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[$(EXTRAS)]'
 	@touch $@

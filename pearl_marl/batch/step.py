@@ -32,7 +32,7 @@ class BatchStep(_Results):
 
     It is a tuple of five arrays. Agent ``k`` of world ``w`` has row ``w * K + k``, where a world has ``K``.
 
-    Parameters
+    Attributes
     ----------
     obs
         Shape ``(n, *spec.observation_shape)``, in the space's dtype (of a ``Tuple`` space a column for each
