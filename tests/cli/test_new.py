@@ -51,7 +51,7 @@ def pearl(
 @pytest.fixture
 def registry(tmp_path: Path) -> Iterator[None]:
     """Forget what a test registers and imports from its folder."""
-    with mock.patch.dict(_specs()):
+    with mock.patch.dict(_specs):
         yield
     forget(tmp_path)
 
@@ -154,7 +154,7 @@ def test_replays_find_the_environments_package(
     file = tmp_path / "divergence.json"
     caught.value.replay.write(file)
     forget(tmp_path)
-    _specs().pop("tworooms")
+    _specs.pop("tworooms")
     status, out, err = pearl("verify", file)
     assert (status, "The divergence is gone" in out) == (2, False), out + err  # of the device, there is none
     status, out, err = pearl("verify", file, "--device", "native")

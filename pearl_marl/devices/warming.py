@@ -1,0 +1,66 @@
+"""Compiling kernels before they are needed, an environment in each process."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import os
+import signal
+import time
+from collections.abc import Iterable, Iterator
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from multiprocessing import get_context
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba.core import event
+
+from pearl_marl.batch.actions import random_actions
+from pearl_marl.batch.config import BatchConfig
+from pearl_marl.devices.native import Native
+from pearl_marl.packing import FORMS, observed_as
+from pearl_marl.registry import get_spec
+
+
+class Warmed(NamedTuple):
+    """What was done for one environment."""
+
+    environment: str
+    """Its id."""
+    compiled: int
+    """How many functions were not in the cache yet."""
+    seconds: float
+    """How long it took."""
+
+
+def warm(env_id: str, options: dict[str, Any]) -> Warmed:
+    """Reset and step an environment, in every form of its observations: the cache then has its kernels."""
+    began = time.perf_counter()
+    spec = get_spec(env_id).with_options(**options)
+    # Each kernel would say that it is compiled: here that is all that is done, and the caller tells.
+    with event.install_recorder("numba:compile") as compiled, contextlib.redirect_stderr(io.StringIO()):
+        for form in FORMS if spec.unpack is not None else FORMS[:1]:
+            device = Native(threads=1).open(BatchConfig(spec=observed_as(spec, form), n_envs=1))
+            device.reset(seed=0)
+            masks: Any = device.action_masks
+            device.step(random_actions(spec, np.random.default_rng(0), spec.agents, masks))
+            device.close()
+    starts = sum(moment.is_start for _, moment in compiled.buffer)
+    return Warmed(spec.id, starts, time.perf_counter() - began)
+
+
+def warm_all(env_ids: Iterable[str], options: dict[str, Any]) -> Iterator[Warmed]:
+    """Do so for several environments, as many at once as there are cores; yield each when it is done."""
+    given = list(env_ids)
+    workers = min(len(given), len(os.sched_getaffinity(0)))
+    if workers < 2:
+        yield from (warm(env_id, options) for env_id in given)
+        return
+    # Ctrl-C is the parent's to answer.
+    ignore = signal.signal, (signal.SIGINT, signal.SIG_IGN)
+    pool = ProcessPoolExecutor(workers, get_context("spawn"), *ignore)
+    try:
+        for done in as_completed([pool.submit(warm, env_id, options) for env_id in given]):
+            yield done.result()
+    finally:
+        pool.shutdown(cancel_futures=True)

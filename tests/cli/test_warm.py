@@ -1,0 +1,75 @@
+"""Kernels compiled ahead."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+Pearl = Callable[..., tuple[int, str, str]]
+
+ENTRY = "import sys; from pearl_marl_entry import main; sys.argv[0] = 'pearl'; main()"
+
+STEPS = """
+import json, sys
+from numba.core import event
+import pearl_marl
+with event.install_recorder("numba:compile") as compiled:
+    for name in sys.argv[1:]:
+        for form in ("whole", "packed") if name == "ConnectFour" else ("whole",):
+            env = pearl_marl.parallel_env(name, observations=form)
+            env.reset(seed=0)
+            env.step({agent: 0 for agent in env.agents})
+kernels = {moment.data["dispatcher"].__module__ for _, moment in compiled.buffer}
+print(json.dumps([name for name in kernels if name.startswith("pearl_marl_kernel_")]))
+"""
+
+
+def python(cache: Path, script: str, *arguments: str) -> Any:
+    """Run a script with a cache folder; return what it prints, which is JSON."""
+    environment = {**os.environ, "PEARL_CACHE_DIR": str(cache)}
+    call = [sys.executable, "-c", script, *arguments]
+    return json.loads(
+        subprocess.run(call, capture_output=True, text=True, check=True, env=environment).stdout
+    )
+
+
+def test_what_is_warm_is_not_compiled_again(tmp_path: Path) -> None:
+    """Neither by a second call, nor by the first steps of an environment."""
+    given = "CliffWalking", "ConnectFour"
+    assert len(python(tmp_path, STEPS, *given)) == 3
+    cache = tmp_path / "warm"
+    first = python(cache, ENTRY, "warm", *given, "--json")
+    assert first["cache"] == str(cache / "kernels")
+    assert {row["environment"] for row in first["warmed"]} == {"CliffWalking-v0", "ConnectFour-v0"}
+    assert all(row["compiled"] for row in first["warmed"])
+    again = python(cache, ENTRY, "warm", *given, "--json")
+    assert [row["compiled"] for row in again["warmed"]] == [0, 0]
+    assert python(cache, STEPS, *given) == []
+
+
+def test_a_line_for_each(pearl: Pearl) -> None:
+    status, out, _ = pearl("warm", "CliffWalking", "--option", "is_slippery=true")
+    assert status == 0
+    assert out.startswith("CliffWalking-v0 ")
+    assert "Kernels are kept in" in out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["NoSuch"], "there is no environment 'NoSuch'"),
+        (["CliffWalking", "--option", "nothing=1"], "nothing"),
+        (["--option", "is_slippery=true"], "name the environment"),
+    ],
+)
+def test_refused(pearl: Pearl, arguments: list[str], words: str) -> None:
+    status, out, err = pearl("warm", *arguments)
+    assert (status, out) == (2, "")
+    assert words in err
