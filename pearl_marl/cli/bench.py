@@ -12,6 +12,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from pearl_marl.benchmark.contenders import contenders
+from pearl_marl.benchmark.growth import COUNTS, SUBJECTS, growth
 from pearl_marl.benchmark.machine import machine
 from pearl_marl.benchmark.measure import Contender, duration, measure, rate
 from pearl_marl.cli import common, trainings
@@ -48,12 +49,17 @@ Training = Annotated[
 ]
 Quick = Annotated[bool, typer.Option("--quick", help="Of --training, a few iterations of one seed.")]
 
+Growth = Annotated[
+    bool, typer.Option("--growth", help="A step's time for each agent, from 43,008 agents to 10 million.")
+]
+
 
 def command(
     env_id: AnyEnv = None,
     every: Every = False,
     training: Training = False,
     quick: Quick = False,
+    growing: Growth = False,
     n_agents: common.Agents = None,
     rounds: Rounds = 7,
     seconds: Seconds = 0.2,
@@ -68,6 +74,13 @@ def command(
                 "--training has settings of its own: leave out --all, --option and --n-agents"
             )
         trainings.show(env_id, quick, out, as_json)
+        return
+    if growing:
+        if env_id is not None or option or every or n_agents is not None:
+            raise ArgumentError(
+                "--growth has its own environments and sizes: leave out ENV and other options"
+            )
+        _growth(rounds, out, as_json)
         return
     if every:
         if env_id is not None or option:
@@ -93,6 +106,29 @@ def command(
     console.print(
         f"{one}: step_batch takes {duration(batch)}, of which the call of a kernel {duration(kernel)}; "
         f"so {duration(batch - kernel)} are checks and bookkeeping."
+    )
+    _print_machine(result["machine"])
+
+
+def _growth(rounds: int, out: Path | None, as_json: bool) -> None:
+    expected = len(SUBJECTS) * len(COUNTS)
+    points = list(common.progress(growth(rounds), expected, "from 43,008 agents to 10 million"))
+    result: dict[str, Any] = {
+        "machine": machine(),
+        "rounds": rounds,
+        "points": [point._asdict() for point in points],
+    }
+    if common.delivered(result, as_json, out, "bench_growth.json"):
+        return
+    grid = common.table(
+        "Nanoseconds for each agent", ["environment"], ["agents", "step_batch", "writing", "x"]
+    )
+    for point in points:
+        figures = f"{point.n_agents:,}", f"{point.step:.2f}", f"{point.write:.2f}"
+        grid.add_row(point.subject, *figures, f"{point.step / point.write:.1f}")
+    console.print(grid)
+    console.print(
+        "Writing fills the arrays of the results with one thread, and does nothing else.", style="dim"
     )
     _print_machine(result["machine"])
 

@@ -153,3 +153,24 @@ def test_other_worlds_have_no_peers() -> None:
     pytest.importorskip("envpool")
     with pytest.raises(UnavailableError, match="EnvPool has no Meadow"):
         only.make()
+
+
+def test_growth(pearl: Pearl, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every environment at every size, in the order of the table."""
+    from pearl_marl.benchmark import growth
+    from pearl_marl.cli import bench
+
+    monkeypatch.setattr(bench, "growth", lambda rounds: growth.growth(rounds, (64, 128)))
+    status, out, _ = pearl("bench", "--growth", "--rounds", 1, "--json")
+    assert status == 0
+    points = json.loads(out)["points"]
+    assert [(p["subject"], p["n_agents"]) for p in points] == [
+        (subject, n) for subject in growth.SUBJECTS for n in (64, 128)
+    ]
+    assert all(p["step"] > 0 and p["write"] > 0 for p in points)
+
+
+def test_growth_is_of_its_own_environments(pearl: Pearl) -> None:
+    status, _, err = pearl("bench", "CartPole", "--growth")
+    assert status == 2
+    assert "--growth has its own" in err
