@@ -207,7 +207,6 @@ LIBRARIES = {
     "_reset_seeds": "Stable-Baselines3's, for who derives from it",
     "_get_indices": "Stable-Baselines3's, likewise",
     "_setup_learn": "Stable-Baselines3's, likewise",
-    "_engine_run_backward": "PyTorch's: torch.autograd.backward without its checks",
     "_exit": "of Python's os",
     "_getvalue": "of Numba's structures, as its own intrinsics use it",
 }

@@ -11,7 +11,6 @@ from typing import Any
 
 import torch
 from torch import Tensor, nn
-from torch.autograd.graph import _engine_run_backward
 
 FADING, FADING_SQUARES = 0.9, 0.999
 """What remains, at each step, of the means of gradients and of their squares."""
@@ -49,10 +48,8 @@ class Adam:
     def step(self, gradients: Gradients, rate: float) -> None:
         """Learn at a learning rate from a loss of which some gradients are known, and the rest follow."""
         gradient, mean, square = self._gradient.zero_(), self._mean, self._square
-        # torch.autograd.backward does no more, but for checks that import SymPy and take longer than this.
-        _engine_run_backward(
-            *zip(*gradients, strict=True), False, False, (), allow_unreachable=True, accumulate_grad=True
-        )
+        tensors, by = map(list, zip(*gradients, strict=True))
+        torch.autograd.backward(tensors, by)
         with torch.no_grad():
             gradient *= (self.longest / (gradient.norm() + 1e-6)).clamp(max=1)
             self._steps += 1
