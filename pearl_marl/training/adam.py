@@ -16,6 +16,9 @@ FADING, FADING_SQUARES = 0.9, 0.999
 """What remains, at each step, of the means of gradients and of their squares."""
 
 
+LINE = 16
+"""Numbers of a cache line."""
+
 Gradients = list[tuple[Tensor, Tensor]]
 """Tensors, each with the gradient of the loss by it."""
 
@@ -36,14 +39,15 @@ class Adam:
     def __init__(self, parameters: Iterable[nn.Parameter], epsilon: float, longest: float) -> None:
         self.parameters = list(parameters)
         self.epsilon, self.longest = epsilon, longest
-        with torch.no_grad():
-            self._values = torch.cat([parameter.flatten() for parameter in self.parameters])
+        # Each begins on a cache line, as it does alone: products of matrices differ in last bits where not.
+        sizes = [-(-parameter.numel() // LINE) * LINE for parameter in self.parameters]
+        self._values = self.parameters[0].new_zeros(sum(sizes))
         self._gradient, self._mean, self._square = (torch.zeros_like(self._values) for _ in range(3))
         self._steps = 0
-        sizes = [parameter.numel() for parameter in self.parameters]
         parts = (torch.split(tensor, sizes) for tensor in (self._values, self._gradient))
-        for parameter, values, gradient in zip(self.parameters, *parts, strict=True):
-            parameter.data, parameter.grad = values.view_as(parameter), gradient.view_as(parameter)
+        for parameter, *rooms in zip(self.parameters, *parts, strict=True):
+            values, gradient = (room[: parameter.numel()].view_as(parameter) for room in rooms)
+            parameter.data, parameter.grad = values.copy_(parameter.data), gradient
 
     def step(self, gradients: Gradients, rate: float) -> None:
         """Learn at a learning rate from a loss of which some gradients are known, and the rest follow."""

@@ -93,7 +93,7 @@ class DQN(Trainer):
             )
         self.updated = 0
 
-    def iterate(self) -> None:
+    def update(self) -> None:
         """Step all agents and learn."""
         self._step()
         if self.done > self.settings.warm_up:

@@ -91,7 +91,7 @@ class PPO(Trainer):
         self.learned = {"model": self.model, "optimiser": self.optimiser}
         self.losses = torch.zeros(4, device=self.where)
 
-    def iterate(self) -> None:
+    def update(self) -> None:
         """Gather experience and learn from it."""
         experience = self.worker.gather(self.done)
         self.count(experience)

@@ -107,7 +107,7 @@ class QLearning(Trainer):
         settings: Settings = self.settings
         return max(0.0, settings.epsilon * (1 - self.done / (EXPLORING * settings.iterations)))
 
-    def iterate(self) -> None:
+    def update(self) -> None:
         """Step all agents and update the tables."""
         rows, n_actions = self.rows, self.policy.values.shape[2]
         values = self.policy.values.view(-1, n_actions)  # of all learners, one below the other

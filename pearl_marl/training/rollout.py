@@ -22,6 +22,7 @@ from pearl_marl.policies.network import MASKED, masked
 from pearl_marl.spec import EnvSpec
 from pearl_marl.training.actor_critic import ActorCritic, View
 from pearl_marl.training.advantages import Course, advantages
+from pearl_marl.training.threads import threads_for
 
 ROWS = 16_384
 """Observations that the critic is given at a time, for the memory that its layers take."""
@@ -173,6 +174,8 @@ class Trainer:
         The device of torch that has their observations, and on which is learned.
     """
 
+    policy: Any
+
     def __init__(self, settings: Any, agents: Any, where: torch.device) -> None:
         self.settings, self.agents, self.where = settings, agents, where
         self.random = torch.Generator(where).manual_seed(settings.seed)
@@ -186,6 +189,15 @@ class Trainer:
     def agent_steps(self) -> int:
         """Steps of single agents so far."""
         return int(self.done * self.depth * self.settings.n_agents)
+
+    def iterate(self) -> None:
+        """Go on by one iteration, with as many threads of PyTorch as help."""
+        with threads_for(self.policy.spec, self.settings):
+            self.update()
+
+    def update(self) -> None:
+        """Do what an iteration of the algorithm is."""
+        raise NotImplementedError
 
     def figures(self) -> dict[str, float | None]:
         """Return figures for the metrics, of episodes since they were last asked for."""

@@ -179,8 +179,7 @@ def train(
     began, kept = time.perf_counter() - seconds, time.perf_counter()
     finished = goal is not None and best >= goal
     while trainer.done < settings.iterations and not finished:
-        with threads_for(spec, settings):
-            trainer.iterate()
+        trainer.iterate()
         last = trainer.done == settings.iterations
         if trainer.done % every and not last:
             continue

@@ -93,9 +93,9 @@ class SelfPlay(ppo.PPO):
         self.worker.league = self.league
         self._join()
 
-    def iterate(self) -> None:
+    def update(self) -> None:
         """Gather experience and learn from it; join the league, if it is time."""
-        super().iterate()
+        super().update()
         if self.done % self.settings.join_every == 0:
             self._join()
 

@@ -6,7 +6,6 @@ from typing import Any
 
 from pearl_marl.registry import get_spec
 from pearl_marl.training.run import ALGORITHMS
-from pearl_marl.training.threads import threads_for
 
 from .tasks import Task
 from .watch import Watch
@@ -17,7 +16,6 @@ def train(task: Task, settings: Any, watch: Watch) -> None:
     trainer = ALGORITHMS[task.algorithm](get_spec(task.env_id), "native", settings)
     watch.start()
     while trainer.done < settings.iterations:
-        with threads_for(trainer.agents.spec, settings):
-            trainer.iterate()
+        trainer.iterate()
         if watch(trainer.agent_steps, trainer.policy.choose):
             return
