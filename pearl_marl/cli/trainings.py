@@ -61,6 +61,8 @@ def _print(task: str, goal: float | None, summary: list[dict[str, Any]]) -> None
     if goal is not None:
         figures += [f"to {goal:g}", "reached", "x"]
     grid = common.table(task, ["who"], figures, box=box.SIMPLE, padding=(0, 1, 0, 0))
+    for column in grid.columns:  # names are folded, and leave the figures their room
+        column.no_wrap, column.overflow = column.header != "who", "fold"
     for row in summary:
         grid.add_row(row["contender"], *_cells(row)[: len(figures)])
     console.print(grid)
