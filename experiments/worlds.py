@@ -61,7 +61,7 @@ class Task(NamedTuple):
 COOP = {"max_num_food": 2, "force_coop": True}
 
 TASKS = (
-    Task("Foraging-8x8-2p-3f", "LevelBasedForaging", "ippo", 0.48, 0.95, "1 is the most"),
+    Task("Foraging-8x8-2p-3f", "LevelBasedForaging", "ippo", 0.485, 0.95, "1 is the most"),
     Task(
         "Foraging-8x8-2p-2f-coop",
         "LevelBasedForaging",
