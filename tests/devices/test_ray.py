@@ -402,12 +402,12 @@ def test_the_doctor_looks_for_ray(pearl: Any, monkeypatch: pytest.MonkeyPatch) -
         assert status == 0
         return json.loads(output)["Ray"]
 
-    assert row() == {"ok": True, "found": f"version {ray.__version__}", "mend": ""}
+    assert row() == {"ok": True, "found": f"version {ray.__version__}", "fix": ""}
     monkeypatch.setenv("RAY_ADDRESS", "127.0.0.1:9")
     assert row() == {
         "ok": False,
         "found": "no Ray cluster answers at RAY_ADDRESS=127.0.0.1:9: Connection refused",
-        "mend": "start one with `ray start --head`, or unset RAY_ADDRESS for one on this machine alone",
+        "fix": "start one with `ray start --head`, or unset RAY_ADDRESS for one on this machine alone",
     }
     monkeypatch.setenv("RAY_ADDRESS", ray.get_runtime_context().gcs_address)
     assert row()["found"] == f"version {ray.__version__}, cluster at {os.environ['RAY_ADDRESS']}"
@@ -415,7 +415,7 @@ def test_the_doctor_looks_for_ray(pearl: Any, monkeypatch: pytest.MonkeyPatch) -
     assert row() == {
         "ok": False,
         "found": "Ray is not installed, as 'ray' is missing",
-        "mend": "pip install '.[ray]'",
+        "fix": "pip install '.[ray]'",
     }
 
 
