@@ -22,7 +22,7 @@ from pearl_marl.version import __version__
 
 COMMANDS = {
     "envs": "List the environments: spaces, widths, rewards, limits.",
-    "doctor": "Check what this machine can run; each lack comes with its mend.",
+    "doctor": "Check what this machine can run; each problem comes with its fix.",
     "warm": "Compile the kernels of environments ahead, for images and clusters: first steps are then fast.",
     "run": "Step every agent with random (or given) actions: throughput and episode statistics.",
     "train": "Train a policy that all agents share; with the --out of a run that was killed, go on with it.",
