@@ -24,7 +24,7 @@ Check = tuple[bool, str, str]
 
 
 def command(as_json: AsJson = False) -> None:
-    """Check what this machine can run; each lack comes with its fix."""
+    """Check what this machine can run; each problem comes with its fix."""
     results = {name: check() for name, check in _CHECKS.items()}
     if as_json:
         print_json(
