@@ -23,7 +23,7 @@ Pearl = Callable[..., tuple[int, str, str]]
         ("run CartPole --stepz 3", "pearl run has no option --stepz; did you mean --steps?"),
         ("run CartPole --qqq", "pearl run has no option --qqq; pearl run --help lists those"),
         ("tran CartPole", "there is no command 'tran'; did you mean 'train'?"),
-        ("frobnicate", "there is no command 'frobnicate'; there are envs, doctor, run, train"),
+        ("frobnicate", "there is no command 'frobnicate'; there are envs, doctor, "),
         ("run", "pearl run needs ENV: an environment of `pearl envs` (pearl run --help tells more)"),
         ("eval Taxi", "pearl eval needs --policy: "),
         ("run Taxi Blackjack", "pearl run does not take 'Blackjack', in: pearl run Taxi Blackjack"),
