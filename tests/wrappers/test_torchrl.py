@@ -74,6 +74,7 @@ FORAGING = {"field_size": (5, 5), "max_num_food": 1, "max_player_level": 1}
 )
 def test_episodes_are_those_of_the_environment(name: str, options: dict[str, Any]) -> None:
     """Step for step: what is seen, allowed, rewarded and over, across many ends of every kind."""
+    torch.manual_seed(0)  # of the random actions
     n, k = 9, pearl_marl.get_spec(name).agents
     plain, env = made(name, n, **options), to_torchrl(made(name, n, **options))
     groups = list(env.group_map)
