@@ -15,6 +15,8 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium.spaces import Space, Tuple
 
+from pearl_marl.interfaces.filling import fill_first
+
 
 class AgentDict(dict[str, Any]):
     """Values by agent, made from an array on first use.
@@ -68,7 +70,7 @@ class _UnfilledAgentDict(AgentDict):
     # of dict itself: after the first call nothing is slower than in a plain one.
     __slots__ = ()
 
-    def _fill(self) -> None:
+    def fill(self) -> None:
         # The values first: another thread may look as soon as the class says that they are there.
         dict.update(self, zip(self._agents, self._values(self.array), strict=True))
         self.__class__ = AgentDict  # type: ignore[assignment]
@@ -78,30 +80,17 @@ class _UnfilledAgentDict(AgentDict):
 
     # This also keeps dict(d), {**d} and f(**d) from copying the unfilled dict in C.
     def __iter__(self) -> Iterator[str]:
-        self._fill()
+        self.fill()
         return iter(self)
 
 
-def _filled_first(name: str) -> Callable[..., Any]:
-    plain = getattr(dict, name)
-
-    def method(self: AgentDict, *args: Any, **kwargs: Any) -> Any:
-        for lazy in (self, *args):
-            if isinstance(lazy, _UnfilledAgentDict):
-                lazy._fill()
-        return plain(self, *args, **kwargs)
-
-    method.__name__ = name
-    method.__doc__ = plain.__doc__
-    return method
-
-
-for _name in (
+fill_first(
+    _UnfilledAgentDict,
+    dict,
     *("__getitem__", "__setitem__", "__delitem__", "__contains__", "__reversed__", "__repr__"),
     *("__eq__", "__ne__", "__or__", "__ror__", "__ior__"),
     *("copy", "get", "keys", "values", "items", "pop", "popitem", "setdefault", "update", "clear"),
-):
-    setattr(_UnfilledAgentDict, _name, _filled_first(_name))
+)
 
 
 def observations_in(space: Space[Any]) -> Callable[[npt.NDArray[Any]], list[Any]]:

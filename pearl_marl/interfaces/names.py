@@ -6,12 +6,14 @@ that users see and may change.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from itertools import compress
 from typing import Any, overload
 
 import numpy as np
 import numpy.typing as npt
+
+from pearl_marl.interfaces.filling import fill_first
 
 PREFIX = "agent_"
 MOST_CHARACTERS = 40
@@ -113,7 +115,7 @@ class _UnfilledAgentList(AgentList):
     # As in an AgentDict: every method that is not here fills the list, whose methods are then list's own.
     __slots__ = ()
 
-    def _fill(self) -> None:
+    def fill(self) -> None:
         # Replaces what another thread may have put in meanwhile.
         list.__setitem__(self, slice(None), self._names)
         self.__class__ = AgentList  # type: ignore[assignment]
@@ -132,7 +134,7 @@ class _UnfilledAgentList(AgentList):
 
     # This also has list(a), [*a], sorted(a) and numpy.array(a) fill it.
     def __iter__(self) -> Iterator[str]:
-        self._fill()
+        self.fill()
         return iter(self)
 
     def __eq__(self, other: object) -> bool:
@@ -142,7 +144,7 @@ class _UnfilledAgentList(AgentList):
             return NotImplemented
         if len(other) != len(self):
             return False
-        self._fill()
+        self.fill()
         return self == (list(other) if isinstance(other, AgentList) else other)
 
     def __ne__(self, other: object) -> bool:
@@ -154,23 +156,10 @@ class _UnfilledAgentList(AgentList):
         return [*other, *self] if isinstance(other, list) else NotImplemented
 
 
-def _filled_first(name: str) -> Callable[..., Any]:
-    plain = getattr(list, name)
-
-    def method(self: AgentList, *args: Any, **kwargs: Any) -> Any:
-        for lazy in (self, *args):
-            if isinstance(lazy, _UnfilledAgentList):
-                lazy._fill()
-        return plain(self, *args, **kwargs)
-
-    method.__name__ = name
-    method.__doc__ = plain.__doc__
-    return method
-
-
-for _name in (
+fill_first(
+    _UnfilledAgentList,
+    list,
     *("__setitem__", "__delitem__", "__reversed__", "__repr__", "__lt__", "__le__", "__gt__", "__ge__"),
     *("__add__", "__iadd__", "__mul__", "__rmul__", "__imul__"),
     *("append", "clear", "copy", "count", "extend", "index", "insert", "pop", "remove", "reverse", "sort"),
-):
-    setattr(_UnfilledAgentList, _name, _filled_first(_name))
+)
