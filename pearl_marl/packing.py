@@ -47,7 +47,7 @@ def packed(spec: EnvSpec) -> EnvSpec:
     """
     if spec.unpack is None:
         raise ArgumentError(
-            f"observations is 'packed', and {spec.name}'s are no planes to be packed: leave it out"
+            f"observations is 'packed', and only planes can be, which {spec.name}'s are not: leave it out"
         )
     space = Box(0, 255, (row_dtype(spec).itemsize,), np.uint8)
     roles = tuple(role._replace(observation_space=space) for role in spec.roles)
@@ -62,7 +62,7 @@ def _packer(spec: EnvSpec) -> GoldenFunction:
         for byte in range(field.dtype.itemsize):
             lines.append(f"    row[{start + byte}] = int({field.name}) >> {8 * byte} & 255")
     names = ", ".join(field.name for field in spec.observation)
-    scope: dict[str, Any] = {}
+    scope: dict[str, Any] = {"__name__": __name__}  # of whose module the function is
     exec("\n".join([f"def pack({names}, row):", *lines]), scope)
     pack: GoldenFunction = scope["pack"]
     return pack

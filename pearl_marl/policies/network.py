@@ -128,7 +128,7 @@ class Encoder(nn.Module):
         self.count.copy_(total)
 
     def whole(self, obs: Tensor) -> Tensor:
-        """Return observations that may be packed as they are otherwise."""
+        """Return observations unpacked, if they are packed."""
         if self.packs is None or self.packs.unpack is None or obs.shape[1:] == self.packs.observation_shape:
             return obs
         return torch.from_numpy(unpacked(self.packs, obs.numpy()))

@@ -27,7 +27,7 @@ with event.install_recorder("numba:compile") as compiled:
             env.reset(seed=0)
             env.step({agent: 0 for agent in env.agents})
 kernels = {moment.data["dispatcher"].__module__ for _, moment in compiled.buffer}
-print(json.dumps([name for name in kernels if (name or "").startswith("pearl_marl_kernel_")]))
+print(json.dumps([name for name in kernels if name.startswith("pearl_marl_kernel_")]))
 """
 
 

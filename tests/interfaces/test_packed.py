@@ -57,7 +57,11 @@ def test_of_a_vector_env() -> None:
 @pytest.mark.parametrize(
     ("name", "observations", "message"),
     [
-        ("Taxi", "packed", r"observations is 'packed', and Taxi's are no planes to be packed"),
+        (
+            "Taxi",
+            "packed",
+            r"observations is 'packed', and only planes can be, which Taxi's are not: leave it out",
+        ),
         ("Seaquest", "bits", r"observations is 'bits'; possible are 'whole', 'packed'"),
     ],
 )
