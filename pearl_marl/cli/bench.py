@@ -48,7 +48,6 @@ Training = Annotated[
     bool, typer.Option("--training", help="Whole trainings beside those of other packages, of ENV or all.")
 ]
 Quick = Annotated[bool, typer.Option("--quick", help="Of --training, a few iterations of one seed.")]
-
 Growth = Annotated[
     bool, typer.Option("--growth", help="A step's time for each agent, from 43,008 agents to 10 million.")
 ]
@@ -68,10 +67,12 @@ def command(
     as_json: common.AsJson = False,
 ) -> None:
     """Measure steps per second against EnvPool, Gymnasium's vector environments and the games' packages."""
+    if quick and not training:
+        raise ArgumentError("--quick is of --training: add that, or leave --quick out")
     if training:
-        if every or option or n_agents is not None:
+        if every or growing or option or n_agents is not None:
             raise ArgumentError(
-                "--training has settings of its own: leave out --all, --option and --n-agents"
+                "--training has settings of its own: leave out --all, --growth, --option and --n-agents"
             )
         trainings.show(env_id, quick, out, as_json)
         return

@@ -75,7 +75,8 @@ def command(
     as_json: common.AsJson = False,
 ) -> None:
     """Train a policy that all agents share; with the --out of a run that was killed, go on with it."""
-    out = out or Path("out") / f"{env_id.rpartition(':')[2]}-{algo}"
+    spec = common.spec_of(env_id, option)
+    out = out or Path("out") / f"{spec.name}-{algo}"
     interrupts.advice = f": to go on, give the same command again, with the same --out {out}"
     try:
         with interrupts.at_once():  # PyTorch takes seconds to load
@@ -84,7 +85,6 @@ def command(
         raise ArgumentError(
             f"training needs the Python package {error.name}: pip install '.[train]'"
         ) from None
-    spec = common.spec_of(env_id, option)
     options = dict(spec.options)
     chosen = {"n_agents": n_agents, "iterations": iterations}
     # --seed always has a value, which must not overrule what --set says.

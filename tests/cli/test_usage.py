@@ -9,12 +9,18 @@ from collections.abc import Callable
 
 import pytest
 
+from pearl_marl.cli.common import DEVICES
+from pearl_marl.cli.train import ALGORITHMS
+from pearl_marl.training import run
+
 Pearl = Callable[..., tuple[int, str, str]]
 
 
 @pytest.mark.parametrize(
     ("line", "sentence"),
     [
+        ("bench CartPole --quick", "--quick is of --training: add that, or leave --quick out"),
+        ("bench --training --growth", "--training has settings of its own: leave out --all, --growth,"),
         ("run CartPole --n-agents abc", "--n-agents is 'abc'; it must be an integer"),
         ("run CartPole --seed 1.5", "--seed is '1.5'; it must be an integer"),
         ("train CartPole --goal high", "--goal is 'high'; it must be a number"),
@@ -71,3 +77,11 @@ def test_a_shell_completes(line: str, words: list[str]) -> None:
         [sys.executable, "-c", program], env=environment, capture_output=True, text=True, check=False
     )
     assert done.stdout.split() == words, done.stderr
+
+
+def test_what_is_completed_is_all_that_there_is(pearl: Pearl) -> None:
+    """Both are listed twice: whoever completes a word cannot wait for PyTorch and Numba."""
+    _, _, err = pearl("run", "Taxi", "--device", "nowhere")
+    possible = err.partition("possible are ")[2].partition(", 'xdma:N'")[0]
+    assert {name.strip("'") for name in possible.split(", ")} == set(DEVICES)
+    assert {*run.ALGORITHMS, *run.ALIASES} == set(ALGORITHMS)
