@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import struct
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -21,10 +22,13 @@ from torch import Tensor, nn
 from pearl_marl.errors import ArgumentError
 from pearl_marl.files import replace_file
 from pearl_marl.packing import unpacked
+from pearl_marl.policies import dense
 from pearl_marl.registry import get_spec
 from pearl_marl.spec import EnvSpec
 
 Array = npt.NDArray[Any]
+
+_NOTHING = torch.empty(0, 1)
 
 FORMAT = "pearl-policy-1"
 
@@ -44,29 +48,22 @@ def masked(outputs: Tensor, masks: Tensor | None) -> Tensor:
     return outputs if masks is None else outputs.masked_fill(masks == 0, MASKED)
 
 
-def tanh(x: Tensor) -> Tensor:
-    """Return hyperbolic tangents, by the sigmoid: PyTorch takes six times as long for its own on a CPU."""
-    return torch.sigmoid(x + x).mul_(2).sub_(1)
-
-
-class TwoTanh(torch.autograd.Function):
-    """``tanh(linear(tanh(first)))``, with gradients written out: autograd takes twice as long."""
+class _Dense(torch.autograd.Function):
+    """The outputs of a :class:`Network` by compiled loops, of which the gradients follow likewise."""
 
     @staticmethod
-    def forward(ctx: Any, first: Tensor, weight: Tensor, bias: Tensor) -> Tensor:
-        """Return the features."""
-        below = tanh(first)
-        above = tanh(torch.addmm(bias, below, weight.t()))
-        ctx.save_for_backward(below, weight, above)
-        return above
+    def forward(ctx: Any, network: Network, given: dense.Given, *_: Tensor) -> Tensor:
+        """Return the outputs; the rest of what is given are the network's parameters."""
+        ctx.network, ctx.given = network, given
+        return network.of_given(given)
 
     @staticmethod
-    def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Return the gradients of what was given."""
-        below, weight, above = ctx.saved_tensors
-        by_above = torch.ops.aten.tanh_backward(gradient, above)
-        by_first = torch.ops.aten.tanh_backward(by_above @ weight, below)
-        return by_first, by_above.t() @ below, by_above.sum(0)
+    def backward(ctx: Any, by_outputs: Tensor) -> tuple[Tensor | None, ...]:
+        """Return the gradients by the parameters."""
+        made = {parameter: torch.empty_like(parameter) for parameter in ctx.network.parameters()}
+        gradients = ctx.network.layers(made.__getitem__)
+        dense.backward(ctx.network.layers(), ctx.given, by_outputs.contiguous().numpy(), gradients)
+        return None, None, *made.values()
 
 
 class Encoder(nn.Module):
@@ -137,17 +134,29 @@ class Encoder(nn.Module):
         """Return features, shape ``(batch, width)``; the batch may be empty."""
         obs = self.whole(obs)
         if self.kind == "numbers":
-            found: Tensor = self.table(obs.reshape(len(obs), self.offsets.numel()) + self.offsets)
+            found: Tensor = self.table(self.numbers(obs))
             return found.sum(1) + self.bias
         if self.kind == "picture":
             planes = obs.permute(0, 3, 1, 2).float()
             given = torch.relu(self.convolution(planes)).flatten(1)
         else:
-            scale = (self.variance + 1e-8).rsqrt().float()
-            rows = obs.reshape(len(obs), self.mean.numel())
-            given = ((rows - self.mean.float()) * scale).clamp(-10, 10)
+            given = self.standardised(obs)
         features: Tensor = self.linear(given)
         return features
+
+    def numbers(self, obs: Tensor) -> Tensor:
+        """Return the rows of the table that observations choose, shape ``(batch, parts)``."""
+        return obs.reshape(len(obs), self.offsets.numel()) + self.offsets
+
+    def standardised(self, obs: Tensor) -> Tensor:
+        """Return vectors by the statistics of those that were seen, shape ``(batch, inputs)``."""
+        mean, scale = self.statistics()
+        rows = obs.reshape(len(obs), self.mean.numel())
+        return ((rows - mean) * scale).clamp(-dense.FARTHEST, dense.FARTHEST)
+
+    def statistics(self) -> tuple[Tensor, Tensor]:
+        """Return what vectors are standardised by: what is taken from them, and their factors."""
+        return self.mean.float(), (self.variance + 1e-8).rsqrt().float()
 
 
 class Network(nn.Module):
@@ -183,17 +192,59 @@ class Network(nn.Module):
         first = self.encoder(obs)
         if self.indicator is not None:
             first = first + self.indicator(position)
-        hidden = self.hidden
-        if self.encoder.kind == "picture":
-            features: Tensor = hidden(first.relu()).relu()
-        else:
-            features = TwoTanh.apply(first, hidden.weight, hidden.bias)  # type: ignore[no-untyped-call]
+        bend = torch.relu if self.encoder.kind == "picture" else torch.tanh
+        features: Tensor = bend(self.hidden(bend(first)))
         return features
 
     def forward(self, obs: Tensor, position: Tensor | None = None) -> Tensor:
         """Return the outputs, shape ``(batch, outputs)``; of agents with these positions in their worlds."""
-        outputs: Tensor = self.output(self.features(obs, position))
+        outputs: Tensor
+        if not self.compiled:
+            outputs = self.output(self.features(obs, position))
+        elif torch.is_grad_enabled():
+            outputs = _Dense.apply(self, self.given(obs, position), *self.parameters())  # type: ignore[no-untyped-call]
+        else:
+            outputs = self.of_given(self.given(obs, position))
         return outputs
+
+    @property
+    def compiled(self) -> bool:
+        """Whether :mod:`pearl_marl.policies.dense` can do all of it: there is no picture, and no GPU."""
+        return self.encoder.kind != "picture" and not self.output.weight.is_cuda
+
+    def layers(self, of: Callable[[Tensor], Tensor] = lambda parameter: parameter) -> dense.Layers:
+        """Return the weights, or what belongs to each of them, as compiled loops take them."""
+        encoder, nothing = self.encoder, _NOTHING.expand(0, self.hidden.in_features)
+        if encoder.kind == "numbers":
+            first, table, bias = nothing.t(), of(encoder.table.weight), of(encoder.bias)
+        else:
+            first, table, bias = of(encoder.linear.weight), nothing, of(encoder.linear.bias)
+        indicator = nothing if self.indicator is None else of(self.indicator.weight)
+        hidden, output = self.hidden, self.output
+        others = map(of, (hidden.weight, hidden.bias, output.weight, output.bias))
+        arrays = (tensor.detach().numpy() for tensor in (first, table, indicator, bias, *others))
+        return dense.Layers(*arrays)
+
+    def given(self, obs: Tensor, position: Tensor | None) -> dense.Given:
+        """Return observations as compiled loops take them."""
+        encoder, n = self.encoder, len(obs)
+        obs = encoder.whole(obs)
+        mean = scale = np.empty(0, np.float32)
+        x, numbers, whose = np.empty((n, 0), np.float32), np.empty((n, 0), np.int64), np.empty(0, np.int64)
+        if encoder.kind == "numbers":
+            numbers = encoder.numbers(obs).contiguous().numpy()
+        else:
+            mean, scale = (tensor.numpy() for tensor in encoder.statistics())
+            x = obs.reshape(n, len(mean)).float().contiguous().numpy()
+        if self.indicator is not None and position is not None:
+            whose = position.contiguous().numpy()
+        return dense.Given(x, mean, scale, numbers, whose)
+
+    def of_given(self, given: dense.Given) -> Tensor:
+        """Return the outputs, by compiled loops."""
+        outputs = np.empty((len(given.x), self.output.out_features), np.float32)
+        dense.forward(self.layers(), given, outputs)
+        return torch.from_numpy(outputs)
 
 
 class Apart(nn.ModuleList):

@@ -6,11 +6,18 @@ many parameters there are. It does what ``torch.optim.Adam`` does after ``clip_g
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from typing import Any
 
+import numpy as np
+import numpy.typing as npt
 import torch
 from torch import Tensor, nn
+
+from pearl_marl.cache import compiled
+
+Array = npt.NDArray[Any]
 
 FADING, FADING_SQUARES = 0.9, 0.999
 """What remains, at each step, of the means of gradients and of their squares."""
@@ -18,6 +25,33 @@ FADING, FADING_SQUARES = 0.9, 0.999
 
 LINE = 16
 """Numbers of a cache line."""
+
+
+def _adam(
+    values: Array,
+    gradient: Array,
+    mean: Array,
+    square: Array,
+    rate: float,
+    known: float,
+    epsilon: float,
+    longest: float,
+) -> None:
+    """Move all values by their gradient, in one go: ``known`` is how much of the squares' mean is known."""
+    length = 0.0
+    for i in range(len(gradient)):
+        length += gradient[i] * gradient[i]
+    cut = np.float32(min(longest / (math.sqrt(length) + 1e-6), 1.0))
+    fade, fade_squares = np.float32(1 - FADING), np.float32(1 - FADING_SQUARES)
+    far, share, least = np.float32(rate), np.float32(1 / known), np.float32(epsilon)
+    for i in range(len(values)):
+        step = gradient[i] * cut
+        mean[i] += fade * (step - mean[i])
+        square[i] += fade_squares * (step * step - square[i])
+        values[i] -= far * mean[i] / (np.sqrt(square[i] * share) + least)
+
+
+_move = compiled(_adam)
 
 Gradients = list[tuple[Tensor, Tensor]]
 """Tensors, each with the gradient of the loss by it."""
@@ -49,18 +83,30 @@ class Adam:
             values, gradient = (room[: parameter.numel()].view_as(parameter) for room in rooms)
             parameter.data, parameter.grad = values.copy_(parameter.data), gradient
 
-    def step(self, gradients: Gradients, rate: float) -> None:
-        """Learn at a learning rate from a loss of which some gradients are known, and the rest follow."""
-        gradient, mean, square = self._gradient.zero_(), self._mean, self._square
+    def backward(self, gradients: Gradients) -> None:
+        """Find the gradients by the parameters, of a loss of which those by some tensors are known."""
+        self._gradient.zero_()
         tensors, by = map(list, zip(*gradients, strict=True))
         torch.autograd.backward(tensors, by)
-        with torch.no_grad():
-            gradient *= (self.longest / (gradient.norm() + 1e-6)).clamp(max=1)
-            self._steps += 1
-            mean.lerp_(gradient, 1 - FADING)
-            square.mul_(FADING_SQUARES).addcmul_(gradient, gradient, value=1 - FADING_SQUARES)
-            root = square.div(1 - FADING_SQUARES**self._steps).sqrt_().add_(self.epsilon)
-            self._values.addcdiv_(mean, root, value=-rate / (1 - FADING**self._steps))
+
+    def step(self, rate: float) -> None:
+        """Learn at a learning rate from the gradients that the parameters have."""
+        self._steps += 1
+        state = self._values, self._gradient, self._mean, self._square
+        rates = rate / (1 - FADING**self._steps), 1 - FADING_SQUARES**self._steps
+        if self._values.is_cuda:
+            self._move(*state, *rates)
+        else:
+            _move(*(tensor.numpy() for tensor in state), *rates, self.epsilon, self.longest)
+
+    def _move(
+        self, values: Tensor, gradient: Tensor, mean: Tensor, square: Tensor, rate: float, known: float
+    ) -> None:
+        """Do what the function of that name does on a CPU."""
+        gradient *= (self.longest / (gradient.norm() + 1e-6)).clamp(max=1)
+        mean.lerp_(gradient, 1 - FADING)
+        square.mul_(FADING_SQUARES).addcmul_(gradient, gradient, value=1 - FADING_SQUARES)
+        values.addcdiv_(mean, square.div(known).sqrt_().add_(self.epsilon), value=-rate)
 
     def state_dict(self) -> dict[str, Any]:
         """Return all that later steps depend on, but for the parameters."""

@@ -151,7 +151,8 @@ class DQN(Trainer):
             near = apart.clamp(-1, 1)
             loss: Tensor = ((apart - 0.5 * near) * near * share).sum()
             gradient = torch.zeros_like(outputs).scatter_(1, actions[:, None], (near * share)[:, None])
-        self.optimiser.step([(outputs, gradient)], settings.learning_rate)
+        self.optimiser.backward([(outputs, gradient)])
+        self.optimiser.step(settings.learning_rate)
         self.updated += 1
         if self.updated % settings.refresh == 0:
             self.target.load_state_dict(self.policy.state_dict())

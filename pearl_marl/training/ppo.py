@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import torch
@@ -19,6 +20,7 @@ from pearl_marl.policies.network import SHARING
 from pearl_marl.spec import EnvSpec
 from pearl_marl.training.actor_critic import ActorCritic, View
 from pearl_marl.training.adam import Adam
+from pearl_marl.training.dense_ppo import Learning, fits
 from pearl_marl.training.rollout import TEAM, Experience, RolloutWorker, Trainer, seen_spec
 from pearl_marl.training.settings import SEEDS, SLOTS, WIDEST, Checked, check_memory, choice, count, number
 from pearl_marl.training.workers import RayWorkers
@@ -98,11 +100,15 @@ class PPO(Trainer):
         view, rows = experience.view.flat(), experience.learned.flatten().nonzero()[:, 0]
         if len(rows):
             self.model.see(view if len(rows) == len(view.obs) else view.pick(rows))
-            others = [part.flatten(0, 1) for part in experience[1:5]]
-            losses = [
-                self._learn(view.pick(some), *(part[some] for part in others))
-                for some in self._minibatches(rows)
-            ]
+            parts = [part.flatten(0, 1) for part in experience[1:5]]
+            learn: Any = partial(self.learn_by_torch, view, parts)
+            if fits(self.model):
+                learn = Learning(self.model, view, parts, self.settings.clip, self.settings.entropy)
+            rate = self.settings.learning_rate * (1 - self.done / self.settings.iterations)
+            losses = []
+            for some in self._minibatches(rows):
+                losses.append(learn(some))
+                self.optimiser.step(rate)
             self.losses = torch.stack(losses).mean(0)
         self.done += 1
 
@@ -120,12 +126,11 @@ class PPO(Trainer):
             order = torch.randperm(len(rows), generator=self.random, device=self.where)
             yield from torch.split(rows[order], self.settings.minibatch)
 
-    def _learn(
-        self, view: View, actions: Tensor, old_logs: Tensor, advantages: Tensor, returns: Tensor
-    ) -> Tensor:
-        """Take one step of gradient descent; return policy loss, value loss, entropy, share clipped."""
-        clip, n = self.settings.clip, len(advantages)
-        outputs, values = self.model(view)
+    def learn_by_torch(self, view: View, parts: list[Tensor], rows: Tensor) -> Tensor:
+        """Find the gradients of some rows; return policy loss, value loss, entropy, share clipped."""
+        clip, n = self.settings.clip, len(rows)
+        actions, old_logs, advantages, returns = (part[rows] for part in parts)
+        outputs, values = self.model(view.pick(rows))
         with torch.no_grad():
             logs, entropy, gradients = self.model.weigh(outputs, actions)
             ratio = (logs - old_logs).exp()
@@ -138,8 +143,7 @@ class PPO(Trainer):
             # A ratio that has gone too far is not pulled further.
             by_logs = torch.where(gains <= clipped, gains, 0) / -n
             by = [(values, apart / n), *gradients(by_logs, -self.settings.entropy)]
-        rate = self.settings.learning_rate * (1 - self.done / self.settings.iterations)
-        self.optimiser.step(by, rate)
+        self.optimiser.backward(by)
         far = ((ratio - 1).abs() > clip).float().mean()
         return torch.stack((policy_loss, apart.square().mean(), entropy, far))
 

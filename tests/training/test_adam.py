@@ -72,7 +72,8 @@ def test_adam_is_that_of_pytorch(longest: float) -> None:
     known = torch.optim.Adam(other.parameters(), eps=1e-5)
     for rate in (1e-2, 1e-2, 3e-3, 1e-3):
         given, gradient = torch.randn(7, 5), torch.randn(7, 3)
-        optimiser.step([(mine(given), gradient)], rate)
+        optimiser.backward([(mine(given), gradient)])
+        optimiser.step(rate)
         known.zero_grad()
         (other(given) * gradient).sum().backward()
         nn.utils.clip_grad_norm_(other.parameters(), longest)
@@ -87,9 +88,11 @@ def test_adam_goes_on() -> None:
     optimisers = [Adam(model.parameters(), epsilon=1e-8, longest=10.0) for model in models]
     given = torch.randn(5, 4)
     for _ in range(3):
-        optimisers[0].step([(models[0](given), torch.ones(5, 2))], 0.1)
+        optimisers[0].backward([(models[0](given), torch.ones(5, 2))])
+        optimisers[0].step(0.1)
     models[1].load_state_dict(models[0].state_dict())
     optimisers[1].load_state_dict(optimisers[0].state_dict())
     for model, optimiser in zip(models, optimisers, strict=True):
-        optimiser.step([(model(given), torch.ones(5, 2))], 0.1)
+        optimiser.backward([(model(given), torch.ones(5, 2))])
+        optimiser.step(0.1)
     assert torch.equal(models[0].weight, models[1].weight)

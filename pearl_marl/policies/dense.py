@@ -1,0 +1,397 @@
+"""Networks of two hidden layers with hyperbolic tangents, forward and back, compiled for a CPU.
+
+They are small, and PyTorch would spend most of its time on calling its operations and on moving what lies
+between them. Here a few rows go through all layers at once, while they are in the processor's first cache.
+Matrices are multiplied by a block of sums that stay in SIMD registers, made of LLVM's vectors.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from importlib import import_module
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from llvmlite import ir
+from numba import njit, types
+from numba.extending import intrinsic
+
+from pearl_marl.cache import compiled
+
+Array = npt.NDArray[Any]
+
+ROWS = 64
+"""Rows that go through all layers at once."""
+
+HIGH, WIDE = 8, 16
+"""Size of a block of sums: eight vectors of sixteen."""
+
+_FLOAT = ir.FloatType()
+_VECTOR = ir.VectorType(_FLOAT, WIDE)
+_INDEX = ir.IntType(64)
+
+
+class Layers(NamedTuple):
+    """Weights, or gradients by them; all ``float32``. An output is ``third @ h + bias3``, and so on."""
+
+    first: Array  # (width, inputs); for numbers as inputs, (width, 0)
+    table: Array  # (numbers, width), of which rows are added to what the first layer makes; may be empty
+    indicator: Array  # (positions, width), of which one is added; may be empty
+    bias1: Array
+    second: Array  # (width, width)
+    bias2: Array
+    third: Array  # (outputs, width)
+    bias3: Array
+
+
+class Given(NamedTuple):
+    """What a network is given, a row each."""
+
+    x: Array  # (n, inputs) float32, as they were observed
+    mean: Array  # (inputs,) float32, by which they are standardised, and cut at 10
+    scale: Array  # (inputs,) float32
+    numbers: Array  # (n, parts) int64: rows of the table
+    position: Array  # (n,) int64: the row of the indicator; or empty
+
+
+def _data(context: Any, builder: Any, of: Any, array: Any) -> Any:
+    # By name: nobody who only imports this package should wait for Numba's module about arrays.
+    return import_module("numba.np.arrayobj").make_array(of)(context, builder, array).data
+
+
+_intrinsic: Any = intrinsic
+
+
+@_intrinsic  # type: ignore[untyped-decorator]
+def _block(_: Any, c: Any, a: Any, b: Any, at: Any) -> Any:
+    """Add to a block of ``c`` the product of eight rows of ``a`` and sixteen columns of ``b``.
+
+    ``at`` says where: first and width of ``c``; first of ``a`` and how far it is to the next row and column;
+    first of ``b`` and how far to the next row; the number of products to add.
+    """
+
+    def generate(context: Any, builder: Any, signature: Any, operands: Any) -> Any:
+        arrays = zip(signature.args[:3], operands[:3], strict=True)
+        sums, left, right = (_data(context, builder, of, array) for of, array in arrays)
+        c0, width, a0, down, along, b0, across, depth = (
+            builder.extract_value(operands[3], k) for k in range(8)
+        )
+
+        def times(number: Any, constant: int) -> Any:
+            return builder.mul(number, _INDEX(constant))
+
+        def vector(of: Any, index: Any) -> Any:
+            return builder.bitcast(builder.gep(of, [index]), _VECTOR.as_pointer())
+
+        rows = [vector(sums, builder.add(c0, times(width, row))) for row in range(HIGH)]
+        before = [builder.load(row, align=4) for row in rows]
+        outside = builder.block
+        loop, after = builder.append_basic_block("sum"), builder.append_basic_block("summed")
+        builder.branch(loop)
+        builder.position_at_end(loop)
+        k = builder.phi(_INDEX)
+        totals = [builder.phi(_VECTOR) for _ in rows]
+        k.add_incoming(_INDEX(0), outside)
+        columns = builder.load(vector(right, builder.add(b0, builder.mul(k, across))), align=4)
+        start, summed = builder.add(a0, builder.mul(k, along)), []
+        for row, (total, old) in enumerate(zip(totals, before, strict=True)):
+            factor = builder.load(builder.gep(left, [builder.add(start, times(down, row))]))
+            spread = builder.insert_element(ir.Constant(_VECTOR, ir.Undefined), factor, ir.IntType(32)(0))
+            zeros = ir.Constant(ir.VectorType(ir.IntType(32), WIDE), [0] * WIDE)
+            spread = builder.shuffle_vector(spread, ir.Constant(_VECTOR, ir.Undefined), zeros)
+            product = builder.fmul(spread, columns, flags=["contract"])
+            summed.append(builder.fadd(total, product, flags=["contract"]))
+            total.add_incoming(old, outside)
+            total.add_incoming(summed[-1], loop)
+        following = builder.add(k, _INDEX(1))
+        k.add_incoming(following, loop)
+        builder.cbranch(builder.icmp_signed("<", following, depth), loop, after)
+        builder.position_at_end(after)
+        for row, total in zip(rows, summed, strict=True):
+            builder.store(total, row, align=4)
+        return context.get_dummy_value()
+
+    return types.void(c, a, b, at), generate
+
+
+@_intrinsic  # type: ignore[untyped-decorator]
+def _power_of_two(_: Any, exponent: Any) -> Any:
+    """Return two to the power of an ``int32``, as a ``float32``."""
+
+    def generate(context: Any, builder: Any, signature: Any, operands: Any) -> Any:
+        bits = builder.shl(builder.add(operands[0], ir.IntType(32)(127)), ir.IntType(32)(23))
+        return builder.bitcast(bits, _FLOAT)
+
+    return types.float32(types.int32), generate
+
+
+_inlined: Callable[..., Any] = njit(error_model="numpy", fastmath={"contract"}, forceinline=True)
+_called: Callable[..., Any] = njit(error_model="numpy", fastmath={"contract"})
+
+FARTHEST = 10
+"""Deviations from the mean at which inputs are cut."""
+
+_FARTHEST = np.float32(FARTHEST)
+_ONE, _TWO, _HALF = np.float32(1), np.float32(2), np.float32(0.5)
+_PER_LN2, _LN2, _LN2_REST = np.float32(1.44269504), np.float32(0.693359375), np.float32(-2.12194440e-4)
+_LOWEST, _HIGHEST = np.float32(-87), np.float32(88)
+_TERMS = tuple(np.float32(1 / number) for number in (5040, 720, 120, 24, 6, 2))
+
+
+@_inlined
+def exponential(x: Any) -> Any:
+    """Return the exponential of a ``float32``, to 2e-7 of it; a loop of it is done by vectors."""
+    x = min(max(x, _LOWEST), _HIGHEST)
+    power = np.floor(x * _PER_LN2 + _HALF)
+    rest = x - power * _LN2 - power * _LN2_REST
+    a, b, c, d, e, f = _TERMS
+    series = (((((a * rest + b) * rest + c) * rest + d) * rest + e) * rest + f) * rest * rest + rest + _ONE
+    return series * _power_of_two(np.int32(power))
+
+
+@_called
+def _tanh(h: Array, n: int) -> None:
+    """Put hyperbolic tangents in the place of the first ``n`` numbers."""
+    for i in range(n):
+        h[i] = _ONE - _TWO / (exponential(h[i] * _TWO) + _ONE)
+
+
+@_inlined
+def _up(number: int, step: int) -> int:
+    """Return a number rounded up to a multiple of a step."""
+    return -(-number // step) * step
+
+
+@_called
+def _product(c, width, a, down, along, b, across, high, wide, depth):  # type: ignore[no-untyped-def]
+    """Add to ``high`` rows of ``c`` the products of rows of ``a`` and columns of ``b``."""
+    for row in range(0, high, HIGH):
+        for column in range(0, wide, WIDE):
+            _block(c, a, b, (row * width + column, width, row * down, down, along, column, across, depth))
+
+
+class Padded(NamedTuple):
+    """Weights as products need them: sizes rounded up, the rest zeros; and as they are, for the way back."""
+
+    first: Array
+    bias1: Array
+    second: Array
+    bias2: Array
+    third: Array
+    bias3: Array
+    second_back: Array
+    third_back: Array
+
+
+class Tile(NamedTuple):
+    """Room for what a few rows are given and become."""
+
+    x: Array
+    h1: Array
+    h2: Array
+    outputs: Array
+    by_h2: Array
+    by_h1: Array
+
+
+@_called
+def padded(layers: Layers) -> Padded:
+    """Return weights as products need them."""
+    width, inputs = layers.first.shape
+    outputs = layers.third.shape[0]
+    high, wide, out = _up(width, WIDE), _up(inputs, HIGH), _up(outputs, WIDE)
+    first, second = np.zeros(wide * high, np.float32), np.zeros(high * high, np.float32)
+    third, second_back = np.zeros(high * out, np.float32), np.zeros(high * high, np.float32)
+    third_back = np.zeros(outputs * high, np.float32)
+    bias1, bias2, bias3 = np.zeros(high, np.float32), np.zeros(high, np.float32), np.zeros(out, np.float32)
+    for i in range(width):
+        for k in range(inputs):
+            first[k * high + i] = layers.first[i, k]
+        for k in range(width):
+            second[k * high + i] = second_back[i * high + k] = layers.second[i, k]
+        for k in range(outputs):
+            third[i * out + k] = third_back[k * high + i] = layers.third[k, i]
+        bias1[i], bias2[i] = layers.bias1[i], layers.bias2[i]
+    for k in range(outputs):
+        bias3[k] = layers.bias3[k]
+    return Padded(first, bias1, second, bias2, third, bias3, second_back, third_back)
+
+
+@_called
+def tile(layers: Layers) -> Tile:
+    """Return room for a few rows."""
+    width, inputs = layers.first.shape
+    high, wide = ROWS * _up(width, WIDE), ROWS * _up(inputs, HIGH)
+    out = ROWS * _up(layers.third.shape[0], WIDE)
+    return Tile(
+        np.zeros(wide, np.float32),
+        np.empty(high, np.float32),
+        np.empty(high, np.float32),
+        np.empty(out, np.float32),
+        np.empty(high, np.float32),
+        np.empty(high, np.float32),
+    )
+
+
+@_called
+def _biased(h: Array, bias: Array, rows: int) -> None:
+    width = len(bias)
+    for row in range(rows):
+        for i in range(width):
+            h[row * width + i] = bias[i]
+
+
+@_called
+def ahead(layers: Layers, weights: Padded, given: Given, rows: Array, room: Tile) -> None:
+    """Compute the outputs of at most :data:`ROWS` rows, into the room."""
+    inputs, n = layers.first.shape[1], len(rows)
+    high, wide, out = len(weights.bias1), _up(inputs, HIGH), len(weights.bias3)
+    x, h1, h2 = room.x, room.h1, room.h2
+    some = _up(n, HIGH)
+    _biased(h1, weights.bias1, some)
+    for s in range(n):
+        for part in range(given.numbers.shape[1]):
+            number = given.numbers[rows[s], part]
+            for i in range(layers.table.shape[1]):
+                h1[s * high + i] += layers.table[number, i]
+    if len(given.position):
+        for s in range(n):
+            number = given.position[rows[s]]
+            for i in range(layers.indicator.shape[1]):
+                h1[s * high + i] += layers.indicator[number, i]
+    if inputs:
+        for s in range(n):
+            for k in range(inputs):
+                apart = (given.x[rows[s], k] - given.mean[k]) * given.scale[k]
+                x[s * wide + k] = min(max(apart, -_FARTHEST), _FARTHEST)
+        x[n * wide : some * wide] = 0
+        _product(h1, high, x, wide, 1, weights.first, high, some, high, inputs)
+    _tanh(h1, some * high)
+    _biased(h2, weights.bias2, some)
+    _product(h2, high, h1, high, 1, weights.second, high, some, high, high)
+    _tanh(h2, some * high)
+    _biased(room.outputs, weights.bias3, some)
+    _product(room.outputs, out, h2, high, 1, weights.third, out, some, out, high)
+
+
+@_called
+def sums(layers: Layers) -> Padded:
+    """Return zeros, in which gradients are added up."""
+    width, inputs = layers.first.shape
+    outputs = layers.third.shape[0]
+    high, wide, out = _up(width, WIDE), _up(inputs, HIGH), _up(outputs, WIDE)
+    none = np.zeros(0, np.float32)
+    return Padded(
+        np.zeros(wide * high, np.float32),
+        np.zeros(high, np.float32),
+        np.zeros(high * high, np.float32),
+        np.zeros(high, np.float32),
+        np.zeros(_up(outputs, HIGH) * high, np.float32),
+        np.zeros(out, np.float32),
+        none,
+        none,
+    )
+
+
+@_called
+def _columns(by: Array, bias: Array, rows: int) -> None:
+    width = len(bias)
+    for row in range(rows):
+        for i in range(width):
+            bias[i] += by[row * width + i]
+
+
+@_called
+def _through_tanh(by: Array, h: Array, n: int) -> None:
+    for i in range(n):
+        by[i] *= _ONE - h[i] * h[i]
+
+
+@_called
+def back(
+    layers: Layers, weights: Padded, given: Given, rows: Array, room: Tile, total: Padded, gradients: Layers
+) -> None:
+    """Add to the sums the gradients of rows that :func:`ahead` has computed.
+
+    The room's ``outputs`` hold the gradients by these; zeros, where there is no such row or output.
+    """
+    outputs, n = layers.third.shape[0], len(rows)
+    high, wide, out = len(weights.bias1), _up(layers.first.shape[1], HIGH), len(weights.bias3)
+    by, h1, h2, by_h2, by_h1 = room.outputs, room.h1, room.h2, room.by_h2, room.by_h1
+    some = _up(n, HIGH)
+    _columns(by, total.bias3, some)
+    _product(total.third, high, by, 1, out, h2, high, _up(outputs, HIGH), high, some)
+    by_h2[: some * high] = 0
+    _product(by_h2, high, by, out, 1, weights.third_back, high, some, high, outputs)
+    _through_tanh(by_h2, h2, some * high)
+    _columns(by_h2, total.bias2, some)
+    _product(total.second, high, by_h2, 1, high, h1, high, high, high, some)
+    by_h1[: some * high] = 0
+    _product(by_h1, high, by_h2, high, 1, weights.second_back, high, some, high, high)
+    _through_tanh(by_h1, h1, some * high)
+    _columns(by_h1, total.bias1, some)
+    if wide:
+        _product(total.first, high, room.x, 1, wide, by_h1, high, wide, high, some)
+    for s in range(n):
+        for part in range(given.numbers.shape[1]):
+            number = given.numbers[rows[s], part]
+            for i in range(layers.table.shape[1]):
+                gradients.table[number, i] += by_h1[s * high + i]
+    if len(given.position):
+        for s in range(n):
+            number = given.position[rows[s]]
+            for i in range(layers.indicator.shape[1]):
+                gradients.indicator[number, i] += by_h1[s * high + i]
+
+
+@_called
+def given_back(total: Padded, gradients: Layers) -> None:
+    """Put sums in the place of gradients; those by tables are there already."""
+    width, inputs = gradients.first.shape
+    outputs, high = gradients.third.shape[0], len(total.bias1)
+    for i in range(width):
+        for k in range(inputs):
+            gradients.first[i, k] = total.first[k * high + i]
+        for k in range(width):
+            gradients.second[i, k] = total.second[i * high + k]
+        for k in range(outputs):
+            gradients.third[k, i] = total.third[k * high + i]
+        gradients.bias1[i], gradients.bias2[i] = total.bias1[i], total.bias2[i]
+    for k in range(outputs):
+        gradients.bias3[k] = total.bias3[k]
+
+
+def _forward(layers: Layers, given: Given, outputs: Array) -> None:
+    """Compute outputs, shape ``(n, outputs)``."""
+    weights, room = padded(layers), tile(layers)
+    out = len(weights.bias3)
+    numbers = np.arange(len(outputs))
+    for start in range(0, len(outputs), ROWS):
+        rows = numbers[start : start + ROWS]
+        ahead(layers, weights, given, rows, room)
+        for s in range(len(rows)):
+            for k in range(outputs.shape[1]):
+                outputs[start + s, k] = room.outputs[s * out + k]
+
+
+def _backward(layers: Layers, given: Given, by_outputs: Array, gradients: Layers) -> None:
+    """Compute gradients from those by the outputs; what lies between is computed again."""
+    weights, room, total = padded(layers), tile(layers), sums(layers)
+    out = len(weights.bias3)
+    numbers = np.arange(len(by_outputs))
+    gradients.table[:] = 0
+    gradients.indicator[:] = 0
+    for start in range(0, len(by_outputs), ROWS):
+        rows = numbers[start : start + ROWS]
+        ahead(layers, weights, given, rows, room)
+        room.outputs[:] = 0
+        for s in range(len(rows)):
+            for k in range(by_outputs.shape[1]):
+                room.outputs[s * out + k] = by_outputs[start + s, k]
+        back(layers, weights, given, rows, room, total, gradients)
+    given_back(total, gradients)
+
+
+forward: Callable[[Layers, Given, Array], None] = compiled(_forward)
+backward: Callable[[Layers, Given, Array, Layers], None] = compiled(_backward)
