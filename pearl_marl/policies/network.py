@@ -199,18 +199,13 @@ class Network(nn.Module):
     def forward(self, obs: Tensor, position: Tensor | None = None) -> Tensor:
         """Return the outputs, shape ``(batch, outputs)``; of agents with these positions in their worlds."""
         outputs: Tensor
-        if not self.compiled:
+        if not is_dense(self):
             outputs = self.output(self.features(obs, position))
         elif torch.is_grad_enabled():
             outputs = _Dense.apply(self, self.given(obs, position), *self.parameters())  # type: ignore[no-untyped-call]
         else:
             outputs = self.of_given(self.given(obs, position))
         return outputs
-
-    @property
-    def compiled(self) -> bool:
-        """Whether :mod:`pearl_marl.policies.dense` can do all of it: there is no picture, and no GPU."""
-        return self.encoder.kind != "picture" and not self.output.weight.is_cuda
 
     def layers(self, of: Callable[[Tensor], Tensor] = lambda parameter: parameter) -> dense.Layers:
         """Return the weights, or what belongs to each of them, as compiled loops take them."""
@@ -245,6 +240,13 @@ class Network(nn.Module):
         outputs = np.empty((len(given.x), self.output.out_features), np.float32)
         dense.forward(self.layers(), given, outputs)
         return torch.from_numpy(outputs)
+
+
+def is_dense(network: nn.Module) -> bool:
+    """Return whether compiled loops can do all of it: no picture, no networks apart, no GPU."""
+    if not isinstance(network, Network):
+        return False
+    return network.encoder.kind != "picture" and not network.output.weight.is_cuda
 
 
 class Apart(nn.ModuleList):

@@ -31,7 +31,7 @@ from pearl_marl.policies.dense import (
     sums,
     tile,
 )
-from pearl_marl.policies.network import MASKED, Network
+from pearl_marl.policies.network import MASKED, is_dense
 from pearl_marl.training.actor_critic import ActorCritic, View
 
 Array = npt.NDArray[Any]
@@ -227,7 +227,7 @@ WORTH = 1 << 16
 
 def fits(model: ActorCritic) -> bool:
     """Return whether a model's networks are such as can be learned here."""
-    return all(isinstance(part, Network) and part.compiled for part in (model.policy.network, model.critic))
+    return is_dense(model.policy.network) and is_dense(model.critic)
 
 
 class Learning:

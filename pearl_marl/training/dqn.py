@@ -14,11 +14,16 @@ import torch
 from torch import Tensor
 
 from pearl_marl.errors import ArgumentError
-from pearl_marl.policies.network import SHARING, NetworkPolicy
+from pearl_marl.policies.network import SHARING, NetworkPolicy, is_dense
 from pearl_marl.spec import EnvSpec
 from pearl_marl.training.adam import Adam
+from pearl_marl.training.dense_dqn import Steps
+from pearl_marl.training.dense_dqn import learn as learn_dense
 from pearl_marl.training.rollout import TEAM, Agents, Trainer, seen_spec, team_rewards
 from pearl_marl.training.settings import SEEDS, SLOTS, WIDEST, Checked, check_memory, choice, count, number
+
+Remembered = tuple[Tensor, Tensor, Tensor, Tensor, Tensor | None]
+"""Actions, rewards, ends and who was there, of some steps; and of masks, what was allowed next."""
 
 
 @dataclass(frozen=True)
@@ -138,11 +143,41 @@ class DQN(Trainer):
             part[:rows].reshape(-1, *part.shape[2:])[chosen] for part in self.memory.values()
         )
         position = chosen % settings.n_agents % self.agents.spec.agents
-        allowed = masks[0] if masks else None
+        steps = actions, rewards, over, alive, masks[0] if masks else None
+        network: Any = self.policy.network
+        learn = self.learn_compiled if is_dense(network) else self.learn_by_torch
+        loss = learn(obs, arrivals, position, steps)
+        self.optimiser.step(settings.learning_rate)
+        self.updated += 1
+        if self.updated % settings.refresh == 0:
+            self.target.load_state_dict(self.policy.state_dict())
+        return loss
+
+    def learn_compiled(self, obs: Tensor, arrivals: Tensor, position: Tensor, steps: Remembered) -> Tensor:
+        """Find the gradients of some steps; return the loss."""
+        network: Any = self.policy.network
+        target: Any = self.target.network
+        *parts, masks = steps
+        allowed = torch.empty(0, self.policy.outputs, dtype=torch.int8) if masks is None else masks
+        loss = learn_dense(
+            network.layers(),
+            target.layers(),
+            network.layers(lambda parameter: parameter.grad),
+            network.given(obs, position),
+            network.given(arrivals, position),
+            target.given(arrivals, position),
+            Steps(*(part.numpy() for part in (*parts, allowed))),
+            self.settings.discount,
+        )
+        return torch.tensor(loss)
+
+    def learn_by_torch(self, obs: Tensor, arrivals: Tensor, position: Tensor, steps: Remembered) -> Tensor:
+        """Do the same where compiled loops cannot."""
+        actions, rewards, over, alive, allowed = steps
         with torch.no_grad():
             best = self.policy(arrivals, allowed, position).argmax(1, keepdim=True)
             later = self.target(arrivals, None, position).gather(1, best)[:, 0]
-            wanted = rewards + settings.discount * later * ~over
+            wanted = rewards + self.settings.discount * later * ~over
         outputs = self.policy(obs, None, position)
         with torch.no_grad():
             apart = outputs.gather(1, actions[:, None])[:, 0] - wanted
@@ -152,10 +187,6 @@ class DQN(Trainer):
             loss: Tensor = ((apart - 0.5 * near) * near * share).sum()
             gradient = torch.zeros_like(outputs).scatter_(1, actions[:, None], (near * share)[:, None])
         self.optimiser.backward([(outputs, gradient)])
-        self.optimiser.step(settings.learning_rate)
-        self.updated += 1
-        if self.updated % settings.refresh == 0:
-            self.target.load_state_dict(self.policy.state_dict())
         return loss
 
     def state(self) -> dict[str, Any]:
