@@ -19,10 +19,9 @@ import numba
 import numpy as np
 
 from pearl_marl import remaking, rng
-from pearl_marl.cache import cache_folder, locked
 from pearl_marl.compiler import llvm_functions, llvm_planes, llvm_words
 from pearl_marl.compiler.kernel_source import kernel_source
-from pearl_marl.compiler.loading import fingerprint, load, with_callees
+from pearl_marl.compiler.loading import fingerprint, load, one_at_a_time, with_callees
 from pearl_marl.golden import GoldenFunction
 from pearl_marl.spec import EnvSpec
 
@@ -118,15 +117,9 @@ def _kernel(name: str, function: Callable[..., None]) -> Any:
 
     Processes that need it at the same time, as shards do, find it in the cache once the first has made it.
     """
-    made = numba.njit(nogil=True, cache=True, error_model="numpy", **_NOT_FOR_C)(function)
-    compile_, lock = made.compile, cache_folder("kernels") / f"{name}.lock"
-
-    def compile_alone(signature: Any) -> Any:
-        with locked(lock):
-            return compile_(signature)
-
-    made.compile = compile_alone
-    return made
+    return one_at_a_time(
+        name, numba.njit(nogil=True, cache=True, error_model="numpy", **_NOT_FOR_C)(function)
+    )
 
 
 def functions(spec: EnvSpec) -> dict[str, GoldenFunction]:

@@ -5,7 +5,9 @@ The source can be read there; Numba keeps the machine code beside it. ``PEARL_CA
 
 from __future__ import annotations
 
+import functools
 import hashlib
+import inspect
 import os
 import sys
 import tempfile
@@ -14,9 +16,10 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import numba
 import numpy as np
 
-from pearl_marl.cache import cache_folder
+from pearl_marl.cache import cache_folder, locked
 from pearl_marl.golden import GoldenFunction
 
 
@@ -35,9 +38,46 @@ def load(name: str, source: str, **names: Any) -> tuple[Any, Path]:
     module = types.ModuleType(f"pearl_marl_kernel_{name}")
     module.__file__ = str(path)
     sys.modules[module.__name__] = module
-    vars(module).update(np=np, u32=np.uint32, **names)
+    vars(module).update({"np": np, "u32": np.uint32, **names})
     exec(compile(source, str(path), "exec"), vars(module))
     return module, path
+
+
+def one_at_a_time(name: str, kernel: Any) -> Any:
+    """Have one process at a time compile what Numba was given: others find it in the cache."""
+    compile_, lock = kernel.compile, cache_folder("kernels") / f"{name}.lock"
+
+    def compile_alone(signature: Any) -> Any:
+        with locked(lock):
+            return compile_(signature)
+
+    kernel.compile = compile_alone
+    return kernel
+
+
+def loop(function: Callable[..., Any], *uses: types.ModuleType) -> Callable[..., Any]:
+    """Compile a function of this package at its first call, and keep it as kernels are kept.
+
+    By itself, Numba asks whether the function's own file has changed; this asks for the modules, too, that it
+    ``uses``, of which it calls functions.
+    """
+
+    @functools.cache
+    def made() -> Any:
+        module = sys.modules[function.__module__]
+        texts = [inspect.getsource(part) for part in (module, *uses)]
+        digest = hashlib.sha256(repr((texts, numba.__version__, np.__version__)).encode()).hexdigest()
+        name = f"{module.__name__.rpartition('.')[2]}{function.__name__}_{digest[:16]}"
+        known = {key: value for key, value in vars(module).items() if not key.startswith("__")}
+        loaded, _ = load(name, inspect.getsource(function), **known)
+        jit = numba.njit(nogil=True, cache=True, error_model="numpy", fastmath={"contract"})
+        return one_at_a_time(name, jit(getattr(loaded, function.__name__)))
+
+    @functools.wraps(function)
+    def call(*given: Any) -> Any:
+        return made()(*given)
+
+    return call
 
 
 def with_callees(

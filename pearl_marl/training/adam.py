@@ -15,7 +15,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor, nn
 
-from pearl_marl.cache import compiled
+from pearl_marl.compiler.loading import loop
 
 Array = npt.NDArray[Any]
 
@@ -51,7 +51,7 @@ def _adam(
         values[i] -= far * mean[i] / (np.sqrt(square[i] * share) + least)
 
 
-_move = compiled(_adam)
+_move = loop(_adam)
 
 Gradients = list[tuple[Tensor, Tensor]]
 """Tensors, each with the gradient of the loss by it."""

@@ -10,7 +10,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from pearl_marl.cache import compiled
+from pearl_marl.compiler.loading import loop
+from pearl_marl.policies import dense
 from pearl_marl.policies.dense import (
     ROWS,
     Given,
@@ -93,4 +94,4 @@ def _learn(
     return loss
 
 
-learn = compiled(_learn)
+learn = loop(_learn, dense)

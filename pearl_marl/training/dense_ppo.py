@@ -18,7 +18,8 @@ from numba import njit
 from numba.extending import overload
 from torch import Tensor
 
-from pearl_marl.cache import compiled
+from pearl_marl.compiler.loading import loop
+from pearl_marl.policies import dense
 from pearl_marl.policies.dense import (
     ROWS,
     Given,
@@ -218,8 +219,8 @@ def _learn(
         found[k] *= share
 
 
-_batch_of = compiled(_batch)
-_learn_some = compiled(_learn)
+_batch_of = loop(_batch)
+_learn_some = loop(_learn, dense)
 
 WORTH = 1 << 16
 """Rows times width of a minibatch from which on a second thread does half of it."""
