@@ -126,8 +126,12 @@ def _power_of_two(_: Any, exponent: Any) -> Any:
     return types.float32(types.int32), generate
 
 
-_inlined: Callable[..., Any] = njit(error_model="numpy", fastmath={"contract"}, forceinline=True)
-_called: Callable[..., Any] = njit(error_model="numpy", fastmath={"contract"})
+ARITHMETIC: Any = {"error_model": "numpy", "fastmath": {"contract"}}
+# Nobody but loops calls them: without what Python would call, they compile sooner.
+_FOR_LOOPS: Any = {**ARITHMETIC, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+
+_inlined: Callable[..., Any] = njit(forceinline=True, **_FOR_LOOPS)
+called: Callable[..., Any] = njit(**_FOR_LOOPS)
 
 FARTHEST = 10
 """Deviations from the mean at which inputs are cut."""
@@ -150,7 +154,7 @@ def exponential(x: Any) -> Any:
     return series * _power_of_two(np.int32(power))
 
 
-@_called
+@called
 def _tanh(h: Array, n: int) -> None:
     """Put hyperbolic tangents in the place of the first ``n`` numbers."""
     for i in range(n):
@@ -163,7 +167,7 @@ def _up(number: int, step: int) -> int:
     return -(-number // step) * step
 
 
-@_called
+@called
 def _product(c, width, a, down, along, b, across, high, wide, depth):  # type: ignore[no-untyped-def]
     """Add to ``high`` rows of ``c`` the products of rows of ``a`` and columns of ``b``."""
     for row in range(0, high, HIGH):
@@ -195,7 +199,7 @@ class Tile(NamedTuple):
     by_h1: Array
 
 
-@_called
+@called
 def padded(layers: Layers) -> Padded:
     """Return weights as products need them."""
     width, inputs = layers.first.shape
@@ -218,7 +222,7 @@ def padded(layers: Layers) -> Padded:
     return Padded(first, bias1, second, bias2, third, bias3, second_back, third_back)
 
 
-@_called
+@called
 def tile(layers: Layers) -> Tile:
     """Return room for a few rows."""
     width, inputs = layers.first.shape
@@ -234,7 +238,7 @@ def tile(layers: Layers) -> Tile:
     )
 
 
-@_called
+@called
 def _biased(h: Array, bias: Array, rows: int) -> None:
     width = len(bias)
     for row in range(rows):
@@ -242,7 +246,7 @@ def _biased(h: Array, bias: Array, rows: int) -> None:
             h[row * width + i] = bias[i]
 
 
-@_called
+@called
 def ahead(layers: Layers, weights: Padded, given: Given, rows: Array, room: Tile) -> None:
     """Compute the outputs of at most :data:`ROWS` rows, into the room."""
     inputs, n = layers.first.shape[1], len(rows)
@@ -275,7 +279,7 @@ def ahead(layers: Layers, weights: Padded, given: Given, rows: Array, room: Tile
     _product(room.outputs, out, h2, high, 1, weights.third, out, some, out, high)
 
 
-@_called
+@called
 def sums(layers: Layers) -> Padded:
     """Return zeros, in which gradients are added up."""
     width, inputs = layers.first.shape
@@ -294,7 +298,7 @@ def sums(layers: Layers) -> Padded:
     )
 
 
-@_called
+@called
 def _columns(by: Array, bias: Array, rows: int) -> None:
     width = len(bias)
     for row in range(rows):
@@ -302,13 +306,13 @@ def _columns(by: Array, bias: Array, rows: int) -> None:
             bias[i] += by[row * width + i]
 
 
-@_called
+@called
 def _through_tanh(by: Array, h: Array, n: int) -> None:
     for i in range(n):
         by[i] *= _ONE - h[i] * h[i]
 
 
-@_called
+@called
 def back(
     layers: Layers, weights: Padded, given: Given, rows: Array, room: Tile, total: Padded, gradients: Layers
 ) -> None:
@@ -345,7 +349,7 @@ def back(
                 gradients.indicator[number, i] += by_h1[s * high + i]
 
 
-@_called
+@called
 def given_back(total: Padded, gradients: Layers) -> None:
     """Put sums in the place of gradients; those by tables are there already."""
     width, inputs = gradients.first.shape

@@ -14,18 +14,19 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 import torch
-from numba import njit
 from numba.extending import overload
 from torch import Tensor
 
 from pearl_marl.compiler.loading import loop
 from pearl_marl.policies import dense
 from pearl_marl.policies.dense import (
+    ARITHMETIC,
     ROWS,
     Given,
     Layers,
     ahead,
     back,
+    called,
     exponential,
     given_back,
     padded,
@@ -60,9 +61,6 @@ class Weights(NamedTuple):
     log_deviation: Array  # of continuous actions; else empty
 
 
-_OPTIONS: Any = {"error_model": "numpy", "fastmath": {"contract"}}
-
-
 class Batch(NamedTuple):
     """What the loss of a row depends on beside the row: settings, and what all rows together are."""
 
@@ -84,7 +82,7 @@ def _ratio(log: float, samples: Samples, row: int, batch: Batch, found: Array) -
     return -ratio * gain if ratio * gain <= clipped else 0.0
 
 
-_ratio_of: Callable[..., float] = njit(**_OPTIONS)(_ratio)
+_ratio_of: Callable[..., float] = called(_ratio)
 
 At = tuple[int, int]
 """Where a row's outputs begin, and how many they are."""
@@ -95,7 +93,7 @@ def _score(made, at, samples, row, log_deviation, batch, found) -> float:  # typ
     raise NotImplementedError("it is compiled")
 
 
-@overload(_score, jit_options=_OPTIONS)
+@overload(_score, jit_options=ARITHMETIC)
 def _score_of(made, at, samples, row, log_deviation, batch, found) -> Any:  # type: ignore[no-untyped-def]
     actions = samples[0]
     return _choice if actions.ndim == 1 else _numbers

@@ -10,10 +10,19 @@ from pearl_marl.training.run import ALGORITHMS
 from .tasks import Task
 from .watch import Watch
 
+FIRST = {"ppo": 1, "dqn": 11}
+"""Iterations after which a trainer has done all that it does, warm-up of DQN included."""
+
 
 def train(task: Task, settings: Any, watch: Watch) -> None:
     """Train until the watch says that it is over."""
-    trainer = ALGORITHMS[task.algorithm](get_spec(task.env_id), "native", settings)
+    make: Any = ALGORITHMS[task.algorithm]
+    spec = get_spec(task.env_id)
+    # One that is thrown away compiles what is not in the cache yet, and loads what is.
+    before = make(spec, "native", settings)
+    while before.done < FIRST[task.algorithm]:
+        before.iterate()
+    trainer = make(spec, "native", settings)
     watch.start()
     while trainer.done < settings.iterations:
         trainer.iterate()
