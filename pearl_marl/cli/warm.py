@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+from importlib.util import find_spec
 from typing import Annotated
 
 import typer
@@ -18,9 +20,9 @@ SomeEnvs = Annotated[
 
 
 def command(env_ids: SomeEnvs = None, option: common.Options = None, as_json: common.AsJson = False) -> None:
-    """Compile the kernels of environments ahead, for images and clusters: first steps are then fast."""
+    """Compile ahead, for images and clusters: the kernels of some environments, or all and the trainers."""
     from pearl_marl.cache import cache_folder
-    from pearl_marl.devices.warming import warm_all
+    from pearl_marl.devices.warming import Warmed, warm_all
 
     if option and not env_ids:
         raise ArgumentError("--option is an argument of an environment: name the environment, too")
@@ -28,11 +30,21 @@ def command(env_ids: SomeEnvs = None, option: common.Options = None, as_json: co
     for env_id in env_ids or ():
         common.spec_of(env_id, option)  # refuses what is none, before any work
     done = []
-    for warmed in warm_all(env_ids or names(), options):
+
+    def tell(warmed: Warmed) -> None:
         done.append(warmed)
         if not as_json:
             what = f"compiled in {warmed.seconds:.1f} s" if warmed.compiled else "is in the cache already"
             console.print(f"{warmed.environment} {what}", markup=False)
+
+    for one in warm_all(env_ids or names(), options):
+        tell(one)
+    if not env_ids and find_spec("torch") is not None:
+        from pearl_marl.training.warming import warm_training
+
+        began = time.perf_counter()
+        compiled = warm_training()
+        tell(Warmed("training", compiled, time.perf_counter() - began))
     if as_json:
         common.print_json({"cache": str(cache_folder("kernels")), "warmed": [w._asdict() for w in done]})
     else:

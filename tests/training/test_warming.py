@@ -1,0 +1,30 @@
+"""The trainers' loops, compiled ahead."""
+
+from __future__ import annotations
+
+import pytest
+from numba.core import event
+
+from pearl_marl.registry import get_spec
+from pearl_marl.training.run import ALGORITHMS, settings_for
+from pearl_marl.training.warming import warm_training
+
+
+@pytest.mark.parametrize(
+    ("algorithm", "env_id", "given"),
+    [
+        ("ppo", "Pendulum", {"depth": 2}),
+        ("ppo", "LevelBasedForaging", {"depth": 2}),
+        ("mappo", "LevelBasedForaging", {"depth": 2}),
+        ("dqn", "Blackjack", {"warm_up": 0}),
+    ],
+)
+def test_what_is_warm_is_not_compiled_again(algorithm: str, env_id: str, given: dict[str, int]) -> None:
+    warm_training()
+    assert warm_training() == 0
+    settings = settings_for(algorithm, env_id, {"n_agents": 4, **given})
+    trainer = ALGORITHMS[algorithm](get_spec(env_id), "native", settings)
+    with event.install_recorder("numba:compile") as compiled:
+        trainer.iterate()
+    loops = {moment.data["dispatcher"].__module__ for _, moment in compiled.buffer}
+    assert not [name for name in loops if "dense" in name or "adam" in name]
