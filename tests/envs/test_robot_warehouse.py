@@ -338,7 +338,11 @@ def jostled(name: str, turns: int, n: int) -> Counter[str]:
     return count
 
 
-CROWDS = [pytest.param(name, 30, 1_000, marks=pytest.mark.slow) for name in ("tiny-2ag", "tiny-4ag")]
+CROWDS = [
+    pytest.param(name, turns, 100, marks=pytest.mark.slow)
+    for name, turns in (("tiny-2ag", 260), ("tiny-4ag", 160))
+]
+"""Two robots are in each other's way in 4 steps of 10, four in 6."""
 
 
 @pytest.mark.parametrize(("name", "turns", "n"), [*((name, 1, 300) for name in (*CASES, *OTHERS)), *CROWDS])
@@ -350,7 +354,7 @@ def test_robots_in_each_others_way(name: str, turns: int, n: int) -> None:
     due |= {"collisions", "contested", "swaps", "queues"} if robots > 1 else set()
     due |= {"rings", "later first"} if robots > 3 else set()
     assert due <= {what for what, count in seen.items() if count}
-    assert turns == 1 or robots == 1 or seen["collisions"] >= 10_000
+    assert turns == 1 or seen["collisions"] >= 10_000
 
 
 MANY = [pytest.param(name, 4, marks=pytest.mark.slow) for name in ("tiny-2ag", "tiny-4ag", "small-4ag")]
