@@ -163,10 +163,13 @@ class _Pass:
         return always(fitted(due, bits) == fitted(found, bits), facts)
 
 
-def unequal_outputs(before: Sequence[Output], after: Sequence[Output], hold: bool) -> list[str]:
+def unequal_outputs(
+    before: Sequence[Output], after: Sequence[Output], hold: bool, but: Set[str]
+) -> list[str]:
     """Return the fields that two graphs are not proved to give the same of, while slots are held or not.
 
-    Of products nothing is taken to be known. While slots are held, reward and end are not compared.
+    Those of ``but`` are not looked at. Of products nothing is taken to be known. While slots are held, reward
+    and end are not compared.
     """
     inputs: dict[str, Any] = {"hold_i": z3.BitVecVal(int(hold), 2)}
     facts: list[Any] = []
@@ -203,9 +206,10 @@ def unequal_outputs(before: Sequence[Output], after: Sequence[Output], hold: boo
 
     wrong = []
     for old, new in zip(before, after, strict=True):
-        if old.port in ("state_o", "obs_o") or not hold:
+        name = f"{old.port}.{old.field}"
+        if name not in but and (old.port in ("state_o", "obs_o") or not hold):
             if not same(old, new):
-                wrong.append(f"{old.port}.{old.field}")
+                wrong.append(name)
             elif old.port == "state_o" and old.node.args and new.node.args:
                 wide = max(size(old.node), size(new.node))
                 state = z3.BitVec(f"the next {old.field}", wide)
