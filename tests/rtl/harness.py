@@ -194,9 +194,9 @@ def build(design: Design) -> Path:
     return folder
 
 
-def run(design: Design, bench: str, tmp_path: Path, **arguments: Any) -> None:
-    """Run all cocotb tests of the module ``bench`` on a design; ``arguments`` reach it as JSON."""
-    results, log = _simulate(design, bench, tmp_path, arguments)
+def run(design: Design, bench: str, tmp_path: Path, only: str | None = None, **arguments: Any) -> None:
+    """Run all cocotb tests of the module ``bench`` on a design, or one; ``arguments`` reach it as JSON."""
+    results, log = _simulate(design, bench, tmp_path, arguments, only)
     assert results, f"no test of {bench} ran\n{log}"
     assert all(result == PASSED for result in results.values()), log
 
@@ -243,7 +243,7 @@ STARTS = 16
 
 
 def _simulate(
-    design: Design, bench: str, folder: Path, arguments: Mapping[str, Any]
+    design: Design, bench: str, folder: Path, arguments: Mapping[str, Any], only: str | None = None
 ) -> tuple[dict[str, str], str]:
     """Run the tests of a bench; return the result of each, and the end of what the simulation wrote."""
     built = build(design)
@@ -251,7 +251,7 @@ def _simulate(
     # Every run begins with other values in what no reset sets, and always with the same.
     seed = 1 + zlib.crc32(json.dumps([bench, arguments]).encode()) % 0x7FFFFF00
     for start in range(STARTS):
-        _run(design, bench, folder, arguments, built, seed + start)
+        _run(design, bench, folder, arguments, built, seed + start, only)
         # The clock and the reset, too, are random before the bench sets them, at time 0. Until the first
         # edges of a reset, assertions may fail: that is no fault of a design that nobody has reset yet.
         failed_at = re.findall(r"\[(\d+)\] %Error", log.read_text(errors="replace"))
@@ -268,7 +268,13 @@ def _simulate(
 
 
 def _run(
-    design: Design, bench: str, folder: Path, arguments: Mapping[str, Any], built: Path, seed: int
+    design: Design,
+    bench: str,
+    folder: Path,
+    arguments: Mapping[str, Any],
+    built: Path,
+    seed: int,
+    only: str | None,
 ) -> None:
     # The runner raises one or the other when a test fails, or the simulator does. The results say it too.
     with contextlib.suppress(SystemExit, RuntimeError):
@@ -276,6 +282,7 @@ def _run(
             hdl_toplevel=design.top,
             hdl_toplevel_lang="verilog",
             test_module=bench,
+            test_filter=only,
             build_dir=built,
             test_dir=folder,
             # A build remembers where cocotb was when it was made; another virtual environment that

@@ -19,7 +19,6 @@ from pearl_marl.hardware.build import Build
         ("CliffWalking", {}, (1, 1, 32), 0.0, 4),
         ("CliffWalking", {}, (7, 4, 32), 0.2, 8),
         ("CliffWalking", {"is_slippery": True}, (60, 7, 32), 0.0, 6),
-        ("CliffWalking", {}, (200, 16, 64), 0.0, 4),
         ("CliffWalking", {"is_slippery": True}, (1024, 16, 128), 0.0, 3),
         ("CliffWalking", {}, (193, 24, 32), 0.2, 4),
         ("CliffWalking", {}, (40, 16, 1024), 0.0, 4),
