@@ -81,7 +81,8 @@ dist: $(VENV)/.dev
 clean:
 	rm -rf $(VENV) $(RLLIB) $(TORCHRL) $(PEERS) $(OUT) build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis .benchmarks
 
-# One stamp for each set of extras; asking for more adds to the same environment.
+# One stamp for each set of extras; asking for more adds to the same environment. Python compiles what is imported,
+# when it is: that is a tenth of what pip would compile, for a minute.
 $(VENV)/.render: EXTRAS := render
 $(VENV)/.rtl: EXTRAS := rtl
 $(VENV)/.report: EXTRAS := report
@@ -90,7 +91,7 @@ $(VENV)/.docs: EXTRAS := docs
 $(VENV)/.browser: EXTRAS := docs,browser,testing
 $(VENV)/.render $(VENV)/.rtl $(VENV)/.report $(VENV)/.dev $(VENV)/.docs $(VENV)/.browser: $(PACKAGE) | $(BIN)/python
 	@echo "Installing pearl-marl[$(EXTRAS)] into $(VENV) ..."
-	@$(BIN)/python -W ignore -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[$(EXTRAS)]'
+	@$(BIN)/python -W ignore -m pip install --quiet --disable-pip-version-check --no-compile -c constraints.txt -e '.[$(EXTRAS)]'
 	@touch $@
 
 $(RLLIB)/.rllib: $(PACKAGE)
