@@ -34,7 +34,7 @@ COLUMNS = {
     "counts": "what is counted, or why there is nothing",
 }
 COLOURS = {OURS: Colour.GREEN, SB3: Colour.RED, CLEANRL: Colour.ORANGE, PUREJAXRL: Colour.BLUE}
-QUICK_ENV = "CartPole"
+QUICK_ENV = "FrozenLake"
 """What a quick report trains, for a few iterations."""
 
 
