@@ -81,8 +81,8 @@ dist: $(VENV)/.dev
 clean:
 	rm -rf $(VENV) $(RLLIB) $(TORCHRL) $(PEERS) $(OUT) build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis .benchmarks
 
-# One stamp for each set of extras; asking for more adds to the same environment. Python compiles what is imported,
-# when it is: that is a tenth of what pip would compile, for a minute.
+# One stamp for each set of extras; asking for more adds to the same environment. Python compiles what is imported, when
+# it is; pip would compile all that is installed, for most of a minute.
 $(VENV)/.render: EXTRAS := render
 $(VENV)/.rtl: EXTRAS := rtl
 $(VENV)/.report: EXTRAS := report

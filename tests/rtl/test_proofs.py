@@ -226,7 +226,7 @@ def check_backbone(folder: Path, what: str, around: Around, fault: Fault | None 
 BACKBONES = {
     # The slot alone in the last group; no row divides into words.
     "last": Around(3, 2, 2, 2, 12, 2, draws=0, latency=1, interval=1, pipelined=True, step_cycles=18, slot=2),
-    # The same with less to see: the quickest to prove.
+    # The same with narrower observations, which is sooner proved.
     "less": Around(3, 2, 2, 2, 5, 2, draws=0, latency=1, interval=1, pipelined=True, step_cycles=18, slot=2),
     # The same of any slot, with random draws and observations that wait for room.
     "room": Around(3, 2, 2, 2, 36, 2, draws=1, latency=1, interval=1, pipelined=True, step_cycles=24),
