@@ -17,6 +17,7 @@ from pearl_marl.cli.common import console, error_console
 from pearl_marl.comparison.replay import Replay
 from pearl_marl.devices import Lockstep
 from pearl_marl.errors import ArgumentError, DeviceError, LockstepError
+from pearl_marl.spec import MANY, MAX_CYCLES
 from pearl_marl.verification import Run, replay, runs, verify
 
 
@@ -49,10 +50,18 @@ ReferenceName = Annotated[
         show_default="reference, or the file's",
     ),
 ]
-StepsOfAll = Annotated[int, typer.Option("--steps", min=1, help="Steps of every agent, shared by the modes.")]
+StepsOfAll = Annotated[
+    int, typer.Option("--steps", min=1, max=MANY, help="Steps of every agent, shared by the modes.")
+]
 MaxCycles = Annotated[
     int | None,
-    typer.Option("--max-cycles", help="Time limit of an episode, 0 for none.", show_default="both"),
+    typer.Option(
+        "--max-cycles",
+        min=0,
+        max=MAX_CYCLES,
+        help="Time limit of an episode, 0 for none.",
+        show_default="both",
+    ),
 ]
 Mode = Annotated[
     Autoreset | None,
@@ -95,11 +104,6 @@ def command(
         raise ArgumentError(
             f"--device and --reference are both {device!r}, which always agrees with itself: name another one"
         )
-    if out is not None:  # before the work, not after it
-        try:
-            out.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise ArgumentError(f"--out {out} is no folder to write into: {error}") from None
     parted: LockstepError | None = None
     path = None
     try:
@@ -110,7 +114,7 @@ def command(
     except LockstepError as caught:
         parted = caught
         if out is not None:
-            path = out / f"divergence_{spec.name}_{common.in_file_name(device)}.json"
+            path = common.out_folder(out) / f"divergence_{spec.name}_{common.in_file_name(device)}.json"
             _smallest(parted.replay, device, reference).write(path)
     result: dict[str, Any] = {
         "environment": spec.id,
