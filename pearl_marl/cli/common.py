@@ -68,7 +68,7 @@ def check_folder(option: str, folder: Path) -> None:
             "Not a directory" if not there.is_dir() else "" if os.access(there, os.W_OK) else "no permission"
         )
     except OSError as error:
-        why = error.strerror
+        why = error.strerror or type(error).__name__
     if why:
         raise ArgumentError(f"{option} {folder} is no folder that can be written: {why}")
 

@@ -74,8 +74,8 @@ def command(
         else:
             console.print(
                 f"Serving {board.spec.id}, {config.n_agents:,} agents on {layout.pe_num} processing "
-                f"elements, words of {layout.data_wl} bits. Use it as [bold]--device xdma:{escape(str(at))}[/]; "
-                "Ctrl-C ends it.",
+                f"elements, words of {layout.data_wl} bits. "
+                f"Use it as [bold]--device xdma:{escape(str(at))}[/]; Ctrl-C ends it.",
                 soft_wrap=True,
             )
         board.serve()

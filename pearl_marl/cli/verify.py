@@ -95,7 +95,14 @@ def command(
     if subject.endswith(".json") or Path(subject).is_file():
         _replay(Replay.read(Path(subject)), device, reference, as_json)
         return
-    spec = common.spec_of(subject, option)
+    try:
+        spec = common.spec_of(subject, option)
+    except ArgumentError:
+        if Path(subject).is_dir():
+            raise ArgumentError(
+                f"{subject} is a folder; name an environment of `pearl envs`, or a replay file"
+            ) from None
+        raise
     n_agents = common.agents_of(spec, n_agents)
     mode = None if autoreset_mode is None else AutoresetMode[autoreset_mode.name]
     plan = runs(spec, n_agents, steps, mode, initial_states and initial_states.value, max_cycles)

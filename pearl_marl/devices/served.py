@@ -33,6 +33,7 @@ import numpy as np
 
 from pearl_marl.devices.simulator.model_build import library
 from pearl_marl.devices.simulator.simulation import Simulation
+from pearl_marl.devices.xdma_transport import SERVER_LOCK
 from pearl_marl.errors import DeviceError
 from pearl_marl.hardware.build import Build
 from pearl_marl.memory_map import Control, Doorbell
@@ -119,7 +120,7 @@ class ServedBoard:
         self._opened.close()
 
     def _lock(self, opened: contextlib.ExitStack) -> None:
-        path = self._folder / "server.lock"
+        path = self._folder / SERVER_LOCK
         lock = opened.enter_context(path.open("a+"))
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)

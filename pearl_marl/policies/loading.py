@@ -6,6 +6,7 @@ A policy is a function from a batch of observations to a batch of actions, in th
 
 from __future__ import annotations
 
+import difflib
 import importlib
 import importlib.util
 import traceback
@@ -71,6 +72,8 @@ def load_policy(name: str, spec: EnvSpec, seed: int = 0) -> Policy:
     module, colon, function = name.rpartition(":")
     if colon and module and function.isidentifier():
         return _function(module, function)
+    if difflib.get_close_matches(name.lower(), (RANDOM,)):
+        raise ArgumentError(f"{name!r} names no policy; did you mean {RANDOM!r}?")
     raise ArgumentError(
         f"{name!r} names no policy; possible are {RANDOM!r}, a table of action values (FILE.npy, FILE.npz), "
         "a model of Stable-Baselines3 (FILE.zip), a folder of `pearl train`, and a function "

@@ -88,6 +88,9 @@ def settings_for(
     if "n_agents" not in given:
         n = max(settings.n_agents // agents, 1) * agents
         settings = dataclasses.replace(settings, n_agents=n)
+    if algorithm == "mappo" and agents < 2:
+        name = get_spec(env_id).name
+        raise ArgumentError(f"{name} has one agent in a world, and mappo's critic sees several: use ppo")
     if shards is None:
         return settings
     if algorithm != "ppo":

@@ -180,13 +180,18 @@ def test_other_devices_go_on_where_a_board_stopped(device: Xdma, make: Callable[
 
 
 def test_a_board_for_something_else_is_refused(board: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    with pytest.raises(DeviceError, match=r"has n_envs 70, this batch needs 71: .*CliffWalking-v0.*71 slots"):
+    with pytest.raises(
+        DeviceError, match=r"has n_envs 70, this batch needs 71: it is built for 70 agents, not 71"
+    ):
         Xdma(board).open(BatchConfig(spec=SPEC, n_envs=71))
-    with pytest.raises(DeviceError, match=r"has env_hash 0x\w+, this batch needs 0x\w+.*Blackjack-v0"):
+    with pytest.raises(
+        DeviceError,
+        match=r"has env_hash 0x\w+, needs 0x\w+: it is built for CliffWalking-v0, not for Blackjack-v0:",
+    ):
         Xdma(board).open(BatchConfig(spec=get_spec("Blackjack"), n_envs=N))
-    with pytest.raises(DeviceError, match=r"has env_hash .*'is_slippery': True"):
+    with pytest.raises(DeviceError, match=r"not for CliffWalking-v0 with {'is_slippery': True}"):
         Xdma(board).open(BatchConfig(spec=SPEC.with_options(is_slippery=True), n_envs=N))
-    monkeypatch.setattr("pearl_marl.devices.comm_bram.PROTOCOL_VERSION", 3)
+    monkeypatch.setattr("pearl_marl.devices.identity.PROTOCOL_VERSION", 3)
     with pytest.raises(DeviceError, match="has protocol_version 2, this batch needs 3"):
         Xdma(board).open(CONFIG)
     monkeypatch.undo()
