@@ -299,6 +299,13 @@ def test_before_reset_and_after_close(call: Call, autoreset: bool) -> None:
             late(env)
 
 
+def test_what_it_is() -> None:
+    env = pearl_marl.parallel_env("LevelBasedForaging", 4)
+    assert repr(env) == "PearlParallelEnv(LevelBasedForaging-v0, n_agents=4, device=native)"
+    with pytest.raises(OrderError, match=r"save_state\(\) before reset\(\)"):
+        env.save_state()
+
+
 def test_a_mask_at_the_first_reset() -> None:
     device = Native().open(BatchConfig(spec=DRIFT, n_envs=2))
     with pytest.raises(OrderError, match="without a mask first"):

@@ -98,8 +98,8 @@ class Match(Evaluation):
         longest = self.lengths.max()
         if longest <= self._openings:
             raise ArgumentError(
-                f"openings is {self._openings:,}, and no game went on for more than {longest:,} steps: neither "
-                "policy chose anything, so take fewer"
+                f"openings is {self._openings:,}, and no game went on for more than {longest:,} steps: "
+                "neither policy chose anything, so take fewer"
             )
         agents = self.config.spec.agents
         returns, seats = self.world_returns, self.seats.reshape(-1, agents)
