@@ -18,7 +18,7 @@ from typing import NamedTuple
 from pearl_marl.cache import cache_folder
 from pearl_marl.compiler.cores import generated_core
 from pearl_marl.compiler.loading import fingerprint
-from pearl_marl.compiler.targets import FAMILIES, Target
+from pearl_marl.compiler.targets import Target
 from pearl_marl.errors import ArgumentError
 from pearl_marl.hardware.build import Build
 from pearl_marl.memory_map import MemoryMap, stream_bits
@@ -34,7 +34,8 @@ MARGIN = 1.5
 
 def clocked(family: str, mhz: float) -> Target:
     """Return what a core is generated for that is clocked with so many MHz on a family of FPGAs."""
-    if family in FAMILIES and not 1 <= mhz <= (most := FAMILIES[family].fastest // MARGIN):
+    most = Target(family, 1.0).family.fastest // MARGIN
+    if not 1 <= mhz <= most:
         raise ArgumentError(
             f"the clock is {mhz:g} MHz; for {family} it can be 1 to {most:g}, as cores are made for "
             f"{MARGIN:g} times that"

@@ -63,7 +63,7 @@ def test_devices_by_name(tmp_path: Path) -> None:
     assert make_device("xdma").board == 0
     assert make_device("xdma:1").board == 1
     assert make_device(f"xdma:{tmp_path}").board == str(tmp_path)
-    for name in ("xdma:", "rtl:1", "xmda"):
+    for name in ("xdma:", "rtl:1", "fpga"):
         with pytest.raises(ArgumentError, match=f"no device '{name}'; possible are .*'xdma:N' for board N"):
             make_device(name)
 
@@ -188,7 +188,7 @@ def test_a_board_for_something_else_is_refused(board: Path, monkeypatch: pytest.
         Xdma(board).open(BatchConfig(spec=SPEC, n_envs=71))
     with pytest.raises(
         DeviceError,
-        match=r"has env_hash 0x\w+, needs 0x\w+: it is built for CliffWalking-v0, not for Blackjack-v0:",
+        match=r"has env_hash 0x\w+, this batch needs 0x\w+: it is built for CliffWalking-v0, not for Blackjack-v0:",
     ):
         Xdma(board).open(BatchConfig(spec=get_spec("Blackjack"), n_envs=N))
     with pytest.raises(DeviceError, match=r"not for CliffWalking-v0 with {'is_slippery': True}"):
