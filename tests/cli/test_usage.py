@@ -107,7 +107,6 @@ Pearl = Callable[..., tuple[int, str, str]]
         ("core CartPole --graph x.png", "--graph is x.png; it must be a file that ends in .svg"),
         ("envs --json --markdown", "--json and --markdown are two forms of the same: leave one out"),
         ("train CartPole --algo ppoo", "--algo is 'ppoo'; did you mean 'ppo'?"),
-        ("train CartPole --algo mappo", "CartPole has one agent in a world, and mappo's critic sees several"),
     ],
 )
 def test_one_sentence(pearl: Pearl, line: str, sentence: str) -> None:

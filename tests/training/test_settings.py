@@ -125,6 +125,11 @@ def test_the_seed_can_be_given_in_two_ways(pearl: Pearl, given: tuple[str, Any],
     assert json.loads((tmp_path / "config.json").read_text())["settings"]["settings"]["seed"] == 3
 
 
+def test_a_critic_of_worlds_takes_several_agents(pearl: Pearl, tmp_path: Path) -> None:
+    said = refused(pearl, tmp_path, "CartPole", "--algo", "mappo", "--iterations", 1)
+    assert "CartPole has one agent in a world, and mappo's critic sees several: use ppo" in said
+
+
 def test_shards(pearl: Pearl, tmp_path: Path) -> None:
     assert "--shards is 0; it must be at least 1" in refused(pearl, tmp_path, "CartPole", "--shards", 0)
 
