@@ -19,6 +19,9 @@ from typing import Any
 import platformdirs
 from numba import njit
 
+_TEMPORARY = "pearl_marl_"
+"""With what the name of a folder begins that stands in for one that cannot be written."""
+
 
 @functools.cache
 def cache_folder(name: str) -> Path:
@@ -30,9 +33,14 @@ def cache_folder(name: str) -> Path:
         with tempfile.TemporaryFile(dir=folder):
             return folder
     except OSError:  # what is made is made again in every process, and no harm done
-        temporary = Path(tempfile.mkdtemp(prefix=f"pearl_marl_{name}_"))
+        temporary = Path(tempfile.mkdtemp(prefix=f"{_TEMPORARY}{name}_"))
         atexit.register(shutil.rmtree, temporary, ignore_errors=True)
         return temporary
+
+
+def is_kept(folder: Path) -> bool:
+    """Return whether a cache's folder outlives this process."""
+    return not folder.name.startswith(_TEMPORARY)
 
 
 @contextlib.contextmanager

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 from pearl_marl.errors import ArgumentError
 
@@ -29,3 +32,16 @@ def replace_file(path: Path, content: bytes, keep: Path | None = None) -> None:
             os.close(folder)
     except OSError as error:
         raise ArgumentError(f"{path} cannot be written: {error.strerror}") from None
+
+
+def load_arrays(path: Path, mmap_mode: Any = None) -> Any:
+    """Return what NumPy loads from a .npy or .npz file; ValueError says what else it is."""
+    with path.open("rb") as file:
+        first = file.read(6)
+    # Of anything else NumPy says that it is pickled, and how to load it all the same.
+    if not first.startswith((b"\x93NUMPY", b"PK")):
+        raise ValueError("it does not begin as one that NumPy writes" if first else "it is empty")
+    try:
+        return np.load(path, mmap_mode)
+    except ValueError as error:
+        raise ValueError("it holds Python objects" if "ickle" in str(error) else str(error)) from None

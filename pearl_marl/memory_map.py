@@ -38,7 +38,7 @@ from dataclasses import dataclass
 from enum import IntEnum, IntFlag
 
 from pearl_marl.errors import ArgumentError
-from pearl_marl.spec import EnvSpec, word_bits
+from pearl_marl.spec import EnvSpec, check_slots, word_bits
 
 PROTOCOL_VERSION = 2
 MAGIC = 0x4C524150  # "PARL", little-endian
@@ -219,8 +219,7 @@ def memory_map(spec: EnvSpec, n_envs: int, pe_num: int, data_wl: int) -> MemoryM
     That is ``1 .. n_envs`` for ``pe_num``, the processing elements (the last group may be partly empty), and
     :data:`DATA_WIDTHS` for ``data_wl``, the bits of a word.
     """
-    if n_envs < 1:
-        raise ArgumentError(f"n_envs is {n_envs}; a memory map needs at least 1 slot")
+    check_slots("n_envs", n_envs)
     if not 1 <= pe_num <= n_envs:
         raise ArgumentError(f"pe_num is {pe_num}; possible are 1 to n_envs = {n_envs}")
     if data_wl not in DATA_WIDTHS:

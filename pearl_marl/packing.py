@@ -73,6 +73,8 @@ def unpacked(spec: EnvSpec, rows: Array) -> Array:
 
     ``spec`` is that of the environment with its observations as they are.
     """
+    if spec.unpack is None:
+        raise ArgumentError(f"only planes are packed, which {spec.name}'s observations are not")
     layout = row_dtype(spec)
     if rows.dtype != np.uint8 or rows.ndim != 2 or rows.shape[1] != layout.itemsize:
         raise ArgumentError(

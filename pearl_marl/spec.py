@@ -121,6 +121,15 @@ class Role(NamedTuple):
     """As the spec's; of a ``Discrete`` it may be the first actions, and masks are 0 for the others."""
 
 
+MAX_CYCLES = (1 << 32) - 1
+"""The longest time limit: elapsed steps are words of 32 bits."""
+
+MAX_SLOTS = 1 << 32
+"""Slots that random draws can tell apart: see :mod:`pearl_marl.rng`."""
+
+MANY = 10**12
+"""The most of anything that is counted and has no limit of its own: more would never end."""
+
 MAX_AGENTS = 63
 """Of one world: with one bit more, what is known of who has ended fits a word of 64 bits."""
 
@@ -471,5 +480,18 @@ def check_max_cycles(value: object) -> None:
     """Refuse a time limit that is no integer of ``0 .. 2**32 - 1``; ``None`` stands for the default."""
     if value is None:
         return
-    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or not 0 <= value < 1 << 32:
-        raise ArgumentError(f"max_cycles is {value!r}; it must be an integer from 0 (no limit) to 2**32 - 1")
+    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or not 0 <= value <= MAX_CYCLES:
+        raise ArgumentError(
+            f"max_cycles is {value!r}; it must be an integer from 0 (no limit) to {MAX_CYCLES:,}"
+        )
+
+
+def check_slots(name: str, value: object, first: int = 0) -> None:
+    """Refuse a number of slots, called ``name``, that there cannot be from slot ``first`` on."""
+    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < 1:
+        raise ArgumentError(f"{name} is {value!r}; it must be an integer of at least 1")
+    if first + value > MAX_SLOTS:
+        there = f" from slot {first:,} on" if first else ""
+        raise ArgumentError(
+            f"{name} is {value:,}; random draws can tell {MAX_SLOTS - first:,} apart{there}: take no more"
+        )

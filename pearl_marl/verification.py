@@ -15,7 +15,7 @@ from pearl_marl.batch.actions import encode, random_actions
 from pearl_marl.batch.config import worlds_of
 from pearl_marl.comparison.replay import Replay
 from pearl_marl.devices import BatchConfig, Lockstep
-from pearl_marl.errors import LockstepError
+from pearl_marl.errors import ArgumentError, LockstepError
 from pearl_marl.spec import EnvSpec
 
 
@@ -45,16 +45,24 @@ def runs(
 ) -> list[Run]:
     """Return the modes to run in: every combination of what is ``None``, with the steps shared out.
 
-    Without ``max_cycles`` there is once no limit, and once one that is reached twice. Each run gets at least
-    one step.
+    Without ``max_cycles`` there is once no limit, and once one that is reached twice.
+
+    Raises
+    ------
+    ArgumentError
+        There are fewer steps than modes.
     """
     modes = [AutoresetMode.SAME_STEP, AutoresetMode.NEXT_STEP] if autoreset_mode is None else [autoreset_mode]
     starts = ["random", "stored"] if initial_states is None else [initial_states]
     limited = [False, True] if max_cycles is None else [True]
     combinations = list(product(modes, starts, limited))
+    if steps < len(combinations):
+        raise ArgumentError(
+            f"the number of steps is {steps}; {len(combinations)} modes share them: take more"
+        )
     result, worlds = [], worlds_of(spec, n_agents)
     for i, (mode, start, limit) in enumerate(combinations):
-        share = max(1, steps // len(combinations) + (i < steps % len(combinations)))
+        share = steps // len(combinations) + (i < steps % len(combinations))
         cycles = max_cycles
         if cycles is None:
             cycles = min(max(1, share // 2), spec.max_cycles or share) if limit else 0

@@ -58,8 +58,14 @@ ACTIONS = [
     refused("too few", lambda e: e.step([0, 0]), ActionError, "(2,)", "(5,)"),
     refused("a column", lambda e: e.step_batch(np.zeros((N, 1), int)), ActionError, "(5, 1)", "(5,)"),
     refused("a number", lambda e: e.step(3), ActionError, "()", "(5,)"),
-    refused("nothing", lambda e: e.step(None), ActionError, "()", "(5,)"),
-    refused("a word", lambda e: e.step("left"), ActionError, "()", "(5,)"),
+    refused("nothing", lambda e: e.step(None), ActionError, "None", "array of shape (5,)"),
+    refused("a word", lambda e: e.step("left"), ActionError, "a str", "array of shape (5,)"),
+    refused(
+        "a dict for a batch",
+        lambda e: e.step_batch(by_name(*[0] * 5)),
+        ActionError,
+        "actions are a dict; 5 agents take an array of shape (5,), or a dict by agent in step()",
+    ),
     refused("ragged", lambda e: e.step([0, [1, 2], 0, 0, 0]), ActionError, "agent_1", "[1, 2]"),
     refused("floats", lambda e: e.step(np.full(N, 1.0)), ActionError, "agent_0", "1.0", "no integer"),
     refused("bools", lambda e: e.step(np.ones(N, bool)), ActionError, "agent_0", "True", "no integer"),
@@ -91,6 +97,10 @@ OTHERS = [
         "mask of numbers", lambda e: e.device.reset(mask=[0, 1, 2, 3, 4]), ArgumentError, "bool", "int64"
     ),
     refused("mask and seed", lambda e: e.device.reset(1, [True] * N), ArgumentError, "seed", "mask"),
+    refused("no mask", lambda e: e.reset_slots(None), ArgumentError, "mask is None; reset_batch()"),
+    refused("a stranger's actions", lambda e: e.action_space("x"), ArgumentError, "no agent 'x'", "agent_4"),
+    refused("nobody's view", lambda e: e.observation_space(0), ArgumentError, "there is no agent 0"),
+    refused("nobody's role", lambda e: e.role("agent_5"), ArgumentError, "there is no agent 'agent_5'"),
     refused("recv", lambda e: e.device.recv(), OrderError, "call send() first"),
     refused("send", lambda e: e.device.send([9] * N), ActionError, "agent_0", "9"),
     refused("open twice", lambda e: e.device.open(e.device.config), OrderError, "opened before"),
@@ -203,7 +213,7 @@ MAKE = [
     refused("whole float", lambda f: f("CliffWalking", 2.0), ArgumentError, "agents is 2.0"),
     refused("true", lambda f: f("CliffWalking", True), ArgumentError, "agents is True"),
     refused("text", lambda f: f("CliffWalking", "3"), ArgumentError, "agents is '3'"),
-    refused("too many", lambda f: f("CliffWalking", 2**32 + 1), ArgumentError, str(2**32)),
+    refused("too many", lambda f: f("CliffWalking", 2**32 + 1), ArgumentError, "4,294,967,297", f"{2**32:,}"),
     refused(
         "keyword",
         lambda f: f("CliffWalking", 2, is_slipery=True),
@@ -289,6 +299,13 @@ def test_before_reset_and_after_close(call: Call, autoreset: bool) -> None:
             late(env)
 
 
+def test_what_it_is() -> None:
+    env = pearl_marl.parallel_env("LevelBasedForaging", 4)
+    assert repr(env) == "PearlParallelEnv(LevelBasedForaging-v0, n_agents=4, device=native)"
+    with pytest.raises(OrderError, match=r"save_state\(\) before reset\(\)"):
+        env.save_state()
+
+
 def test_a_mask_at_the_first_reset() -> None:
     device = Native().open(BatchConfig(spec=DRIFT, n_envs=2))
     with pytest.raises(OrderError, match="without a mask first"):
@@ -334,7 +351,7 @@ def test_threads(threads: Any) -> None:
     ("arguments", "words"),
     [
         ({"first_slot": -1}, "first_slot is -1"),
-        ({"first_slot": 2**32 - 1}, str(2**32)),
+        ({"first_slot": 2**32 - 1}, "random draws can tell 1 apart from slot 4,294,967,295 on"),
         ({"autoreset_mode": AutoresetMode.DISABLED}, "DISABLED"),
         ({"n_envs": None}, "None"),
     ],

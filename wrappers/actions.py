@@ -13,7 +13,7 @@ from pearl_marl.batch.step import Array, BatchStep
 from pearl_marl.errors import ArgumentError
 from pearl_marl.interfaces.batch import Batch, Mask
 
-from .base import box, differing, wrap
+from .base import box, checked_function, differing, wrap
 from .transform import Slots, Transform
 
 
@@ -52,6 +52,8 @@ def action_lambda_v1(
     change_space_fn
         Takes one slot's space inside and returns the one to show.
     """
+    checked_function("change_action_fn", change_action_fn)
+    checked_function("change_space_fn", change_space_fn)
 
     def make(batch: Batch, space: Space[Any], inside: Any) -> Transform:
         shown = change_space_fn(inside)

@@ -20,6 +20,12 @@ from .wrapped import WrappedParallelEnv, WrappedVectorEnv
 __all__ = ["Batch", "Transform", "box", "with_zeros", "wrap"]
 
 
+def checked_function(name: str, value: Any) -> None:
+    """Refuse what is no function, where a wrapper is made and not at the first step."""
+    if not callable(value):
+        raise ArgumentError(f"{name} is {value!r}; it must be a function")
+
+
 def wrap(env: Batch, make: Callable[..., Transform], *arguments: Any) -> Any:
     """Put a transform around an environment.
 

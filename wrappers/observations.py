@@ -15,7 +15,7 @@ from pearl_marl.errors import ArgumentError
 from pearl_marl.interfaces.batch import Batch
 
 from . import kernels
-from .base import box, checked, differing, with_zeros, wrap
+from .base import box, checked, checked_function, differing, with_zeros, wrap
 from .transform import Slots, Transform
 
 Change = Callable[[Array], Array]
@@ -60,6 +60,9 @@ def observation_lambda_v0(
         Takes one slot's space and returns the new one. ``None``: a ``Box`` whose bounds are those of the
         old one, changed.
     """
+    checked_function("change_observation_fn", change_observation_fn)
+    if change_obs_space_fn is not None:
+        checked_function("change_obs_space_fn", change_obs_space_fn)
 
     def make(batch: Batch, space: Space[Any], action_space: Any) -> Transform:
         def change(obs: Array) -> Array:

@@ -12,7 +12,7 @@ from pearl_marl.batch.step import Array, BatchStep
 from pearl_marl.errors import ArgumentError
 from pearl_marl.interfaces.batch import Batch
 
-from .base import wrap
+from .base import checked_function, wrap
 from .transform import Transform
 
 
@@ -29,6 +29,7 @@ class _Mapped(Transform):
 
 def reward_lambda_v0(env: Batch, change_reward_fn: Callable[[Array], Array]) -> Any:
     """Change rewards by a function of the whole batch, ``float32`` of shape ``(n,)`` to as many numbers."""
+    checked_function("change_reward_fn", change_reward_fn)
 
     def change(rewards: Array) -> Array:
         result = np.asarray(change_reward_fn(rewards), np.float32)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
@@ -126,13 +126,19 @@ def why_not(action: Any, space: Discrete | Box) -> str:
 
 def refusal(actions: Any, space: Discrete | Box, n: int, first: int = 0) -> ActionError:
     """Return the error for a batch of actions that ``n`` agents from number ``first`` on cannot take."""
+    whole = (n, *(space.shape or ()))
+    if actions is None or isinstance(actions, (Mapping, str)):
+        what = f"a {type(actions).__name__}" if actions is not None else "None"
+        return ActionError(
+            f"actions are {what}; {n} agents take an array of shape {whole}, or a dict by agent in step() of "
+            "a parallel_env"
+        )
     # What was given tells more than the array that NumPy made of it: [0, 1.5] becomes two floats.
     values = actions.tolist() if isinstance(actions, np.ndarray) else actions
     try:
         shape = np.shape(actions)
     except ValueError:  # a ragged list
         shape = (len(actions),)
-    whole = (n, *(space.shape or ()))
     if shape != whole:
         return ActionError(f"actions have shape {shape}; {n} agents take {whole}: {limits(space)}")
     return refuse_first((f"agent_{first + i}" for i in range(n)), values, space)

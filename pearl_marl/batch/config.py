@@ -11,7 +11,7 @@ import numpy.typing as npt
 from gymnasium.vector import AutoresetMode
 
 from pearl_marl.errors import ArgumentError
-from pearl_marl.spec import EnvSpec, check_max_cycles
+from pearl_marl.spec import EnvSpec, check_max_cycles, check_slots
 
 
 def worlds_of(spec: EnvSpec, n_agents: int | None) -> int:
@@ -23,8 +23,10 @@ def worlds_of(spec: EnvSpec, n_agents: int | None) -> int:
     k = spec.agents
     if n_agents is None:
         return 1
-    if k == 1 or isinstance(n_agents, bool) or not isinstance(n_agents, (int, np.integer)) or n_agents < 1:
+    if k == 1:
         return n_agents  # BatchConfig says what is wrong
+    if isinstance(n_agents, bool) or not isinstance(n_agents, (int, np.integer)) or n_agents < 1:
+        check_slots("the number of agents", n_agents)
     if n_agents % k:
         low = max(n_agents // k, 1) * k
         raise ArgumentError(
@@ -65,13 +67,9 @@ class BatchConfig:
 
     def __post_init__(self) -> None:
         n, first = self.n_envs, self.first_slot
-        for name, value, least in (("the number of agents", n, 1), ("first_slot", first, 0)):
-            if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < least:
-                raise ArgumentError(f"{name} is {value!r}; it must be an integer of at least {least}")
-        if first + n > 1 << 32:
-            raise ArgumentError(
-                f"slots {first} to {first + n - 1} exceed the 2**32 that random draws can tell apart"
-            )
+        if isinstance(first, bool) or not isinstance(first, (int, np.integer)) or first < 0:
+            raise ArgumentError(f"first_slot is {first!r}; it must be an integer of at least 0")
+        check_slots("the number of agents" if self.spec.agents == 1 else "the number of worlds", n, first)
         if self.autoreset_mode not in (AutoresetMode.SAME_STEP, AutoresetMode.NEXT_STEP):
             raise ArgumentError(
                 f"a device resets in SAME_STEP or NEXT_STEP mode, not {self.autoreset_mode!r}"

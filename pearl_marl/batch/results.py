@@ -72,6 +72,11 @@ class Layout:
         return BatchStep(*arrays) if len(arrays) == 5 else BatchStep.of(arrays, self.masked)
 
 
+def memory_of_machine() -> int:
+    """Return how many bytes of memory this machine has."""
+    return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+
+
 def check_memory(config: BatchConfig, more: int = 0) -> None:
     """Refuse a batch that this machine has not the memory for, before any is taken.
 
@@ -79,7 +84,7 @@ def check_memory(config: BatchConfig, more: int = 0) -> None:
     """
     n = config.n_agents
     needed = size(config.spec, config.n_envs) + Layout(config).size + n * more
-    there = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    there = memory_of_machine()
     if needed > there:
         raise ArgumentError(
             f"{n:,} agents of {config.spec.name} take at least {needed / 2**30:,.1f} GiB of memory, and this "

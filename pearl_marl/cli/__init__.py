@@ -5,6 +5,8 @@ May import everything; of the experiments, :mod:`~pearl_marl.cli.report` alone.
 
 from __future__ import annotations
 
+import errno
+import os
 import sys
 from importlib import import_module
 from typing import Annotated, Any, NoReturn
@@ -48,6 +50,8 @@ class _Commands(TyperGroup):
     """Has the list of commands without importing any, and imports the one that is called."""
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        if not ctx.resilient_parsing:  # a shell completes a word
+            usage.refuse_empty(args)
         name, _, rest = super().resolve_command(ctx, args)  # which refuses what is no command
         alone = typer.Typer(add_completion=False, rich_markup_mode=self.rich_markup_mode)
         with interrupts.at_once():  # Numba and PyTorch take seconds to load
@@ -85,11 +89,16 @@ def options(
 def main() -> None:
     """Run the command line.
 
-    A refused call prints its sentence and exits with status 2, an interrupted one with status 130.
+    A refused call prints its sentence and exits with status 2, an interrupted one with status 130, and one
+    whose output cannot be written with status 1.
     """
     with interrupts.watched():
         try:
-            sys.exit(app(standalone_mode=False))
+            if not _is_somewhere():
+                _leave("the current folder is no more: change to one that there is", 2)
+            status = app(standalone_mode=False)
+            sys.stdout.flush()  # what cannot be written is to be noticed here
+            sys.exit(status)
         except BaseException as error:
             # A library may have made another exception of Ctrl-C.
             if interrupts.noted and not (isinstance(error, SystemExit) and not error.code):
@@ -100,7 +109,22 @@ def main() -> None:
                 if len(sys.argv) == 1:  # `pearl` alone has shown its help
                     sys.exit(2)
                 _leave(usage.sentence(error, COMMANDS, sys.argv[1:]), 2)
+            if isinstance(error, OSError) and error.errno in _UNWRITABLE and error.filename is None:
+                os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # Python writes the rest when it ends
+                _leave(f"the output cannot be written: {error.strerror}", 1)
             raise
+
+
+_UNWRITABLE = errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO
+"""What a write fails with, to standard output or to a file that is open."""
+
+
+def _is_somewhere() -> bool:
+    try:
+        os.getcwd()
+    except FileNotFoundError:
+        return False
+    return True
 
 
 def _leave(sentence: str, status: int) -> NoReturn:

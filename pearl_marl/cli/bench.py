@@ -19,12 +19,14 @@ from pearl_marl.cli import common, trainings
 from pearl_marl.cli.common import console
 from pearl_marl.errors import ArgumentError
 from pearl_marl.registry import names
-from pearl_marl.spec import EnvSpec
+from pearl_marl.spec import MANY, EnvSpec
 
 Rounds = Annotated[
-    int, typer.Option("--rounds", min=1, help="How often each contender is timed; the median counts.")
+    int,
+    typer.Option("--rounds", min=1, max=MANY, help="How often each contender is timed; the median counts."),
 ]
-Seconds = Annotated[float, typer.Option("--seconds", min=0.0, help="About how long one timing lasts.")]
+MOST_SECONDS = 3600
+Seconds = Annotated[float, typer.Option("--seconds", help="About how long one timing lasts.")]
 
 
 OURS = {"kernel only": "kernel", "step_batch": "step_batch"}
@@ -67,6 +69,8 @@ def command(
     as_json: common.AsJson = False,
 ) -> None:
     """Measure steps per second against EnvPool, Gymnasium's vector environments and the games' packages."""
+    if not 0 <= seconds <= MOST_SECONDS:
+        raise ArgumentError(f"--seconds is {seconds}; it must be a number from 0 to {MOST_SECONDS:,}")
     if quick and not training:
         raise ArgumentError("--quick is of --training: add that, or leave --quick out")
     if training:

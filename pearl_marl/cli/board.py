@@ -20,7 +20,9 @@ PeNum = Annotated[
     int | None,
     typer.Option("--pe-num", help="Processing elements; by default as many as the board's bus can feed."),
 ]
-Where = Annotated[Path, typer.Option("--out", metavar="DIR", help="Where to write everything.")]
+Where = Annotated[
+    Path, typer.Option("--out", metavar="DIR", help="Where to write everything.", callback=common.writable)
+]
 
 
 def command(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import contextlib
 import json
+import os
 import re
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
@@ -15,6 +16,7 @@ from rich.console import Console
 
 from pearl_marl.errors import ArgumentError
 from pearl_marl.registry import get_spec, names
+from pearl_marl.spec import MANY
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -46,7 +48,7 @@ EnvName = Annotated[
 Agents = Annotated[
     int | None,
     typer.Option(
-        "--n-agents", help="How many agents, those of whole worlds.", show_default=f"about {ABOUT:,}"
+        "--n-agents", min=1, help="How many agents, those of whole worlds.", show_default=f"about {ABOUT:,}"
     ),
 ]
 DEVICES = ("native", "rtl", "cuda", "reference", "xdma", "serial")
@@ -54,9 +56,40 @@ DeviceName = Annotated[
     str,
     typer.Option("--device", help="Where they are stepped.", autocompletion=completed(lambda: DEVICES)),
 ]
-Seed = Annotated[int, typer.Option("--seed", help="Of the random numbers.")]
-Steps = Annotated[int, typer.Option("--steps", help="Steps of every agent.")]
-Out = Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Where to write results.")]
+Seed = Annotated[int, typer.Option("--seed", min=0, help="Of the random numbers.")]
+Steps = Annotated[int, typer.Option("--steps", min=1, max=MANY, help="Steps of every agent.")]
+
+
+def check_folder(option: str, folder: Path) -> None:
+    """Refuse a folder that cannot be written, before the work whose results go there; make nothing."""
+    try:
+        there = next(path for path in (folder, *folder.absolute().parents) if path.exists())
+        why = (
+            "Not a directory" if not there.is_dir() else "" if os.access(there, os.W_OK) else "no permission"
+        )
+    except OSError as error:
+        why = error.strerror or type(error).__name__
+    if why:
+        raise ArgumentError(f"{option} {folder} is no folder that can be written: {why}")
+
+
+def check_file(option: str, path: Path) -> None:
+    """Refuse a file that cannot be written, before the work; make nothing."""
+    check_folder(option, path.parent)
+    if path.is_dir():
+        raise ArgumentError(f"{option} {path} is a folder; it must be a file's name")
+
+
+def writable(parameter: typer.CallbackParam, folder: Path | None) -> Path | None:
+    """Do so for the value of an option."""
+    if folder is not None:
+        check_folder(parameter.opts[0], folder)
+    return folder
+
+
+Out = Annotated[
+    Path | None, typer.Option("--out", metavar="DIR", help="Where to write results.", callback=writable)
+]
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON for machines instead of tables.")]
 Options = Annotated[
     list[str] | None,
@@ -109,7 +142,7 @@ def in_file_name(device: str) -> str:
 
 
 def out_folder(folder: Path) -> Path:
-    """Make the ``--out`` folder, before the work whose results go there."""
+    """Make the ``--out`` folder."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:

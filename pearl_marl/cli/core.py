@@ -38,6 +38,13 @@ def command(
 
     It takes a slot in every clock cycle; options of the environment are constants in it.
     """
+    if graph is not None and graph.suffix.lower() != ".svg":
+        raise ArgumentError(f"--graph is {graph}; it must be a file that ends in .svg")
+    if graph is not None and out is not None and graph.absolute() == out.absolute():
+        raise ArgumentError(f"--out and --graph are both {out}: give one of them another name")
+    for name, path in (("--out", out), ("--graph", graph)):
+        if path is not None:
+            common.check_file(name, path)
     spec = common.spec_of(env_id, option)
     core = generated_core(spec, Target(family, clock))
     if out is not None:

@@ -14,7 +14,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from pearl_marl.benchmark.machine import machine
-from pearl_marl.cache import cache_folder
+from pearl_marl.cache import cache_folder, is_kept
 from pearl_marl.cli.common import AsJson, console, print_json
 from pearl_marl.devices import cluster
 from pearl_marl.errors import DeviceError
@@ -61,9 +61,8 @@ def _native() -> Check:
 
 def _cache() -> Check:
     folder = cache_folder("kernels")
-    kept = not folder.name.startswith("pearl_marl_")  # the name of a temporary one
     fix = "kernels are compiled in every process: make the cache folder writable, or set PEARL_CACHE_DIR"
-    return kept, str(folder), fix
+    return is_kept(folder), str(folder), fix
 
 
 def _package(extra: str, *modules: str) -> Callable[[], Check]:

@@ -12,6 +12,7 @@ from rich.table import Table
 
 from pearl_marl.benchmark.paper import TABLE_2
 from pearl_marl.cli.common import AsJson, console, print_json
+from pearl_marl.errors import ArgumentError
 from pearl_marl.registry import get_spec, names
 from pearl_marl.spec import EnvSpec, snake_case, word_bits
 
@@ -22,6 +23,8 @@ AsMarkdown = Annotated[
 
 def command(as_json: AsJson = False, as_markdown: AsMarkdown = False) -> None:
     """List the environments: spaces, widths, rewards, limits."""
+    if as_json and as_markdown:
+        raise ArgumentError("--json and --markdown are two forms of the same: leave one out")
     if as_markdown:
         typer.echo(markdown([get_spec(name) for name in names()]), nl=False)
         return

@@ -20,7 +20,7 @@ from pearl_marl.evaluation.matches import OPENINGS, Match, cross_table
 from pearl_marl.evaluation.report import write_report
 from pearl_marl.evaluation.run import LIMIT, Evaluation
 from pearl_marl.policies.loading import load_policy
-from pearl_marl.spec import EnvSpec
+from pearl_marl.spec import MANY, MAX_CYCLES, EnvSpec
 
 PolicyName = Annotated[
     str,
@@ -51,12 +51,14 @@ Openings = Annotated[
 ]
 Episodes = Annotated[
     int | None,
-    typer.Option("--episodes", min=1, help="How many episodes count.", show_default="one an agent"),
+    typer.Option("--episodes", min=1, max=MANY, help="How many episodes count.", show_default="one an agent"),
 ]
 MaxCycles = Annotated[
     int | None,
     typer.Option(
         "--max-cycles",
+        min=0,
+        max=MAX_CYCLES,
         help="Time limit of an episode, 0 for none.",
         show_default=f"the environment's, or {LIMIT:,}",
     ),
@@ -97,8 +99,6 @@ def command(
         raise ArgumentError("with --against every agent plays one episode: leave --episodes out")
     if openings is not None and not rivals:
         raise ArgumentError("--openings is of games between policies: give --against, too")
-    if out is not None:
-        common.out_folder(out)
     if len(rivals) > 1:
         if lockstep:
             raise ArgumentError("--lockstep compares one evaluation: give one --against, or none")
@@ -121,7 +121,7 @@ def command(
     except LockstepError as error:
         error_console.print(f"[bold red]Not bit-exact.[/] {escape(str(error))}", soft_wrap=True)
         if out is not None:
-            path = out / f"divergence_{spec.name}_{common.in_file_name(device)}.json"
+            path = common.out_folder(out) / f"divergence_{spec.name}_{common.in_file_name(device)}.json"
             error.replay.write(path)
             error_console.print(
                 f"Wrote {path}: pearl verify {path} replays it.", markup=False, soft_wrap=True

@@ -26,7 +26,12 @@ WORLD = "AGENTS = 2"
 
 NewName = Annotated[str, typer.Argument(metavar="NAME", help="Of the environment, as in FrozenLake.")]
 SharedBy = Annotated[int, typer.Option("--agents", help="How many agents share a world's state.")]
-Where = Annotated[Path, typer.Option("--out", metavar="DIR", help="Where to make the package's folder.")]
+Where = Annotated[
+    Path,
+    typer.Option(
+        "--out", metavar="DIR", help="Where to make the package's folder.", callback=common.writable
+    ),
+]
 
 
 def command(name: NewName, agents: SharedBy = 1, out: Where = Path(), as_json: common.AsJson = False) -> None:

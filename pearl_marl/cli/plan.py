@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Annotated, Any
 
 import typer
@@ -113,6 +114,10 @@ def _link(text: str) -> Link:
             f"there is no link {text!r}; possible are {', '.join(LINKS)}, and three numbers such as "
             "30,3.2,2.6: microseconds a call, GB/s to the hardware, GB/s from it"
         ) from None
+    if not (0 <= call < math.inf and 0 < write < math.inf and 0 < read < math.inf):
+        raise ArgumentError(
+            f"--link is {text!r}; the microseconds a call must be at least 0, and both rates above 0"
+        )
     return Link(text, call * 1e-6, write * 1e9, read * 1e9, "given")
 
 

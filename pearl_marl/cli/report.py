@@ -10,11 +10,14 @@ from typing import Annotated
 import typer
 from rich.markup import escape
 
-from pearl_marl.cli.common import AsJson, console, error_console, print_json, progress, table
+from pearl_marl.cli.common import AsJson, console, error_console, print_json, progress, table, writable
 
 Quick = Annotated[bool, typer.Option("--quick", help="A small part of everything, in a minute or two.")]
 Folder = Annotated[
-    Path, typer.Option("--out", metavar="DIR", help="The report's folder, new or to go on with.")
+    Path,
+    typer.Option(
+        "--out", metavar="DIR", help="The report's folder, new or to go on with.", callback=writable
+    ),
 ]
 Only = Annotated[
     list[str] | None, typer.Option("--only", metavar="SECTION", help="Make this section; may be repeated.")

@@ -21,9 +21,10 @@ from pearl_marl.cli import common
 from pearl_marl.cli.common import console, error_console
 from pearl_marl.errors import ArgumentError, PearlError
 from pearl_marl.evaluation.episodes import EpisodeStatistics
+from pearl_marl.files import load_arrays
 from pearl_marl.interfaces.parallel import PearlParallelEnv, parallel_env
 from pearl_marl.rendering import VIDEO_STEPS, VIDEO_WORLDS, HeatMap, Video
-from pearl_marl.spec import EnvSpec
+from pearl_marl.spec import MAX_CYCLES, EnvSpec
 
 ActionFile = Annotated[
     Path | None,
@@ -42,7 +43,10 @@ VideoFile = Annotated[
         help=f"Where to write a film of the first {VIDEO_WORLDS} worlds in the first {VIDEO_STEPS} steps.",
     ),
 ]
-MaxCycles = Annotated[int | None, typer.Option("--max-cycles", help="Time limit of an episode, 0 for none.")]
+MaxCycles = Annotated[
+    int | None,
+    typer.Option("--max-cycles", min=0, max=MAX_CYCLES, help="Time limit of an episode, 0 for none."),
+]
 
 
 def command(
@@ -59,12 +63,8 @@ def command(
     as_json: common.AsJson = False,
 ) -> None:
     """Step every agent with random (or given) actions: throughput and episode statistics."""
-    if steps < 1:
-        raise ArgumentError(f"--steps is {steps}; it must be at least 1")
     spec = common.spec_of(env_id, option)
     n_agents = common.agents_of(spec, n_agents)
-    if out is not None:
-        common.out_folder(out)
     given = None if actions is None else _given(actions, spec, n_agents, steps)
     heat_map = HeatMap(spec) if spec.grid else None
 
@@ -137,7 +137,7 @@ def _random(env: PearlParallelEnv, steps: int, seed: int) -> Iterator[npt.NDArra
 
 def _given(path: Path, spec: EnvSpec, n: int, steps: int) -> Iterator[npt.NDArray[Any]]:
     try:
-        batches = np.load(path, mmap_mode="r")
+        batches = load_arrays(path, mmap_mode="r")
     except (OSError, ValueError, EOFError) as error:
         raise ArgumentError(f"--actions {path} is no readable .npy file: {error}") from None
     if not isinstance(batches, np.ndarray):

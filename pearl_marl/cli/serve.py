@@ -10,6 +10,7 @@ from typing import Annotated
 import typer
 from rich.markup import escape
 
+from pearl_marl.batch.config import worlds_of
 from pearl_marl.cli.common import (
     Agents,
     AsJson,
@@ -19,7 +20,9 @@ from pearl_marl.cli.common import (
     console,
     print_json,
     spec_of,
+    writable,
 )
+from pearl_marl.devices import BatchConfig
 from pearl_marl.devices.rtl import Rtl
 from pearl_marl.devices.served import ServedBoard
 
@@ -28,7 +31,9 @@ DataWl = Annotated[int | None, typer.Option("--data-wl", help="Bits of a word.",
 PathName = Annotated[
     str, typer.Option("--path", help="How a step's bytes reach the memories: `backdoor`, or over `axi`.")
 ]
-At = Annotated[Path, typer.Option("--at", metavar="DIR", help="Where the board's files are made.")]
+At = Annotated[
+    Path, typer.Option("--at", metavar="DIR", help="Where the board's files are made.", callback=writable)
+]
 
 
 def command(
@@ -48,14 +53,15 @@ def command(
     """
     Rtl(pe_num, data_wl, path)  # refuses what is no size or path
     spec = spec_of(env_id, option)
-    board = ServedBoard(at, spec, agents_of(spec, n_agents), pe_num, data_wl, path)
+    config = BatchConfig(spec=spec, n_envs=worlds_of(spec, agents_of(spec, n_agents)))
+    board = ServedBoard(at, spec, config.n_envs, pe_num, data_wl, path)
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: board.stop())
     layout = board.layout
     facts = {
         "environment": board.spec.id,
         "options": dict(board.spec.options),
-        "n_agents": layout.n_envs * board.spec.agents,
+        "n_agents": config.n_agents,
         "pe_num": layout.pe_num,
         "data_wl": layout.data_wl,
         "path": path,
@@ -67,9 +73,9 @@ def command(
             print_json(facts)
         else:
             console.print(
-                f"Serving {board.spec.id}, {layout.n_envs:,} slots on {layout.pe_num} processing elements, "
-                f"words of {layout.data_wl} bits. Use it as [bold]--device xdma:{escape(str(at))}[/]; "
-                "Ctrl-C ends it.",
+                f"Serving {board.spec.id}, {config.n_agents:,} agents on {layout.pe_num} processing "
+                f"elements, words of {layout.data_wl} bits. "
+                f"Use it as [bold]--device xdma:{escape(str(at))}[/]; Ctrl-C ends it.",
                 soft_wrap=True,
             )
         board.serve()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import difflib
+import math
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -54,6 +56,7 @@ Folder = Annotated[
         "--out",
         metavar="DIR",
         help="The run's folder, new or to go on with.",
+        callback=common.writable,
         show_default="out/ENV-ALGORITHM",
     ),
 ]
@@ -75,6 +78,12 @@ def command(
     as_json: common.AsJson = False,
 ) -> None:
     """Train a policy that all agents share; with the --out of a run that was killed, go on with it."""
+    if algo not in ALGORITHMS:
+        near = difflib.get_close_matches(algo, ALGORITHMS, 1)
+        hint = f"did you mean {near[0]!r}?" if near else f"possible are {', '.join(map(repr, ALGORITHMS))}"
+        raise ArgumentError(f"--algo is {algo!r}; {hint}")
+    if goal is not None and not math.isfinite(goal):
+        raise ArgumentError(f"--goal is {goal}; it must be a finite number")
     spec = common.spec_of(env_id, option)
     out = out or Path("out") / f"{spec.name}-{algo}"
     interrupts.advice = f": to go on, give the same command again, with the same --out {out}"

@@ -3,16 +3,22 @@
 from __future__ import annotations
 
 import difflib
+import re
 import shlex
 from collections.abc import Iterable
 from typing import Any
+
+from pearl_marl.errors import ArgumentError
 
 
 def sentence(error: Any, commands: Iterable[str], arguments: Iterable[str]) -> str:
     """Return it for one of Typer's errors, the names of all commands, and the words of the command line."""
     kind, context = type(error).__name__, getattr(error, "ctx", None)
-    command = f"pearl {context.info_name}" if context and context.parent else "pearl"
-    help_ = f"{command} --help"
+    words = list(arguments)
+    of_command = context.info_name if context and context.parent else None
+    # An option without its value is found before its command has a context.
+    named = of_command or next((word for word in words if word in commands), None)
+    command, help_ = of_command or "pearl", f"pearl {named} --help" if named else "pearl --help"
     if kind == "BadParameter":
         return _of_value(error)
     if kind == "MissingParameter":
@@ -33,8 +39,23 @@ def sentence(error: Any, commands: Iterable[str], arguments: Iterable[str]) -> s
         return f"there is no command {name!r}; {hint}"
     if message.startswith("Got unexpected extra argument"):
         extra = message.split("(", 2)[2].rstrip(")")
-        return f"{command} does not take {extra!r}, in: pearl {shlex.join(arguments)}; see {help_}"
+        return f"{command} does not take {extra!r}, in: pearl {shlex.join(words)}; see {help_}"
     return str(message)
+
+
+def refuse_empty(arguments: Iterable[str]) -> None:
+    """Refuse an option whose value is empty: as a path, that would be the current folder."""
+    before = ""
+    for word in arguments:
+        if word == "" and before.startswith("--"):
+            raise ArgumentError(f"{before} is empty; give it a value, or leave it out")
+        if re.fullmatch(r"--[\w-]+=", word):
+            raise ArgumentError(f"{word[:-1]} is empty; give it a value, or leave it out")
+        before = word
+
+
+_LIMITS = {"greater than or equal to": "at least", "less than or equal to": "at most"}
+"""What pydantic says of the ends of ranges, and what we do."""
 
 
 def _of_value(error: Any) -> str:
@@ -47,6 +68,10 @@ def _of_value(error: Any) -> str:
     value, why = reasons[0]["input"], reasons[0]["msg"]
     if "is not one of" in why:
         return f"{name} is {value!r}; it must be one of {why.split('is not one of ')[1].rstrip('.')}"
+    for limit, words in _LIMITS.items():
+        if limit in why:
+            most = why.partition(limit)[2].strip()
+            return f"{name} is {value}; it must be {words} {int(most):,}"
     wanted = (
         why.removeprefix("Input should be ").partition(", unable")[0].replace("a valid integer", "an integer")
     )

@@ -17,6 +17,7 @@ from pearl_marl.cli.common import console, error_console
 from pearl_marl.comparison.replay import Replay
 from pearl_marl.devices import Lockstep
 from pearl_marl.errors import ArgumentError, DeviceError, LockstepError
+from pearl_marl.spec import MANY, MAX_CYCLES
 from pearl_marl.verification import Run, replay, runs, verify
 
 
@@ -49,10 +50,18 @@ ReferenceName = Annotated[
         show_default="reference, or the file's",
     ),
 ]
-StepsOfAll = Annotated[int, typer.Option("--steps", min=1, help="Steps of every agent, shared by the modes.")]
+StepsOfAll = Annotated[
+    int, typer.Option("--steps", min=1, max=MANY, help="Steps of every agent, shared by the modes.")
+]
 MaxCycles = Annotated[
     int | None,
-    typer.Option("--max-cycles", help="Time limit of an episode, 0 for none.", show_default="both"),
+    typer.Option(
+        "--max-cycles",
+        min=0,
+        max=MAX_CYCLES,
+        help="Time limit of an episode, 0 for none.",
+        show_default="both",
+    ),
 ]
 Mode = Annotated[
     Autoreset | None,
@@ -86,7 +95,14 @@ def command(
     if subject.endswith(".json") or Path(subject).is_file():
         _replay(Replay.read(Path(subject)), device, reference, as_json)
         return
-    spec = common.spec_of(subject, option)
+    try:
+        spec = common.spec_of(subject, option)
+    except ArgumentError:
+        if Path(subject).is_dir():
+            raise ArgumentError(
+                f"{subject} is a folder; name an environment of `pearl envs`, or a replay file"
+            ) from None
+        raise
     n_agents = common.agents_of(spec, n_agents)
     mode = None if autoreset_mode is None else AutoresetMode[autoreset_mode.name]
     plan = runs(spec, n_agents, steps, mode, initial_states and initial_states.value, max_cycles)
@@ -95,11 +111,6 @@ def command(
         raise ArgumentError(
             f"--device and --reference are both {device!r}, which always agrees with itself: name another one"
         )
-    if out is not None:  # before the work, not after it
-        try:
-            out.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise ArgumentError(f"--out {out} is no folder to write into: {error}") from None
     parted: LockstepError | None = None
     path = None
     try:
@@ -110,7 +121,7 @@ def command(
     except LockstepError as caught:
         parted = caught
         if out is not None:
-            path = out / f"divergence_{spec.name}_{common.in_file_name(device)}.json"
+            path = common.out_folder(out) / f"divergence_{spec.name}_{common.in_file_name(device)}.json"
             _smallest(parted.replay, device, reference).write(path)
     result: dict[str, Any] = {
         "environment": spec.id,

@@ -21,7 +21,7 @@ SomeEnvs = Annotated[
 
 def command(env_ids: SomeEnvs = None, option: common.Options = None, as_json: common.AsJson = False) -> None:
     """Compile ahead, for images and clusters: the kernels of some environments, or all and the trainers."""
-    from pearl_marl.cache import cache_folder
+    from pearl_marl.cache import cache_folder, is_kept
     from pearl_marl.devices.warming import Warmed, warm_all
 
     if option and not env_ids:
@@ -29,6 +29,11 @@ def command(env_ids: SomeEnvs = None, option: common.Options = None, as_json: co
     options = common.env_options(option)
     for env_id in env_ids or ():
         common.spec_of(env_id, option)  # refuses what is none, before any work
+    if not is_kept(cache_folder("kernels")):
+        raise ArgumentError(
+            "the cache folder cannot be written, so no kernel would be kept: make it writable, or set "
+            "PEARL_CACHE_DIR to a folder that is"
+        )
     done = []
 
     def tell(warmed: Warmed) -> None:

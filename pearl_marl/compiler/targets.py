@@ -42,6 +42,11 @@ class Family:
     shift_register: int = 0
     """Registers that are worth a bit of a shift register of any length; 0 if tools make none."""
 
+    @property
+    def fastest(self) -> float:
+        """The fastest clock, in MHz: one operation in a cycle."""
+        return 1000 // (self.register + 1.5 * self.level)
+
 
 FAMILIES = {
     "ecp5": Family(
@@ -79,10 +84,9 @@ class Target:
     def __post_init__(self) -> None:
         if self.name not in FAMILIES:
             raise ArgumentError(f"there is no family {self.name!r}; possible are {', '.join(FAMILIES)}")
-        fastest = 1000 // (self.family.register + 1.5 * self.family.level)
-        if not 1 <= self.mhz <= fastest:
+        if not 1 <= self.mhz <= self.family.fastest:
             raise ArgumentError(
-                f"the clock is {self.mhz:g} MHz; for {self.name} it can be 1 to {fastest:g} MHz"
+                f"the clock is {self.mhz:g} MHz; for {self.name} it can be 1 to {self.family.fastest:g} MHz"
             )
 
     @property

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 from collections.abc import Sequence
 
 from pearl_marl.devices.base import Device
@@ -31,6 +32,9 @@ def make_device(device: str | Device, *, tensors: bool = False) -> Device:
         return Xdma(int(board) if board.isdecimal() else board)
     if name == Serial.name and board:
         return Serial(board)
+    near = difflib.get_close_matches(name.lower(), _BY_NAME, 1)
+    if name not in _BY_NAME and near:
+        raise ArgumentError(f"there is no device {device!r}; did you mean {near[0] + colon + board!r}?")
     if name not in _BY_NAME or colon:
         raise ArgumentError(
             f"there is no device {device!r}; possible are {', '.join(map(repr, _BY_NAME))}, "

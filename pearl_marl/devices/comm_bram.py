@@ -28,28 +28,24 @@ from pearl_marl.batch.slot_memory import SlotMemory
 from pearl_marl.batch.step import Array, BatchStep, Seen
 from pearl_marl.compiler.kernels import compile_kernels
 from pearl_marl.devices.base import Device
+from pearl_marl.devices.identity import check_identity
 from pearl_marl.devices.transport import STAGES, Exchange, Transport, word
 from pearl_marl.errors import DeviceError
-from pearl_marl.hardware import elaboration
 from pearl_marl.hardware.build import Build
 from pearl_marl.hardware.codec import Stream, pack, pack_region, stream_bytes, unpack, unpack_region
 from pearl_marl.memory_map import (
     ELAPSED_BITS,
-    MAGIC,
-    PROTOCOL_VERSION,
     Control,
     Doorbell,
     MemoryMap,
     Mode,
     Status,
     StatusError,
-    stream_bits,
     ter_bits,
 )
 from pearl_marl.spec import EnvSpec, Field, word_bits
 
 _ELAPSED = Field("elapsed", ELAPSED_BITS)
-_IDENTITY = tuple(word for word in Control if word < Control.SEED_0)
 _UNSET = (0, 0, -1, 0, 0)  # settings with a tick that there is none of
 
 
@@ -380,34 +376,3 @@ def _reason(error: StatusError) -> str:
 def _pages(size: int) -> Stream:
     """Return zeroed bytes in memory pages of their own, as direct memory access likes them."""
     return np.frombuffer(mmap.mmap(-1, size, mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS), np.uint8)
-
-
-def identity(build: Build) -> tuple[int, ...]:
-    """Return what the hardware of a batch has in the read-only words of its control region."""
-    spec, layout = build
-    return (
-        MAGIC,
-        PROTOCOL_VERSION,
-        elaboration.env_hash(spec),
-        layout.n_envs,
-        layout.pe_num,
-        layout.data_wl,
-        word_bits(spec.state),
-        sum(bits for name, bits in stream_bits(spec).items() if name != "actions"),
-    )
-
-
-def check_identity(name: str, transport: Transport, build: Build) -> None:
-    """Refuse hardware that is not what a batch needs; name the first word that differs, and both values."""
-    spec, layout = build
-    expected = identity(build)
-    found = np.empty(4 * len(_IDENTITY), np.uint8)
-    transport.read(layout["control"].offset, found)
-    for field, mine, theirs in zip(_IDENTITY, expected, found.view("<u4").tolist(), strict=True):
-        if theirs != mine:
-            show = hex if field in (Control.MAGIC, Control.ENV_HASH) else str
-            raise DeviceError(
-                f"the {name} device has {field.name.lower()} {show(theirs)}, this batch needs {show(mine)}: "
-                f"it takes hardware built for {spec.id} with options {dict(spec.options)}, {layout.n_envs} "
-                f"slots, pe_num {layout.pe_num} and data_wl {layout.data_wl}"
-            )

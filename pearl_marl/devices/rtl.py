@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from pathlib import Path
 
 import numpy as np
 
@@ -11,7 +12,7 @@ from pearl_marl.devices.comm_bram import CommBram
 from pearl_marl.devices.simulator.model_build import library
 from pearl_marl.devices.simulator.simulation import Simulation
 from pearl_marl.devices.transport import Transport
-from pearl_marl.errors import ArgumentError
+from pearl_marl.errors import ArgumentError, DeviceError
 from pearl_marl.hardware.build import Build
 from pearl_marl.memory_map import MemoryMap
 
@@ -83,6 +84,11 @@ class Rtl(CommBram):
     def _connect(self, config: BatchConfig) -> tuple[Transport, MemoryMap]:
         pe_num, data_wl = (None if value is None else int(value) for value in (self._pe_num, self._data_wl))
         build = Build.of(config.spec, config.n_envs, pe_num, data_wl)
+        if self._trace is not None:  # before a model is compiled, which takes a minute
+            try:
+                Path(self._trace).touch()
+            except OSError as error:
+                raise DeviceError(f"the waveform file {self._trace} cannot be written: {error}") from error
         built = library(build, traced=self._trace is not None, pipelined=self._pipelined)
         self._simulation = Simulation(built, build.layout, self._path == "backdoor", self._trace)
         return self._simulation, build.layout

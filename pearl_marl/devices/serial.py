@@ -52,6 +52,12 @@ def answer_bytes(words: int) -> int:
     return WORD * words + 1 + _CHECKSUM.size
 
 
+_MENDS: dict[type[OSError], str] = {
+    PermissionError: "; who is in the group dialout may open it",
+    FileNotFoundError: "; plug the board in, or name its port: serial:PORT",
+}
+
+
 class SerialTransport(Transport):
     """Moves bytes over a serial port, a request at a time; for its arguments see :class:`Serial`."""
 
@@ -67,7 +73,7 @@ class SerialTransport(Transport):
         try:
             self._file = os.open(port, os.O_RDWR | os.O_NOCTTY)
         except OSError as error:
-            mend = "; who is in the group dialout may open it" if isinstance(error, PermissionError) else ""
+            mend = _MENDS.get(type(error), "")
             raise DeviceError(f"the serial port {port} cannot be opened: {error.strerror}{mend}") from None
         try:
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -33,6 +33,7 @@ import numpy as np
 
 from pearl_marl.devices.simulator.model_build import library
 from pearl_marl.devices.simulator.simulation import Simulation
+from pearl_marl.devices.xdma_transport import SERVER_LOCK
 from pearl_marl.errors import DeviceError
 from pearl_marl.hardware.build import Build
 from pearl_marl.memory_map import Control, Doorbell
@@ -89,6 +90,8 @@ class ServedBoard:
             try:
                 self._folder.mkdir(parents=True, exist_ok=True)
                 self._lock(opened)
+                for node in self._nodes():  # of a server that was killed: who comes now waits for ours
+                    node.unlink(missing_ok=True)
                 self._simulation = Simulation(library(build), build.layout, path == "backdoor", None)
                 opened.callback(self._simulation.close)
                 self._make_nodes(opened)
@@ -119,7 +122,7 @@ class ServedBoard:
         self._opened.close()
 
     def _lock(self, opened: contextlib.ExitStack) -> None:
-        path = self._folder / "server.lock"
+        path = self._folder / SERVER_LOCK
         lock = opened.enter_context(path.open("a+"))
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -133,11 +136,13 @@ class ServedBoard:
         lock.write(f"{os.getpid()}\n")
         lock.flush()
 
+    def _nodes(self) -> list[Path]:
+        return [self._folder / f"xdma0_{name}_0" for name in ("h2c", "c2h", "events")]
+
     def _make_nodes(self, opened: contextlib.ExitStack) -> None:
         layout = self.layout
-        h2c, c2h, events = (self._folder / f"xdma0_{name}_0" for name in ("h2c", "c2h", "events"))
-        for node in (h2c, c2h, events):  # of a server that was killed
-            node.unlink(missing_ok=True)
+        h2c, c2h, events = self._nodes()
+        for node in (h2c, c2h, events):
             opened.callback(node.unlink, missing_ok=True)
         os.mkfifo(events, 0o600)
         # For reading too, so that a host can tell by it that we are here.

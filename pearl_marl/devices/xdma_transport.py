@@ -18,6 +18,7 @@ import errno
 import fcntl
 import os
 import select
+import sys
 import time
 from pathlib import Path
 from typing import Any, NoReturn
@@ -45,12 +46,18 @@ _MENDS = {
     errno.EIO: "the board did not take or answer the transfer: see dmesg, and check that the FPGA holds the "
     "design for this environment",
     errno.ENODEV: "there is no board any more: check its power and its slot, then load the driver again",
+    errno.ENOTDIR: "name the folder of a board that `pearl serve` makes",
     errno.EBADF: "the connection is closed",
     errno.EACCES: "give your user the right to read and write the driver's nodes, with a udev rule",
 }
 _MENDS[_ERESTARTSYS] = _MENDS[errno.ETIMEDOUT]
 _MENDS[errno.ENXIO] = _MENDS[errno.ENODEV]
 _MENDS[errno.EPERM] = _MENDS[errno.EACCES]
+
+SERVER_LOCK = "server.lock"
+"""The file in a served board's folder that its server holds a lock on, from its beginning to its end."""
+
+_SERVER_PAUSE = 0.1
 
 _SERVE_AGAIN = "its process has ended: start `pearl serve` there again"
 
@@ -131,6 +138,8 @@ class XdmaTransport(Transport):
         self.close()  # or a board that nobody closed would stay in use
 
     def _open(self) -> None:
+        if isinstance(self._board, str):
+            await_server(Path(self._board))
         try:
             self._h2c = os.open(f"{self._prefix}_h2c_0", os.O_WRONLY)
             self._lock()
@@ -152,7 +161,7 @@ class XdmaTransport(Transport):
         try:
             fcntl.flock(self._h2c, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            owner = _lock_owner(self._h2c)
+            owner = _lock_owner(os.fstat(self._h2c))
             who = "this process" if owner == os.getpid() else f"process {owner}" if owner else "somebody"
             raise DeviceError(
                 f"{self._called} is in use by {who}: close that environment, or end that process"
@@ -253,9 +262,24 @@ def _moved(answer: int) -> int:
     return answer
 
 
-def _lock_owner(file: int) -> int | None:
+def await_server(folder: Path) -> None:
+    """Wait while a server there has begun, and not made its nodes yet: its model has to be compiled."""
+    told = False
+    while not (folder / "xdma0_h2c_0").exists():
+        try:
+            owner = _lock_owner((folder / SERVER_LOCK).stat())
+        except OSError:
+            return
+        if owner is None:
+            return
+        if not told:
+            print(f"pearl: waiting for process {owner}, which makes a board at {folder}", file=sys.stderr)
+        told = True
+        time.sleep(_SERVER_PAUSE)
+
+
+def _lock_owner(of_file: os.stat_result) -> int | None:
     """Return the process that holds a lock on a file, if the system tells."""
-    of_file = os.fstat(file)
     major, minor = os.major(of_file.st_dev), os.minor(of_file.st_dev)
     name = f"{major:02x}:{minor:02x}:{of_file.st_ino}"
     with contextlib.suppress(OSError):

@@ -62,6 +62,7 @@ class Match(Evaluation):
             raise ArgumentError(
                 f"{spec.name} has one agent in a world, which has nobody to play against: leave --against out"
             )
+        self._openings = openings
         self.seats = _seats(n_agents, spec.agents)
 
         rng = np.random.default_rng(seed)
@@ -88,7 +89,18 @@ class Match(Evaluation):
         """Return how it went for the first policy: wins, draws and losses, and the returns of both.
 
         A world is won by who has a higher return there than each of the others.
+
+        Raises
+        ------
+        ArgumentError
+            Every game was over in its openings.
         """
+        longest = self.lengths.max()
+        if longest <= self._openings:
+            raise ArgumentError(
+                f"openings is {self._openings:,}, and no game went on for more than {longest:,} steps: "
+                "neither policy chose anything, so take fewer"
+            )
         agents = self.config.spec.agents
         returns, seats = self.world_returns, self.seats.reshape(-1, agents)
         ours, theirs = returns[seats], returns[~seats].reshape(-1, agents - 1)

@@ -16,11 +16,11 @@ import numpy as np
 import numpy.typing as npt
 
 from pearl_marl.batch.config import worlds_of
-from pearl_marl.batch.results import check_memory
+from pearl_marl.batch.results import check_memory, memory_of_machine
 from pearl_marl.batch.step import BatchStep, on_host
 from pearl_marl.devices import BatchConfig, Device, make_device
 from pearl_marl.devices.transport import STAGES
-from pearl_marl.errors import ArgumentError
+from pearl_marl.errors import ArgumentError, OrderError
 from pearl_marl.evaluation.episodes import RunningEpisodes
 from pearl_marl.policies.loading import Policy
 from pearl_marl.spec import EnvSpec
@@ -33,6 +33,9 @@ CONFIDENCE = 1.96
 """Standard errors to either side of a mean that make 95 % of a normal distribution."""
 
 BINS = 60
+
+EPISODE_BYTES = 16
+"""What an episode takes: its return and its length."""
 
 Array = npt.NDArray[Any]
 
@@ -76,8 +79,16 @@ class Evaluation:
         seed: int = 0,
         max_cycles: int | None = None,
     ) -> None:
-        if episodes is not None and episodes < 1:
-            raise ArgumentError(f"the number of episodes is {episodes}; it must be at least 1")
+        if not isinstance(spec, EnvSpec):
+            raise ArgumentError(f"spec is {spec!r}; it must be an EnvSpec, as pearl_marl.get_spec returns")
+        if not callable(policy):
+            raise ArgumentError(f"policy is {policy!r}; it must be a function, as load_policy returns")
+        most = memory_of_machine() // EPISODE_BYTES
+        if episodes is not None and not 1 <= episodes <= most:
+            raise ArgumentError(
+                f"the number of episodes is {episodes:,}; it must be at least 1, and this machine has memory "
+                f"for {most:,}"
+            )
         if max_cycles is None:
             max_cycles = spec.max_cycles or LIMIT
         worlds = worlds_of(spec, n_agents)
@@ -188,6 +199,8 @@ class Evaluation:
 
         Latencies leave out the first step, which loads the code.
         """
+        if not self._seconds:
+            raise OrderError("summary() before run(): iterate over run() first")
         stages = [name for name in ("policy", *STAGES) if name in self._seconds[-1]]
         result = {
             "environment": self.config.spec.id,

@@ -18,6 +18,7 @@ from pearl_marl.compiler.targets import Target
 from pearl_marl.errors import ArgumentError, DeviceError
 from pearl_marl.hardware import elaboration, toolchain
 from pearl_marl.hardware.build import Build
+from pearl_marl.hardware.fitting import PARTS, modelled_bram36, most
 from pearl_marl.memory_map import MemoryMap
 from pearl_marl.spec import EnvSpec
 
@@ -67,8 +68,9 @@ class Board:
     """A board that there is a design for.
 
     ``name`` is that of its folder, ``family`` the one that cores are generated for, ``data_wl`` the bits of a
-    word of its bus. ``parts`` are folders of more files. ``device`` names the part to nextpnr, and is empty
-    where a vendor's tool is needed.
+    word of its bus, ``bram36`` how many block RAMs of 36 Kbit the part has: each is two of the 18 Kbit that
+    ECP5 and Gowin parts have, in the same shapes. ``parts`` are folders of more files. ``device`` names the
+    part to nextpnr, and is empty where a vendor's tool is needed.
     """
 
     name: str
@@ -77,6 +79,7 @@ class Board:
     family: str
     data_wl: int
     clock_mhz: float
+    bram36: int
     parts: tuple[str, ...] = ()
     device: tuple[str, ...] = ()
 
@@ -111,6 +114,7 @@ BOARDS = {
             "ecp5",
             data_wl=32,
             clock_mhz=75.0,
+            bram36=104,
             parts=("serial",),
             device=("--85k", "--speed", "6", "--package", "CABGA381"),
         ),
@@ -121,10 +125,19 @@ BOARDS = {
             "gowin",
             data_wl=32,
             clock_mhz=50.0,
+            bram36=170,
             parts=("serial",),
             device=("--device", "GW5AST-LV138PG484AC1/I0"),
         ),
-        Board("vc707", "Xilinx VC707", "xc7vx485tffg1761-2", "xc7", data_wl=256, clock_mhz=125.0),
+        Board(
+            "vc707",
+            "Xilinx VC707",
+            "xc7vx485tffg1761-2",
+            "xc7",
+            data_wl=256,
+            clock_mhz=125.0,
+            bram36=PARTS["vc707"].bram36,
+        ),
     )
 }
 
@@ -137,8 +150,26 @@ def find(name: str) -> Board:
 
 
 def board_build(board: Board, spec: EnvSpec, n_envs: int, pe_num: int | None = None) -> Build:
-    """Return a build for a board, whose bus says how wide a word is."""
-    return Build.of(spec, n_envs, pe_num, board.data_wl)
+    """Return a build for a board, whose bus says how wide a word is.
+
+    Raises
+    ------
+    ArgumentError
+        A size is not possible, or the memories by their shapes take more block RAM than the part has.
+    """
+
+    def needed(slots: int) -> float:
+        elements = None if pe_num is None else min(pe_num, slots)
+        return modelled_bram36(Build.of(spec, slots, elements, board.data_wl).layout)
+
+    build = Build.of(spec, n_envs, pe_num, board.data_wl)
+    if needed(n_envs) > board.bram36:
+        fitting = most(lambda slots: needed(slots) <= board.bram36)
+        raise ArgumentError(
+            f"{n_envs:,} slots of {spec.name} need {needed(n_envs):,.1f} BRAM36, and the {board.title} has "
+            f"{board.bram36:,}: {fitting:,} slots fit"
+        )
+    return build
 
 
 def size(layout: MemoryMap) -> str:

@@ -34,10 +34,13 @@ MARGIN = 1.5
 
 def clocked(family: str, mhz: float) -> Target:
     """Return what a core is generated for that is clocked with so many MHz on a family of FPGAs."""
-    try:
-        return Target(family, MARGIN * mhz)
-    except ArgumentError as error:
-        raise ArgumentError(f"a core at {mhz:g} MHz is made for {MARGIN:g} times that: {error}") from None
+    most = Target(family, 1.0).family.fastest // MARGIN
+    if not 1 <= mhz <= most:
+        raise ArgumentError(
+            f"the clock is {mhz:g} MHz; for {family} it can be 1 to {most:g}, as cores are made for "
+            f"{MARGIN:g} times that"
+        )
+    return Target(family, MARGIN * mhz)
 
 
 def core_path(spec: EnvSpec, target: Target = TARGET) -> Path:

@@ -140,13 +140,13 @@ def largest_fit(spec: EnvSpec, points: Sequence[Usage], part: Part) -> Fit:
         layout = memory_map(spec, groups * largest.pe_num, largest.pe_num, largest.data_wl)
         return modelled_bram36(layout) * calibration
 
-    groups = _most(lambda groups: predicted(groups) <= part.bram36)
+    groups = most(lambda groups: predicted(groups) <= part.bram36)
     if groups == 0:
         raise ArgumentError(f"not even one group of {largest.pe_num} slots fits the {part.name}")
     return Fit(part, groups * largest.pe_num, predicted(groups), calibration)
 
 
-def _most(fits: Callable[[int], bool]) -> int:
+def most(fits: Callable[[int], bool]) -> int:
     """Return the largest number that fits, or 0; none fits that is larger than one that does not."""
     low, high = 0, 1
     while fits(high):

@@ -80,6 +80,9 @@ class PearlParallelEnv(ParallelInterface):
         self._renderer: Renderer | None = None
         self._rendered_world = 0
 
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self.spec.id}, n_agents={self.batch_size}, device={self.device.name})"
+
     @property
     def max_cycles(self) -> int:
         """Steps after which an episode is truncated, 0 for never. Assigning takes effect at the next step."""
@@ -125,6 +128,8 @@ class PearlParallelEnv(ParallelInterface):
 
     def reset_slots(self, mask: Mask) -> Array:
         """Begin an episode in the masked worlds, shape ``(n_worlds,)``; return all observations."""
+        if mask is None:
+            raise ArgumentError("mask is None; reset_batch() begins an episode in every world")
         return self.device.reset(mask=mask)
 
     def send(self, actions: npt.ArrayLike) -> None:
@@ -165,6 +170,7 @@ class PearlParallelEnv(ParallelInterface):
 
     def save_state(self) -> bytes:
         """Return everything that what follows depends on; :meth:`load_state` takes it, on any device."""
+        self.device.check_idle("save_state", ready=True)
         saved = self.device.snapshot()
         live = self._live[:0] if self.autoreset else self._live
         return replace(saved, identity=self._identity(), live=live.view(np.uint8)).to_bytes()
@@ -207,11 +213,7 @@ class PearlParallelEnv(ParallelInterface):
                 f"render() without a render_mode: make the environment with one of {self.spec.render_modes}"
             )
         if agent is not None:
-            if agent not in self.names:
-                raise ArgumentError(
-                    f"there is no agent {agent!r}; agents are agent_0 to agent_{self.batch_size - 1}"
-                )
-            slot = self.names.slot(agent)
+            slot = self.slot_of(agent)
             if not self._live[slot]:
                 raise OrderError(f"render({agent!r}): its episode has ended, and it has left until reset()")
             self._rendered_world = slot // self.world.agents

@@ -16,7 +16,7 @@ from gymnasium.vector import AutoresetMode
 
 from pearl_marl.batch.actions import refuse_first
 from pearl_marl.batch.step import Array, BatchStep, on_host
-from pearl_marl.errors import ActionError, OrderError
+from pearl_marl.errors import ActionError, ArgumentError, OrderError
 from pearl_marl.interfaces.agent_dict import AgentDict, ended_infos, observations_in, python_values
 from pearl_marl.interfaces.batch import Batch, Mask, World
 from pearl_marl.interfaces.names import AgentList, Names
@@ -99,8 +99,17 @@ class ParallelInterface(pettingzoo.ParallelEnv, Batch):  # type: ignore[misc]
         return self._roles[self._place(agent)].action_space
 
     def _place(self, agent: str) -> int:
-        """Return where in its world an agent is, if that matters."""
-        return self.names.slot(agent) % len(self._roles) if len(self._roles) > 1 else 0
+        """Return where in its world an agent is, of as many places as there are roles."""
+        return self.slot_of(agent) % len(self._roles)
+
+    def slot_of(self, agent: str) -> int:
+        """Return an agent's slot; refuse a name that nobody has."""
+        try:
+            return self.names.slot(agent)
+        except KeyError:
+            raise ArgumentError(
+                f"there is no agent {agent!r}; agents are agent_0 to agent_{self.batch_size - 1}"
+            ) from None
 
     def _observation_space(self, role: Role) -> Space[Any]:
         if not self.world.masked:

@@ -70,9 +70,9 @@ _LIBRARIES = {"gymnasium": _announce_to_gymnasium, "pettingzoo": _announce_to_pe
 
 
 def refuse_make(env_id: str, **arguments: Any) -> NoReturn:
-    """Say what to call instead of ``gymnasium.make``, which makes one sub-environment."""
+    """Say what to call where one sub-environment is asked for: by ``gymnasium.make``, or to vectorise it."""
     name = f"Pearl/{registry.get_spec(env_id).id}"
     raise ArgumentError(
         f"{name} has a vector form only: call gymnasium.make_vec({name!r}, num_envs=...), without a "
-        "vectorization_mode, instead of gymnasium.make()"
+        "vectorization_mode"
     )

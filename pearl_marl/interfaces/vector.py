@@ -13,7 +13,7 @@ from pearl_marl.batch.step import Array
 from pearl_marl.devices import BatchConfig, BatchStep, Device, make_device
 from pearl_marl.errors import ArgumentError
 from pearl_marl.interfaces.batch import World
-from pearl_marl.interfaces.vector_interface import Shown, VectorInterface, slot_autoreset_mode
+from pearl_marl.interfaces.vector_interface import Shown, VectorInterface, checked_mode, slot_autoreset_mode
 from pearl_marl.packing import observed_as
 from pearl_marl.registry import get_spec
 
@@ -107,7 +107,7 @@ def make_vec(
     num_envs
         How many slots.
     autoreset_mode
-        A ``gymnasium.vector.AutoresetMode`` or its value: see :class:`PearlVectorEnv`.
+        A ``gymnasium.vector.AutoresetMode``, or its name or value: see :class:`PearlVectorEnv`.
     device, max_cycles, rewards, initial_states, copy, observations, **options
         As in :func:`pearl_marl.parallel_env`.
 
@@ -118,11 +118,7 @@ def make_vec(
     DeviceError
         The device is not available.
     """
-    try:
-        mode = AutoresetMode(autoreset_mode)
-    except ValueError:
-        possible = ", ".join(repr(mode.value) for mode in AutoresetMode)
-        raise ArgumentError(f"autoreset_mode is {autoreset_mode!r}; possible are {possible}") from None
+    mode = checked_mode(autoreset_mode, options.pop("render_mode", None))
     spec = get_spec(env_id).with_options(inspect.signature(make_vec).parameters, **options)
     if spec.agents > 1:
         raise ArgumentError(

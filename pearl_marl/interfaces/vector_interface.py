@@ -23,6 +23,26 @@ Shown = tuple[Observations, Array, Array, Array, dict[str, Any]]
 """Observations, rewards (``float32``), terminations, truncations, infos."""
 
 
+_NO_PICTURES = (
+    "a VectorEnv of this package draws nothing: make the environment with pearl_marl.parallel_env and a "
+    "render_mode"
+)
+
+
+def checked_mode(given: AutoresetMode | str, render_mode: str | None) -> AutoresetMode:
+    """Return an autoreset mode by its value, or by its name as Gymnasium or the command line writes it."""
+    if render_mode is not None:
+        raise ArgumentError(_NO_PICTURES)
+    try:
+        return AutoresetMode(given)
+    except ValueError:
+        name = given.upper().replace("-", "_") if isinstance(given, str) else ""
+        if name in AutoresetMode.__members__:
+            return AutoresetMode[name]
+        possible = ", ".join(f"{mode.name!r} or {mode.value!r}" for mode in AutoresetMode)
+        raise ArgumentError(f"autoreset_mode is {given!r}; possible are {possible}") from None
+
+
 def slot_autoreset_mode(mode: AutoresetMode) -> AutoresetMode:
     """Return when a device's slots begin again under a mode: in DISABLED mode at once, but nobody sees it."""
     return AutoresetMode.SAME_STEP if mode is AutoresetMode.DISABLED else mode
@@ -72,6 +92,8 @@ class VectorInterface(VectorEnv[Any, Any, Any], Batch):
 
     def reset_slots(self, mask: Mask) -> Array:
         """Begin an episode in the masked slots; return all observations."""
+        if mask is None:
+            raise ArgumentError("mask is None; reset_batch() begins an episode in every slot")
         return self.reset_batch(mask=mask)
 
     def reset(
@@ -123,6 +145,10 @@ class VectorInterface(VectorEnv[Any, Any, Any], Batch):
         """
         self.check_nobody_waits()
         return self.shown(self.step_batch(actions))
+
+    def render(self) -> tuple[Any, ...] | None:
+        """Refuse to draw."""
+        raise OrderError(_NO_PICTURES)
 
     def check_nobody_waits(self) -> None:
         """Refuse a step in DISABLED mode while one that ended has not been reset."""

@@ -10,7 +10,8 @@ import numpy as np
 
 from pearl_marl.batch.actions import random_actions
 from pearl_marl.batch.config import BatchConfig
-from pearl_marl.devices.comm_bram import CommBram, identity
+from pearl_marl.devices.comm_bram import CommBram
+from pearl_marl.devices.identity import identity
 from pearl_marl.devices.transport import Exchange, Transport
 from pearl_marl.hardware.build import Build
 from pearl_marl.hardware.codec import Stream, pack, stream_bytes

@@ -6,8 +6,10 @@ A policy is a function from a batch of observations to a batch of actions, in th
 
 from __future__ import annotations
 
+import difflib
 import importlib
 import importlib.util
+import traceback
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
@@ -19,6 +21,7 @@ from gymnasium.spaces import Discrete, MultiDiscrete, Tuple
 
 from pearl_marl.batch.actions import random_actions
 from pearl_marl.errors import ArgumentError
+from pearl_marl.files import load_arrays
 from pearl_marl.spec import EnvSpec
 
 Array = npt.NDArray[Any]
@@ -51,6 +54,8 @@ def load_policy(name: str, spec: EnvSpec, seed: int = 0) -> Policy:
     ArgumentError
         There is no such policy, or it is not one for this environment.
     """
+    if not isinstance(name, str):
+        raise ArgumentError(f"policy is {name!r}; it must be its name, such as {RANDOM!r} or a file's")
     if name == RANDOM:
         if seed < 0:
             raise ArgumentError(f"seed is {seed}; it must be a non-negative integer")
@@ -67,6 +72,8 @@ def load_policy(name: str, spec: EnvSpec, seed: int = 0) -> Policy:
     module, colon, function = name.rpartition(":")
     if colon and module and function.isidentifier():
         return _function(module, function)
+    if difflib.get_close_matches(name.lower(), (RANDOM,)):
+        raise ArgumentError(f"{name!r} names no policy; did you mean {RANDOM!r}?")
     raise ArgumentError(
         f"{name!r} names no policy; possible are {RANDOM!r}, a table of action values (FILE.npy, FILE.npz), "
         "a model of Stable-Baselines3 (FILE.zip), a folder of `pearl train`, and a function "
@@ -98,11 +105,14 @@ def table_policy(table: npt.ArrayLike, spec: EnvSpec) -> Policy:
         )
     values = np.asarray(table)
     shape = tuple(int(part.n) for part in (*parts, spec.action_space))  # type: ignore[union-attr]
-    if values.shape != shape or values.dtype.kind not in "iuf" or np.isnan(values).any():
+    if values.shape != shape or values.dtype.kind not in "iuf":
         raise ArgumentError(
             f"the table has shape {values.shape} and dtype {values.dtype}; "
             f"{spec.name} takes numbers of shape {shape}"
         )
+    if (missing := np.isnan(values)).any():
+        place = tuple(int(index) for index in np.argwhere(missing)[0])
+        raise ArgumentError(f"the table has NaN, {missing.sum():,} times, first at {place}; it takes numbers")
     greedy = values.argmax(axis=-1).astype(spec.action.dtype)
     if isinstance(space, Tuple):
         return lambda observations, _=None: greedy[tuple(observations.T)]
@@ -111,7 +121,7 @@ def table_policy(table: npt.ArrayLike, spec: EnvSpec) -> Policy:
 
 def _table(path: Path, spec: EnvSpec, _: int) -> Policy:
     try:
-        found = np.load(path)
+        found = load_arrays(path)
         table = found if isinstance(found, np.ndarray) else found["q"]
     except KeyError:
         raise ArgumentError(f"{path} has no array 'q', but {', '.join(found.files) or 'none'}") from None
@@ -134,12 +144,32 @@ def _function(module: str, name: str) -> Policy:
             spec.loader.exec_module(found)
         else:
             found = importlib.import_module(module)
-    except (ImportError, OSError) as error:
-        raise ArgumentError(f"the module of the policy, {module}, cannot be imported: {error}") from None
+    except (Exception, SystemExit) as error:
+        raise ArgumentError(
+            f"the module of the policy, {module}, cannot be imported: {_what_happened(error)}"
+        ) from error
     policy = getattr(found, name, None)
     if not callable(policy):
         raise ArgumentError(f"{module} has no function {name!r}")
-    return policy  # type: ignore[no-any-return]
+
+    def called(*seen: Array) -> Any:
+        try:
+            return policy(*seen)
+        except (Exception, SystemExit) as error:
+            raise ArgumentError(f"the policy {module}:{name} failed: {_what_happened(error)}") from error
+
+    return called
+
+
+def _what_happened(error: BaseException) -> str:
+    """Return what an exception of a user's code says, and the line that it is from."""
+    if isinstance(error, (ImportError, OSError)):
+        return str(error)
+    if isinstance(error, SyntaxError):
+        return f"{Path(error.filename or '').name}, line {error.lineno}: {error.msg}"
+    last = traceback.extract_tb(error.__traceback__)[-1]
+    where = "" if last.filename == __file__ else f"{Path(last.filename).name}, line {last.lineno}: "
+    return f"{where}{type(error).__name__}: {error}"
 
 
 def _stable_baselines3(path: Path, spec: EnvSpec, _: int) -> Policy:

@@ -15,12 +15,12 @@ from torch import Tensor
 
 from pearl_marl.errors import ArgumentError
 from pearl_marl.policies.network import SHARING, NetworkPolicy, is_dense
-from pearl_marl.spec import EnvSpec
+from pearl_marl.spec import MAX_SLOTS, EnvSpec
 from pearl_marl.training.adam import Adam
 from pearl_marl.training.dense_dqn import Steps
 from pearl_marl.training.dense_dqn import learn as learn_dense
 from pearl_marl.training.rollout import TEAM, Agents, Trainer, seen_spec, team_rewards
-from pearl_marl.training.settings import SEEDS, SLOTS, WIDEST, Checked, check_memory, choice, count, number
+from pearl_marl.training.settings import SEEDS, WIDEST, Checked, check_memory, choice, count, number
 
 Remembered = tuple[Tensor, Tensor, Tensor, Tensor, Tensor | None]
 """Actions, rewards, ends and who was there, of some steps; and of masks, what was allowed next."""
@@ -30,7 +30,7 @@ Remembered = tuple[Tensor, Tensor, Tensor, Tensor, Tensor | None]
 class Settings(Checked):
     """What a run of DQN depends on, each said beside its default."""
 
-    n_agents: int = count(512, most=SLOTS)  # that gather experience
+    n_agents: int = count(512, most=MAX_SLOTS)  # that gather experience
     iterations: int = count(1000)  # steps of every agent
     memory: int = count(200)  # how many of every agent's last steps are kept
     warm_up: int = count(10, least=0)  # steps of every agent before the first update

@@ -17,12 +17,12 @@ from torch import Tensor
 
 from pearl_marl.errors import ArgumentError
 from pearl_marl.policies.network import SHARING
-from pearl_marl.spec import EnvSpec
+from pearl_marl.spec import MAX_SLOTS, EnvSpec
 from pearl_marl.training.actor_critic import ActorCritic, View
 from pearl_marl.training.adam import Adam
 from pearl_marl.training.dense_ppo import Learning, fits
 from pearl_marl.training.rollout import TEAM, Experience, RolloutWorker, Trainer, seen_spec
-from pearl_marl.training.settings import SEEDS, SLOTS, WIDEST, Checked, check_memory, choice, count, number
+from pearl_marl.training.settings import SEEDS, WIDEST, Checked, check_memory, choice, count, number
 from pearl_marl.training.workers import RayWorkers
 
 
@@ -34,7 +34,7 @@ class Settings(Checked):
     learned depends on them, and not on how many workers share them.
     """
 
-    n_agents: int = count(1024, most=SLOTS)  # that gather experience
+    n_agents: int = count(1024, most=MAX_SLOTS)  # that gather experience
     depth: int = count(32)  # steps of each between updates
     iterations: int = count(60)  # updates in all
     epochs: int = count(4)  # how often an update goes through its experience
@@ -49,7 +49,7 @@ class Settings(Checked):
     sharing: str = choice(*SHARING)  # what a world's agents share: all; all but being told who they are; none
     rewards: str = choice(*TEAM)  # what an agent wants: its own, or the mean or the sum of its world's
     chance: float = number(0.0)  # temperature of the policy where it is used; 0 is its best actions
-    blocks: int = count(1, most=SLOTS)
+    blocks: int = count(1, most=MAX_SLOTS)
     seed: int = count(0, least=0, most=SEEDS)  # of everything random
 
     def __post_init__(self) -> None:

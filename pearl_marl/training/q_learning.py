@@ -17,17 +17,17 @@ from torch import Tensor
 
 from pearl_marl.errors import ArgumentError
 from pearl_marl.policies.network import Table, masked
-from pearl_marl.spec import EnvSpec
+from pearl_marl.spec import MAX_SLOTS, EnvSpec
 from pearl_marl.training.rollout import Agents, Trainer
-from pearl_marl.training.settings import SEEDS, SLOTS, Checked, check_memory, count, number
+from pearl_marl.training.settings import SEEDS, Checked, check_memory, count, number
 
 
 @dataclass(frozen=True)
 class Settings(Checked):
     """What a run of Q-learning depends on, each said beside its default."""
 
-    n_agents: int = count(43008, most=SLOTS)  # that gather experience, as many for each learner
-    learners: int = count(1, most=SLOTS)  # tables; from 1, which all agents share, to n_agents
+    n_agents: int = count(43008, most=MAX_SLOTS)  # that gather experience, as many for each learner
+    learners: int = count(1, most=MAX_SLOTS)  # tables; from 1, which all agents share, to n_agents
     iterations: int = count(300)  # steps of every agent
     epsilon: float = number(0.2, most=1)  # share of random actions at first; falls evenly to 0 at EXPLORING
     rate: float = number(0.5, most=1, above=True)  # how far an entry's first update moves it to its target

@@ -148,7 +148,7 @@ def train(
     if goal is not None and not math.isfinite(goal):
         raise ArgumentError(f"--goal is {goal}; it must be a finite number")
     spec = get_spec(env_id).with_options(**options)
-    _check_worlds(spec, settings)
+    _check_worlds(spec, algorithm, settings)
     spread = {} if shards is None else {"shards": shards}
     trainer = ALGORITHMS[algorithm](spec, device, settings, **spread)
     run = RunFolder(
@@ -205,10 +205,12 @@ def train(
     return run.rows
 
 
-def _check_worlds(spec: EnvSpec, settings: Any) -> None:
+def _check_worlds(spec: EnvSpec, algorithm: str, settings: Any) -> None:
     """Refuse worlds that the trainers, with one policy for all agents, cannot learn in."""
     worlds_of(spec, settings.n_agents)
     name = spec.name
+    if algorithm == "mappo" and spec.agents < 2:
+        raise ArgumentError(f"{name} has one agent in a world, and mappo's critic sees several: use ppo")
     if not spec.mask_fields and any(role.action_space != spec.action_space for role in spec.roles):
         raise ArgumentError(
             f"{name} has roles with other actions, and no masks to tell them: train by a library that learns "

@@ -3,22 +3,16 @@
 from __future__ import annotations
 
 import math
-import os
 from dataclasses import dataclass, field, fields
 from numbers import Integral, Real
 from typing import Any
 
 import torch
 
+from pearl_marl.batch.results import memory_of_machine
 from pearl_marl.devices import Cuda
 from pearl_marl.errors import ArgumentError
-from pearl_marl.spec import EnvSpec
-
-MANY = 10**12
-"""The most of anything that is counted and has no limit of its own: more would never end."""
-
-SLOTS = 2**32
-"""Agents that random draws can tell apart: see :mod:`pearl_marl.rng`."""
+from pearl_marl.spec import MANY, EnvSpec
 
 SEEDS = 2**63 - 1
 """The largest seed that PyTorch takes."""
@@ -115,7 +109,7 @@ def check_memory(
         There is less.
     """
     needed = observations * math.prod(spec.observation_shape) * spec.observation_dtype.itemsize + others
-    there, where = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"), "this machine"
+    there, where = memory_of_machine(), "this machine"
     if device == Cuda.name and torch.cuda.is_available():
         there, where = torch.cuda.get_device_properties(0).total_memory, "the GPU"
     if needed > there:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 from collections.abc import Callable
 from pathlib import Path
@@ -54,12 +55,19 @@ def test_other_shapes_are_refused(
     assert len(err.splitlines()) == 1
 
 
-@pytest.mark.parametrize("content", [b"", b"no", b"\x93NUMPY" + bytes(50)])
+def pickled() -> bytes:
+    file = io.BytesIO()
+    np.save(file, np.array([None]), allow_pickle=True)
+    return file.getvalue()
+
+
+@pytest.mark.parametrize("content", [b"", b"no", b"\x93NUMPY" + bytes(50), pickled()])
 def test_files_that_hold_no_array_are_refused(pearl: Pearl, content: bytes, tmp_path: Path) -> None:
     (tmp_path / "actions.npy").write_bytes(content)
     status, _, err = pearl("run", "CliffWalking", "--n-agents", 5, "--actions", tmp_path / "actions.npy")
     assert status == 2
     assert len(err.splitlines()) == 1
+    assert "pickle" not in err
     assert "no readable .npy file" in err
 
 

@@ -6,6 +6,8 @@ import os
 import subprocess
 import sys
 from collections.abc import Callable
+from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -24,22 +26,87 @@ Pearl = Callable[..., tuple[int, str, str]]
         ("run CartPole --n-agents abc", "--n-agents is 'abc'; it must be an integer"),
         ("run CartPole --seed 1.5", "--seed is '1.5'; it must be an integer"),
         ("train CartPole --goal high", "--goal is 'high'; it must be a number"),
-        ("run CartPole --n-agents", "Option '--n-agents' requires an argument: see pearl --help"),
-        ("run CartPole --json=3", "Option '--json' does not take a value: see pearl --help"),
-        ("run CartPole --stepz 3", "pearl run has no option --stepz; did you mean --steps?"),
-        ("run CartPole --qqq", "pearl run has no option --qqq; pearl run --help lists those"),
+        ("run CartPole --n-agents", "Option '--n-agents' requires an argument: see pearl run --help"),
+        ("run CartPole --json=3", "Option '--json' does not take a value: see pearl run --help"),
+        ("--version=3", "Option '--version' does not take a value: see pearl --help"),
+        ("run CartPole --stepz 3", "run has no option --stepz; did you mean --steps?"),
+        ("run CartPole --qqq", "run has no option --qqq; pearl run --help lists those"),
         ("tran CartPole", "there is no command 'tran'; did you mean 'train'?"),
         ("frobnicate", "there is no command 'frobnicate'; there are envs, doctor, "),
-        ("run", "pearl run needs ENV: an environment of `pearl envs` (pearl run --help tells more)"),
-        ("eval Taxi", "pearl eval needs --policy: "),
-        ("run Taxi Blackjack", "pearl run does not take 'Blackjack', in: pearl run Taxi Blackjack"),
+        ("run", "run needs ENV: an environment of `pearl envs` (pearl run --help tells more)"),
+        ("eval Taxi", "eval needs --policy: "),
+        ("run Taxi Blackjack", "run does not take 'Blackjack', in: pearl run Taxi Blackjack"),
         (
             "verify Taxi --autoreset-mode x",
             "--autoreset-mode is 'x'; it must be one of 'same-step', 'next-step'",
         ),
         ("run CliffWalking-v7", "there is no environment 'CliffWalking-v7'; CliffWalking has the id"),
         ("run CliffWalkin-v0", "there is no environment 'CliffWalkin-v0'; did you mean 'CliffWalking'?"),
-        ("run CartPole --device rtx", "there is no device 'rtx'; possible are"),
+        ("run CartPole --device gpu", "there is no device 'gpu'; possible are"),
+        ("run CartPole --device refernce", "there is no device 'refernce'; did you mean 'reference'?"),
+        ("run CartPole --device Native", "there is no device 'Native'; did you mean 'native'?"),
+        ("run CartPole --device xmda:3", "there is no device 'xmda:3'; did you mean 'xdma:3'?"),
+        ("eval CartPole --policy radnom", "'radnom' names no policy; did you mean 'random'?"),
+        # What is counted.
+        ("run CartPole --steps 0", "--steps is 0; it must be at least 1"),
+        ("run CartPole --steps 99999999999999999999", "--steps is 99999999999999999999; it must be at most"),
+        ("run CartPole --seed -1", "--seed is -1; it must be at least 0"),
+        ("verify CartPole --max-cycles -1", "--max-cycles is -1; it must be at least 0"),
+        (
+            "run CartPole --max-cycles 4294967296",
+            "--max-cycles is 4294967296; it must be at most 4,294,967,295",
+        ),
+        ("verify CartPole --steps 7", "the number of steps is 7; 8 modes share them: take more"),
+        ("run CartPole --n-agents 0", "--n-agents is 0; it must be at least 1"),
+        (
+            "run CartPole --n-agents 99999999999999",
+            "the number of agents is 99,999,999,999,999; random draws can tell 4,294,967,296 apart: take no",
+        ),
+        (
+            "eval CartPole --policy random --n-agents 8 --episodes 99999999999",
+            "the number of episodes is 99,999,999,999; it must be at least 1, and this machine has memory",
+        ),
+        *(
+            (f"bench CartPole --seconds {seconds}", f"--seconds is {seconds}; it must be a number from 0 to")
+            for seconds in ("inf", "nan", "-1.0")
+        ),
+        (
+            "serve LevelBasedForaging --at lb --n-agents 3",
+            "n_agents is 3, and a world of LevelBasedForaging has",
+        ),
+        # What hardware there can be.
+        *(
+            (f"{command} CartPole --n-envs 99999999999", "n_envs is 99,999,999,999; random draws can tell")
+            for command in ("synth", "plan", "board vc707 --out o")
+        ),
+        (
+            "board vc707 Seaquest --out o --n-envs 43008",
+            "43,008 slots of Seaquest need 2,257.0 BRAM36, and the Xilinx VC707 has 1,030: 18,432 slots fit",
+        ),
+        (
+            "board ulx3s Seaquest --out o --n-envs 43008",
+            "43,008 slots of Seaquest need 2,460.5 BRAM36, and the Radiona ULX3S 85F has 104: 1,536 slots",
+        ),
+        ("plan CartPole --clock 400", "the clock is 400 MHz; for xc7 it can be 1 to 317"),
+        ("plan CartPole --clock -3", "the clock is -3 MHz; for xc7 it can be 1 to 317"),
+        ("plan CartPole --link -1,2,3", "--link is '-1,2,3'; the microseconds a call must be at least 0"),
+        ("plan CartPole --link 1,2,0", "--link is '1,2,0'; the microseconds a call must be at least 0"),
+        # Where results go.
+        *(
+            (f"{command} --out=", "--out is empty; give it a value, or leave it out")
+            for command in (
+                "run CartPole",
+                "train CartPole",
+                "board vc707 CartPole",
+                "new Box",
+                "core CartPole",
+            )
+        ),
+        ("serve CartPole --at=", "--at is empty; give it a value"),
+        ("core CartPole --out a.svg --graph a.svg", "--out and --graph are both a.svg: give one of them"),
+        ("core CartPole --graph x.png", "--graph is x.png; it must be a file that ends in .svg"),
+        ("envs --json --markdown", "--json and --markdown are two forms of the same: leave one out"),
+        ("train CartPole --algo ppoo", "--algo is 'ppoo'; did you mean 'ppo'?"),
     ],
 )
 def test_one_sentence(pearl: Pearl, line: str, sentence: str) -> None:
@@ -47,6 +114,91 @@ def test_one_sentence(pearl: Pearl, line: str, sentence: str) -> None:
     assert (status, out) == (2, "")
     assert err.startswith(f"pearl: {sentence}")
     assert len(err.splitlines()) == 1
+
+
+def test_an_empty_word_is_no_value(pearl: Pearl) -> None:
+    status, _, err = pearl("run", "CartPole", "--out", "")
+    assert (status, err) == (2, "pearl: --out is empty; give it a value, or leave it out\n")
+
+
+FOLDERS = {
+    "run CartPole": "--out",
+    "train CartPole": "--out",
+    "eval CartPole --policy random": "--out",
+    "bench CartPole": "--out",
+    "synth CartPole": "--out",
+    "plan CartPole": "--out",
+    "verify CartPole": "--out",
+    "board vc707 CartPole": "--out",
+    "report": "--out",
+    "new Box": "--out",
+    "serve CartPole": "--at",
+    "core CartPole --out y.sv": "--graph",
+}
+"""Commands by the option that says where their results go."""
+
+
+@pytest.mark.parametrize("inside", ["", "/x.svg"])
+@pytest.mark.parametrize("line", FOLDERS)
+def test_where_nothing_can_be_written(
+    line: str, inside: str, pearl: Pearl, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Refused before the work, and nothing is made."""
+    monkeypatch.chdir(tmp_path)
+    Path("file").write_text("")
+    option = FOLDERS[line]
+    status, out, err = pearl(*line.split(), option, "file/x.svg" if option == "--graph" else f"file{inside}")
+    assert (status, out) == (2, "")
+    assert "is no folder that can be written: Not a directory" in err
+    assert err.startswith(f"pearl: {option} file")
+    assert os.listdir() == ["file"]
+
+
+def test_a_refused_call_leaves_no_folder(
+    pearl: Pearl, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for line in (
+        "run CartPole --device gpu",
+        "eval CartPole --policy x.npy",
+        "board ulx3s Seaquest --n-envs 43008",
+    ):
+        assert pearl(*line.split(), "--out", "o")[0] == 2
+    assert os.listdir() == []
+
+
+def called(*arguments: str, **given: Any) -> subprocess.CompletedProcess[str]:
+    program = "import sys; from pearl_marl_entry import main; sys.argv[0] = 'pearl'; main()"
+    return subprocess.run(
+        [sys.executable, "-c", program, *arguments], text=True, stderr=subprocess.PIPE, check=False, **given
+    )
+
+
+@pytest.mark.parametrize("line", ["envs", "envs --json"])
+def test_output_that_cannot_be_written(line: str) -> None:
+    with open("/dev/full", "w") as full:
+        done = called(*line.split(), stdout=full)
+    assert (done.returncode, done.stderr) == (
+        1,
+        "pearl: the output cannot be written: No space left on device\n",
+    )
+
+
+def test_a_current_folder_that_is_gone(tmp_path: Path) -> None:
+    (gone := tmp_path / "gone").mkdir()
+    program = "import os, sys; from pearl_marl_entry import main; os.rmdir(os.getcwd()); main()"
+    done = subprocess.run(
+        [sys.executable, "-c", program, "envs"], cwd=gone, capture_output=True, text=True, check=False
+    )
+    assert (done.returncode, done.stderr) == (
+        2,
+        "pearl: the current folder is no more: change to one that there is\n",
+    )
+
+
+def test_a_folder_is_no_environment(pearl: Pearl, tmp_path: Path) -> None:
+    status, _, err = pearl("verify", tmp_path)
+    assert (status, f"{tmp_path} is a folder; name an environment" in err) == (2, True)
 
 
 def test_an_id_is_a_name(pearl: Pearl) -> None:
@@ -81,7 +233,7 @@ def test_a_shell_completes(line: str, words: list[str]) -> None:
 
 def test_what_is_completed_is_all_that_there_is(pearl: Pearl) -> None:
     """Both are listed twice: whoever completes a word cannot wait for PyTorch and Numba."""
-    _, _, err = pearl("run", "Taxi", "--device", "nowhere")
+    _, _, err = pearl("run", "Taxi", "--device", "gpu")
     possible = err.partition("possible are ")[2].partition(", 'xdma:N'")[0]
     assert {name.strip("'") for name in possible.split(", ")} == set(DEVICES)
     assert {*run.ALGORITHMS, *run.ALIASES} == set(ALGORITHMS)

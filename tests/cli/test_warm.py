@@ -61,6 +61,15 @@ def test_a_line_for_each(pearl: Pearl) -> None:
     assert "Kernels are kept in" in out
 
 
+def test_what_would_not_be_kept_is_not_compiled(tmp_path: Path) -> None:
+    (cache := tmp_path / "file").write_text("")
+    environment = {**os.environ, "PEARL_CACHE_DIR": str(cache)}
+    call = [sys.executable, "-c", ENTRY, "warm", "CliffWalking"]
+    done = subprocess.run(call, capture_output=True, text=True, check=False, env=environment)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr.startswith("pearl: the cache folder cannot be written, so no kernel would be kept: ")
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [

@@ -212,7 +212,8 @@ def test_trace_writes_waveforms_and_keeps_every_signal(tmp_path: Path) -> None:
     assert text.count("\n#") > 2 * 60 * 12, "a time stamp for each half of each cycle"
 
 
-def test_a_trace_that_cannot_be_written(tmp_path: Path) -> None:
+def test_a_trace_that_cannot_be_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("pearl_marl.devices.rtl.library", lambda *_, **__: pytest.fail("it was compiled"))
     with pytest.raises(DeviceError, match=r"waveform file .* cannot be written"):
         opened(Rtl(4, 32, trace=tmp_path / "no" / "waves.vcd"))
 

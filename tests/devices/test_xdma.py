@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import fcntl
 import itertools
 import os
 import subprocess
@@ -20,10 +21,11 @@ from pearl_marl.devices import BatchConfig, Device, Native, Rtl, Xdma, discovery
 from pearl_marl.devices.served import ServedBoard
 from pearl_marl.devices.simulator.model_build import library
 from pearl_marl.devices.simulator.simulation import Simulation
-from pearl_marl.devices.xdma_transport import XdmaTransport
+from pearl_marl.devices.xdma_transport import SERVER_LOCK, XdmaTransport
 from pearl_marl.errors import ArgumentError, DeviceError
 from pearl_marl.hardware.build import Build
 from pearl_marl.memory_map import Control, Doorbell, Status
+from pearl_marl.spec import EnvSpec
 from pearl_marl.testing import assert_same_trajectory, trajectory
 
 from .boards import OwnBoard, served
@@ -61,7 +63,7 @@ def test_devices_by_name(tmp_path: Path) -> None:
     assert make_device("xdma").board == 0
     assert make_device("xdma:1").board == 1
     assert make_device(f"xdma:{tmp_path}").board == str(tmp_path)
-    for name in ("xdma:", "rtl:1", "xmda"):
+    for name in ("xdma:", "rtl:1", "fpga"):
         with pytest.raises(ArgumentError, match=f"no device '{name}'; possible are .*'xdma:N' for board N"):
             make_device(name)
 
@@ -180,13 +182,18 @@ def test_other_devices_go_on_where_a_board_stopped(device: Xdma, make: Callable[
 
 
 def test_a_board_for_something_else_is_refused(board: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    with pytest.raises(DeviceError, match=r"has n_envs 70, this batch needs 71: .*CliffWalking-v0.*71 slots"):
+    with pytest.raises(
+        DeviceError, match=r"has n_envs 70, this batch needs 71: it is built for 70 agents, not 71"
+    ):
         Xdma(board).open(BatchConfig(spec=SPEC, n_envs=71))
-    with pytest.raises(DeviceError, match=r"has env_hash 0x\w+, this batch needs 0x\w+.*Blackjack-v0"):
+    with pytest.raises(
+        DeviceError,
+        match=r"has env_hash 0x\w+, this batch needs 0x\w+: it is built for CliffWalking-v0, not for Blackj",
+    ):
         Xdma(board).open(BatchConfig(spec=get_spec("Blackjack"), n_envs=N))
-    with pytest.raises(DeviceError, match=r"has env_hash .*'is_slippery': True"):
+    with pytest.raises(DeviceError, match=r"not for CliffWalking-v0 with {'is_slippery': True}"):
         Xdma(board).open(BatchConfig(spec=SPEC.with_options(is_slippery=True), n_envs=N))
-    monkeypatch.setattr("pearl_marl.devices.comm_bram.PROTOCOL_VERSION", 3)
+    monkeypatch.setattr("pearl_marl.devices.identity.PROTOCOL_VERSION", 3)
     with pytest.raises(DeviceError, match="has protocol_version 2, this batch needs 3"):
         Xdma(board).open(CONFIG)
     monkeypatch.undo()
@@ -199,6 +206,49 @@ def test_what_is_no_board_is_refused(tmp_path: Path) -> None:
     (tmp_path / "xdma0_c2h_0").hardlink_to(tmp_path / "xdma0_h2c_0")
     with pytest.raises(DeviceError, match="has magic 0xffffffff"):
         Xdma(tmp_path).open(CONFIG)
+
+
+@pytest.mark.parametrize("ends", [False, True])
+def test_a_board_that_is_being_made_is_waited_for(
+    ends: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Until it is there, or its server is not any more."""
+    with (tmp_path / SERVER_LOCK).open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+
+        def goes_on(_: float) -> None:
+            if ends:
+                fcntl.flock(lock, fcntl.LOCK_UN)
+            else:
+                (tmp_path / "xdma0_h2c_0").write_bytes(b"")
+
+        monkeypatch.setattr("pearl_marl.devices.xdma_transport.time.sleep", goes_on)
+        xdma_transport.await_server(tmp_path)
+    told = capsys.readouterr().err
+    assert told == f"pearl: waiting for process {os.getpid()}, which makes a board at {tmp_path}\n"
+
+
+def test_nobody_is_waited_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("pearl_marl.devices.xdma_transport.time.sleep", lambda _: pytest.fail("it waits"))
+    (tmp_path / "file").write_text("")
+    for folder, says in (
+        (tmp_path, "there is no board at"),
+        (tmp_path / "file", "name the folder of a board"),
+    ):
+        with pytest.raises(DeviceError, match=says):
+            Xdma(folder).open(CONFIG)
+    (tmp_path / SERVER_LOCK).write_text("1\n")  # of a server that has ended
+    with pytest.raises(DeviceError, match="there is no board at"):
+        Xdma(tmp_path).open(CONFIG)
+
+
+def test_pearl_serve_counts_agents(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, pearl: Any) -> None:
+    def board(_: Path, spec: EnvSpec, n_envs: int, *sizes: Any) -> None:
+        raise DeviceError(f"{n_envs} worlds of {spec.name}")
+
+    monkeypatch.setattr("pearl_marl.cli.serve.ServedBoard", board)
+    status, _, err = pearl("serve", "LevelBasedForaging", "--at", tmp_path, "--n-agents", 4)
+    assert (status, err) == (2, "pearl: 2 worlds of LevelBasedForaging\n")
 
 
 def test_a_board_has_one_user(device: Xdma, board: Path) -> None:

@@ -17,7 +17,7 @@ from pearl_marl import get_spec
 from pearl_marl.devices import BatchConfig, Cuda, Device, Lockstep, Native, by_name
 from pearl_marl.devices.simulator.simulation import Simulation
 from pearl_marl.devices.transport import STAGES
-from pearl_marl.errors import ActionError, ArgumentError, LockstepError
+from pearl_marl.errors import ActionError, ArgumentError, LockstepError, OrderError
 from pearl_marl.evaluation.run import LIMIT, Evaluation, interval, spread
 from pearl_marl.policies.loading import Policy, load_policy, table_policy
 from pearl_marl.spec import EnvSpec
@@ -316,7 +316,7 @@ def test_a_device_that_parts_from_the_reference(
         (["Blackjack", "--policy", "greedy"], "'greedy' names no policy"),
         (["Blackjack", "--policy", "random", "--device", "gpu"], "no device 'gpu'"),
         (["Blackjack", "--policy", "random", "--episodes", "0"], "--episodes"),
-        (["Blackjack", "--policy", "random", "--max-cycles", "-1"], "max_cycles is -1"),
+        (["Blackjack", "--policy", "random", "--max-cycles", "-1"], "--max-cycles is -1"),
         (["Blackjack", "--policy", "random", "--seed", "-1"], "seed"),
     ],
 )
@@ -331,6 +331,23 @@ def test_an_out_that_is_a_file_is_refused_before_the_work(pearl: Any, tmp_path: 
     status, _, err = pearl("eval", "Blackjack", "--policy", "random", "--out", tmp_path / "file")
     assert status == 2
     assert "--out" in err
+
+
+@pytest.mark.parametrize(
+    ("spec", "policy", "says"),
+    [
+        ("Blackjack", print, "spec is 'Blackjack'; it must be an EnvSpec"),
+        (CARDS, "random", "policy is 'random'; it must be a function"),
+    ],
+)
+def test_what_is_no_spec_or_policy(spec: Any, policy: Any, says: str) -> None:
+    with pytest.raises(ArgumentError, match=says):
+        Evaluation(spec, policy, 4)
+
+
+def test_a_summary_of_nothing() -> None:
+    with pytest.raises(OrderError, match=r"summary\(\) before run\(\)"):
+        Evaluation(CARDS, load_policy("random", CARDS), 4).summary()
 
 
 def test_a_policy_by_name() -> None:

@@ -194,6 +194,10 @@ def test_the_command_makes_a_cross_table(players: Path, pearl: Pearl, tmp_path: 
         (("ConnectFour", "--against", "random", "--episodes", 9), "leave --episodes out"),
         (("ConnectFour", "--openings", 2), "give --against, too"),
         (("ConnectFour", "--against", "random", "--against", "random"), "'random' is given as --policy or"),
+        (
+            ("ConnectFour", "--against", "random", "--openings", 42),
+            "openings is 42, and no game went on for more than",
+        ),
         (("CartPole", "--against", "random"), "CartPole has one agent in a world"),
         (
             ("ConnectFour", "--against", "x.npy", "--against", "y.npy", "--lockstep"),

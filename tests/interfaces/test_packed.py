@@ -70,6 +70,13 @@ def test_refusals(name: str, observations: str, message: str) -> None:
         pearl_marl.parallel_env(name, observations=observations)
 
 
+def test_what_is_never_packed() -> None:
+    with pytest.raises(
+        ArgumentError, match="only planes are packed, which CliffWalking's observations are not"
+    ):
+        pearl_marl.unpacked(pearl_marl.get_spec("CliffWalking"), np.zeros((3, 1), np.uint8))
+
+
 @pytest.mark.parametrize("rows", [np.zeros((3, 68), np.uint8), np.zeros((3, 69)), np.zeros(69, np.uint8)])
 def test_other_rows_are_refused(rows: np.ndarray) -> None:
     with pytest.raises(ArgumentError, match=r"Seaquest's are uint8 of the shape \(n, 69\)"):

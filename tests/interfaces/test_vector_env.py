@@ -20,15 +20,32 @@ def test_gymnasium_chooses_the_vector_entry_point_by_itself() -> None:
     env.close()
 
 
-@pytest.mark.parametrize("mode", [*AutoresetMode, "SameStep", "NextStep", "Disabled"])
-def test_modes_by_object_and_name(mode: Any) -> None:
-    env = pearl_marl.make_vec("CliffWalking", 2, autoreset_mode=mode)
-    assert env.metadata["autoreset_mode"] is AutoresetMode(mode)
-    env.close()
+@pytest.mark.parametrize("mode", AutoresetMode)
+def test_modes_by_object_and_name(mode: AutoresetMode) -> None:
+    """Gymnasium has two names of each, and the command line another."""
+    for given in (mode, mode.value, mode.name, mode.name.lower().replace("_", "-")):
+        env = pearl_marl.make_vec("CliffWalking", 2, autoreset_mode=given)
+        assert env.metadata["autoreset_mode"] is mode
+        env.close()
+
+
+def test_no_pictures() -> None:
+    with pytest.raises(ArgumentError, match=r"draws nothing: .*parallel_env"):
+        pearl_marl.make_vec("CliffWalking", 2, render_mode="rgb_array")
+    env = pearl_marl.make_vec("CliffWalking", 2, render_mode=None)
+    with pytest.raises(OrderError, match=r"draws nothing: .*parallel_env"):
+        env.render()
+
+
+def test_no_mask() -> None:
+    env = pearl_marl.make_vec("CliffWalking", 2)
+    env.reset(seed=0)
+    with pytest.raises(ArgumentError, match=r"mask is None; reset_batch\(\)"):
+        env.reset_slots(None)  # type: ignore[arg-type]
 
 
 def test_unknown_mode() -> None:
-    with pytest.raises(ArgumentError, match=r"'sometimes'.*'NextStep'"):
+    with pytest.raises(ArgumentError, match=r"'sometimes'.*'NEXT_STEP' or 'NextStep'"):
         pearl_marl.make_vec("CliffWalking", 2, autoreset_mode="sometimes")
 
 

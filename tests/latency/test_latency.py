@@ -347,11 +347,11 @@ def test_pearl_plan(pearl: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     ("arguments", "says"),
     [
         (["--link", "gen9"], "there is no link 'gen9'; possible are gen2x4, gen2x8, gen3x16"),
-        (["--link", "30,0,1"], "write_rate of the link '30,0,1' is 0.0"),
+        (["--link", "30,0,1"], "--link is '30,0,1'; the microseconds a call"),
         (["--part", "vc808"], "there is no part 'vc808'; possible are vc707, kc705, arty-a7-100t, any"),
         (
             ["--clock", "0"],
-            "a core at 0 MHz is made for 1.5 times that: the clock is 0 MHz",
+            "the clock is 0 MHz; for xc7 it can be 1 to 317",
         ),
         (["--pe-num", "0"], "pe_num is 0; possible are 1 to n_envs = 43008"),
         (["--data-wl", "48"], "data_wl is 48; possible are 32"),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -63,7 +64,7 @@ def test_files_of_tables(kind: str, tmp_path: Path) -> None:
     [
         (np.zeros((48, 3)), CLIFF, r"shape \(48, 3\) .* CliffWalking takes numbers of shape \(48, 4\)"),
         (np.zeros((48, 4), "U1"), CLIFF, "dtype <U1"),
-        (np.full((48, 4), np.nan), CLIFF, "takes numbers"),
+        (np.full((48, 4), np.nan), CLIFF, r"the table has NaN, 192 times, first at \(0, 0\)"),
         (np.zeros((32, 11, 2)), CARDS, r"shape \(32, 11, 2, 2\)"),
         (np.zeros((48, 4)), POLE, "a table is for discrete observations and actions; CartPole has Box"),
     ],
@@ -82,8 +83,8 @@ def test_files_that_are_no_tables(tmp_path: Path) -> None:
     (tmp_path / "text.npz").write_text("no numbers")
     for name, says in (
         ("other.npz", "has no array 'q', but curve"),
-        ("text.npy", "no readable table"),
-        ("text.npz", "no readable table"),
+        ("text.npy", "no readable table: it does not begin as one that NumPy writes"),
+        ("text.npz", "no readable table: it does not begin as one that NumPy writes"),
         ("missing.npy", "there is no file"),
     ):
         with pytest.raises(ArgumentError, match=says):
@@ -115,6 +116,28 @@ def test_functions(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 def test_names_of_nothing(name: str) -> None:
     with pytest.raises(ArgumentError, match=r"names no policy; possible are 'random', a table"):
         load_policy(name, CLIFF)
+
+
+@pytest.mark.parametrize("name", [3, None])
+def test_what_is_no_name(name: Any) -> None:
+    with pytest.raises(ArgumentError, match=f"policy is {name}; it must be its name"):
+        load_policy(name, CLIFF)
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("def act(:", "mine.py, line 1: invalid syntax"),
+        ("import sys\nsys.exit(3)", "cannot be imported: mine.py, line 2: SystemExit: 3"),
+        ("\n1 / 0", "cannot be imported: mine.py, line 2: ZeroDivisionError: division by zero"),
+        ("act = lambda: 0", r"mine.py:act failed: TypeError: .*takes 0 positional arguments but 1 was given"),
+        ("def act(seen):\n    return seen[99]", "mine.py:act failed: mine.py, line 2: IndexError: index 99"),
+    ],
+)
+def test_functions_that_fail(text: str, says: str, tmp_path: Path) -> None:
+    (path := tmp_path / "mine.py").write_text(text)
+    with pytest.raises(ArgumentError, match=says):
+        load_policy(f"{path}:act", CLIFF)(np.zeros(4, np.uint8))
 
 
 @pytest.mark.parametrize(

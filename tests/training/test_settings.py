@@ -102,7 +102,8 @@ def test_what_is_set(pearl: Pearl, algorithm: str, given: str, words: str, tmp_p
             5_000_000_000,
             "--n-agents is 5000000000; it must be a whole number from 1 to",
         ),
-        ("--seed", -1, "--seed is -1; it must be a whole number from 0 to"),
+        ("--seed", -1, "--seed is -1; it must be at least 0"),
+        ("--seed", 2**63, "--seed is 9223372036854775808; it must be a whole number from 0 to"),
         ("--evaluate-every", 0, "--evaluate-every is 0; it must be a whole number of at least 1"),
         ("--evaluate-every", -5, "--evaluate-every is -5; it must be a whole number of at least 1"),
         ("--goal", "nan", "--goal is nan; it must be a finite number"),
@@ -122,6 +123,11 @@ def test_the_seed_can_be_given_in_two_ways(pearl: Pearl, given: tuple[str, Any],
     status, _, err = pearl("train", *arguments, *given, "--out", tmp_path)
     assert status == 0, err
     assert json.loads((tmp_path / "config.json").read_text())["settings"]["settings"]["seed"] == 3
+
+
+def test_a_critic_of_worlds_takes_several_agents(pearl: Pearl, tmp_path: Path) -> None:
+    said = refused(pearl, tmp_path, "CartPole", "--algo", "mappo", "--iterations", 1)
+    assert "CartPole has one agent in a world, and mappo's critic sees several: use ppo" in said
 
 
 def test_shards(pearl: Pearl, tmp_path: Path) -> None:

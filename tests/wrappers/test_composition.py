@@ -362,6 +362,21 @@ class TestArguments:
             assert_same_trajectory(*(trajectory(env, actions("Drift", 5)) for env in (first, second)))
 
 
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda env: wrappers.reward_lambda_v0(env, 3),
+        lambda env: wrappers.observation_lambda_v0(env, 3),
+        lambda env: wrappers.observation_lambda_v0(env, lambda obs, _: obs, 3),
+        lambda env: wrappers.action_lambda_v1(env, 3, lambda space: space),
+        lambda env: wrappers.action_lambda_v1(env, lambda actions, _: actions, 3),
+    ],
+)
+def test_what_is_no_function(make: Any) -> None:
+    with pytest.raises(ArgumentError, match="_fn is 3; it must be a function"):
+        make(pearl_marl.parallel_env("CliffWalking", 2))
+
+
 def test_spaces_that_zeros_are_not_in() -> None:
     """What histories show before an episode's first frame is in the space, too."""
     env = wrappers.observation_lambda_v0(

@@ -32,11 +32,6 @@ class Simulation(Transport):
     """
 
     def __init__(self, built: Path, layout: MemoryMap, backdoor: bool, trace: str | None) -> None:
-        if trace is not None:
-            try:
-                Path(trace).touch()
-            except OSError as error:
-                raise DeviceError(f"the waveform file {trace} cannot be written: {error}") from error
         self._model = pyverilator_mends.load(built)
         self._functions = _declared(self._model.lib)
         self._traced = trace is not None
