@@ -30,7 +30,12 @@ Iterations = Annotated[
 ]
 Given = Annotated[
     list[str] | None,
-    typer.Option("--set", metavar="NAME=VALUE", help="Another setting of the algorithm; may be repeated."),
+    typer.Option(
+        "--set",
+        metavar="NAME=VALUE",
+        help="A setting of the algorithm, for example `learning_rate=0.001`; may be repeated. "
+        "docs/training.md lists them.",
+    ),
 ]
 Goal = Annotated[
     float | None,
