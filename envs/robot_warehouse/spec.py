@@ -62,7 +62,7 @@ def configure(
     return EnvSpec(
         name="RobotWarehouse",
         version=0,
-        summary="Carry shelves that are asked for to a goal and back, in each other's way",
+        summary="Carry requested shelves to a goal and back, in each other's way",
         state=state_fields(rules),
         action=Field("action", 3),
         observation=observation,
@@ -86,6 +86,7 @@ def configure(
         },
         configure=configure,
         draw=make_draw(rules),
+        follows="rware rware-tiny-2ag-v2",
         render_modes=("rgb_array",),
         grid=grid(rules),
     )
