@@ -119,7 +119,7 @@ def configure(
     return EnvSpec(
         name="CoinGame",
         version=0,
-        summary="Collect coins; taking one of the other player's colour costs that player more than it brings",
+        summary="Collect coins; one of the other's colour costs the other more than it brings",
         state=(*places(THINGS), Field("time", max((inner - 1).bit_length(), 1))),
         action=Field("action", 3),
         observation=places(SEEN[1:] if egocentric else SEEN),
