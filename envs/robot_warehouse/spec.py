@@ -106,8 +106,8 @@ def rules_of(
             raise ArgumentError(f"{name} is {value!r}; possible are {', '.join(map(repr, known))}")
     if isinstance(robots, int) and robots > MOST:
         raise ArgumentError(
-            f"robots is {robots}; it must be an integer from 1 to {MOST}, as with more there are ties in the "
-            "package that are not told apart here"
+            f"robots is {robots}; it must be an integer from 1 to {MOST}: with more, rware breaks ties "
+            "in ways that this package does not reproduce"
         )
     rules = Rules(
         *SIZES[size],

@@ -22,7 +22,7 @@ from pearl_marl.registry import names
 from pearl_marl.spec import EnvSpec
 
 Rounds = Annotated[
-    int, typer.Option("--rounds", min=1, help="How often each contender is timed; the median counts.")
+    int, typer.Option("--rounds", min=1, help="How often each contender is timed; the median is reported.")
 ]
 Seconds = Annotated[float, typer.Option("--seconds", min=0.0, help="About how long one timing lasts.")]
 
@@ -41,15 +41,23 @@ OTHERS = {
 """The contenders of ``--all``, by name, with the words for them in its table."""
 
 AnyEnv = Annotated[
-    str | None, typer.Argument(metavar="[ENV]", help="An environment of `pearl envs`; else CliffWalking.")
+    str | None,
+    typer.Argument(metavar="[ENV]", help="An environment of `pearl envs`; by default CliffWalking."),
 ]
-Every = Annotated[bool, typer.Option("--all", help="Every environment in turn, with fewer contenders.")]
+Every = Annotated[bool, typer.Option("--all", help="Compare every environment, with fewer contenders.")]
 Training = Annotated[
-    bool, typer.Option("--training", help="Whole trainings beside those of other packages, of ENV or all.")
+    bool,
+    typer.Option(
+        "--training",
+        help="Compare whole trainings with those of other packages, on ENV or on all environments.",
+    ),
 ]
-Quick = Annotated[bool, typer.Option("--quick", help="Of --training, a few iterations of one seed.")]
+Quick = Annotated[bool, typer.Option("--quick", help="With --training: only a few iterations of one seed.")]
 Growth = Annotated[
-    bool, typer.Option("--growth", help="A step's time for each agent, from 43,008 agents to 10 million.")
+    bool,
+    typer.Option(
+        "--growth", help="Show how the time of a step per agent grows, from 43,008 agents to 10 million."
+    ),
 ]
 
 
@@ -68,7 +76,7 @@ def command(
 ) -> None:
     """Measure steps per second against EnvPool, Gymnasium's vector environments and the games' packages."""
     if quick and not training:
-        raise ArgumentError("--quick is of --training: add that, or leave --quick out")
+        raise ArgumentError("--quick works only with --training: add that, or leave --quick out")
     if training:
         if every or growing or option or n_agents is not None:
             raise ArgumentError(

@@ -46,18 +46,22 @@ EnvName = Annotated[
 Agents = Annotated[
     int | None,
     typer.Option(
-        "--n-agents", help="How many agents, those of whole worlds.", show_default=f"about {ABOUT:,}"
+        "--n-agents",
+        help="Number of agents; a multiple of the agents of a world.",
+        show_default=f"about {ABOUT:,}",
     ),
 ]
 DEVICES = ("native", "rtl", "cuda", "reference", "xdma", "serial")
 DeviceName = Annotated[
     str,
-    typer.Option("--device", help="Where they are stepped.", autocompletion=completed(lambda: DEVICES)),
+    typer.Option(
+        "--device", help="The device that steps the agents.", autocompletion=completed(lambda: DEVICES)
+    ),
 ]
-Seed = Annotated[int, typer.Option("--seed", help="Of the random numbers.")]
-Steps = Annotated[int, typer.Option("--steps", help="Steps of every agent.")]
+Seed = Annotated[int, typer.Option("--seed", help="Seed of all random numbers.")]
+Steps = Annotated[int, typer.Option("--steps", help="Number of steps of every agent.")]
 Out = Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Where to write results.")]
-AsJson = Annotated[bool, typer.Option("--json", help="Print JSON for machines instead of tables.")]
+AsJson = Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")]
 Options = Annotated[
     list[str] | None,
     typer.Option("--option", metavar="NAME=VALUE", help="An argument of the environment; may be repeated."),

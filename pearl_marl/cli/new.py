@@ -24,9 +24,11 @@ TEMPLATE = "MyEnvironment"
 WORLD = "AGENTS = 2"
 """What says in the template of a world how many agents share it."""
 
-NewName = Annotated[str, typer.Argument(metavar="NAME", help="Of the environment, as in FrozenLake.")]
-SharedBy = Annotated[int, typer.Option("--agents", help="How many agents share a world's state.")]
-Where = Annotated[Path, typer.Option("--out", metavar="DIR", help="Where to make the package's folder.")]
+NewName = Annotated[
+    str, typer.Argument(metavar="NAME", help="The new environment's name, for example FrozenLake.")
+]
+SharedBy = Annotated[int, typer.Option("--agents", help="Number of agents that share a world.")]
+Where = Annotated[Path, typer.Option("--out", metavar="DIR", help="The folder to write the package into.")]
 
 
 def command(name: NewName, agents: SharedBy = 1, out: Where = Path(), as_json: common.AsJson = False) -> None:

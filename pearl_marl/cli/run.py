@@ -30,8 +30,8 @@ ActionFile = Annotated[
     typer.Option(
         "--actions",
         metavar="FILE",
-        help="A .npy file of actions, of shape (steps, n_agents), or (steps, n_agents, 1) where one is an "
-        "array of shape (1,), as Pendulum's; random without.",
+        help="A .npy file of actions, of shape (steps, n_agents), or (steps, n_agents, 1) if an action is an "
+        "array of shape (1,), as in Pendulum; without it, actions are random.",
     ),
 ]
 VideoFile = Annotated[
@@ -39,7 +39,7 @@ VideoFile = Annotated[
     typer.Option(
         "--video",
         metavar="FILE.gif",
-        help=f"Where to write a film of the first {VIDEO_WORLDS} worlds in the first {VIDEO_STEPS} steps.",
+        help=f"Write a film of the first {VIDEO_WORLDS} worlds in the first {VIDEO_STEPS} steps.",
     ),
 ]
 MaxCycles = Annotated[int | None, typer.Option("--max-cycles", help="Time limit of an episode, 0 for none.")]

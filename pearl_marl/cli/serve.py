@@ -23,12 +23,14 @@ from pearl_marl.cli.common import (
 from pearl_marl.devices.rtl import Rtl
 from pearl_marl.devices.served import ServedBoard
 
-PeNum = Annotated[int | None, typer.Option("--pe-num", help="Processing elements.", show_default="chosen")]
+PeNum = Annotated[
+    int | None, typer.Option("--pe-num", help="Number of processing elements.", show_default="chosen")
+]
 DataWl = Annotated[int | None, typer.Option("--data-wl", help="Bits of a word.", show_default="chosen")]
 PathName = Annotated[
     str, typer.Option("--path", help="How a step's bytes reach the memories: `backdoor`, or over `axi`.")
 ]
-At = Annotated[Path, typer.Option("--at", metavar="DIR", help="Where the board's files are made.")]
+At = Annotated[Path, typer.Option("--at", metavar="DIR", help="The folder of the board's files.")]
 
 
 def command(
@@ -43,8 +45,8 @@ def command(
 ) -> None:
     """Serve a simulated board, to be used with --device xdma:DIR, until Ctrl-C.
 
-    One program at a time uses it, as with a real one; it may end, and another begin. A folder in memory,
-    such as /dev/shm/board, is fastest.
+    One program at a time can use it, like a real board; when that program ends, another may start. A folder
+    in memory, such as /dev/shm/board, is fastest.
     """
     Rtl(pe_num, data_wl, path)  # refuses what is no size or path
     spec = spec_of(env_id, option)

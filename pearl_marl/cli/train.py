@@ -23,10 +23,11 @@ Algorithm = Annotated[
     ),
 ]
 Agents = Annotated[
-    int | None, typer.Option("--n-agents", help="How many agents gather experience.", show_default="preset")
+    int | None,
+    typer.Option("--n-agents", help="Number of agents that gather experience.", show_default="preset"),
 ]
 Iterations = Annotated[
-    int | None, typer.Option("--iterations", help="How many updates.", show_default="preset")
+    int | None, typer.Option("--iterations", help="Number of updates.", show_default="preset")
 ]
 Given = Annotated[
     list[str] | None,
@@ -39,7 +40,7 @@ Given = Annotated[
 ]
 Goal = Annotated[
     float | None,
-    typer.Option("--goal", help="End as soon as an evaluation reaches this mean return of an agent."),
+    typer.Option("--goal", help="End when an evaluation reaches this mean return of an agent."),
 ]
 Every = Annotated[
     int | None,
@@ -49,7 +50,7 @@ Shards = Annotated[
     int | None,
     typer.Option(
         "--shards",
-        help="How many processes step agents, by Ray; `ppo` only.",
+        help="Number of Ray processes that step agents; `ppo` only.",
         show_default="this process",
     ),
 ]
@@ -58,7 +59,7 @@ Folder = Annotated[
     typer.Option(
         "--out",
         metavar="DIR",
-        help="The run's folder, new or to go on with.",
+        help="The run's folder; if it holds an unfinished run, the command continues it.",
         show_default="out/ENV-ALGORITHM",
     ),
 ]
@@ -79,7 +80,7 @@ def command(
     out: Folder = None,
     as_json: common.AsJson = False,
 ) -> None:
-    """Train a policy that all agents share; with the --out of a run that was killed, go on with it."""
+    """Train a policy that all agents share; with the --out of a run that was killed, resume it."""
     spec = common.spec_of(env_id, option)
     out = out or Path("out") / f"{spec.name}-{algo}"
     interrupts.advice = f": to go on, give the same command again, with the same --out {out}"

@@ -45,18 +45,20 @@ ReferenceName = Annotated[
     str | None,
     typer.Option(
         "--reference",
-        help="What it must agree with: `reference`, the golden functions themselves, or another device.",
+        help="What it must agree with: `reference` (the golden functions) or another device.",
         show_default="reference, or the file's",
     ),
 ]
-StepsOfAll = Annotated[int, typer.Option("--steps", min=1, help="Steps of every agent, shared by the modes.")]
+StepsOfAll = Annotated[
+    int, typer.Option("--steps", min=1, help="Number of steps of every agent, divided among the modes.")
+]
 MaxCycles = Annotated[
     int | None,
     typer.Option("--max-cycles", help="Time limit of an episode, 0 for none.", show_default="both"),
 ]
 Mode = Annotated[
     Autoreset | None,
-    typer.Option("--autoreset-mode", help="When a slot that ended begins again.", show_default="both"),
+    typer.Option("--autoreset-mode", help="When a world that ended starts again.", show_default="both"),
 ]
 InitialStates = Annotated[
     Starts | None,
@@ -130,7 +132,7 @@ def command(
     if as_json:
         common.print_json(result)
     else:
-        console.print(_table(f"{spec.id} on {device}, held against {reference}", result["modes"]))
+        console.print(_table(f"{spec.id} on {device}, compared with {reference}", result["modes"]))
         _say(parted, _verdict(result))
         if path is not None:
             console.print(f"Wrote {path}: pearl verify {path} replays it.", markup=False, soft_wrap=True)
@@ -138,7 +140,7 @@ def command(
         sys.exit(1)
     if not result["episodes"]:
         error_console.print(
-            "Warning: no episode ended, so no start of another was compared. Take more --steps or agents.",
+            "Warning: no episode ended, so no restart was compared. Take more --steps or --n-agents.",
             style="yellow",
         )
 
