@@ -235,6 +235,7 @@ def _table(title: str, rows: list[Contender]) -> Table:
             continue
         each = c.n / c.seconds_per_step
         ratio = f"{each / (base.n / base.seconds_per_step):,.3g}" if base else "-"
-        spread = f"±{(max(c.seconds) - min(c.seconds)) / 2 / c.seconds_per_step:.0%}"
+        once = len(c.seconds) < 2  # of which no spread is known
+        spread = "-" if once else f"±{(max(c.seconds) - min(c.seconds)) / 2 / c.seconds_per_step:.0%}"
         grid.add_row(name, f"{c.n:,}", rate(each), ratio, duration(c.seconds_per_step), spread)
     return grid

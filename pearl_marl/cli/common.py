@@ -107,6 +107,11 @@ def on_device(what: str, device: str) -> str:
     return f"{what} on {device}" + (", simulated: times are the simulator's" if simulated(device) else "")
 
 
+def counted(n: int, what: str) -> str:
+    """Return a number with the name of what is counted: ``1 slot``, ``7 slots``."""
+    return f"{n:,} {what}{'' if n == 1 else 's'}"
+
+
 def in_file_name(device: str) -> str:
     """Return a device's name as it can be part of a file's: ``xdma:/dev/shm/board`` has more than letters."""
     return re.sub(r"[^\w.-]+", "_", device)

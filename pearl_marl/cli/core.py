@@ -64,6 +64,9 @@ def command(
     if out is None:
         typer.echo(core.text, nl=False)
     (error_console if out is None else console).print(_sentence(core), soft_wrap=True)
+    for path in (out, graph):
+        if path is not None:
+            error_console.print(f"Wrote {path}.", soft_wrap=True, markup=False)
 
 
 def _write(path: Path, text: str) -> None:
@@ -76,6 +79,8 @@ def _write(path: Path, text: str) -> None:
 
 def _sentence(core: Core) -> str:
     return (
-        f"A result after {core.latency} cycles, one a cycle; {core.register_bits:,} register bits, "
-        f"{core.multipliers} multipliers, {core.levels:.1f} levels of logic in the slowest stage (estimated)."
+        f"Latency {common.counted(core.latency, 'cycle')}, one result a cycle; "
+        f"{common.counted(core.register_bits, 'register bit')}, "
+        f"{common.counted(core.multipliers, 'multiplier')}, "
+        f"{core.levels:.1f} levels of logic in the slowest stage (estimated)."
     )

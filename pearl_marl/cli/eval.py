@@ -210,10 +210,8 @@ def _outcome(result: dict[str, Any]) -> Table:
         shares = (f"{match[what] / games:.1%} {name}" for what, name in _ENDS)
         grid.add_row("against", escape(result["against"]))
         grid.add_row("match", f"{games:,} games: {', '.join(shares)}")
-        grid.add_row(
-            "mean return",
-            f"{match['return']['mean']:,.3f} of the policy, {match['their_return']['mean']:,.3f} of its opponents",
-        )
+        ours, theirs = match["return"]["mean"], match["their_return"]["mean"]
+        grid.add_row("mean return", f"{ours:,.3f} of the policy, {theirs:,.3f} of its opponents")
     limit = f"at most {result['max_cycles']:,} steps each" if result["max_cycles"] else "no time limit"
     grid.add_row("episodes", f"{result['episodes']:,} of {result['n_agents']:,} agents, {limit}")
     grid.add_row("truncated", f"{result['truncated']:,}")

@@ -24,6 +24,9 @@ TEMPLATE = "MyEnvironment"
 WORLD = "AGENTS = 2"
 """What says in the template of a world how many agents share it."""
 
+TESTS = "tests"
+"""The folder of a new package's tests, beside that of its code."""
+
 NewName = Annotated[
     str, typer.Argument(metavar="NAME", help="The new environment's name, for example FrozenLake.")
 ]
@@ -80,6 +83,10 @@ def _checked(name: str, out: Path) -> Path:
     if keyword.iskeyword(snake) or (found is not None and found.origin is not None):  # None is a mere folder
         raise ArgumentError(
             f"name {name!r}: its package would be called {snake!r}, which Python has a meaning for already"
+        )
+    if snake == TESTS:
+        raise ArgumentError(
+            f"name {name!r}: the folder {TESTS!r} holds the package's tests; choose another name"
         )
     modules = {path.stem for path in elaboration.backbone_paths()}
     if {f"{snake}_pe", f"{snake}_pkg"} & modules:

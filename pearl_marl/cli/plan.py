@@ -79,7 +79,7 @@ def command(
         "clock_mhz": clock,
         "link": {
             "name": taken.name,
-            "call_us": taken.call * 1e6,
+            "call_us": round(taken.call * 1e6, 6),
             "write_gb_per_s": taken.write_rate / 1e9,
             "read_gb_per_s": taken.read_rate / 1e9,
             "source": taken.source,

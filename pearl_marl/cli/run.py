@@ -165,6 +165,9 @@ def _table(result: dict[str, Any]) -> Table:
     table.add_row("episodes finished", f"{result['episodes']:,}, of them truncated {result['truncated']:,}")
     if result["episodes"]:
         span = f"{result['return_min']:g} to {result['return_max']:g}"
-        table.add_row("return", f"{result['return_mean']:.2f} ± {result['return_std']:.2f} ({span})")
-        table.add_row("length", f"{result['length_mean']:.1f} ± {result['length_std']:.1f}")
+        table.add_row(
+            "return",
+            f"{result['return_mean']:.2f}, standard deviation {result['return_std']:.2f}, from {span}",
+        )
+        table.add_row("length", f"{result['length_mean']:.1f}, standard deviation {result['length_std']:.1f}")
     return table

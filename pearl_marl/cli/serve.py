@@ -17,6 +17,7 @@ from pearl_marl.cli.common import (
     Options,
     agents_of,
     console,
+    counted,
     print_json,
     spec_of,
 )
@@ -69,7 +70,8 @@ def command(
             print_json(facts)
         else:
             console.print(
-                f"Serving {board.spec.id}, {layout.n_envs:,} slots on {layout.pe_num} processing elements, "
+                f"Serving {board.spec.id}, {counted(layout.n_envs, 'slot')} on "
+                f"{counted(layout.pe_num, 'processing element')}, "
                 f"words of {layout.data_wl} bits. Use it as [bold]--device xdma:{escape(str(at))}[/]; "
                 "Ctrl-C ends it.",
                 soft_wrap=True,
