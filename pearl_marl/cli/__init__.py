@@ -23,7 +23,8 @@ from pearl_marl.version import __version__
 COMMANDS = {
     "envs": "List the environments: spaces, widths, rewards, limits.",
     "doctor": "Check what this machine can run; each problem comes with its fix.",
-    "warm": "Compile the kernels of environments ahead, for images and clusters: first steps are then fast.",
+    "warm": "Compile ahead, for images and clusters: "
+    "the kernels of some environments, or all and the trainers.",
     "run": "Step every agent with random (or given) actions: throughput and episode statistics.",
     "train": "Train a policy that all agents share; with the --out of a run that was killed, resume it.",
     "eval": "Evaluate a policy on a device: returns, lengths, latency of every stage, and a digest.",

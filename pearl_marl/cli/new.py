@@ -73,6 +73,10 @@ def _checked(name: str, out: Path) -> Path:
             f"name {name!r}: it takes letters and digits, a capital letter first, as in FrozenLake"
         )
     snake = snake_case(name)
+    if snake == TESTS:
+        raise ArgumentError(
+            f"name {name!r}: the folder {TESTS!r} holds the package's tests; choose another name"
+        )
     taken = next((other for other in names() if snake_case(other) == snake), None)
     if taken is not None:
         raise ArgumentError(f"there is an environment {taken!r} already; choose another name")
@@ -83,10 +87,6 @@ def _checked(name: str, out: Path) -> Path:
     if keyword.iskeyword(snake) or (found is not None and found.origin is not None):  # None is a mere folder
         raise ArgumentError(
             f"name {name!r}: its package would be called {snake!r}, which Python has a meaning for already"
-        )
-    if snake == TESTS:
-        raise ArgumentError(
-            f"name {name!r}: the folder {TESTS!r} holds the package's tests; choose another name"
         )
     modules = {path.stem for path in elaboration.backbone_paths()}
     if {f"{snake}_pe", f"{snake}_pkg"} & modules:
