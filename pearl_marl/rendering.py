@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import math
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -107,10 +107,10 @@ def check_render_mode(spec: EnvSpec, mode: str | None) -> None:
 class Video:
     """A film of the first worlds, side by side, as a GIF.
 
-    It needs no screen. Takes Pillow, of the ``render`` extra.
+    It needs no screen. Takes Pillow, of the ``render`` extra. ``labels`` are written into its rows.
     """
 
-    def __init__(self, spec: EnvSpec, path: Path) -> None:
+    def __init__(self, spec: EnvSpec, path: Path, labels: Sequence[str] = ()) -> None:
         if path.suffix.lower() != ".gif":
             raise ArgumentError(f"--video is {path}; it must be a file that ends in .gif")
         try:
@@ -118,7 +118,8 @@ class Video:
         except OSError as error:
             raise ArgumentError(f"--video {path} cannot be written: {error.strerror}") from None
         os.environ.setdefault("SDL_VIDEODRIVER", "dummy")  # pygame asks for a screen that is never shown
-        self._image = _import_pillow()
+        self._image, self._drawing = _import_pillow()
+        self._labels = labels
         self._path, self._milliseconds = path, 1000 // spec.render_fps
         self._renderer = renderer(spec, "rgb_array")
         self._frames: list[Any] = []
@@ -131,6 +132,9 @@ class Video:
         frame = self._image.new("RGB", (columns * width, math.ceil(len(tiles) / columns) * height))
         for i, tile in enumerate(tiles):
             frame.paste(tile, (i % columns * width, i // columns * height))
+        pen = self._drawing.Draw(frame)
+        for row, label in enumerate(self._labels):
+            pen.text((4, row * height + 4), label, fill="black", font_size=12)
         self._frames.append(frame.convert("P", palette=self._image.Palette.ADAPTIVE))
 
     def save(self) -> None:
@@ -151,10 +155,10 @@ class Video:
 
 def _import_pillow() -> Any:
     try:
-        from PIL import Image
+        from PIL import Image, ImageDraw
     except ImportError as error:
         raise PearlError("films need Pillow: pip install '.[render]'") from error
-    return Image
+    return Image, ImageDraw
 
 
 class HeatMap:

@@ -196,6 +196,9 @@ class EnvSpec:
         The SystemVerilog file of a hardware core of one's own; ``None`` for one generated from ``golden``.
     oracle
         The Gymnasium id of the environment that this one is held against, if it is one of theirs.
+    follows
+        Package and name of what this one follows with its default options, such as
+        ``"lbforaging Foraging-8x8-2p-3f-v3"``, for lists of environments; by default the oracle.
     pose
         Puts the oracle's environment, unwrapped, into a slot's state, so that it can render it.
     draw
@@ -230,6 +233,7 @@ class EnvSpec:
     configure: Callable[..., EnvSpec] | None = None
     core: Path | str | None = None
     oracle: str | None = None
+    follows: str | None = None
     pose: Callable[[Env[Any, Any], tuple[int, ...]], None] | None = None
     draw: Callable[[tuple[int, ...]], npt.NDArray[np.uint8]] | None = None
     render_modes: tuple[str, ...] = ()

@@ -1,1 +1,1 @@
-"""CoinGame: two players collect coins, and whoever takes the other's colour costs the other two points."""
+"""CoinGame: two players collect coins, and taking one of the other's colour costs the other two points."""

@@ -119,7 +119,7 @@ def configure(
     return EnvSpec(
         name="CoinGame",
         version=0,
-        summary="Collect coins, of which those of the other's colour cost him more than they bring",
+        summary="Collect coins; one of the other's colour costs the other more than it brings",
         state=(*places(THINGS), Field("time", max((inner - 1).bit_length(), 1))),
         action=Field("action", 3),
         observation=places(SEEN[1:] if egocentric else SEEN),
@@ -143,6 +143,7 @@ def configure(
         },
         configure=configure,
         draw=draw,
+        follows="jaxmarl coin_game",
         render_modes=("rgb_array",),
         grid=None if egocentric else Grid(SIZE, SIZE, _cell),
     )

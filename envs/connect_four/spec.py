@@ -47,6 +47,7 @@ def configure() -> EnvSpec:
         unpack=unpack,
         configure=configure,
         oracle="pearl_marl.envs.connect_four.oracle:PettingZoo/ConnectFour-v3",
+        follows="PettingZoo connect_four_v3",
         pose=pose,
         render_modes=("human", "rgb_array"),
     )

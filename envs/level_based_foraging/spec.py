@@ -137,6 +137,7 @@ def configure(
         },
         configure=configure,
         draw=make_draw(rules),
+        follows="lbforaging Foraging-8x8-2p-3f-v3",
         render_modes=("rgb_array",),
         grid=grid(rules) if rules.sees_all else None,
     )

@@ -95,6 +95,7 @@ def configure(
         },
         configure=configure,
         draw=make_draw(kitchen),
+        follows="overcooked-ai cramped_room",
         render_modes=("rgb_array",),
         grid=Grid(kitchen.height, kitchen.width, _cell),
     )

@@ -1,1 +1,1 @@
-"""RobotWarehouse: robots carry shelves that are asked for to a goal, and back."""
+"""RobotWarehouse: robots carry requested shelves to a goal and back."""

@@ -62,7 +62,7 @@ def configure(
     return EnvSpec(
         name="RobotWarehouse",
         version=0,
-        summary="Carry shelves that are asked for to a goal and back, in each other's way",
+        summary="Carry requested shelves to a goal and back, in each other's way",
         state=state_fields(rules),
         action=Field("action", 3),
         observation=observation,
@@ -86,6 +86,7 @@ def configure(
         },
         configure=configure,
         draw=make_draw(rules),
+        follows="rware rware-tiny-2ag-v2",
         render_modes=("rgb_array",),
         grid=grid(rules),
     )
@@ -105,8 +106,8 @@ def rules_of(
             raise ArgumentError(f"{name} is {value!r}; possible are {', '.join(map(repr, known))}")
     if isinstance(robots, int) and robots > MOST:
         raise ArgumentError(
-            f"robots is {robots}; it must be an integer from 1 to {MOST}, as with more there are ties in the "
-            "package that are not told apart here"
+            f"robots is {robots}; it must be an integer from 1 to {MOST}: with more, rware breaks ties "
+            "in ways that this package does not reproduce"
         )
     rules = Rules(
         *SIZES[size],

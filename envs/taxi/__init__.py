@@ -1,1 +1,1 @@
-"""Taxi: fetch a passenger and drive him where he wants to go."""
+"""Taxi: pick up a passenger and drive to the destination."""

@@ -62,7 +62,7 @@ def configure(
     return EnvSpec(
         name="Taxi",
         version=0,
-        summary="Fetch a passenger and drive him where he wants to go",
+        summary="Pick up a passenger and drive to the destination",
         state=(
             Field("row", 3),
             Field("column", 3),

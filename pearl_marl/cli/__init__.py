@@ -25,9 +25,10 @@ from pearl_marl.version import __version__
 COMMANDS = {
     "envs": "List the environments: spaces, widths, rewards, limits.",
     "doctor": "Check what this machine can run; each problem comes with its fix.",
-    "warm": "Compile the kernels of environments ahead, for images and clusters: first steps are then fast.",
+    "warm": "Compile ahead, for images and clusters: "
+    "the kernels of some environments, or all and the trainers.",
     "run": "Step every agent with random (or given) actions: throughput and episode statistics.",
-    "train": "Train a policy that all agents share; with the --out of a run that was killed, go on with it.",
+    "train": "Train a policy that all agents share; with the --out of a run that was killed, resume it.",
     "eval": "Evaluate a policy on a device: returns, lengths, latency of every stage, and a digest.",
     "bench": "Measure steps per second against EnvPool, "
     "Gymnasium's vector environments and the games' packages.",
@@ -38,7 +39,7 @@ COMMANDS = {
     "synth": "Synthesise a design with Yosys: LUT, FF, block RAM, DSP.",
     "plan": "Choose processing elements and word width for a link and a part; "
     "predict throughput and bottleneck.",
-    "board": "Make a board's bitstream, or all that its maker's tool needs for that.",
+    "board": "Make a board's bitstream, or everything that the vendor's tool needs to make it.",
     "new": "Write a package with a small environment of that name: golden step, spec, tests, all working.",
     "report": "Measure every table and figure of the paper's evaluation, "
     "and write them as a page with its data.",

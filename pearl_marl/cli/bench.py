@@ -23,7 +23,9 @@ from pearl_marl.spec import MANY, EnvSpec
 
 Rounds = Annotated[
     int,
-    typer.Option("--rounds", min=1, max=MANY, help="How often each contender is timed; the median counts."),
+    typer.Option(
+        "--rounds", min=1, max=MANY, help="How often each contender is timed; the median is reported."
+    ),
 ]
 MOST_SECONDS = 3600
 Seconds = Annotated[float, typer.Option("--seconds", help="About how long one timing lasts.")]
@@ -43,15 +45,23 @@ OTHERS = {
 """The contenders of ``--all``, by name, with the words for them in its table."""
 
 AnyEnv = Annotated[
-    str | None, typer.Argument(metavar="[ENV]", help="An environment of `pearl envs`; else CliffWalking.")
+    str | None,
+    typer.Argument(metavar="[ENV]", help="An environment of `pearl envs`; by default CliffWalking."),
 ]
-Every = Annotated[bool, typer.Option("--all", help="Every environment in turn, with fewer contenders.")]
+Every = Annotated[bool, typer.Option("--all", help="Compare every environment, with fewer contenders.")]
 Training = Annotated[
-    bool, typer.Option("--training", help="Whole trainings beside those of other packages, of ENV or all.")
+    bool,
+    typer.Option(
+        "--training",
+        help="Compare whole trainings with those of other packages, on ENV or on all environments.",
+    ),
 ]
-Quick = Annotated[bool, typer.Option("--quick", help="Of --training, a few iterations of one seed.")]
+Quick = Annotated[bool, typer.Option("--quick", help="With --training: only a few iterations of one seed.")]
 Growth = Annotated[
-    bool, typer.Option("--growth", help="A step's time for each agent, from 43,008 agents to 10 million.")
+    bool,
+    typer.Option(
+        "--growth", help="Show how the time of a step per agent grows, from 43,008 agents to 10 million."
+    ),
 ]
 
 
@@ -72,7 +82,7 @@ def command(
     if not 0 <= seconds <= MOST_SECONDS:
         raise ArgumentError(f"--seconds is {seconds}; it must be a number from 0 to {MOST_SECONDS:,}")
     if quick and not training:
-        raise ArgumentError("--quick is of --training: add that, or leave --quick out")
+        raise ArgumentError("--quick works only with --training: add that, or leave --quick out")
     if training:
         if every or growing or option or n_agents is not None:
             raise ArgumentError(
@@ -231,6 +241,7 @@ def _table(title: str, rows: list[Contender]) -> Table:
             continue
         each = c.n / c.seconds_per_step
         ratio = f"{each / (base.n / base.seconds_per_step):,.3g}" if base else "-"
-        spread = f"±{(max(c.seconds) - min(c.seconds)) / 2 / c.seconds_per_step:.0%}"
+        once = len(c.seconds) < 2  # of which no spread is known
+        spread = "-" if once else f"±{(max(c.seconds) - min(c.seconds)) / 2 / c.seconds_per_step:.0%}"
         grid.add_row(name, f"{c.n:,}", rate(each), ratio, duration(c.seconds_per_step), spread)
     return grid

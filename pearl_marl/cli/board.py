@@ -15,13 +15,18 @@ from pearl_marl.hardware import boards
 from pearl_marl.hardware.boards import BOARDS, Board, Placed
 
 BoardName = Annotated[str, typer.Argument(metavar="|".join(BOARDS), help="The board.")]
-Slots = Annotated[int, typer.Option("--n-envs", help="Slots.")]
+Slots = Annotated[int, typer.Option("--n-envs", help="Number of slots (worlds) of the design.")]
 PeNum = Annotated[
     int | None,
-    typer.Option("--pe-num", help="Processing elements; by default as many as the board's bus can feed."),
+    typer.Option(
+        "--pe-num", help="Number of processing elements; by default as many as the board's bus can feed."
+    ),
 ]
 Where = Annotated[
-    Path, typer.Option("--out", metavar="DIR", help="Where to write everything.", callback=common.writable)
+    Path,
+    typer.Option(
+        "--out", metavar="DIR", help="The folder to write everything into.", callback=common.writable
+    ),
 ]
 
 
@@ -34,7 +39,7 @@ def command(
     option: common.Options = None,
     as_json: common.AsJson = False,
 ) -> None:
-    """Make a board's bitstream, or all that its maker's tool needs for that.
+    """Make a board's bitstream, or everything that the vendor's tool needs to make it.
 
     For ECP5 and Gowin boards the tools are free, and this runs them. For a Xilinx board it writes the sources
     with a script for Vivado.

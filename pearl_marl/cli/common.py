@@ -48,16 +48,21 @@ EnvName = Annotated[
 Agents = Annotated[
     int | None,
     typer.Option(
-        "--n-agents", min=1, help="How many agents, those of whole worlds.", show_default=f"about {ABOUT:,}"
+        "--n-agents",
+        min=1,
+        help="Number of agents; a multiple of the agents of a world.",
+        show_default=f"about {ABOUT:,}",
     ),
 ]
 DEVICES = ("native", "rtl", "cuda", "reference", "xdma", "serial")
 DeviceName = Annotated[
     str,
-    typer.Option("--device", help="Where they are stepped.", autocompletion=completed(lambda: DEVICES)),
+    typer.Option(
+        "--device", help="The device that steps the agents.", autocompletion=completed(lambda: DEVICES)
+    ),
 ]
-Seed = Annotated[int, typer.Option("--seed", min=0, help="Of the random numbers.")]
-Steps = Annotated[int, typer.Option("--steps", min=1, max=MANY, help="Steps of every agent.")]
+Seed = Annotated[int, typer.Option("--seed", min=0, help="Seed of all random numbers.")]
+Steps = Annotated[int, typer.Option("--steps", min=1, max=MANY, help="Number of steps of every agent.")]
 
 
 def check_folder(option: str, folder: Path) -> None:
@@ -90,7 +95,7 @@ def writable(parameter: typer.CallbackParam, folder: Path | None) -> Path | None
 Out = Annotated[
     Path | None, typer.Option("--out", metavar="DIR", help="Where to write results.", callback=writable)
 ]
-AsJson = Annotated[bool, typer.Option("--json", help="Print JSON for machines instead of tables.")]
+AsJson = Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")]
 Options = Annotated[
     list[str] | None,
     typer.Option("--option", metavar="NAME=VALUE", help="An argument of the environment; may be repeated."),
@@ -134,6 +139,11 @@ def simulated(device: str) -> bool:
 def on_device(what: str, device: str) -> str:
     """Return the title of figures of something on a device; of simulated hardware it says so."""
     return f"{what} on {device}" + (", simulated: times are the simulator's" if simulated(device) else "")
+
+
+def counted(n: int, what: str) -> str:
+    """Return a number with the name of what is counted: ``1 slot``, ``7 slots``."""
+    return f"{n:,} {what}{'' if n == 1 else 's'}"
 
 
 def in_file_name(device: str) -> str:

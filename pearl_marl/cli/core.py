@@ -14,14 +14,18 @@ from pearl_marl.compiler.targets import FAMILIES, Target
 from pearl_marl.errors import ArgumentError
 
 Clock = Annotated[
-    float, typer.Option("--clock", metavar="MHZ", help="The clock that its stages are cut for.")
+    float, typer.Option("--clock", metavar="MHZ", help="The clock rate that the pipeline is built for.")
 ]
-FamilyName = Annotated[str, typer.Option("--family", metavar="|".join(FAMILIES), help="The FPGA it is for.")]
+FamilyName = Annotated[str, typer.Option("--family", metavar="|".join(FAMILIES), help="The FPGA family.")]
 Into = Annotated[
-    Path | None, typer.Option("--out", metavar="FILE.sv", help="Where to write it, if not here.")
+    Path | None,
+    typer.Option(
+        "--out", metavar="FILE.sv", help="The file to write the core to; without it, the core is printed."
+    ),
 ]
 Picture = Annotated[
-    Path | None, typer.Option("--graph", metavar="FILE.svg", help="Draw its operations, stage by stage.")
+    Path | None,
+    typer.Option("--graph", metavar="FILE.svg", help="Draw the operations, stage by stage, into this file."),
 ]
 
 
@@ -67,6 +71,9 @@ def command(
     if out is None:
         typer.echo(core.text, nl=False)
     (error_console if out is None else console).print(_sentence(core), soft_wrap=True)
+    for path in (out, graph):
+        if path is not None:
+            error_console.print(f"Wrote {path}.", soft_wrap=True, markup=False)
 
 
 def _write(path: Path, text: str) -> None:
@@ -79,6 +86,8 @@ def _write(path: Path, text: str) -> None:
 
 def _sentence(core: Core) -> str:
     return (
-        f"A result after {core.latency} cycles, one a cycle; {core.register_bits:,} register bits, "
-        f"{core.multipliers} multipliers, {core.levels:.1f} levels of logic in the slowest stage (estimated)."
+        f"Latency {common.counted(core.latency, 'cycle')}, one result a cycle; "
+        f"{common.counted(core.register_bits, 'register bit')}, "
+        f"{common.counted(core.multipliers, 'multiplier')}, "
+        f"{core.levels:.1f} levels of logic in the slowest stage (estimated)."
     )

@@ -8,6 +8,7 @@ import platform
 import shutil
 import sys
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 from rich.markup import escape
@@ -23,6 +24,10 @@ Check = tuple[bool, str, str]
 """Whether it is fine, what was found, and what to do if it is not."""
 
 
+TRIED = "CliffWalking"
+"""What the native device is tried with: the environment of most examples, so its kernels are of use later."""
+
+
 def command(as_json: AsJson = False) -> None:
     """Check what this machine can run; each problem comes with its fix."""
     results = {name: check() for name, check in _CHECKS.items()}
@@ -34,12 +39,11 @@ def command(as_json: AsJson = False) -> None:
     table = Table(title="What this machine can run")
     table.add_column("")
     table.add_column("what", style="bold")
-    table.add_column("found", overflow="fold")
-    table.add_column("what to do", overflow="fold")
+    # One wide column, so that paths and commands stay on one line.
+    table.add_column("found, and what to do", overflow="fold")
     for name, (ok, found, fix) in results.items():
-        table.add_row(
-            "[green]yes[/]" if ok else "[yellow]no[/]", name, escape(found), "" if ok else escape(fix)
-        )
+        lines = escape(found.replace(str(Path.home()), "~")) + ("" if ok else f"\n[bold]{escape(fix)}[/]")
+        table.add_row("[green]yes[/]" if ok else "[yellow]no[/]", name, lines)
     console.print(table)
 
 
@@ -49,9 +53,9 @@ def _python() -> Check:
 
 def _native() -> Check:
     from pearl_marl.devices import BatchConfig, Native
-    from pearl_marl.registry import get_spec, names
+    from pearl_marl.registry import get_spec
 
-    device = Native().open(BatchConfig(spec=get_spec(names()[0]), n_envs=1))
+    device = Native().open(BatchConfig(spec=get_spec(TRIED), n_envs=1))
     device.reset(seed=0)
     device.step(np.zeros(1, np.uint8))
     device.close()
@@ -87,7 +91,7 @@ def _gpu() -> Check:
         module = cuda.available()
     except DeviceError as error:
         found, _, fix = str(error).removeprefix("cuda: ").partition("; ")
-        return False, found, fix
+        return False, found, fix.removeprefix("install it with: ")
     name = module.get_current_device().name if not simulated() else "numba's simulator, for tests"
     return True, name.decode() if isinstance(name, bytes) else name, ""
 

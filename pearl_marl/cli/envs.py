@@ -41,7 +41,7 @@ def command(as_json: AsJson = False, as_markdown: AsMarkdown = False) -> None:
         arguments = ", ".join(f"{name}={value}" for name, value in row["options"].items())
         rewards = _rewards(row["rewards"])
         table.add_row(
-            f"[bold]{row['name']}[/]\n{row['summary']}\n{_world(row)}[dim]{escape(arguments)}[/]",
+            f"[bold]{row['name']}[/]\n{row['summary']}\n{_follows(row)}{_world(row)}[dim]{escape(arguments)}[/]",
             f"observation {row['observation_space']}\naction {row['action_space']}",
             "\n".join(f"{word} {bits}" for word, bits in row["bits"].items()),
             f"{rewards}\nlimit {row['max_cycles'] or 'none'}",
@@ -65,7 +65,17 @@ def _row(spec: EnvSpec) -> dict[str, Any]:
         "max_cycles": spec.max_cycles,
         "options": dict(spec.options),
         "oracle": spec.oracle,
+        "follows": _followed(spec),
     }
+
+
+def _followed(spec: EnvSpec) -> str | None:
+    """Return package and name of the environment that this one follows with its default options."""
+    return spec.follows or (f"Gymnasium {spec.oracle}" if spec.oracle else None)
+
+
+def _follows(row: dict[str, Any]) -> str:
+    return f"follows {row['follows']}\n" if row["follows"] else ""
 
 
 def _rewards(table: tuple[float, ...] | None) -> str:
@@ -94,7 +104,7 @@ def markdown(specs: list[EnvSpec]) -> str:
     """Return the tables of ``docs/environments.md``: every environment, and widths beside the paper's."""
     every = [
         "| environment | observation and action space | time limit "
-        "| bits: state, action, observation, reward | arguments | oracle |",
+        "| bits: state, action, observation, reward | arguments | follows |",
         "| --- | --- | --- | --- | --- | --- |",
     ]
     for spec in specs:
@@ -104,7 +114,7 @@ def markdown(specs: list[EnvSpec]) -> str:
             str(spec.max_cycles or "none"),
             ", ".join(map(str, _widths(spec))),
             "<br>".join(f"`{name}={_rounded(value)!r}`" for name, value in spec.options.items()) or "none",
-            f"`{spec.oracle}`" if spec.oracle else "none",
+            "{} `{}`".format(*followed.split(" ")) if (followed := _followed(spec)) else "none",
         )
         every.append(f"| {' | '.join(cells)} |")
     paper = [

@@ -35,7 +35,7 @@ Against = Annotated[
     list[str] | None,
     typer.Option(
         "--against",
-        help="Another policy, which plays all agents of a world but one. Given more than once: a table of "
+        help="Another policy, which plays all agents of a world but one. Repeat it for a table of "
         "who beats whom.",
         show_default="none",
     ),
@@ -45,13 +45,15 @@ Openings = Annotated[
     typer.Option(
         "--openings",
         min=0,
-        help="With --against: with how many random steps every episode begins.",
+        help="With --against: the number of random steps at the start of every episode.",
         show_default=f"{OPENINGS} in games of turns",
     ),
 ]
 Episodes = Annotated[
     int | None,
-    typer.Option("--episodes", min=1, max=MANY, help="How many episodes count.", show_default="one an agent"),
+    typer.Option(
+        "--episodes", min=1, max=MANY, help="Number of episodes that count.", show_default="one an agent"
+    ),
 ]
 MaxCycles = Annotated[
     int | None,
@@ -64,7 +66,7 @@ MaxCycles = Annotated[
     ),
 ]
 InLockstep = Annotated[
-    bool, typer.Option("--lockstep", help="Compare every word with the golden functions, all the way.")
+    bool, typer.Option("--lockstep", help="Compare every word of every step with the golden functions.")
 ]
 
 REFERENCE = "reference"
@@ -98,7 +100,7 @@ def command(
     if rivals and episodes is not None:
         raise ArgumentError("with --against every agent plays one episode: leave --episodes out")
     if openings is not None and not rivals:
-        raise ArgumentError("--openings is of games between policies: give --against, too")
+        raise ArgumentError("--openings works only with --against: add that, or leave --openings out")
     if len(rivals) > 1:
         if lockstep:
             raise ArgumentError("--lockstep compares one evaluation: give one --against, or none")
@@ -210,9 +212,8 @@ def _outcome(result: dict[str, Any]) -> Table:
         shares = (f"{match[what] / games:.1%} {name}" for what, name in _ENDS)
         grid.add_row("against", escape(result["against"]))
         grid.add_row("match", f"{games:,} games: {', '.join(shares)}")
-        grid.add_row(
-            "its returns", f"{match['return']['mean']:,.3f}, theirs {match['their_return']['mean']:,.3f}"
-        )
+        ours, theirs = match["return"]["mean"], match["their_return"]["mean"]
+        grid.add_row("mean return", f"{ours:,.3f} of the policy, {theirs:,.3f} of its opponents")
     limit = f"at most {result['max_cycles']:,} steps each" if result["max_cycles"] else "no time limit"
     grid.add_row("episodes", f"{result['episodes']:,} of {result['n_agents']:,} agents, {limit}")
     grid.add_row("truncated", f"{result['truncated']:,}")

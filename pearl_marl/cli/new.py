@@ -24,12 +24,17 @@ TEMPLATE = "MyEnvironment"
 WORLD = "AGENTS = 2"
 """What says in the template of a world how many agents share it."""
 
-NewName = Annotated[str, typer.Argument(metavar="NAME", help="Of the environment, as in FrozenLake.")]
-SharedBy = Annotated[int, typer.Option("--agents", help="How many agents share a world's state.")]
+TESTS = "tests"
+"""The folder of a new package's tests, beside that of its code."""
+
+NewName = Annotated[
+    str, typer.Argument(metavar="NAME", help="The new environment's name, for example FrozenLake.")
+]
+SharedBy = Annotated[int, typer.Option("--agents", help="Number of agents that share a world.")]
 Where = Annotated[
     Path,
     typer.Option(
-        "--out", metavar="DIR", help="Where to make the package's folder.", callback=common.writable
+        "--out", metavar="DIR", help="The folder to write the package into.", callback=common.writable
     ),
 ]
 
@@ -73,6 +78,10 @@ def _checked(name: str, out: Path) -> Path:
             f"name {name!r}: it takes letters and digits, a capital letter first, as in FrozenLake"
         )
     snake = snake_case(name)
+    if snake == TESTS:
+        raise ArgumentError(
+            f"name {name!r}: the folder {TESTS!r} holds the package's tests; choose another name"
+        )
     taken = next((other for other in names() if snake_case(other) == snake), None)
     if taken is not None:
         raise ArgumentError(f"there is an environment {taken!r} already; choose another name")

@@ -19,13 +19,13 @@ from pearl_marl.hardware.fitting import PARTS
 from pearl_marl.latency import LINKS, Link, loop_cycles
 from pearl_marl.plan import Plan, plan
 
-Slots = Annotated[int, typer.Option("--n-envs", min=1, help="Slots.")]
+Slots = Annotated[int, typer.Option("--n-envs", min=1, help="Number of slots (worlds) of the design.")]
 LinkName = Annotated[
     str,
     typer.Option(
         "--link",
         metavar=f"{'|'.join(LINKS)}|CALL,WRITE,READ",
-        help="What lies between host and hardware; or one of your own: microseconds a call, GB/s to the "
+        help="The link between host and hardware; or your own: microseconds per call, GB/s to the "
         "hardware, GB/s from it.",
     ),
 ]
@@ -36,12 +36,14 @@ PartName = Annotated[
     typer.Option(
         "--part",
         metavar=f"{'|'.join(PARTS)}|{ANY}",
-        help=f"What memories and multipliers have to fit; {ANY}: they may take what they like.",
+        help=f"The part that memories and multipliers have to fit; `{ANY}` is without limits.",
     ),
 ]
-Clock = Annotated[float, typer.Option("--clock", metavar="MHZ", help="The hardware's clock.")]
-OnePeNum = Annotated[int | None, typer.Option("--pe-num", help="Look at this many processing elements only.")]
-OneDataWl = Annotated[int | None, typer.Option("--data-wl", help="Look at words of this many bits only.")]
+Clock = Annotated[float, typer.Option("--clock", metavar="MHZ", help="The hardware's clock rate.")]
+OnePeNum = Annotated[
+    int | None, typer.Option("--pe-num", help="Consider only this number of processing elements.")
+]
+OneDataWl = Annotated[int | None, typer.Option("--data-wl", help="Consider only words of this many bits.")]
 
 
 def command(
@@ -78,7 +80,7 @@ def command(
         "clock_mhz": clock,
         "link": {
             "name": taken.name,
-            "call_us": taken.call * 1e6,
+            "call_us": round(taken.call * 1e6, 6),
             "write_gb_per_s": taken.write_rate / 1e9,
             "read_gb_per_s": taken.read_rate / 1e9,
             "source": taken.source,

@@ -12,15 +12,21 @@ from rich.markup import escape
 
 from pearl_marl.cli.common import AsJson, console, error_console, print_json, progress, table, writable
 
-Quick = Annotated[bool, typer.Option("--quick", help="A small part of everything, in a minute or two.")]
+Quick = Annotated[
+    bool, typer.Option("--quick", help="Measure a small part of everything, in a minute or two.")
+]
 Folder = Annotated[
     Path,
     typer.Option(
-        "--out", metavar="DIR", help="The report's folder, new or to go on with.", callback=writable
+        "--out",
+        metavar="DIR",
+        help="The report's folder; if it holds an unfinished report, the command continues it.",
+        callback=writable,
     ),
 ]
 Only = Annotated[
-    list[str] | None, typer.Option("--only", metavar="SECTION", help="Make this section; may be repeated.")
+    list[str] | None,
+    typer.Option("--only", metavar="SECTION", help="Make only this section; may be repeated."),
 ]
 
 

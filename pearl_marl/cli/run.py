@@ -31,8 +31,8 @@ ActionFile = Annotated[
     typer.Option(
         "--actions",
         metavar="FILE",
-        help="A .npy file of actions, of shape (steps, n_agents), or (steps, n_agents, 1) where one is an "
-        "array of shape (1,), as Pendulum's; random without.",
+        help="A .npy file of actions, of shape (steps, n_agents), or (steps, n_agents, 1) if an action is an "
+        "array of shape (1,), as in Pendulum; without it, actions are random.",
     ),
 ]
 VideoFile = Annotated[
@@ -40,7 +40,7 @@ VideoFile = Annotated[
     typer.Option(
         "--video",
         metavar="FILE.gif",
-        help=f"Where to write a film of the first {VIDEO_WORLDS} worlds in the first {VIDEO_STEPS} steps.",
+        help=f"Write a film of the first {VIDEO_WORLDS} worlds in the first {VIDEO_STEPS} steps.",
     ),
 ]
 MaxCycles = Annotated[
@@ -165,6 +165,9 @@ def _table(result: dict[str, Any]) -> Table:
     table.add_row("episodes finished", f"{result['episodes']:,}, of them truncated {result['truncated']:,}")
     if result["episodes"]:
         span = f"{result['return_min']:g} to {result['return_max']:g}"
-        table.add_row("return", f"{result['return_mean']:.2f} ± {result['return_std']:.2f} ({span})")
-        table.add_row("length", f"{result['length_mean']:.1f} ± {result['length_std']:.1f}")
+        table.add_row(
+            "return",
+            f"{result['return_mean']:.2f}, standard deviation {result['return_std']:.2f}, from {span}",
+        )
+        table.add_row("length", f"{result['length_mean']:.1f}, standard deviation {result['length_std']:.1f}")
     return table

@@ -18,6 +18,7 @@ from pearl_marl.cli.common import (
     Options,
     agents_of,
     console,
+    counted,
     print_json,
     spec_of,
     writable,
@@ -26,13 +27,16 @@ from pearl_marl.devices import BatchConfig
 from pearl_marl.devices.rtl import Rtl
 from pearl_marl.devices.served import ServedBoard
 
-PeNum = Annotated[int | None, typer.Option("--pe-num", help="Processing elements.", show_default="chosen")]
+PeNum = Annotated[
+    int | None, typer.Option("--pe-num", help="Number of processing elements.", show_default="chosen")
+]
 DataWl = Annotated[int | None, typer.Option("--data-wl", help="Bits of a word.", show_default="chosen")]
 PathName = Annotated[
     str, typer.Option("--path", help="How a step's bytes reach the memories: `backdoor`, or over `axi`.")
 ]
 At = Annotated[
-    Path, typer.Option("--at", metavar="DIR", help="Where the board's files are made.", callback=writable)
+    Path,
+    typer.Option("--at", metavar="DIR", help="The folder of the board's files.", callback=writable),
 ]
 
 
@@ -48,8 +52,8 @@ def command(
 ) -> None:
     """Serve a simulated board, to be used with --device xdma:DIR, until Ctrl-C.
 
-    One program at a time uses it, as with a real one; it may end, and another begin. A folder in memory,
-    such as /dev/shm/board, is fastest.
+    One program at a time can use it, like a real board; when that program ends, another may start. A folder
+    in memory, such as /dev/shm/board, is fastest.
     """
     Rtl(pe_num, data_wl, path)  # refuses what is no size or path
     spec = spec_of(env_id, option)
@@ -73,9 +77,10 @@ def command(
             print_json(facts)
         else:
             console.print(
-                f"Serving {board.spec.id}, {config.n_agents:,} agents on {layout.pe_num} processing "
-                f"elements, words of {layout.data_wl} bits. "
-                f"Use it as [bold]--device xdma:{escape(str(at))}[/]; Ctrl-C ends it.",
+                f"Serving {board.spec.id}, {counted(config.n_agents, 'agent')} on "
+                f"{counted(layout.pe_num, 'processing element')}, "
+                f"words of {layout.data_wl} bits. Use it as [bold]--device xdma:{escape(str(at))}[/]; "
+                "Ctrl-C ends it.",
                 soft_wrap=True,
             )
         board.serve()

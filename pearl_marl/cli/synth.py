@@ -21,29 +21,43 @@ from pearl_marl.spec import EnvSpec
 
 Sizes = Annotated[
     list[str],
-    typer.Option("--n-envs", metavar="N[,N...]", help="Slots; may be repeated, for a table of growth."),
+    typer.Option(
+        "--n-envs",
+        metavar="N[,N...]",
+        help="Number of slots (worlds) of the design; several give a table of how it grows.",
+    ),
 ]
 SomeEnv = Annotated[str | None, typer.Argument(metavar="[ENV]", help="An environment of `pearl envs`.")]
-Every = Annotated[bool, typer.Option("--all", help="Every environment in turn, at the first size.")]
+Every = Annotated[bool, typer.Option("--all", help="Synthesise every environment, at the first size.")]
 PeNum = Annotated[
     int | None,
-    typer.Option("--pe-num", help="Processing elements; by default at most what the words can feed."),
+    typer.Option("--pe-num", help="Number of processing elements; by default as many as the words can feed."),
 ]
 DataWl = Annotated[
     int | None,
-    typer.Option("--data-wl", help="Bits of a word; by default enough for a group of slots a cycle."),
+    typer.Option(
+        "--data-wl", help="Bits of a word; by default wide enough to carry one group of slots per cycle."
+    ),
 ]
 PartFamily = Annotated[Family, typer.Option("--part", help="The family of FPGA to synthesise for.")]
 Fmax = Annotated[
     bool,
-    typer.Option("--fmax", help="Also place and route each size, for its clock rate; of xc7 on an ECP5."),
+    typer.Option(
+        "--fmax",
+        help="Also place and route each size, to find its clock rate; designs for xc7 are placed on an ECP5.",
+    ),
 ]
 FitPart = Annotated[
     str | None,
-    typer.Option("--fit", metavar="|".join(PARTS), help="Find the largest n_envs whose memories fit it."),
+    typer.Option(
+        "--fit", metavar="|".join(PARTS), help="Find the largest --n-envs whose memories fit this part."
+    ),
 ]
 Confirm = Annotated[
-    bool, typer.Option("--confirm", help="Synthesise what --fit predicts; takes minutes for a large part.")
+    bool,
+    typer.Option(
+        "--confirm", help="Synthesise the size that --fit predicts; takes minutes for a large part."
+    ),
 ]
 
 

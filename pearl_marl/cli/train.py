@@ -25,18 +25,24 @@ Algorithm = Annotated[
     ),
 ]
 Agents = Annotated[
-    int | None, typer.Option("--n-agents", help="How many agents gather experience.", show_default="preset")
+    int | None,
+    typer.Option("--n-agents", help="Number of agents that gather experience.", show_default="preset"),
 ]
 Iterations = Annotated[
-    int | None, typer.Option("--iterations", help="How many updates.", show_default="preset")
+    int | None, typer.Option("--iterations", help="Number of updates.", show_default="preset")
 ]
 Given = Annotated[
     list[str] | None,
-    typer.Option("--set", metavar="NAME=VALUE", help="Another setting of the algorithm; may be repeated."),
+    typer.Option(
+        "--set",
+        metavar="NAME=VALUE",
+        help="A setting of the algorithm, for example `learning_rate=0.001`; may be repeated. "
+        "docs/training.md lists them.",
+    ),
 ]
 Goal = Annotated[
     float | None,
-    typer.Option("--goal", help="End as soon as an evaluation reaches this mean return of an agent."),
+    typer.Option("--goal", help="End when an evaluation reaches this mean return of an agent."),
 ]
 Every = Annotated[
     int | None,
@@ -46,7 +52,7 @@ Shards = Annotated[
     int | None,
     typer.Option(
         "--shards",
-        help="How many processes step agents, by Ray; `ppo` only.",
+        help="Number of Ray processes that step agents; `ppo` only.",
         show_default="this process",
     ),
 ]
@@ -55,7 +61,7 @@ Folder = Annotated[
     typer.Option(
         "--out",
         metavar="DIR",
-        help="The run's folder, new or to go on with.",
+        help="The run's folder; if it holds an unfinished run, the command continues it.",
         callback=common.writable,
         show_default="out/ENV-ALGORITHM",
     ),
@@ -77,7 +83,7 @@ def command(
     out: Folder = None,
     as_json: common.AsJson = False,
 ) -> None:
-    """Train a policy that all agents share; with the --out of a run that was killed, go on with it."""
+    """Train a policy that all agents share; with the --out of a run that was killed, resume it."""
     if algo not in ALGORITHMS:
         near = difflib.get_close_matches(algo, ALGORITHMS, 1)
         hint = f"did you mean {near[0]!r}?" if near else f"possible are {', '.join(map(repr, ALGORITHMS))}"

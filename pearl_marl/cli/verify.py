@@ -46,12 +46,13 @@ ReferenceName = Annotated[
     str | None,
     typer.Option(
         "--reference",
-        help="What it must agree with: `reference`, the golden functions themselves, or another device.",
+        help="What it must agree with: `reference` (the golden functions) or another device.",
         show_default="reference, or the file's",
     ),
 ]
 StepsOfAll = Annotated[
-    int, typer.Option("--steps", min=1, max=MANY, help="Steps of every agent, shared by the modes.")
+    int,
+    typer.Option("--steps", min=1, max=MANY, help="Number of steps of every agent, divided among the modes."),
 ]
 MaxCycles = Annotated[
     int | None,
@@ -65,7 +66,7 @@ MaxCycles = Annotated[
 ]
 Mode = Annotated[
     Autoreset | None,
-    typer.Option("--autoreset-mode", help="When a slot that ended begins again.", show_default="both"),
+    typer.Option("--autoreset-mode", help="When a world that ended starts again.", show_default="both"),
 ]
 InitialStates = Annotated[
     Starts | None,
@@ -141,7 +142,7 @@ def command(
     if as_json:
         common.print_json(result)
     else:
-        console.print(_table(f"{spec.id} on {device}, held against {reference}", result["modes"]))
+        console.print(_table(f"{spec.id} on {device}, compared with {reference}", result["modes"]))
         _say(parted, _verdict(result))
         if path is not None:
             console.print(f"Wrote {path}: pearl verify {path} replays it.", markup=False, soft_wrap=True)
@@ -149,7 +150,7 @@ def command(
         sys.exit(1)
     if not result["episodes"]:
         error_console.print(
-            "Warning: no episode ended, so no start of another was compared. Take more --steps or agents.",
+            "Warning: no episode ended, so no restart was compared. Take more --steps or --n-agents.",
             style="yellow",
         )
 

@@ -15,7 +15,7 @@ from pearl_marl.registry import names
 
 SomeEnvs = Annotated[
     list[str] | None,
-    typer.Argument(metavar="[ENV ...]", help="Environments of `pearl envs`; all of them if none is named."),
+    typer.Argument(metavar="[ENV ...]", help="Environments of `pearl envs`; without any, all of them."),
 ]
 
 

@@ -122,7 +122,7 @@ def make_vec(
     spec = get_spec(env_id).with_options(inspect.signature(make_vec).parameters, **options)
     if spec.agents > 1:
         raise ArgumentError(
-            f"{spec.name} has worlds of {spec.agents} agents, which a VectorEnv has no form for: "
+            f"{spec.name} has worlds of {spec.agents} agents, and a VectorEnv cannot represent those: "
             f"call pearl_marl.parallel_env({spec.name!r}, n_agents=...) instead"
         )
     config = BatchConfig(

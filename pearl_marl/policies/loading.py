@@ -75,8 +75,8 @@ def load_policy(name: str, spec: EnvSpec, seed: int = 0) -> Policy:
     if difflib.get_close_matches(name.lower(), (RANDOM,)):
         raise ArgumentError(f"{name!r} names no policy; did you mean {RANDOM!r}?")
     raise ArgumentError(
-        f"{name!r} names no policy; possible are {RANDOM!r}, a table of action values (FILE.npy, FILE.npz), "
-        "a model of Stable-Baselines3 (FILE.zip), a folder of `pearl train`, and a function "
+        f"there is no policy {name!r}; possible are {RANDOM!r}, a table of action values (FILE.npy, "
+        "FILE.npz), a model of Stable-Baselines3 (FILE.zip), a folder of `pearl train`, and a function "
         "(MODULE:FUNCTION, FILE.py:FUNCTION)"
     )
 
@@ -124,7 +124,9 @@ def _table(path: Path, spec: EnvSpec, _: int) -> Policy:
         found = load_arrays(path)
         table = found if isinstance(found, np.ndarray) else found["q"]
     except KeyError:
-        raise ArgumentError(f"{path} has no array 'q', but {', '.join(found.files) or 'none'}") from None
+        raise ArgumentError(
+            f"{path} has no array 'q'; its arrays are {', '.join(found.files) or 'none'}"
+        ) from None
     except (OSError, ValueError, zipfile.BadZipFile, EOFError) as error:
         raise ArgumentError(f"{path} is no readable table: {error}") from None
     try:

@@ -46,6 +46,43 @@ ALIASES = {"ippo": "ppo", "iql": "dqn"}
 OPTIONS = ("n_agents", "iterations", "seed")
 """Settings that ``pearl train`` has options of their own for; others are given by ``--set``."""
 
+USUAL: dict[str, tuple[str, ...]] = {
+    "lr": ("learning_rate", "rate"),
+    "alpha": ("rate", "learning_rate"),
+    "learning_rate": ("rate",),
+    "gamma": ("discount",),
+    "lambda": ("trace",),
+    "gae_lambda": ("trace",),
+    "clip_range": ("clip",),
+    "clip_coef": ("clip",),
+    "clip_eps": ("clip",),
+    "ent_coef": ("entropy",),
+    "entropy_coef": ("entropy",),
+    "eps": ("epsilon", "explore_last"),
+    "epsilon": ("explore_last",),
+    "exploration_initial_eps": ("explore_first",),
+    "exploration_final_eps": ("explore_last",),
+    "exploration_fraction": ("exploring",),
+    "temperature": ("chance",),
+    "n_steps": ("depth",),
+    "num_steps": ("depth",),
+    "rollout_length": ("depth",),
+    "n_epochs": ("epochs",),
+    "num_epochs": ("epochs",),
+    "update_epochs": ("epochs",),
+    "batch_size": ("minibatch",),
+    "minibatch_size": ("minibatch",),
+    "gradient_steps": ("updates",),
+    "target_update_interval": ("refresh",),
+    "target_network_frequency": ("refresh",),
+    "buffer_size": ("memory",),
+    "learning_starts": ("warm_up",),
+    "hidden_size": ("width",),
+    "n_envs": ("n_agents",),
+    "num_envs": ("n_agents",),
+}
+"""What other libraries call settings, and the names here; the first that the algorithm has is meant."""
+
 BLOCKS = 8
 """Into how many blocks agents are divided for shards, unless said otherwise: see ``ppo.Settings``."""
 
@@ -76,7 +113,8 @@ def settings_for(
     names = [setting.name for setting in dataclasses.fields(SETTINGS[algorithm])]
     for name, value in given.items():
         if name not in names:
-            near = difflib.get_close_matches(name, names, 1)
+            known = [usual for usual in USUAL.get(name, ()) if usual in names]
+            near = known or difflib.get_close_matches(name, names, 1)
             hint = f"did you mean {near[0]!r}?" if near else f"there are {', '.join(names)}"
             raise ArgumentError(f"--set {name}: {algorithm} has no such setting; {hint}")
         possible = SETTINGS[algorithm].range(name)

@@ -118,7 +118,7 @@ class RunFolder:
     def damaged(self, why: str) -> ArgumentError:
         """Return the error that refuses the checkpoint that was read, and says how to go on."""
         file, previous = self._resumed, self.path / PREVIOUS
-        then = f"to go on from {previous}" if file != previous and previous.exists() else "to begin again"
+        then = f"to go on from {previous}" if file != previous and previous.exists() else "to start over"
         return ArgumentError(
             f"{file} is damaged, or of another version of this package, {why}: delete it and give the same "
             f"command again {then}"
@@ -183,7 +183,7 @@ def _settings(config: Path) -> dict[str, Any]:
         settings = None
     if not isinstance(settings, dict):
         raise ArgumentError(
-            f"{config} is damaged, and does not say of what settings the run is: give another --out"
+            f"{config} is damaged, and does not say what settings the run has: choose another --out"
         )
     return settings
 

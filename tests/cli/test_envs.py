@@ -56,4 +56,8 @@ def test_what_agents_share(pearl: Callable[..., tuple[int, str, str]]) -> None:
     rows = {row["name"]: row for row in json.loads(pearl("envs", "--json")[1])}
     assert (rows["ConnectFour"]["agents"], rows["ConnectFour"]["turns"]) == (2, True)
     assert rows["ConnectFour"]["masks"] == "refused"
+    assert rows["CartPole"]["follows"] == "Gymnasium CartPole-v1"
+    assert rows["LevelBasedForaging"]["follows"] == "lbforaging Foraging-8x8-2p-3f-v3"
+    assert all(row["follows"] for row in rows.values()), "each is compared with one"
+    assert "follows rware rware-tiny-2ag-v2" in words
     assert (rows["CliffWalking"]["agents"], rows["CliffWalking"]["masks"]) == (1, None)

@@ -107,6 +107,7 @@ def test_so_many_agents_share_no_world(pearl: Any, agents: int) -> None:
         ("CliffWalking", "there is an environment 'CliffWalking' already"),
         ("Queue", "'queue', which Python has a meaning for already"),
         ("Lambda", "'lambda', which Python has a meaning for already"),
+        ("Tests", "the folder 'tests' holds the package's tests"),
         ("Numpy", "'numpy', which Python has a meaning for already"),
         ("Pearl", "the backbone has a module of its core's name, pearl_pe"),
         ("Taken", "taken exists already"),

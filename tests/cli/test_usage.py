@@ -21,7 +21,7 @@ Pearl = Callable[..., tuple[int, str, str]]
 @pytest.mark.parametrize(
     ("line", "sentence"),
     [
-        ("bench CartPole --quick", "--quick is of --training: add that, or leave --quick out"),
+        ("bench CartPole --quick", "--quick works only with --training: add that, or leave --quick out"),
         ("bench --training --growth", "--training has settings of its own: leave out --all, --growth,"),
         ("run CartPole --n-agents abc", "--n-agents is 'abc'; it must be an integer"),
         ("run CartPole --seed 1.5", "--seed is '1.5'; it must be an integer"),

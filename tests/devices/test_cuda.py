@@ -295,7 +295,7 @@ def test_the_command_line_says_why_there_is_nothing_to_measure(pearl: Any) -> No
     assert found == {
         "ok": False,
         "found": "numba-cuda is not installed",
-        "fix": "install it with: pip install '.[cuda]'",
+        "fix": "pip install '.[cuda]'",
     }
 
 

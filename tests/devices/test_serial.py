@@ -153,7 +153,7 @@ def test_what_is_no_port_is_told(tmp_path) -> None:
     with pytest.raises(DeviceError, match=r"tty_none cannot be opened: No such file.*; plug .*serial:PORT"):
         SerialTransport("/dev/tty_none", timeout=1800)
     (tmp_path / "file").touch()
-    with pytest.raises(DeviceError, match=r"file is no serial port"):
+    with pytest.raises(DeviceError, match=r"file cannot be used as a serial port"):
         SerialTransport(str(tmp_path / "file"), timeout=1800)
 
 

@@ -313,7 +313,7 @@ def test_a_device_that_parts_from_the_reference(
     [
         (["CliffWaking", "--policy", "random"], "did you mean 'CliffWalking'"),
         (["Blackjack"], "--policy"),
-        (["Blackjack", "--policy", "greedy"], "'greedy' names no policy"),
+        (["Blackjack", "--policy", "greedy"], "there is no policy 'greedy'"),
         (["Blackjack", "--policy", "random", "--device", "gpu"], "no device 'gpu'"),
         (["Blackjack", "--policy", "random", "--episodes", "0"], "--episodes"),
         (["Blackjack", "--policy", "random", "--max-cycles", "-1"], "--max-cycles is -1"),

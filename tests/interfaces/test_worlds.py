@@ -389,7 +389,7 @@ class TestGymnasium:
         with pytest.raises(ArgumentError) as error:
             pearl_marl.make_vec("Meadow", 4)
         assert str(error.value) == (
-            "Meadow has worlds of 4 agents, which a VectorEnv has no form for: "
+            "Meadow has worlds of 4 agents, and a VectorEnv cannot represent those: "
             "call pearl_marl.parallel_env('Meadow', n_agents=...) instead"
         )
 

@@ -82,7 +82,7 @@ def test_files_that_are_no_tables(tmp_path: Path) -> None:
     (tmp_path / "text.npy").write_text("no numbers")
     (tmp_path / "text.npz").write_text("no numbers")
     for name, says in (
-        ("other.npz", "has no array 'q', but curve"),
+        ("other.npz", "has no array 'q'; its arrays are curve"),
         ("text.npy", "no readable table: it does not begin as one that NumPy writes"),
         ("text.npz", "no readable table: it does not begin as one that NumPy writes"),
         ("missing.npy", "there is no file"),
@@ -114,7 +114,7 @@ def test_functions(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.parametrize("name", ["greedy", "", ":f", "module:", "a:b c", "q_table.weights"])
 def test_names_of_nothing(name: str) -> None:
-    with pytest.raises(ArgumentError, match=r"names no policy; possible are 'random', a table"):
+    with pytest.raises(ArgumentError, match=r"there is no policy .*; possible are 'random', a table"):
         load_policy(name, CLIFF)
 
 

@@ -117,7 +117,7 @@ def test_a_damaged_checkpoint_is_refused_and_the_one_before_gone_on_from(damage:
 def test_a_damaged_checkpoint_that_is_the_only_one(folder: Path) -> None:
     (folder / "checkpoint.previous.pt").unlink()
     (folder / "checkpoint.pt").write_bytes(b"")
-    refused(folder, r"checkpoint\.pt is damaged.*: delete it.*to begin again")
+    refused(folder, r"checkpoint\.pt is damaged.*: delete it.*to start over")
 
 
 @pytest.mark.parametrize(

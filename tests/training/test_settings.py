@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import importlib
 import json
 import re
@@ -60,6 +61,7 @@ SET = {
         "fading=-1": "a number of at least 0",
     },
 }
+PAGE = Path(__file__).parents[2] / "docs" / "training.md"
 CASES = [(algorithm, given, words) for algorithm, cases in SET.items() for given, words in cases.items()]
 
 
@@ -73,6 +75,46 @@ def refused(pearl: Pearl, folder: Path, *arguments: Any) -> str:
     )  # below what the progress bar leaves, if it began
     assert sentence.startswith("pearl: ")
     return str(sentence)
+
+
+def test_the_page_lists_every_setting_with_its_default() -> None:
+    section = PAGE.read_text().partition("\n## Settings\n")[2].partition("\n## ")[0]
+    tables = re.findall(r"^`([\w-]+)`.*:\n\n((?:\|.*\n)+)", section, re.MULTILINE)
+    listed = {name: re.findall(r"^\| `(\w+)` \| (\S+) \|", table, re.MULTILINE) for name, table in tables}
+    listed["self-play"] = listed["ppo"] + listed["self-play"]
+    assert listed.keys() | {"mappo"} == training.SETTINGS.keys()
+    assert training.SETTINGS["mappo"] is training.SETTINGS["ppo"]
+    for algorithm, rows in listed.items():
+        kind = training.SETTINGS[algorithm]
+        assert sorted(rows) == sorted((f.name, str(f.default)) for f in dataclasses.fields(kind)), algorithm
+
+
+@pytest.mark.parametrize(
+    ("algorithm", "typed", "ours"),
+    [
+        ("ppo", "lr", "learning_rate"),
+        ("q-learning", "lr", "rate"),
+        ("q-learning", "learning_rate", "rate"),
+        ("dqn", "gamma", "discount"),
+        ("ppo", "gae_lambda", "trace"),
+        ("dqn", "epsilon", "explore_last"),
+        ("dqn", "batch-size", "minibatch"),
+    ],
+)
+def test_names_of_other_libraries(
+    pearl: Pearl, algorithm: str, typed: str, ours: str, tmp_path: Path
+) -> None:
+    given = ("CliffWalking", "--algo", algorithm, "--set", f"{typed}=0.5")
+    assert f"has no such setting; did you mean {ours!r}?" in refused(pearl, tmp_path, *given)
+
+
+def test_every_name_of_other_libraries_is_of_use() -> None:
+    names = {
+        algorithm: {f.name for f in dataclasses.fields(kind)} for algorithm, kind in training.SETTINGS.items()
+    }
+    for typed, ours in training.USUAL.items():
+        assert any(typed not in has and has & set(ours) for has in names.values()), typed
+        assert set(ours) <= set().union(*names.values()), typed
 
 
 @pytest.mark.parametrize(("algorithm", "given", "words"), CASES)

@@ -145,7 +145,7 @@ def test_every_environment(name: str, make: Callable[..., Any]) -> None:
     """What comes out is in the spaces, and equals a plain batch of the same seed."""
     n = 10
     if make is MAKERS["vector"] and pearl_marl.get_spec(name).agents > 1:
-        pytest.skip("a VectorEnv has no form for worlds of several agents")
+        pytest.skip("a VectorEnv cannot represent worlds of several agents")
     env = sb3_vec_env(make(name, n, max_cycles=5))
     plain = pearl_marl.parallel_env(name, n, max_cycles=5)
     assert isinstance(env.observation_space, (Box, Discrete, MultiDiscrete))
