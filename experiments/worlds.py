@@ -60,7 +60,7 @@ class Task(NamedTuple):
 COOP = {"max_num_food": 2, "force_coop": True}
 
 TASKS = (
-    Task("Foraging-8x8-2p-3f", "LevelBasedForaging", "ippo", 0.485, 0.95, "1 is the most"),
+    Task("Foraging-8x8-2p-3f", "LevelBasedForaging", "ippo", None, 0.95, "1 is the most"),
     Task(
         "Foraging-8x8-2p-2f-coop",
         "LevelBasedForaging",
@@ -70,7 +70,7 @@ TASKS = (
         "1 is the most",
         COOP,
     ),
-    Task("Foraging-8x8-2p-3f", "LevelBasedForaging", "mappo", 0.485, 0.95, "1 is the most"),
+    Task("Foraging-8x8-2p-3f", "LevelBasedForaging", "mappo", None, 0.95, "1 is the most"),
     Task("Foraging-8x8-2p-2f-coop", "LevelBasedForaging", "mappo", 0.496, 0.98, "1 is the most", COOP),
     Task(
         "Overcooked, cramped_room",

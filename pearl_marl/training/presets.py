@@ -33,12 +33,12 @@ COOKING: dict[str, Any] = {
 
 # A random player brings a shelf in one episode of sixty: rewards are made large, so that the first few count.
 WAREHOUSE: dict[str, Any] = {
-    "n_agents": 2048,
+    "n_agents": 1024,
     "depth": 64,
     "iterations": 240,
-    "minibatch": 4096,
+    "minibatch": 2048,
     "learning_rate": 2e-3,
-    "discount": 0.995,
+    "discount": 0.99,
     "trace": 0.95,
     "entropy": 0.01,
     "reward_scale": 10.0,
