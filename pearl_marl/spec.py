@@ -127,9 +127,6 @@ MAX_CYCLES = (1 << 32) - 1
 MAX_SLOTS = 1 << 32
 """Slots that random draws can tell apart: see :mod:`pearl_marl.rng`."""
 
-MANY = 10**12
-"""The most of anything that is counted and has no limit of its own: more would never end."""
-
 MAX_AGENTS = 63
 """Of one world: with one bit more, what is known of who has ended fits a word of 64 bits."""
 

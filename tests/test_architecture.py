@@ -19,6 +19,7 @@ ROOMS = (
     *(
         "rtl",
         "errors",
+        "limits",
         "cache",
         "files",
         "version",

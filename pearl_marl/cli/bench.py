@@ -18,8 +18,9 @@ from pearl_marl.benchmark.measure import Contender, duration, measure, rate
 from pearl_marl.cli import common, trainings
 from pearl_marl.cli.common import console
 from pearl_marl.errors import ArgumentError
+from pearl_marl.limits import MANY
 from pearl_marl.registry import names
-from pearl_marl.spec import MANY, EnvSpec
+from pearl_marl.spec import EnvSpec
 
 Rounds = Annotated[
     int,

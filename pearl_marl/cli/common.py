@@ -15,8 +15,8 @@ import typer
 from rich.console import Console
 
 from pearl_marl.errors import ArgumentError
+from pearl_marl.limits import MANY
 from pearl_marl.registry import get_spec, names
-from pearl_marl.spec import MANY
 
 if TYPE_CHECKING:
     from rich.table import Table

@@ -19,8 +19,9 @@ from pearl_marl.errors import ArgumentError, LockstepError, PearlError
 from pearl_marl.evaluation.matches import OPENINGS, Match, cross_table
 from pearl_marl.evaluation.report import write_report
 from pearl_marl.evaluation.run import LIMIT, Evaluation
+from pearl_marl.limits import MANY
 from pearl_marl.policies.loading import load_policy
-from pearl_marl.spec import MANY, MAX_CYCLES, EnvSpec
+from pearl_marl.spec import MAX_CYCLES, EnvSpec
 
 PolicyName = Annotated[
     str,

@@ -17,7 +17,8 @@ from pearl_marl.cli.common import console, error_console
 from pearl_marl.comparison.replay import Replay
 from pearl_marl.devices import Lockstep
 from pearl_marl.errors import ArgumentError, DeviceError, LockstepError
-from pearl_marl.spec import MANY, MAX_CYCLES
+from pearl_marl.limits import MANY
+from pearl_marl.spec import MAX_CYCLES
 from pearl_marl.verification import Run, replay, runs, verify
 
 

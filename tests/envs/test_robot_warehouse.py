@@ -571,7 +571,7 @@ def test_pictures() -> None:
 
 REFUSED: dict[str, dict[str, Any]] = {
     "size is 'huge'; possible are 'tiny', 'small', 'medium', 'large'": {"size": "huge"},
-    "robots is 5; it must be an integer from 1 to 4, as with more": {"robots": 5},
+    "robots is 5; it must be an integer from 1 to 4: with more, rware breaks ties": {"robots": 5},
     "robots is 0; it must be an integer from 1 to 4": {"robots": 0},
     "robots is True; it must be an integer": {"robots": True},
     "request_queue_size is 0; it must be an integer from 1 to 19": {"request_queue_size": 0},

@@ -192,7 +192,7 @@ def test_the_command_makes_a_cross_table(players: Path, pearl: Pearl, tmp_path: 
     ("arguments", "words"),
     [
         (("ConnectFour", "--against", "random", "--episodes", 9), "leave --episodes out"),
-        (("ConnectFour", "--openings", 2), "give --against, too"),
+        (("ConnectFour", "--openings", 2), "works only with --against"),
         (("ConnectFour", "--against", "random", "--against", "random"), "'random' is given as --policy or"),
         (
             ("ConnectFour", "--against", "random", "--openings", 42),

@@ -221,7 +221,7 @@ def test_a_checkpoint_is_plain_data_of_checked_archives(folder: Path) -> None:
 )
 def test_a_damaged_config_is_refused(content: bytes, folder: Path) -> None:
     (folder / "config.json").write_bytes(content)
-    refused(folder, r"config\.json is damaged.*: give another --out")
+    refused(folder, r"config\.json is damaged.*: choose another --out")
 
 
 def test_a_file_is_on_the_disk_before_it_has_its_name(
