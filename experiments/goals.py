@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from pearl_marl.evaluation.run import Evaluation
-from pearl_marl.policies import network
+from pearl_marl.policies import trained
 from pearl_marl.registry import get_spec
 from pearl_marl.training.run import settings_for, train
 
@@ -105,7 +105,7 @@ def _reach(goal: Goal, seed: int, quick: bool) -> Row:
     every = settings.iterations // QUICK_EVALUATIONS if quick else None
     with tempfile.TemporaryDirectory() as folder:
         rows = train(goal.env_id, {}, goal.algorithm, settings, "native", Path(folder), goal.aim, every)
-        best = network.load(Path(folder))
+        best = trained.load(Path(folder))
     n = min(goal.episodes, 20_000)
     evaluation = Evaluation(spec, best.choose, n, episodes=goal.episodes, seed=FRESH)
     for _ in evaluation.run():

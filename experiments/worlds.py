@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from pearl_marl.policies import network
+from pearl_marl.policies import trained
 from pearl_marl.registry import get_spec
 from pearl_marl.training.run import evaluate, settings_for, train
 
@@ -131,7 +131,7 @@ def _learned(task: Task, seed: int, quick: bool) -> list[Row]:
         metrics = train(
             task.env_id, dict(task.options), task.algorithm, settings, "native", Path(folder), task.aim
         )
-        policy = network.load(Path(folder))
+        policy = trained.load(Path(folder))
     # Of a game that somebody wins, what the others get says nothing.
     share = 1 if spec.turns else spec.agents
     judged = spec.with_options(**task.judged_by) if task.judged_by else spec

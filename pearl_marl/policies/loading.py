@@ -204,9 +204,9 @@ def _check_space(path: Path, what: str, theirs: Any, ours: Any) -> None:
 
 def _trained(path: Path, spec: EnvSpec, seed: int) -> Policy:
     try:
-        from pearl_marl.policies import network  # which takes torch
+        from pearl_marl.policies import trained  # which takes torch
 
-        found = network.load(path)
+        found = trained.load(path)
     except ModuleNotFoundError as error:
         raise ArgumentError(f"{path} takes {error.name}: pip install '.[train]'") from None
     _check_space(path, "observations", found.spec.observation_space, spec.observation_space)

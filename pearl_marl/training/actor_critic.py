@@ -11,7 +11,8 @@ import torch
 from gymnasium.spaces import Box
 from torch import Tensor, nn
 
-from pearl_marl.policies.network import Network, NetworkPolicy, masked, networks
+from pearl_marl.policies.network import Network, masked, networks
+from pearl_marl.policies.trained import NetworkPolicy
 from pearl_marl.spec import EnvSpec
 from pearl_marl.training.adam import Gradients
 
@@ -66,7 +67,7 @@ class ActorCritic(nn.Module):
     width
         Of their networks' layers.
     sharing, chance
-        See :class:`~pearl_marl.policies.network.NetworkPolicy`.
+        See :class:`~pearl_marl.policies.trained.NetworkPolicy`.
     central
         Whether the critic is given the state of the whole world, and has an output for each of its agents,
         instead of what the agent observes. The policy is not, so agents act on their own all the same.

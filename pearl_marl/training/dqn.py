@@ -14,7 +14,8 @@ import torch
 from torch import Tensor
 
 from pearl_marl.errors import ArgumentError
-from pearl_marl.policies.network import SHARING, NetworkPolicy, is_dense
+from pearl_marl.policies.network import SHARING, is_dense
+from pearl_marl.policies.trained import NetworkPolicy
 from pearl_marl.spec import MAX_SLOTS, EnvSpec
 from pearl_marl.training.adam import Adam
 from pearl_marl.training.dense_dqn import Steps

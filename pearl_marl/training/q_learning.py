@@ -16,7 +16,8 @@ import torch
 from torch import Tensor
 
 from pearl_marl.errors import ArgumentError
-from pearl_marl.policies.network import Table, masked
+from pearl_marl.policies.network import masked
+from pearl_marl.policies.trained import Table
 from pearl_marl.spec import MAX_SLOTS, EnvSpec
 from pearl_marl.training.rollout import Agents, Trainer
 from pearl_marl.training.settings import SEEDS, Checked, check_memory, count, number

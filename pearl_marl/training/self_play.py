@@ -16,7 +16,8 @@ from torch import Tensor
 from torch.func import functional_call
 
 from pearl_marl.errors import ArgumentError
-from pearl_marl.policies.network import MASKED, NetworkPolicy, masked
+from pearl_marl.policies.network import MASKED, masked
+from pearl_marl.policies.trained import NetworkPolicy
 from pearl_marl.spec import EnvSpec
 from pearl_marl.training import ppo
 from pearl_marl.training.actor_critic import View

@@ -20,6 +20,7 @@ from ..toy_world import NIM
 torch = pytest.importorskip("torch", reason="torch is not installed: pip install '.[train]'")
 training = importlib.import_module("pearl_marl.training.run")
 network = importlib.import_module("pearl_marl.policies.network")
+trained = importlib.import_module("pearl_marl.policies.trained")
 rollout = importlib.import_module("pearl_marl.training.rollout")
 
 Pearl = Callable[..., tuple[int, str, str]]
@@ -80,7 +81,7 @@ def test_exploration_keeps_to_masks(name: str) -> None:
 
 
 def test_a_table_of_values_keeps_to_masks() -> None:
-    policy = network.Table(NIM)
+    policy = trained.Table(NIM)
     policy.values[0, :, 2] = 1  # to take three looks best
     best = policy.best(torch.tensor([5, 2, 1]), torch.tensor([[1, 1, 1], [1, 1, 0], [1, 0, 0]]))
     assert best.tolist() == [2, 0, 0]
@@ -236,7 +237,7 @@ def test_networks_are_shared_or_not(algorithm: str, sharing: str, tmp_path: Path
     torch.testing.assert_close(outputs[:2], outputs[2:])
     assert torch.allclose(outputs[0], outputs[1]) == (sharing == "all"), "the same seen by another agent"
     trainer.policy.save(tmp_path / "policy.safetensors")
-    again = network.load(tmp_path)
+    again = trained.load(tmp_path)
     assert again.about == policy.about
     np.testing.assert_array_equal(again.choose(obs.numpy()), policy.choose(obs.numpy()))
 
@@ -252,11 +253,11 @@ def test_networks_apart_learn_from_their_own_agents_alone() -> None:
 
 
 def test_an_unknown_sharing_of_a_file_is_refused(tmp_path: Path) -> None:
-    policy = network.NetworkPolicy(get_spec("LevelBasedForaging"), "values", 4)
+    policy = trained.NetworkPolicy(get_spec("LevelBasedForaging"), "values", 4)
     policy.about["sharing"] = "some"
     policy.save(tmp_path / "policy.safetensors")
     with pytest.raises(ArgumentError, match="has the sharing 'some'; possible are all, indicator, none"):
-        network.load(tmp_path)
+        trained.load(tmp_path)
 
 
 @pytest.mark.parametrize(
@@ -338,9 +339,9 @@ def test_random_moves_are_not_learned_from() -> None:
 def test_the_league_grows_and_is_kept_in_files(tmp_path: Path) -> None:
     settings = training.settings_for("self-play", "ConnectFour", {**SMALL, "join_every": 2, "iterations": 4})
     rows = training.train("ConnectFour", {}, "self-play", settings, "native", tmp_path, evaluated=20)
-    past = {path.stem: network.load(path).state_dict() for path in (tmp_path / "past").iterdir()}
+    past = {path.stem: trained.load(path).state_dict() for path in (tmp_path / "past").iterdir()}
     assert sorted(past) == ["000000", "000002", "000004"]
-    last = network.load(tmp_path).state_dict()
+    last = trained.load(tmp_path).state_dict()
     assert all(torch.equal(last[name], past["000004"][name]) for name in last), "the last is the best"
     assert any((last[name] != past["000002"][name]).any() for name in last)
     assert "eval_world_return" not in rows[-1], "who wins, somebody else loses"

@@ -25,7 +25,7 @@ from pearl_marl.registry import get_spec
 
 torch = pytest.importorskip("torch", reason="torch is not installed: pip install '.[train]'")
 training = importlib.import_module("pearl_marl.training.run")
-policy = importlib.import_module("pearl_marl.policies.network")
+policy = importlib.import_module("pearl_marl.policies.trained")
 rollout = importlib.import_module("pearl_marl.training.rollout")
 actor_critic = importlib.import_module("pearl_marl.training.actor_critic")
 

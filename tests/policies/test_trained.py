@@ -19,16 +19,16 @@ from pearl_marl.errors import ArgumentError
 from pearl_marl.policies.loading import load_policy
 
 torch = pytest.importorskip("torch", reason="torch is not installed: pip install '.[train]'")
-network = importlib.import_module("pearl_marl.policies.network")
+trained = importlib.import_module("pearl_marl.policies.trained")
 safetensors = importlib.import_module("safetensors.torch")
 
 WRITE = """
 import sys, torch
 from pathlib import Path
 from pearl_marl import get_spec
-from pearl_marl.policies import network
+from pearl_marl.policies import trained
 torch.manual_seed(0)
-network.NetworkPolicy(get_spec("CartPole"), "logits", 8).save(Path(sys.argv[1]))
+trained.NetworkPolicy(get_spec("CartPole"), "logits", 8).save(Path(sys.argv[1]))
 """
 
 
@@ -36,7 +36,7 @@ network.NetworkPolicy(get_spec("CartPole"), "logits", 8).save(Path(sys.argv[1]))
 def saved(tmp_path: Path) -> Path:
     torch.manual_seed(0)
     path = tmp_path / "policy.safetensors"
-    network.NetworkPolicy(get_spec("CartPole"), "logits", 8).save(path)
+    trained.NetworkPolicy(get_spec("CartPole"), "logits", 8).save(path)
     return path
 
 
@@ -47,25 +47,25 @@ def test_equal_weights_are_equal_bytes(saved: Path, tmp_path: Path) -> None:
         files.append(tmp_path / f"{number}.safetensors")
         environment = {**os.environ, "PYTHONHASHSEED": str(number + 1)}
         subprocess.run([sys.executable, "-c", WRITE, files[-1]], env=environment, check=True)
-    policy = network.load(saved)
+    policy = trained.load(saved)
     for number in range(8):
         files.append(tmp_path / f"again_{number}.safetensors")
         policy.save(files[-1])
     assert {file.read_bytes() for file in files} == {saved.read_bytes()}
     observations = np.random.default_rng(0).normal(size=(9, 4)).astype(np.float32)
-    np.testing.assert_array_equal(network.load(files[0]).choose(observations), policy.choose(observations))
+    np.testing.assert_array_equal(trained.load(files[0]).choose(observations), policy.choose(observations))
 
 
 def test_a_table_is_read_as_it_was_written(tmp_path: Path) -> None:
-    table = network.Table(get_spec("CliffWalking"), 3)
+    table = trained.Table(get_spec("CliffWalking"), 3)
     table.values.normal_()
     table.save(tmp_path / "policy.safetensors")
-    assert torch.equal(network.load(tmp_path).values, table.values)
+    assert torch.equal(trained.load(tmp_path).values, table.values)
 
 
 def rewritten(path: Path, about: Any = None, drop: str = "", **changes: Any) -> None:
     """Write the policy of a file again, with other tensors or metadata."""
-    with network.safe_open(path, "pt") as stored:
+    with trained.safe_open(path, "pt") as stored:
         header = stored.metadata()
         tensors = {name: stored.get_tensor(name) for name in stored.keys()}  # noqa: SIM118
     known = json.loads(header["policy"]) if about is None else about
@@ -115,4 +115,4 @@ def test_a_damaged_policy_is_refused(changes: dict[str, Any], says: str, saved: 
 def test_what_is_no_policy_is_refused(content: bytes, saved: Path) -> None:
     saved.write_bytes(content)
     with pytest.raises(ArgumentError, match=re.escape("policy.safetensors cannot be read as a policy")):
-        network.load(saved.parent)
+        trained.load(saved.parent)
