@@ -52,7 +52,7 @@ def answer_bytes(words: int) -> int:
     return WORD * words + 1 + _CHECKSUM.size
 
 
-_MENDS: dict[type[OSError], str] = {
+_FIXES: dict[type[OSError], str] = {
     PermissionError: "; who is in the group dialout may open it",
     FileNotFoundError: "; plug the board in, or name its port: serial:PORT",
 }
@@ -73,8 +73,8 @@ class SerialTransport(Transport):
         try:
             self._file = os.open(port, os.O_RDWR | os.O_NOCTTY)
         except OSError as error:
-            mend = _MENDS.get(type(error), "")
-            raise DeviceError(f"the serial port {port} cannot be opened: {error.strerror}{mend}") from None
+            fix = _FIXES.get(type(error), "")
+            raise DeviceError(f"the serial port {port} cannot be opened: {error.strerror}{fix}") from None
         try:
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
             tty.setraw(self._file)

@@ -37,7 +37,7 @@ _SPIN_SECONDS = 1e-3  # a step on a board takes microseconds; one that takes lon
 _MAX_PAUSE = 10e-3
 
 _ERESTARTSYS = 512  # of the kernel's own, which older drivers return where a transfer timed out
-_MENDS = {
+_FIXES = {
     errno.ETIMEDOUT: "the transfer timed out in the driver: see dmesg, and check that the FPGA is configured "
     "and its clock runs",
     errno.EINVAL: "the driver does not take this address or length: the XDMA core of the board must allow "
@@ -50,9 +50,9 @@ _MENDS = {
     errno.EBADF: "the connection is closed",
     errno.EACCES: "give your user the right to read and write the driver's nodes, with a udev rule",
 }
-_MENDS[_ERESTARTSYS] = _MENDS[errno.ETIMEDOUT]
-_MENDS[errno.ENXIO] = _MENDS[errno.ENODEV]
-_MENDS[errno.EPERM] = _MENDS[errno.EACCES]
+_FIXES[_ERESTARTSYS] = _FIXES[errno.ETIMEDOUT]
+_FIXES[errno.ENXIO] = _FIXES[errno.ENODEV]
+_FIXES[errno.EPERM] = _FIXES[errno.EACCES]
 
 SERVER_LOCK = "server.lock"
 """The file in a served board's folder that its server holds a lock on, from its beginning to its end."""
@@ -150,8 +150,8 @@ class XdmaTransport(Transport):
             raise DeviceError(self._why_missing(error.filename)) from None
         except OSError as error:
             self.close()
-            mend = _MENDS.get(error.errno or 0, "see dmesg")
-            raise DeviceError(f"{self._called}: {error.filename}: {error.strerror}; {mend}") from error
+            fix = _FIXES.get(error.errno or 0, "see dmesg")
+            raise DeviceError(f"{self._called}: {error.filename}: {error.strerror}; {fix}") from error
         except BaseException:
             self.close()
             raise
@@ -198,13 +198,13 @@ class XdmaTransport(Transport):
         found = [f"{b.number} ({b.device_id} in slot {b.slot})" for b in discovery.boards()]
         waiting = discovery.boards_without_driver()
         if found:
-            mend = f"there are boards {', '.join(found)}"
+            fix = f"there are boards {', '.join(found)}"
         elif waiting:
-            mend = f"a Xilinx device in slot {', '.join(waiting)} has no driver: load it with: modprobe xdma"
+            fix = f"a Xilinx device in slot {', '.join(waiting)} has no driver: load it with: modprobe xdma"
         else:
-            mend = f"nor a PCI device of vendor {discovery.XILINX}: check the board's power and its slot"
+            fix = f"nor a PCI device of vendor {discovery.XILINX}: check the board's power and its slot"
         return (
-            f"there is no XDMA board {self._board}: there is no {path}; {mend}. Without a board, serve a "
+            f"there is no XDMA board {self._board}: there is no {path}; {fix}. Without a board, serve a "
             "simulated one with: pearl serve ENV --n-agents N --at DIR, and use device='xdma:DIR'"
         )
 
@@ -225,7 +225,7 @@ class XdmaTransport(Transport):
                 code = error.errno or 0
                 name = errno.errorcode.get(code, str(code))
                 self._fail(
-                    f"failed {doing} {data.size} bytes at {offset:#x} ({name})", _MENDS.get(code, "see dmesg")
+                    f"failed {doing} {data.size} bytes at {offset:#x} ({name})", _FIXES.get(code, "see dmesg")
                 )
         if moved != data.size:
             self._fail(
@@ -241,7 +241,7 @@ class XdmaTransport(Transport):
                 with contextlib.suppress(BlockingIOError):
                     os.read(self._events, _EVENT_BYTES)
             else:
-                self._fail("is gone", _SERVE_AGAIN if isinstance(self._board, str) else _MENDS[errno.ENODEV])
+                self._fail("is gone", _SERVE_AGAIN if isinstance(self._board, str) else _FIXES[errno.ENODEV])
 
     def _pause(self, waited: float) -> None:
         if self._events >= 0:
@@ -249,10 +249,10 @@ class XdmaTransport(Transport):
         elif waited > _SPIN_SECONDS:
             time.sleep(min(waited / 10, _MAX_PAUSE))
 
-    def _fail(self, what: str, mend: str) -> NoReturn:
+    def _fail(self, what: str, fix: str) -> NoReturn:
         self._failed = True
         then = ". Then call recover()" if self.recoverable else ""
-        raise DeviceError(f"{self._called} {what}; {mend}{then}")
+        raise DeviceError(f"{self._called} {what}; {fix}{then}")
 
 
 def _moved(answer: int) -> int:
