@@ -34,7 +34,7 @@ COLUMNS = {
     "counts": "what is counted, or why there is nothing",
 }
 COLOURS = {OURS: Colour.GREEN, SB3: Colour.RED, CLEANRL: Colour.ORANGE, PUREJAXRL: Colour.BLUE}
-QUICK_ENV = "FrozenLake"
+QUICK_ENV = "CartPole"
 """What a quick report trains, for a few iterations."""
 
 

@@ -357,7 +357,7 @@ def test_robots_in_each_others_way(name: str, turns: int, n: int) -> None:
     assert turns == 1 or seen["collisions"] >= 10_000
 
 
-MANY = [pytest.param(name, 4, marks=pytest.mark.slow) for name in ("tiny-2ag", "tiny-4ag")]
+MANY = [pytest.param(name, 4, marks=pytest.mark.slow) for name in ("tiny-2ag", "tiny-4ag", "small-4ag")]
 
 
 @pytest.mark.parametrize(("name", "games"), [("tiny-2ag", 2), *MANY])
