@@ -7,7 +7,7 @@ import io
 import os
 import signal
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from multiprocessing import get_context
 from typing import Any, NamedTuple
@@ -33,20 +33,28 @@ class Warmed(NamedTuple):
     """How long it took."""
 
 
+def compiled_by(work: Callable[[], None]) -> int:
+    """Do some work; return how many functions were compiled for it, of which each would say so by itself."""
+    with event.install_recorder("numba:compile") as compiled, contextlib.redirect_stderr(io.StringIO()):
+        work()
+    return sum(moment.is_start for _, moment in compiled.buffer)
+
+
 def warm(env_id: str, options: dict[str, Any]) -> Warmed:
     """Reset and step an environment, in every form of its observations: the cache then has its kernels."""
     began = time.perf_counter()
     spec = get_spec(env_id).with_options(**options)
-    # Each kernel would say that it is compiled: here that is all that is done, and the caller tells.
-    with event.install_recorder("numba:compile") as compiled, contextlib.redirect_stderr(io.StringIO()):
+
+    def step_once() -> None:
         for form in FORMS if spec.unpack is not None else FORMS[:1]:
             device = Native(threads=1).open(BatchConfig(spec=observed_as(spec, form), n_envs=1))
             device.reset(seed=0)
             masks: Any = device.action_masks
             device.step(random_actions(spec, np.random.default_rng(0), spec.agents, masks))
             device.close()
-    starts = sum(moment.is_start for _, moment in compiled.buffer)
-    return Warmed(spec.id, starts, time.perf_counter() - began)
+
+    compiled = compiled_by(step_once)
+    return Warmed(spec.id, compiled, time.perf_counter() - began)
 
 
 def warm_all(env_ids: Iterable[str], options: dict[str, Any]) -> Iterator[Warmed]:

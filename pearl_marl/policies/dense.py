@@ -280,10 +280,12 @@ def ahead(layers: Layers, weights: Padded, given: Given, rows: Array, room: Tile
 
 
 @called
-def sums(layers: Layers) -> Padded:
-    """Return zeros, in which gradients are added up."""
-    width, inputs = layers.first.shape
-    outputs = layers.third.shape[0]
+def sums(gradients: Layers) -> Padded:
+    """Return zeros, in which gradients are added up; those by tables are in their place from the first."""
+    gradients.table[:] = 0
+    gradients.indicator[:] = 0
+    width, inputs = gradients.first.shape
+    outputs = gradients.third.shape[0]
     high, wide, out = _up(width, WIDE), _up(inputs, HIGH), _up(outputs, WIDE)
     none = np.zeros(0, np.float32)
     return Padded(
@@ -381,11 +383,9 @@ def _forward(layers: Layers, given: Given, outputs: Array) -> None:
 
 def _backward(layers: Layers, given: Given, by_outputs: Array, gradients: Layers) -> None:
     """Compute gradients from those by the outputs; what lies between is computed again."""
-    weights, room, total = padded(layers), tile(layers), sums(layers)
+    weights, room, total = padded(layers), tile(layers), sums(gradients)
     out = len(weights.bias3)
     numbers = np.arange(len(by_outputs))
-    gradients.table[:] = 0
-    gradients.indicator[:] = 0
     for start in range(0, len(by_outputs), ROWS):
         rows = numbers[start : start + ROWS]
         ahead(layers, weights, given, rows, room)

@@ -216,8 +216,8 @@ class Network(nn.Module):
         else:
             mean, scale = (tensor.numpy() for tensor in encoder.statistics())
             x = obs.reshape(n, len(mean)).float().contiguous().numpy()
-        if self.indicator is not None and position is not None:
-            whose = position.contiguous().numpy()
+        if self.indicator is not None:
+            whose = torch.as_tensor(position).contiguous().numpy()
         return dense.Given(x, mean, scale, numbers, whose)
 
     def of_given(self, given: dense.Given) -> Tensor:

@@ -58,13 +58,11 @@ def _learn(
     n, outputs = len(steps.actions), len(policy.bias3)
     weights, target_weights = padded(policy), padded(target)
     out = len(weights.bias3)
-    room, target_room, total = tile(policy), tile(target), sums(policy)
+    room, target_room, total = tile(policy), tile(target), sums(gradients)
     there = 0
     for row in range(n):
         there += steps.alive[row]
     share, loss = 1 / max(there, 1), 0.0
-    gradients.table[:] = 0
-    gradients.indicator[:] = 0
     numbers, masked = np.arange(n), len(steps.masks) > 0
     wanted = np.empty(ROWS)
     for first in range(0, n, ROWS):

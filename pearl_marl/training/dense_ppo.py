@@ -88,14 +88,15 @@ At = tuple[int, int]
 """Where a row's outputs begin, and how many they are."""
 
 
-def _score(made, at, samples, row, log_deviation, batch, found) -> float:  # type: ignore[no-untyped-def]
+def _score(made, at, samples, row, log_deviation, batch, found) -> Any:  # type: ignore[no-untyped-def]
     """Put gradients in the place of a row's outputs; return that by the logarithm of the deviation."""
-    raise NotImplementedError("it is compiled")
+    of_kind: Any = _choice if samples.actions.ndim == 1 else _numbers
+    return of_kind(made, at, samples, row, log_deviation, batch, found)
 
 
 @overload(_score, jit_options=ARITHMETIC)
 def _score_of(made, at, samples, row, log_deviation, batch, found) -> Any:  # type: ignore[no-untyped-def]
-    actions = samples[0]
+    actions = samples[0]  # types here, of which a tuple's have no names
     return _choice if actions.ndim == 1 else _numbers
 
 
@@ -113,12 +114,12 @@ def _choice(made, at, samples, row, log_deviation, batch, found):  # type: ignor
     for k in range(n):
         total += exponential(made[start + k] - most)
     log_total = most + np.log(total)
-    apart = 0.0
+    entropy = 0.0
     for k in range(n):
         if not (masked and masks[row, k] == 0):
             log = made[start + k] - log_total
-            apart -= exponential(log) * log
-    found[2] += apart
+            entropy -= exponential(log) * log
+    found[2] += entropy
     by = _ratio_of(made[start + action] - log_total, samples, row, batch, found)
     for k in range(n):
         if masked and masks[row, k] == 0:
@@ -126,7 +127,7 @@ def _choice(made, at, samples, row, log_deviation, batch, found):  # type: ignor
             continue
         log = made[start + k] - log_total
         probability = exponential(log)
-        gradient = by * ((k == action) - probability) + batch.entropy * probability * (log + apart)
+        gradient = by * ((k == action) - probability) + batch.entropy * probability * (log + entropy)
         made[start + k] = gradient * batch.share
     return 0.0
 
@@ -179,13 +180,10 @@ def _learn(
     actor, critic, log_deviation = weights
     actor_weights, critic_weights = padded(actor), padded(critic)
     actor_room, critic_room = tile(actor), tile(critic)
-    actor_sums, critic_sums = sums(actor), sums(critic)
+    actor_sums, critic_sums = sums(gradients.actor), sums(gradients.critic)
     outputs, out, out_critic = len(actor.bias3), len(actor_weights.bias3), len(critic_weights.bias3)
     by_deviation = 0.0
     found[:] = 0
-    for tables in (gradients.actor, gradients.critic):
-        tables.table[:] = 0
-        tables.indicator[:] = 0
     for first in range(0, n, ROWS):
         some = rows[first : first + ROWS]
         ahead(actor, actor_weights, seen, some, actor_room)

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import contextlib
-import io
 from typing import Any
 
-from numba.core import event
-
+from pearl_marl.devices.warming import compiled_by
 from pearl_marl.registry import get_spec
 from pearl_marl.training.run import ALGORITHMS, settings_for
 
@@ -21,8 +18,10 @@ RUNS: tuple[tuple[str, str, dict[str, Any]], ...] = (
 
 def warm_training() -> int:
     """Run every compiled loop once, so that the cache has it; return how many functions were compiled."""
-    with event.install_recorder("numba:compile") as compiled, contextlib.redirect_stderr(io.StringIO()):
-        for algorithm, env_id, given in RUNS:
-            few: dict[str, Any] = {"n_agents": 2, **given}
-            ALGORITHMS[algorithm](get_spec(env_id), "native", settings_for(algorithm, env_id, few)).iterate()
-    return sum(moment.is_start for _, moment in compiled.buffer)
+    return compiled_by(_learn_a_little)
+
+
+def _learn_a_little() -> None:
+    for algorithm, env_id, given in RUNS:
+        settings = settings_for(algorithm, env_id, {"n_agents": 2, **given})
+        ALGORITHMS[algorithm](get_spec(env_id), "native", settings).iterate()
