@@ -156,7 +156,7 @@ def _every(n_agents: int | None, rounds: int, seconds: float, out: Path | None, 
         ["environment"],
         [*OURS.values(), "EnvPool", "x", "best other", "x"],
         box=box.SIMPLE,
-        padding=(0, 1, 0, 0),
+        padding=0,  # so that all fits into 80 columns
     )
     results = []
     for name in names():
@@ -183,7 +183,8 @@ def _figures(rows: list[Contender]) -> list[str]:
     best = max((contender for contender in OTHERS if contender in rates), key=rates.__getitem__, default="")
     for peer, label in ((ENVPOOL, ""), (best, f" [dim]{OTHERS.get(best)}[/]")):
         if peer in rates:
-            figures += [rate(rates[peer]) + label, rate(rates["step_batch"] / rates[peer])]
+            times = rates["step_batch"] / rates[peer]
+            figures += [rate(rates[peer]) + label, f"{times:,.0f}" if times >= 100 else f"{times:.3g}"]
         else:
             figures += ["-", "-"]
     return figures

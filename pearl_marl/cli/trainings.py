@@ -57,12 +57,12 @@ def show(env_id: str | None, quick: bool, out: Path | None, as_json: bool) -> No
 
 
 def _print(task: str, goal: float | None, summary: list[dict[str, Any]]) -> None:
-    figures = ["agent-steps/s", "x"]
+    figures = ["agent-\nsteps/s", "x"]
     if goal is not None:
         figures += [f"to {goal:g}", "reached", "x"]
     grid = common.table(task, ["who"], figures, box=box.SIMPLE, padding=(0, 1, 0, 0))
-    for column in grid.columns:  # names are folded, and leave the figures their room
-        column.no_wrap, column.overflow = column.header != "who", "fold"
+    # Names are folded, between words, so that all fits into 80 columns.
+    grid.columns[0].no_wrap, grid.columns[0].min_width = False, len("CleanRL's PPO")
     for row in summary:
         grid.add_row(row["contender"], *_cells(row)[: len(figures)])
     console.print(grid)
@@ -89,4 +89,4 @@ def _ratio(spread: list[float] | None) -> str:
     if spread is None:
         return "-"
     median, least, most = (f"{value:.3g}" for value in spread)
-    return median if least == most else f"{median} ({least} to {most})"
+    return median if least == most else f"{median} ({least}-{most})"

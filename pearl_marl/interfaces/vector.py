@@ -16,6 +16,7 @@ from pearl_marl.interfaces.batch import World
 from pearl_marl.interfaces.vector_interface import Shown, VectorInterface, checked_mode, slot_autoreset_mode
 from pearl_marl.packing import observed_as
 from pearl_marl.registry import get_spec
+from pearl_marl.spec import check_slots
 
 
 class PearlVectorEnv(VectorInterface):
@@ -119,6 +120,7 @@ def make_vec(
         The device is not available.
     """
     mode = checked_mode(autoreset_mode, options.pop("render_mode", None))
+    check_slots("num_envs", num_envs)
     spec = get_spec(env_id).with_options(inspect.signature(make_vec).parameters, **options)
     if spec.agents > 1:
         raise ArgumentError(
