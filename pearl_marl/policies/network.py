@@ -123,7 +123,8 @@ class Encoder(nn.Module):
             return found.sum(1) + self.bias
         if self.kind == "picture":
             planes = obs.permute(0, 3, 1, 2).float()
-            given = torch.relu(self.convolution(planes)).flatten(1)
+            # Channels stay last, as they are in the observations: to reorder them would be a copy.
+            given = self.convolution(planes).relu_().permute(0, 2, 3, 1).flatten(1)
         else:
             given = self.standardised(obs)
         features: Tensor = self.linear(given)
