@@ -16,6 +16,10 @@ PACKAGE := pyproject.toml constraints.txt
 .PHONY: demo test test-rllib test-torchrl test-peers test-cuda test-docs lint format bench bench-peers figures ulx3s docs dist clean
 .DELETE_ON_ERROR:
 
+# Compiled modules are kept even where the environment says not to: the tests start hundreds of processes, and each
+# would compile all that it imports.
+unexport PYTHONDONTWRITEBYTECODE
+
 demo: $(VENV)/.render
 	$(BIN)/pearl run CliffWalking --n-agents 43008 --steps 1000 --out $(OUT)/demo
 	$(BIN)/python experiments/cliff_walking_q_learning.py --out $(OUT)/demo
