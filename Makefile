@@ -13,7 +13,7 @@ OUT ?= out
 CORES := $(shell nproc 2>/dev/null || echo 2)
 PACKAGE := pyproject.toml constraints.txt
 
-.PHONY: demo test test-rllib test-torchrl test-peers test-cuda test-docs lint format bench bench-peers figures ulx3s docs dist clean
+.PHONY: demo test test-exhaustive test-rllib test-torchrl test-peers test-cuda test-docs lint format bench bench-peers figures ulx3s docs dist clean
 .DELETE_ON_ERROR:
 
 # Compiled modules are kept even where the environment says not to: the tests start hundreds of processes, and each
@@ -26,6 +26,10 @@ demo: $(VENV)/.render
 
 test: $(VENV)/.dev
 	$(BIN)/python -m pytest -n $$(($(CORES) + 1)) --dist loadgroup --slow
+
+# The same with what repeats it at more sizes or for longer: half an hour on two cores.
+test-exhaustive: $(VENV)/.dev
+	$(BIN)/python -m pytest -n $$(($(CORES) + 1)) --dist loadgroup --slow --exhaustive
 
 # RLlib pins Gymnasium 1.2.2, so it has an environment of its own, and the Gymnasium interface is tested there too.
 test-rllib: $(RLLIB)/.rllib
@@ -42,7 +46,7 @@ test-peers: $(PEERS)/.peers
 
 # The contract over every environment on a GPU, or a simulated one: that takes 20 minutes of a core.
 test-cuda: $(VENV)/.dev
-	$(BIN)/python -m pytest -n $(CORES) --simulated-gpu -rs tests/contract -k TestGpu
+	$(BIN)/python -m pytest -n $(CORES) --exhaustive --simulated-gpu -rs tests/contract -k TestGpu
 
 lint: $(VENV)/.dev
 	$(BIN)/ruff check .

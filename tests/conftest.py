@@ -36,12 +36,17 @@ from .toy_world import WORLDS
 
 def pytest_configure(config: pytest.Config) -> None:
     config.addinivalue_line("markers", "slow: takes seconds or gigabytes; runs where --slow is given")
+    exhaustive = (
+        "exhaustive: at more sizes, or for longer, what another test shows; runs where --exhaustive is given"
+    )
+    config.addinivalue_line("markers", exhaustive)
     config.addinivalue_line("markers", "gpu: needs an NVIDIA GPU; skipped, and said so, where there is none")
     config.addinivalue_line("markers", "simulatable: the same, but runs where --simulated-gpu is given too")
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--slow", action="store_true", help="run the tests marked slow too")
+    parser.addoption("--exhaustive", action="store_true", help="run the tests marked exhaustive too")
     help = "run the contract over every environment on a simulated GPU too, which takes 20 minutes of a core"
     parser.addoption("--simulated-gpu", action="store_true", help=help)
 
@@ -64,10 +69,10 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
                 item.add_marker(pytest.mark.skip(reason="no GPU here: not run on a real one, only simulated"))
             elif "simulatable" in item.keywords and not config.getoption("--simulated-gpu"):
                 item.add_marker(pytest.mark.skip(reason="no GPU here: make test-cuda simulates one"))
-    if not config.getoption("--slow"):
-        for item in items:
-            if "slow" in item.keywords:
-                item.add_marker(pytest.mark.skip(reason="slow: run pytest --slow"))
+    for mark, how in (("slow", "pytest --slow"), ("exhaustive", "make test-exhaustive")):
+        for item in [] if config.getoption(f"--{mark}") else items:
+            if mark in item.keywords:
+                item.add_marker(pytest.mark.skip(reason=f"{mark}: run {how}"))
 
 
 Once = Callable[[str, Callable[[Path], object]], Path]

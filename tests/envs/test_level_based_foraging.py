@@ -169,7 +169,9 @@ def _stepped(step: Any, spec: EnvSpec, state: list[Array], actions: Array) -> li
     return [*results[: len(state)], codes, over[:, 0] == 1]
 
 
-@pytest.mark.parametrize("episodes", [15, pytest.param(400, marks=pytest.mark.slow)], ids=["few", "many"])
+@pytest.mark.parametrize(
+    "episodes", [15, pytest.param(400, marks=pytest.mark.exhaustive)], ids=["few", "many"]
+)
 @pytest.mark.parametrize("name", CASES)
 def test_episodes(name: str, episodes: int) -> None:
     seen = compare(CASES[name], episodes, seed=episodes)
@@ -228,7 +230,7 @@ SPAWNS = {
 }
 
 
-@pytest.mark.parametrize("n", [1_500, pytest.param(6_000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("n", [1_500, pytest.param(6_000, marks=pytest.mark.exhaustive)])
 @pytest.mark.parametrize("name", SPAWNS)
 def test_starts_are_distributed_as_in_the_package(name: str, n: int) -> None:
     given = SPAWNS[name]

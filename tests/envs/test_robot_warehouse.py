@@ -339,7 +339,7 @@ def jostled(name: str, turns: int, n: int) -> Counter[str]:
 
 
 CROWDS = [
-    pytest.param(name, turns, 100, marks=pytest.mark.slow)
+    pytest.param(name, turns, 100, marks=pytest.mark.exhaustive)
     for name, turns in (("tiny-2ag", 260), ("tiny-4ag", 160))
 ]
 """Two robots are in each other's way in 4 steps of 10, four in 6."""
@@ -357,7 +357,7 @@ def test_robots_in_each_others_way(name: str, turns: int, n: int) -> None:
     assert turns == 1 or seen["collisions"] >= 10_000
 
 
-MANY = [pytest.param(name, 4, marks=pytest.mark.slow) for name in ("tiny-2ag", "tiny-4ag", "small-4ag")]
+MANY = [pytest.param(name, 4, marks=pytest.mark.exhaustive) for name in ("tiny-2ag", "tiny-4ag", "small-4ag")]
 
 
 @pytest.mark.parametrize(("name", "games"), [("tiny-2ag", 2), *MANY])
@@ -443,7 +443,7 @@ def test_starts() -> None:
     check_starts(rules, *cells, directions, *racks)
 
 
-@pytest.mark.parametrize("n", [1_000, pytest.param(20_000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("n", [1_000, pytest.param(20_000, marks=pytest.mark.exhaustive)])
 def test_starts_of_the_package(n: int) -> None:
     """They are of the same law."""
     rules = rules_for(spec_of({}))

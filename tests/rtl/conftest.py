@@ -1,5 +1,4 @@
-"""``pytest tests/rtl --rtl-coverage FILE`` writes what the benches reach of the sources to a file, and
-``--every-proof`` proves more sizes and refutes more broken designs than a few."""
+"""``pytest tests/rtl --rtl-coverage FILE`` writes what the benches reach of the sources to a file."""
 
 from __future__ import annotations
 
@@ -16,9 +15,6 @@ from pearl_marl.hardware import elaboration
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--rtl-coverage", metavar="FILE", help="write a report of the benches' coverage to FILE")
-    parser.addoption(
-        "--every-proof", action="store_true", help="prove all sizes and refute all broken designs, not a few"
-    )
 
 
 def pytest_configure(config: pytest.Config) -> None:

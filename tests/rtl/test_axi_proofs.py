@@ -67,8 +67,8 @@ ALWAYS = ("silent_slave", "asked_b", "last_of_r", "merge_granted", "goes_on", "i
 
 @pytest.mark.parametrize("violated", FAULTS)
 def test_broken_slave_is_refuted(violated: str, tmp_path: Path, request: pytest.FixtureRequest) -> None:
-    if violated not in ALWAYS and not request.config.getoption("--every-proof"):
-        pytest.skip("one of many proofs: run pytest --every-proof")
+    if violated not in ALWAYS and not request.config.getoption("--exhaustive"):
+        pytest.skip("one of many proofs: run make test-exhaustive")
     report = check_slave(tmp_path, FAULTS[violated], f"c:*{violated} a:src=*{violated}* %u")
     assert "DONE (FAIL" in report, report
 

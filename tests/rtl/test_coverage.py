@@ -12,6 +12,7 @@ from harness import Variant, module, run_variants
 from pearl_marl.hardware import elaboration
 
 
+@pytest.mark.exhaustive
 def test_one_module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     data, bench = tmp_path / "data", tmp_path / "bench"
     data.mkdir()

@@ -36,7 +36,17 @@ def lint(design: Design, **parameters: int) -> None:
 
 @pytest.mark.parametrize(
     ("env", "size"),
-    [*((env, size) for env in (*names(), "ShiftAdd", "Meadow", "Nim") for size in SIZES), *LARGE],
+    [
+        *((env, SIZES[1]) for env in names()),
+        *((env, size) for env in ("ShiftAdd", "Meadow", "Nim") for size in SIZES),
+        *(
+            pytest.param(env, size, marks=pytest.mark.exhaustive)
+            for env in names()
+            for size in SIZES
+            if size != SIZES[1]
+        ),
+        *LARGE,
+    ],
 )
 def test_lint_is_clean(env: str, size: tuple[int, int, int]) -> None:
     spec = spec_of(env, {})

@@ -5,11 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 
 import mutation
+import pytest
 from scenarios import BUILD, host_script
 
 COUNT, SEED = 24, 3
 
 
+@pytest.mark.exhaustive
 def test_faults_in_the_backbone_are_noticed(tmp_path: Path) -> None:
     mutants = mutation.choose(BUILD, tmp_path, COUNT, SEED)
     program = mutation.compile_mutants(mutants, tmp_path)

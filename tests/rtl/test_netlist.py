@@ -71,6 +71,7 @@ def breakable(cells: str, flip_flop: str) -> str:
     return re.sub(r"^module pearl_top\([^;]*;", r"\g<0>\n  input fault_i;", cells, flags=re.MULTILINE)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.skipif(COVERAGE_VARIABLE in os.environ, reason="a netlist has none of the sources' lines")
 def test_netlist_equals_the_model_and_a_broken_one_does_not(tmp_path: Path) -> None:
     # Small, as every cell is one to simulate; the last group is not full, as in test_top.py.

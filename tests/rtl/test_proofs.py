@@ -244,17 +244,19 @@ BACKBONES = {
     ),
 }
 ALWAYS_PROVED = "less"
-"""The others are with --every-proof."""
+"""The others are with --exhaustive."""
 SAMPLE = "last"
 """What faults are put into."""
 
 
 def only_if_every(name: str, sample: Sequence[str], request: pytest.FixtureRequest) -> None:
-    if name not in sample and not request.config.getoption("--every-proof"):
-        pytest.skip("one of many proofs: run pytest --every-proof")
+    if name not in sample and not request.config.getoption("--exhaustive"):
+        pytest.skip("one of many proofs: run make test-exhaustive")
 
 
-@pytest.mark.parametrize("what", ["PROVE_RESET", "PROVE_IDLE", "PROVE_STEP"])
+@pytest.mark.parametrize(
+    "what", ["PROVE_RESET", "PROVE_IDLE", pytest.param("PROVE_STEP", marks=pytest.mark.exhaustive)]
+)
 @pytest.mark.parametrize("name", BACKBONES)
 def test_backbone(what: str, name: str, tmp_path: Path, request: pytest.FixtureRequest) -> None:
     only_if_every(name, [ALWAYS_PROVED], request)
