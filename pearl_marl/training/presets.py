@@ -86,7 +86,7 @@ PRESETS: dict[tuple[str, str], dict[str, Any]] = {
     # One game is like another unless some moves are random.
     ("self-play", "ConnectFour"): {
         "n_agents": 512,
-        "iterations": 60,
+        "iterations": 80,
         "epochs": 2,
         "minibatch": 512,
         "learning_rate": 2e-3,
