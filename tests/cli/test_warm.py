@@ -40,6 +40,7 @@ def python(cache: Path, script: str, *arguments: str) -> Any:
     )
 
 
+@pytest.mark.exhaustive
 def test_what_is_warm_is_not_compiled_again(tmp_path: Path) -> None:
     """Neither by a second call, nor by the first steps of an environment."""
     given = "CliffWalking", "ConnectFour"

@@ -82,7 +82,11 @@ def test_lowering_changes_nothing(env: str) -> None:
     assert not list(unproved_lowering(get_spec(env), targets))
 
 
-@pytest.mark.parametrize("target", TARGETS, ids=str)
+@pytest.mark.parametrize(
+    "target",
+    [TARGETS[0], *(pytest.param(target, marks=pytest.mark.exhaustive) for target in TARGETS[1:])],
+    ids=str,
+)
 @pytest.mark.parametrize("env", names())
 def test_texts_of_environments(env: str, target: Target, tmp_path: Path) -> None:
     assert not list(unproved_text(get_spec(env), target, tmp_path))

@@ -19,7 +19,9 @@ from pearl_marl.hardware.build import Build
         ("CliffWalking", {}, (1, 1, 32), 0.0, 4),
         ("CliffWalking", {}, (7, 4, 32), 0.2, 8),
         ("CliffWalking", {"is_slippery": True}, (60, 7, 32), 0.0, 6),
-        ("CliffWalking", {"is_slippery": True}, (1024, 16, 128), 0.0, 3),
+        pytest.param(
+            "CliffWalking", {"is_slippery": True}, (1024, 16, 128), 0.0, 3, marks=pytest.mark.exhaustive
+        ),
         pytest.param("CliffWalking", {}, (193, 24, 32), 0.2, 4, marks=pytest.mark.exhaustive),
         pytest.param("CliffWalking", {}, (40, 16, 1024), 0.0, 4, marks=pytest.mark.exhaustive),
         ("ShiftAdd", {}, (23, 5, 64), 0.0, 6),
