@@ -104,12 +104,14 @@ Options = Annotated[
 
 def env_options(pairs: Iterable[str] | None, option: str = "--option") -> dict[str, Any]:
     """Turn ``["is_slippery=true"]`` into keyword arguments; values are JSON, Python's, or strings."""
-    result = {}
+    result: dict[str, Any] = {}
     for pair in pairs or ():
         name, equals, value = pair.partition("=")
         if not equals:
             raise ArgumentError(f"{option} is {pair!r}; it must be NAME=VALUE")
-        result[name.replace("-", "_")] = _literal(value)
+        if (key := name.replace("-", "_")) in result:
+            raise ArgumentError(f"{option} gives {key} twice; give it once")
+        result[key] = _literal(value)
     return result
 
 

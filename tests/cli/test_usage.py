@@ -106,6 +106,10 @@ Pearl = Callable[..., tuple[int, str, str]]
         ("core CartPole --out a.svg --graph a.svg", "--out and --graph are both a.svg: give one of them"),
         ("core CartPole --graph x.png", "--graph is x.png; it must be a file that ends in .svg"),
         ("envs --json --markdown", "--json and --markdown are two forms of the same: leave one out"),
+        (
+            "run CliffWalking --option is_slippery=true --option is-slippery=false",
+            "--option gives is_slippery twice",
+        ),
         ("train CartPole --algo ppoo", "--algo is 'ppoo'; did you mean 'ppo'?"),
     ],
 )
