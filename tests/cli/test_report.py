@@ -93,7 +93,7 @@ def test_quick(
     tmp_path: Path, recwarn: pytest.WarningsRecorder, monkeypatch: pytest.MonkeyPatch, trainings: bool
 ) -> None:
     """Every section has its files, and the page their numbers; the second time, all is kept."""
-    # Trainings take a process for each contender, and `pearl bench --training --quick` has them in the docs' tests.
+    # Each contender's training is a process; `pearl bench --training --quick` has them in the docs' tests.
     if not trainings:
         monkeypatch.setattr(report, "SECTIONS", [name for name in report.SECTIONS if name != "trainings"])
     arguments = ["report", "--quick", "--out", str(tmp_path)]
