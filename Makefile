@@ -27,7 +27,7 @@ demo: $(VENV)/.render
 test: $(VENV)/.dev
 	$(BIN)/python -m pytest -n $$(($(CORES) + 1)) --dist loadgroup --slow
 
-# The same with what repeats it at more sizes or for longer: half an hour on two cores.
+# The same with what repeats it at more sizes or for longer, and every proof.
 test-exhaustive: $(VENV)/.dev
 	$(BIN)/python -m pytest -n $$(($(CORES) + 1)) --dist loadgroup --slow --exhaustive
 

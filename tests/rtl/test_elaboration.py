@@ -37,13 +37,11 @@ def lint(design: Design, **parameters: int) -> None:
 @pytest.mark.parametrize(
     ("env", "size"),
     [
-        *((env, SIZES[1]) for env in names()),
         *((env, size) for env in ("ShiftAdd", "Meadow", "Nim") for size in SIZES),
         *(
-            pytest.param(env, size, marks=pytest.mark.exhaustive)
+            pytest.param(env, size, marks=[pytest.mark.exhaustive] if size != SIZES[1] else [])
             for env in names()
             for size in SIZES
-            if size != SIZES[1]
         ),
         *LARGE,
     ],
