@@ -12,6 +12,7 @@ BIN := $(VENV)/bin
 OUT ?= out
 CORES := $(shell nproc 2>/dev/null || echo 2)
 PACKAGE := pyproject.toml constraints.txt
+PIP = $(BIN)/python -W ignore -m pip install --quiet --disable-pip-version-check --no-compile -c constraints.txt
 
 .PHONY: demo test test-exhaustive test-rllib test-torchrl test-peers test-cuda test-docs lint format bench bench-peers figures ulx3s docs dist clean
 .DELETE_ON_ERROR:
@@ -90,7 +91,9 @@ clean:
 	rm -rf $(VENV) $(RLLIB) $(TORCHRL) $(PEERS) $(OUT) build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis .benchmarks
 
 # One stamp for each set of extras; asking for more adds to the same environment. Python compiles what is imported, when
-# it is; pip would compile all that is installed, for most of a minute.
+# it is; to compile all that is installed would take most of a minute. uv installs several packages at a time, and knows
+# none of pip's settings: it is told where pip finds files, and where it fails, as behind a proxy that only pip knows of,
+# pip takes over.
 $(VENV)/.render: EXTRAS := render
 $(VENV)/.rtl: EXTRAS := rtl
 $(VENV)/.report: EXTRAS := report
@@ -98,8 +101,10 @@ $(VENV)/.dev: EXTRAS := report,cuda,ray,marl,dev
 $(VENV)/.docs: EXTRAS := docs
 $(VENV)/.browser: EXTRAS := docs,browser,testing
 $(VENV)/.render $(VENV)/.rtl $(VENV)/.report $(VENV)/.dev $(VENV)/.docs $(VENV)/.browser: $(PACKAGE) | $(BIN)/python
-	@echo "Installing pearl-marl[$(EXTRAS)] into $(VENV); pip prints nothing until it is done, in a minute or more ..."
-	@$(BIN)/python -W ignore -m pip install --quiet --disable-pip-version-check --no-compile -c constraints.txt -e '.[$(EXTRAS)]'
+	@echo "Installing pearl-marl[$(EXTRAS)] into $(VENV), in a minute or more ..."
+	@$(PIP) uv
+	@UV_FIND_LINKS="$$(echo $${PIP_FIND_LINKS-$$($(BIN)/python -m pip config get global.find-links 2>&-)} | tr ' ' ,)" \
+		$(BIN)/uv pip install --python $(BIN)/python -c constraints.txt -e '.[$(EXTRAS)]' || $(PIP) -e '.[$(EXTRAS)]'
 	@touch $@
 
 $(RLLIB)/.rllib: $(PACKAGE)
