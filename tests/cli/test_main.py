@@ -132,10 +132,12 @@ def slowly(module, name):
 """
 
 
-@pytest.mark.parametrize("then", ["raise", "raise ImportError('half of it') from None"])
 @pytest.mark.parametrize(
-    ("module", "name"),
-    [("pearl_marl.training.rollout", "make_device"), ("pearl_marl.training.run", "evaluate")],
+    ("module", "name", "then"),
+    [
+        ("pearl_marl.training.rollout", "make_device", "raise ImportError('half of it') from None"),
+        ("pearl_marl.training.run", "evaluate", "raise"),
+    ],
 )
 def test_ctrl_c_at_work(module: str, name: str, then: str, tmp_path: Path) -> None:
     """While kernels compile, and later; libraries may make another exception of it."""

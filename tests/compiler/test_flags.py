@@ -74,7 +74,12 @@ def test_runs() -> None:
 
 
 @pytest.mark.parametrize(
-    ("fields", "dtype", "masks"), [(MIXED, np.float32, True), (LONG, np.bool_, False), (LONG, np.int16, True)]
+    ("fields", "dtype", "masks"),
+    [
+        (MIXED, np.float32, True),
+        pytest.param(LONG, np.bool_, False, marks=pytest.mark.exhaustive),
+        (LONG, np.int16, True),
+    ],
 )
 def test_they_are_what_the_golden_functions_say(fields: list[Field], dtype: type, masks: bool) -> None:
     n = 2_100  # more than a block

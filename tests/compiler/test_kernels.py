@@ -196,7 +196,7 @@ def test_no_name_of_a_field_can_be_in_the_way(source: Callable[[EnvSpec], str], 
             assert not prefixes or re.fullmatch(r"at_(elapsed|ended)", name)
 
 
-@pytest.mark.parametrize("names", [("for", "i"), ("uint8_equal", "np"), ("initial", "golden_step")])
+@pytest.mark.parametrize("names", [("uint8_equal", "np"), ("for", "golden_step")])
 def test_fields_may_be_named_like_anything_in_a_kernel(cache: Path, names: tuple[str, str]) -> None:
     fields = [dataclasses.replace(f, name=name) for f, name in zip(SPEC.state, names, strict=True)]
     odd = dataclasses.replace(SPEC, state=tuple(fields))

@@ -17,10 +17,13 @@ from pearl_marl.tracing.graph import Graph
 from pearl_marl.tracing.nodes import Node
 
 from ..rtl.random_steps import random_spec
+from ..sampling import sampled
 from .proofs.passes import unequal, unequal_outputs
 from .proofs.texts import unproved_signals
 
 TARGETS = [Target("xc7", 150), Target("ecp5", 300), Target("gowin", 40)]
+ENVIRONMENTS = sampled(names(), ("Blackjack", "CartPole", "CoinGame", "ConnectFour", "FrozenLake", "Taxi"))
+"""Cores of all kinds: products and none, tables, draws, several agents."""
 OPEN_LOWERING = {("Blackjack", "ecp5"), *(("RobotWarehouse", target.name) for target in TARGETS)}
 """Two products of a number of 60 bits, which is put together of two draws; a word of the requested racks."""
 OPEN_GATING = {
@@ -71,23 +74,19 @@ def chosen(
     return [graph.choose(hold, old, new) for old, new in zip(start, moved, strict=True)], unseen
 
 
-@pytest.mark.parametrize("env", names())
+@pytest.mark.parametrize("env", ENVIRONMENTS)
 def test_gating_holds_and_changes_nothing_else(env: str) -> None:
     assert not unproved_gating(get_spec(env), OPEN_GATING.get(env, set()))
 
 
-@pytest.mark.parametrize("env", names())
+@pytest.mark.parametrize("env", ENVIRONMENTS)
 def test_lowering_changes_nothing(env: str) -> None:
     targets = [target for target in TARGETS if (env, target.name) not in OPEN_LOWERING]
     assert not list(unproved_lowering(get_spec(env), targets))
 
 
-@pytest.mark.parametrize(
-    "target",
-    [TARGETS[0], *(pytest.param(target, marks=pytest.mark.exhaustive) for target in TARGETS[1:])],
-    ids=str,
-)
-@pytest.mark.parametrize("env", names())
+@pytest.mark.parametrize("target", sampled(TARGETS, TARGETS[:1]), ids=str)
+@pytest.mark.parametrize("env", ENVIRONMENTS)
 def test_texts_of_environments(env: str, target: Target, tmp_path: Path) -> None:
     assert not list(unproved_text(get_spec(env), target, tmp_path))
 

@@ -25,6 +25,7 @@ from pearl_marl.devices import BatchConfig, Device, Native, Ray, Rtl, cluster, c
 from pearl_marl.errors import ActionError, ArgumentError, DeviceError, OrderError
 from pearl_marl.testing import assert_same_step, assert_same_trajectory, trajectory
 
+from ..sampling import sampled
 from .boards import Faults, OwnBoard, faulty
 
 ray = pytest.importorskip("ray", reason="Ray is not installed: pip install '.[ray]'")
@@ -83,7 +84,7 @@ def compare(device: Device, native: Device, t: int, random: np.random.Generator,
 @pytest.mark.parametrize(
     ("shards", "environment", "config"),
     [
-        (1, "CartPole", {}),
+        pytest.param(1, "CartPole", {}, marks=pytest.mark.exhaustive),
         (2, "CliffWalking", {"first_slot": 1000}),
         (
             3,
@@ -104,7 +105,7 @@ def test_the_results_of_one_device(opened: Any, shards: int, environment: str, c
     assert device.name == f"ray({', '.join(['native'] * shards)})"
 
 
-@pytest.mark.parametrize("environment", ["ConnectFour", "LevelBasedForaging"])
+@pytest.mark.parametrize("environment", sampled(["ConnectFour", "LevelBasedForaging"], ["ConnectFour"]))
 def test_worlds_in_two_shards(opened: Any, environment: str) -> None:
     """Agents that share a world, and its masks, also after a snapshot and a reset by world."""
     spec, worlds = get_spec(environment), 21

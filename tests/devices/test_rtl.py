@@ -29,6 +29,7 @@ from pearl_marl.spec import EnvSpec, Field
 from pearl_marl.testing import Case, assert_same_step, assert_same_trajectory, trajectory
 
 from ..rtl.shift_add import SPEC as SHIFT_ADD
+from ..sampling import sampled
 from ..toy import LADDER
 
 SPEC = get_spec("CliffWalking")
@@ -178,18 +179,10 @@ def test_peek_and_cycles() -> None:
 
 
 # Random actions of who refuses masked ones would have to follow the game.
-FEW = ("CliffWalking", "LevelBasedForaging", "Pendulum", "Seaquest")
-"""Environments with few and many latencies, small rows and large."""
+FREE = [name for name in names() if get_spec(name).masked != "refused"]
 
 
-@pytest.mark.parametrize(
-    "env",
-    [
-        name if name in FEW else pytest.param(name, marks=pytest.mark.exhaustive)
-        for name in names()
-        if get_spec(name).masked != "refused"
-    ],
-)
+@pytest.mark.parametrize("env", sampled(FREE, ("CliffWalking", "Pendulum")))
 def test_a_step_takes_its_bound_and_the_latency(env: str) -> None:
     """And no more than a constant, on the model that the contract is tested on: nothing stalls."""
     case = Case(env, "rtl")

@@ -20,6 +20,7 @@ from pearl_marl.errors import ActionError, ArgumentError, LockstepError
 from pearl_marl.golden import call_reference
 from pearl_marl.spec import EnvSpec, Field, Golden, Role
 
+from ..sampling import sampled
 from ..toy_world import MEADOW, NIM, SNAIL, crowd
 from .boards import OwnBoard
 from .broken import Flips
@@ -178,7 +179,7 @@ CROWDS = {
 }
 
 
-@pytest.mark.parametrize("name", CROWDS)
+@pytest.mark.parametrize("name", sampled(CROWDS, ("one with masks", "pictures", "in lanes")))
 @pytest.mark.parametrize(
     "config",
     [

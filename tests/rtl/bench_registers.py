@@ -25,7 +25,7 @@ async def words_equal_the_model(dut: Any, given: Any) -> None:
     source = random.Random(16)
     control, doorbell, status = [*identity, *[0] * 8], [0, 0], [0, 0, int(StatusError.RESET)]
     stale = False
-    for _ in range(3000):
+    for _ in range(1000):
         await FallingEdge(dut.clk_i)
         kind = source.choice(("control", "doorbell", "again", "none"))
         # A second write of a doorbell is one of the same words.

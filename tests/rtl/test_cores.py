@@ -137,12 +137,12 @@ def generated(rows: list[tuple[str, dict[str, Any], Target]], limit: int, folder
 
 @pytest.mark.parametrize("number", range(len(ENVIRONMENTS)), ids=[f"{e}-{t}" for e, _, t in ENVIRONMENTS])
 def test_cores_of_environments(number: int, once: Any) -> None:
-    check("environments", partial(generated, ENVIRONMENTS, 4_096), number, once)
+    check("environments", partial(generated, ENVIRONMENTS, 1_500), number, once)
 
 
 @pytest.mark.parametrize("number", range(len(RANDOM)))
 def test_cores_of_random_golden_functions(number: int, once: Any) -> None:
-    check("random", partial(generated, RANDOM, 1_500), number, once)
+    check("random", partial(generated, RANDOM, 700), number, once)
 
 
 OWN = [{}, {"noise": 0xA6}]
@@ -162,7 +162,7 @@ def test_a_core_of_ones_own(number: int, once: Any) -> None:
 
 
 def test_generated_text_is_clean(tmp_path: Path) -> None:
-    for env, options, target in ENVIRONMENTS + RANDOM:
+    for env, options, target in ENVIRONMENTS[::2] + RANDOM[::3]:
         path = tmp_path / "core_pe.sv"
         path.write_text(generated_core(spec_of(env, options), target, "core").text)
         # Of the package, the backbone uses what the core itself does not.

@@ -23,6 +23,8 @@ from pearl_marl.interfaces.parallel import parallel_env
 from pearl_marl.policies.loading import load_policy
 from pearl_marl.registry import get_spec
 
+from ..sampling import sampled
+
 torch = pytest.importorskip("torch", reason="torch is not installed: pip install '.[train]'")
 training = importlib.import_module("pearl_marl.training.run")
 policy = importlib.import_module("pearl_marl.policies.trained")
@@ -257,7 +259,7 @@ training.train(env, {}, algorithm, settings, "native", folder, **arguments)
 """
 
 
-@pytest.mark.parametrize("algorithm", [*SMALL, *OF_WORLDS])
+@pytest.mark.parametrize("algorithm", sampled([*SMALL, *OF_WORLDS], ("ppo", "dqn", "self-play")))
 def test_a_killed_run_goes_on_as_if_nothing_had_been(algorithm: str, tmp_path: Path) -> None:
     env, given = OF_WORLDS[algorithm] if algorithm in OF_WORLDS else ("FrozenLake", SMALL[algorithm])
     whole = run(algorithm, env, tmp_path / "whole", **given)

@@ -125,7 +125,7 @@ run(Path(sys.argv[2]), 2, lambda done, total, row: print('done', done, flush=Tru
 """
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 def test_killed_workers_and_a_killed_driver_change_nothing(tmp_path: Path) -> None:
     """A worker at random after every second rollout, and then the driver."""
     folder, chance = tmp_path / "killed", random.Random(0)

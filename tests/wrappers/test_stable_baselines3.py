@@ -504,7 +504,7 @@ def test_ppo_learns_cart_pole() -> None:
     assert mean_return(model.learn(60_000), native("CartPole", 10)) > 400  # of 500
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 def test_ppo_learns_cliff_walking() -> None:
     model = PPO(
         "MlpPolicy",
@@ -522,7 +522,7 @@ def test_ppo_learns_cliff_walking() -> None:
     assert mean_return(model.learn(400_000), native("CliffWalking", 4, max_cycles=200)) >= -20  # best: -13
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 def test_dqn_learns_cart_pole() -> None:
     model = DQN(
         "MlpPolicy",
@@ -547,7 +547,7 @@ def test_dqn_learns_cart_pole() -> None:
     assert best.best_mean_reward > 195
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 def test_dqn_learns_cliff_walking() -> None:
     model = DQN(
         "MlpPolicy",
