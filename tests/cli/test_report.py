@@ -88,14 +88,16 @@ def check(folder: Path, name: str, page: Page) -> dict[str, Any]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("trainings", [False, pytest.param(True, marks=pytest.mark.exhaustive)])
+@pytest.mark.parametrize(
+    "but", [("trainings", "worlds"), pytest.param((), marks=pytest.mark.exhaustive)], ids=["most", "all"]
+)
 def test_quick(
-    tmp_path: Path, recwarn: pytest.WarningsRecorder, monkeypatch: pytest.MonkeyPatch, trainings: bool
+    tmp_path: Path, recwarn: pytest.WarningsRecorder, monkeypatch: pytest.MonkeyPatch, but: tuple[str, ...]
 ) -> None:
     """Every section has its files, and the page their numbers; the second time, all is kept."""
-    # Each contender's training is a process; `pearl bench --training --quick` has them in the docs' tests.
-    if not trainings:
-        monkeypatch.setattr(report, "SECTIONS", [name for name in report.SECTIONS if name != "trainings"])
+    # Each contender's training is a process; `pearl bench --training --quick` has them in the docs' tests,
+    # and the trainers' tests learn in worlds.
+    monkeypatch.setattr(report, "SECTIONS", [name for name in report.SECTIONS if name not in but])
     arguments = ["report", "--quick", "--out", str(tmp_path)]
     result = CliRunner().invoke(app, arguments)
     assert result.exit_code == 0, result.output

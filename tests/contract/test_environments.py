@@ -44,15 +44,19 @@ class TwoSizesCase(Case):
         return (HALF,) if self.device_name == "rtl" else super().splits
 
 
-class TestEnvironments(ContractSuite):
-    environments = tuple(pearl_marl.envs())
-    devices = ("native", "rtl")
+class OfTwoSizes:
+    """A suite whose simulated devices have two sizes where that may matter."""
 
     @pytest.fixture
     def case(self, env_id: str, device_name: str) -> Iterator[Case]:
         case = (TwoSizesCase if env_id in TWO_SIZES else Case)(env_id, device_name)
         yield case
         case.close()
+
+
+class TestEnvironments(ContractSuite):
+    environments = tuple(pearl_marl.envs())
+    devices = ("native",)
 
     @pytest.mark.slow
     def test_a_million_agents(self, native: Case) -> None:
@@ -68,6 +72,31 @@ class TestEnvironments(ContractSuite):
             given = actions[:, : size * agents]
             runs.append([device.step(row).each(lambda array: array[first].copy()) for row in given])
         assert_same_trajectory(*runs)
+
+
+IN_EVERY_FORM = ("Blackjack", "CliffWalking", "ConnectFour", "Pendulum")
+"""Which have observations and actions of all kinds, draws, masks and turns."""
+OTHERS = tuple(name for name in pearl_marl.envs() if name not in IN_EVERY_FORM)
+
+
+class TestSimulated(OfTwoSizes, ContractSuite):
+    """The hardware behind every interface."""
+
+    environments = IN_EVERY_FORM
+    devices = ("rtl",)
+
+
+class TestSimulatedDevices(OfTwoSizes, DeviceSuite):
+    """The hardware of the other environments. Interfaces ask no device which environment it has."""
+
+    environments = OTHERS
+    devices = ("rtl",)
+
+
+@pytest.mark.exhaustive
+class TestSimulatedInEveryForm(OfTwoSizes, ContractSuite):
+    environments = OTHERS
+    devices = ("rtl",)
 
 
 @pytest.mark.usefixtures("toys")
