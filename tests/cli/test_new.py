@@ -273,7 +273,7 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> Installed:
     return Installed(tmp_path_factory.mktemp("installed"))
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive  # the walk of docs/new_environment.md does so from a source tree
 def test_the_new_package_passes_the_contract(installed: Installed) -> None:
     status, out = installed.run("python", "-c", "import pearl_marl; print(pearl_marl.__file__)")
     assert str(installed.python.parents[1]) in out, "it is the wheel that is tested"

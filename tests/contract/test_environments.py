@@ -111,11 +111,10 @@ class TestToys(ContractSuite):
 class TestSlowDevices(ContractSuite):
     """The devices that compare. Above, every environment is compared with them.
 
-    What is left to show is that they are devices as the others are, and for that the toys, which have
-    one of everything, do as well as all environments.
+    What is left to show is that they are devices as the others are, and for that a few do as well as all.
     """
 
-    environments = ("CliffWalking", *(spec.name for spec in TOYS))
+    environments = ("CliffWalking", "Drift", "Ladder")
     devices = ("reference", "lockstep")
 
 

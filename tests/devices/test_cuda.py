@@ -27,6 +27,8 @@ from pearl_marl.devices import BatchConfig, Cuda, Lockstep, Native, Sharded, cud
 from pearl_marl.errors import ActionError, ArgumentError, DeviceError
 from pearl_marl.verification import runs, verify
 
+from ..sampling import sampled
+
 pytest.importorskip("numba_cuda", reason="numba-cuda is not installed: pip install '.[cuda]'")
 torch = pytest.importorskip("torch")
 
@@ -46,7 +48,12 @@ def on_gpu(array: Any) -> Any:
     return tensor.cuda() if torch.cuda.is_available() else tensor
 
 
-@pytest.mark.parametrize("name", pearl_marl.envs())
+@pytest.mark.parametrize(
+    "name",
+    sampled(
+        pearl_marl.envs(), ("Blackjack", "CartPole", "CliffWalking", "ConnectFour", "Overcooked", "Taxi")
+    ),
+)
 def test_every_environment_is_bit_exact(name: str) -> None:
     """As ``pearl verify`` does, in all modes."""
     for run in runs(pearl_marl.get_spec(name), 6, 32):

@@ -126,6 +126,7 @@ def test_worlds_in_two_shards(opened: Any, environment: str) -> None:
     assert ended > worlds * spec.agents
 
 
+@pytest.mark.exhaustive
 def test_shards_of_any_kind_and_size(opened: Any) -> None:
     """And a copy goes on by itself, with actors of its own."""
     device = opened(Ray(["native", Rtl(pe_num=1)], sizes=[35, 35], resources=[None, {"fpga": 1}]))
@@ -341,6 +342,7 @@ def test_a_resource_that_is_gone(opened: Any, monkeypatch: pytest.MonkeyPatch) -
     assert_same_trajectory(trajectory(device, ACTIONS[6:12]), trajectory(native, ACTIONS[6:12]))
 
 
+@pytest.mark.exhaustive
 def test_nothing_is_kept_where_that_is_not_wanted(opened: Any) -> None:
     device, native = opened(Ray(["native"], checkpoint_every=None)), opened(Native())
     os.kill(process(device, 0), signal.SIGKILL)
