@@ -220,6 +220,10 @@ def memory_map(spec: EnvSpec, n_envs: int, pe_num: int, data_wl: int) -> MemoryM
     :data:`DATA_WIDTHS` for ``data_wl``, the bits of a word.
     """
     check_slots("n_envs", n_envs)
+    if n_envs >= 1 << 32:
+        raise ArgumentError(
+            f"n_envs is {n_envs:,}; hardware tells it in 32 bits: take {(1 << 32) - 1:,} at most"
+        )
     if not 1 <= pe_num <= n_envs:
         raise ArgumentError(f"pe_num is {pe_num}; possible are 1 to n_envs = {n_envs}")
     if data_wl not in DATA_WIDTHS:

@@ -96,6 +96,7 @@ def test_a_step_is_one_transfer_each_way(case: tuple[pearl_marl.EnvSpec, MemoryM
     [
         ((0, 1, 32), "n_envs is 0"),
         ((-5, 1, 32), "n_envs is -5"),
+        ((1 << 32, 1, 32), "n_envs is 4,294,967,296; hardware tells it in 32 bits"),
         ((8, 0, 32), "pe_num is 0.*1 to n_envs = 8"),
         ((8, 9, 32), "pe_num is 9.*1 to n_envs = 8"),
         ((8, 4, 48), "data_wl is 48.*32, 64, 128"),

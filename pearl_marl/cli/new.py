@@ -27,6 +27,9 @@ WORLD = "AGENTS = 2"
 TESTS = "tests"
 """The folder of a new package's tests, beside that of its code."""
 
+LONGEST = 64
+"""Letters of a package's name; file systems take some 200 in all that is made of it."""
+
 NewName = Annotated[
     str, typer.Argument(metavar="NAME", help="The new environment's name, for example FrozenLake.")
 ]
@@ -78,6 +81,10 @@ def _checked(name: str, out: Path) -> Path:
             f"name {name!r}: it takes letters and digits, a capital letter first, as in FrozenLake"
         )
     snake = snake_case(name)
+    if len(snake) > LONGEST:
+        raise ArgumentError(
+            f"name {name!r}: its package's name has {len(snake)} letters; take {LONGEST} at most"
+        )
     if snake == TESTS:
         raise ArgumentError(
             f"name {name!r}: the folder {TESTS!r} holds the package's tests; choose another name"

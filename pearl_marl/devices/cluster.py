@@ -50,7 +50,12 @@ def connect() -> Any:
     address = os.environ.get("RAY_ADDRESS")
     if not address:
         os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
-        ray.init(address="local", include_dashboard=False, **quiet)
+        try:
+            ray.init(address="local", include_dashboard=False, **quiet)
+        except Exception as error:  # Ray has no class of its own for it
+            raise DeviceError(
+                f"Ray could not start on this machine: {error}; where the machine was busy, try again"
+            ) from error
         return ray
     check_address(address)
     try:

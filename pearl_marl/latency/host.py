@@ -10,6 +10,7 @@ import numpy as np
 
 from pearl_marl.batch.actions import random_actions
 from pearl_marl.batch.config import BatchConfig
+from pearl_marl.batch.results import check_memory
 from pearl_marl.devices.comm_bram import CommBram
 from pearl_marl.devices.identity import identity
 from pearl_marl.devices.transport import Exchange, Transport
@@ -32,12 +33,18 @@ ENDING = 100
 """One slot in so many ends its episode in a measured step; what follows an end is a part of T7."""
 
 
+MOST_SECONDS, FEWEST = 3.0, 5
+"""After so many seconds that many rounds are enough: with millions of slots each takes long."""
+
+
 def measure_host(spec: EnvSpec, n_envs: int, rounds: int = 200) -> HostTimes:
-    """Measure T1 and T7 on this machine, by stepping the host's code ``rounds`` times without hardware.
+    """Measure T1 and T7 on this machine: step the host's code without hardware, at most ``rounds`` times.
 
     They are medians of the thread's CPU time, so that other programs on the machine count less.
     """
-    device = NoHardware().open(BatchConfig(spec=spec, n_envs=n_envs, copy=False))
+    config = BatchConfig(spec=spec, n_envs=n_envs, copy=False)
+    check_memory(config)
+    device = NoHardware().open(config)
     answers = device.answers
     device.reset(seed=0)
     actions = random_actions(spec, np.random.default_rng(0), n_envs * spec.agents)
@@ -47,6 +54,8 @@ def measure_host(spec: EnvSpec, n_envs: int, rounds: int = 200) -> HostTimes:
         device.step(actions)
         ended = time.thread_time()
         times.append((answers.asked - began, ended - answers.answered))
+        if len(times) > 2 + FEWEST and sum(map(sum, times)) > MOST_SECONDS:
+            break
     device.close()
     packs, unpacks = zip(*times[2:], strict=True)
     return HostTimes(statistics.median(packs), statistics.median(unpacks))

@@ -104,6 +104,7 @@ class DQN(Trainer):
         self._step()
         if self.done > self.settings.warm_up:
             self.losses = [self._learn() for _ in range(self.settings.updates)]
+            self.check(torch.stack(self.losses))
 
     def figures(self) -> dict[str, float | None]:
         """Return figures for the metrics: of episodes since they were last asked for, and the last losses."""

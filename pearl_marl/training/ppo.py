@@ -110,6 +110,7 @@ class PPO(Trainer):
                 losses.append(learn(some))
                 self.optimiser.step(rate)
             self.losses = torch.stack(losses).mean(0)
+            self.check(self.losses)
         self.done += 1
 
     def count(self, experience: Experience) -> None:

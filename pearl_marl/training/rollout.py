@@ -17,6 +17,7 @@ from torch import Tensor
 from pearl_marl.batch.config import worlds_of
 from pearl_marl.batch.saved_state import SavedState
 from pearl_marl.devices import BatchConfig, BatchStep, Cuda, Device, make_device
+from pearl_marl.errors import ArgumentError
 from pearl_marl.packing import packed
 from pearl_marl.policies.network import MASKED, masked
 from pearl_marl.spec import EnvSpec
@@ -198,6 +199,14 @@ class Trainer:
     def update(self) -> None:
         """Do what an iteration of the algorithm is."""
         raise NotImplementedError
+
+    def check(self, losses: Tensor) -> None:
+        """Refuse to go on from losses that are no numbers: what the policy does is none either, then."""
+        if not torch.isfinite(losses).all():
+            raise ArgumentError(
+                f"the training has diverged, as the loss of iteration {self.done + 1:,} is no number: make "
+                "the setting 'learning_rate' smaller, or bring rewards nearer to 1 with 'reward_scale'"
+            )
 
     def figures(self) -> dict[str, float | None]:
         """Return figures for the metrics, of episodes since they were last asked for."""

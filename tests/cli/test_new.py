@@ -99,6 +99,7 @@ def test_so_many_agents_share_no_world(pearl: Any, agents: int) -> None:
 @pytest.mark.parametrize(
     ("name", "words"),
     [
+        ("R" + 64 * "o", "has 65 letters; take 64 at most"),
         ("two_rooms", "'two_rooms': it takes letters and digits, a capital letter first"),
         ("twoRooms", "a capital letter first"),
         ("Two Rooms", "letters and digits"),

@@ -422,6 +422,17 @@ def test_the_doctor_looks_for_ray(pearl: Any, monkeypatch: pytest.MonkeyPatch) -
     }
 
 
+def test_no_cluster_starts_here(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(**_: Any) -> None:
+        raise Exception("The current node timed out during startup.")
+
+    monkeypatch.delenv("RAY_ADDRESS", raising=False)
+    monkeypatch.setattr(ray, "is_initialized", lambda: False)
+    monkeypatch.setattr(ray, "init", fail)
+    with pytest.raises(DeviceError, match=r"Ray could not start on this machine: .* timed out .* try again"):
+        cluster.connect()
+
+
 def test_no_cluster_at_the_address(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("RAY_ADDRESS", "127.0.0.1:9")
     monkeypatch.setattr(ray, "is_initialized", lambda: False)

@@ -336,3 +336,14 @@ def test_what_is_no_policy_is_refused(tmp_path: Path) -> None:
     (tmp_path / "policy.safetensors").write_bytes(b"no")
     with pytest.raises(ArgumentError, match=r"policy.safetensors"):
         policy.load(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("algorithm", "env", "given"),
+    [("ppo", "Pendulum", {"reward_scale": 1e38}), ("dqn", "MountainCar", {"reward_scale": 1e300})],
+)
+def test_a_training_that_diverges_says_so(
+    algorithm: str, env: str, given: dict[str, float], tmp_path: Path
+) -> None:
+    with pytest.raises(ArgumentError, match=r"the training has diverged.*'learning_rate' smaller"):
+        run(algorithm, env, tmp_path, **SMALL[algorithm], **given)
