@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 Step = Callable[[], Any]
-"""Steps every slot once."""
+"""Steps every slot once. What has processes of its own has a method ``close``, too, which ends them."""
 
 
 @dataclass
@@ -88,6 +88,9 @@ def measure(contenders: list[Contender], rounds: int, seconds: float) -> Iterato
         for contender, step, count in running:
             yield contender.name
             contender.seconds.append(_time(step, count, contender.wait))
+    for _, step, _ in running:
+        if hasattr(step, "close"):
+            step.close()
 
 
 def _time(step: Step | Game, count: int, wait: Callable[[], Any]) -> float:

@@ -9,6 +9,7 @@ import sys
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, redirect_stdout
+from dataclasses import dataclass
 from functools import partial
 from importlib import metadata
 from typing import Any
@@ -329,8 +330,21 @@ def _vectorised(spec: EnvSpec, count: int, mode: str) -> Step:
         raise UnavailableError(f"Gymnasium has no vectorised {env_id}")
     envs = gymnasium.make_vec(name, num_envs=count, vectorization_mode=mode, **dict(spec.options))
     envs.reset(seed=0)
-    given = _actions(spec, count, envs.single_action_space.dtype)
-    return lambda: envs.step(given)
+    return _Vectorised(envs, _actions(spec, count, envs.single_action_space.dtype))
+
+
+@dataclass
+class _Vectorised:
+    """The step of Gymnasium's vector environment, whose processes complain when they are left behind."""
+
+    envs: Any
+    actions: Any
+
+    def __call__(self) -> None:
+        self.envs.step(self.actions)
+
+    def close(self) -> None:
+        self.envs.close()
 
 
 def _minatar(spec: EnvSpec, count: int) -> Step:

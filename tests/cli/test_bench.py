@@ -133,6 +133,20 @@ def test_choosing_is_not_timed() -> None:
     assert len(contender.seconds) == 2
 
 
+def test_processes_of_a_peer_end_with_the_measurement() -> None:
+    by_name = {contender.name: contender for contender in peers.peers(get_spec("CartPole"), 2)}
+    contender = by_name["Gymnasium AsyncVectorEnv"]
+    made: list[Any] = []
+
+    def make() -> Any:
+        made.append(contender.make())
+        return made[0]
+
+    list(measure([Contender("async", "", 2, make)], rounds=1, seconds=0))
+    assert made[0].envs.closed
+    assert not any(process.is_alive() for process in made[0].envs.processes)
+
+
 @pytest.mark.parametrize(("name", "package"), [("Overcooked", "overcooked-ai"), ("CoinGame", "jaxmarl")])
 def test_packages_that_need_an_environment_of_their_own(
     monkeypatch: pytest.MonkeyPatch, name: str, package: str
