@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from pearl_marl.spec import EnvSpec, Field
+from pearl_marl.spec import MAX_CYCLES, EnvSpec, Field
 
 Array = npt.NDArray[Any]
 Bytes = npt.NDArray[np.uint8]
@@ -60,6 +60,11 @@ def aligned_bytes(count: int) -> Bytes:
     whole = np.zeros(count + ALIGNMENT, np.uint8)
     start = -whole.ctypes.data % ALIGNMENT
     return whole[start : start + count]
+
+
+def counter_dtype(most: int) -> np.dtype[Any]:
+    """Return the narrowest dtype that counts to ``most``, for a device whose every step goes through counters."""
+    return np.min_scalar_type(min(most, MAX_CYCLES))
 
 
 def state_dtype(spec: EnvSpec) -> np.dtype[Any]:

@@ -47,7 +47,7 @@ class BlockPieces(Pieces):
 
     size = BLOCK
 
-    def __init__(self, spec: EnvSpec) -> None:
+    def __init__(self, spec: EnvSpec, counter: str) -> None:
         own, agents, masks = spec.observation_size, spec.agents, len(spec.mask_fields)
 
         def patterns(agents: int) -> tuple[str, str, str]:
@@ -67,9 +67,11 @@ class BlockPieces(Pieces):
         self.copy_one = assign(kept, each(element, range(len(spec.observation))))
         if not self.flat or agents > 1:
             self.copy_one = [f"{self.dtype}_copy(F, O, {self.whole} * i, {self.whole})"]
-        *self.fields, self.elapsed, self.ended = slot_memory.columns(spec)
+        *self.fields, _, self.ended = slot_memory.columns(spec)
+        self.counter = counter
         # What a slot that starts over has to forget.
-        self.forget_one, self.forget = ["E[i] = np.uint32(0)"], ["E[i] = uint32_choose(flag[i], 0, E[i])"]
+        self.forget_one = [f"E[i] = np.{counter}(0)"]
+        self.forget = [f"E[i] = {counter}_choose(flag[i], 0, E[i])"]
         if agents > 1:
             self.forget_one.append(f"N[i] = np.{self.ended.dtype}(0)")
             self.forget.append(f"N[i] = {self.ended.dtype}_choose(flag[i], 0, N[i])")
@@ -83,7 +85,7 @@ class BlockPieces(Pieces):
         self._taken, draws = 0, self.step_draws.stop
         self.runs = flag_pieces.runs(spec)
         self.places = {
-            "E": self.column("memory", self.elapsed),
+            "E": part("elapsed", counter),
             "N": self.column("memory", self.ended),
             "O": part("observations", self.dtype, self.whole),
             "F": part("final_observations", self.dtype, self.whole),

@@ -15,12 +15,12 @@ LONG = 16
 """Elements of an observation from which on they are hidden by a loop; it would take longer for a few."""
 
 
-def counted(resetting: bool) -> list[str]:
+def counted(counter: str, resetting: bool) -> list[str]:
     """Return what counts a step, and finds out whether it was the last one that the time limit allows."""
-    e = "uint32_add(E[i], 1)"
+    e = f"{counter}_add(E[i], 1)"
     if resetting:
-        e = f"uint32_choose(resetting[i], 0, {e})"
-    return [f"e = {e}", "late = uint32_at_least(e, limit)", "E[i] = e"]
+        e = f"{counter}_choose(resetting[i], 0, {e})"
+    return [f"e = {e}", f"late = {counter}_at_least(e, limit)", "E[i] = e"]
 
 
 def end_pieces(p: BlockPieces) -> Parts:
@@ -113,8 +113,8 @@ def _of_several(p: BlockPieces) -> Parts:
 
 def _truncated(p: BlockPieces, *lines: str) -> list[str]:
     """Return what ends episodes by the time limit; few steps have slots that spend them resetting."""
-    some = p.over_slots("truncated_or_reset", *counted(resetting=True), *lines)
-    none = p.over_slots("truncated", *counted(resetting=False), *lines)
+    some = p.over_slots("truncated_or_reset", *counted(p.counter, resetting=True), *lines)
+    none = p.over_slots("truncated", *counted(p.counter, resetting=False), *lines)
     return ["if any_resetting:", *indented(some), "else:", *indented(none)]
 
 

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import functools
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+import numpy as np
+
+from pearl_marl.batch.slot_memory import counter_dtype
 from pearl_marl.compiler import pieces
 from pearl_marl.compiler.block_pieces import BlockPieces, part
 from pearl_marl.compiler.end_pieces import end_pieces
@@ -32,15 +35,18 @@ class _Itself(NamedTuple):
         return isinstance(other, _Itself) and self.spec is other.spec
 
 
-def kernel_source(spec: EnvSpec) -> str:
-    """Return the source of the kernels of ``spec``, for :mod:`pearl_marl.compiler.kernels` to load."""
-    return _source(_Itself(spec))
+def kernel_source(spec: EnvSpec, counter: np.dtype[Any] | None = None) -> str:
+    """Return the source of the kernels of ``spec``, for :mod:`pearl_marl.compiler.kernels` to load.
+
+    ``counter`` is the dtype of elapsed steps; ``None`` is what the environment's own time limit takes.
+    """
+    return _source(_Itself(spec), str(counter or counter_dtype(spec.max_cycles or 0)))
 
 
 @functools.lru_cache(maxsize=64)
-def _source(itself: _Itself) -> str:
+def _source(itself: _Itself, counter: str) -> str:
     spec = itself.spec
-    p = LanePieces(spec) if len(spec.state) > CROWD else BlockPieces(spec)
+    p = (LanePieces if len(spec.state) > CROWD else BlockPieces)(spec, counter)
     given, seen = each("given_{}", p.observation), each("given_{}", p.seen)
     size, ended = p.size, p.ended.dtype
     several = p.agents > 1
@@ -58,9 +64,7 @@ def _source(itself: _Itself) -> str:
         "draw_for_step": p.draws("draw_for_step", p.step_draws),
         "golden_step": p.golden_step(),
         "start_over": p.start_over(),
-        "begun": p.over_slots(
-            "begun", "E[i] = uint32_choose(flag[i], 0, E[i])", f"N[i] = {ended}_choose(flag[i], 0, N[i])"
-        ),
+        "begun": p.over_slots("begun", f"N[i] = {ended}_choose(flag[i], 0, N[i])"),
         **end_pieces(p),
         "rewards": p.rewards(),
         "observe": p.observed(),

@@ -44,7 +44,7 @@ def reset(memory, stored, mask, observations,$SHOWN seed_0, seed_1, tick, first_
 
 @kernel
 def step(
-    memory, stored, actions, table, observations, rewards, terminations, truncations, $LAST
+    memory, stored, elapsed, actions, table, observations, rewards, terminations, truncations, $LAST
     seed_0, seed_1, tick, first_slot, limit, next_step, use_stored, n, lo, hi,
 ):
     $PADDED

@@ -45,10 +45,11 @@ class Kernels(NamedTuple):
 
     ``reset(memory, stored, mask, observations, seed_0, seed_1, tick, first_slot, use_stored, n, lo, hi)``
         starts an episode in every slot of ``lo .. hi - 1`` whose mask is set, and writes the
-        observation of every slot of the range.
-    ``step(memory, stored, actions, table, observations, rewards, terminations, truncations,
+        observation of every slot of the range. Elapsed steps are left to the caller.
+    ``step(memory, stored, elapsed, actions, table, observations, rewards, terminations, truncations,
     final_observations, seed_0, seed_1, tick, first_slot, limit, next_step, use_stored, n, lo, hi)``
-        steps that range. ``final_observations`` are written for a block in which a slot ended.
+        steps that range. ``elapsed`` are the steps of each slot's episode, which ``memory`` has a column for,
+        in narrower words. ``final_observations`` are written for a block in which a slot ended.
     ``deliver(*words, observations)``
         turns the words of observations, an array a field, into the observations themselves.
     ``results(*words, code_words, ter_words, stored, table, observations, rewards, terminations, truncations,
@@ -72,9 +73,12 @@ class Kernels(NamedTuple):
     path: Path
 
 
-def compile_kernels(spec: EnvSpec) -> Kernels:
-    """Return the kernels of an environment; those in the cache are loaded at their first call."""
-    source = kernel_source(spec)
+def compile_kernels(spec: EnvSpec, counter: np.dtype[Any] | None = None) -> Kernels:
+    """Return the kernels of an environment; those in the cache are loaded at their first call.
+
+    ``counter`` is the dtype of elapsed steps, as :func:`kernel_source` takes it.
+    """
+    source = kernel_source(spec, counter)
     versions = (
         numba.__version__,
         llvmlite.__version__,

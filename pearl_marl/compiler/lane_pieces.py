@@ -20,9 +20,9 @@ class LanePieces(BlockPieces):
     size = 512
     """Seaquest steps 40 M slots/s like this, with the arrays of its 41 fields as they are 6 M."""
 
-    def __init__(self, spec: EnvSpec) -> None:
+    def __init__(self, spec: EnvSpec, counter: str) -> None:
         self.lane = np.dtype(f"uint{8 * max(field.dtype.itemsize for field in spec.state)}")
-        super().__init__(spec)
+        super().__init__(spec, counter)
         self.show = "show(blocks, O, M, i)" if spec.mask_fields else "show(blocks, O, i)"
         self.loaded = narrowed(spec.state, self.block)
         self.written = each(f"np.{self.lane}({{}})", self.new)

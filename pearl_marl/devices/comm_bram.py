@@ -257,6 +257,7 @@ class CommBram(Device):
         """Begin an episode in the masked slots of ``memory``; observe all of its slots."""
         config = self.config
         n, flags = config.n_envs, mask.view(np.uint8)
+        memory.elapsed[mask] = 0
         self._kernels.reset(
             memory.bytes, self._stored.bytes, flags, results.obs, *results.arrays[5:], *self.seed, self.tick,
             config.first_slot, use_stored, n, 0, n,

@@ -14,7 +14,7 @@ from gymnasium.vector import AutoresetMode
 
 from pearl_marl.batch.config import BatchConfig
 from pearl_marl.batch.results import ResultArrays
-from pearl_marl.batch.slot_memory import SlotMemory
+from pearl_marl.batch.slot_memory import SlotMemory, aligned_bytes, counter_dtype
 from pearl_marl.batch.step import Array, BatchStep, Seen
 from pearl_marl.compiler.block_pieces import BLOCK
 from pearl_marl.compiler.kernels import compile_kernels
@@ -51,13 +51,25 @@ class Native(Device):
 
     def _open(self, config: BatchConfig) -> None:
         spec, n = config.spec, config.n_envs
-        self._kernels = compile_kernels(spec)
         self._results = ResultArrays(config)
-        self._memory = SlotMemory(spec, n).bytes
+        self._slots = SlotMemory(spec, n)
+        self._memory = self._slots.bytes
+        self._count(config, self._slots.elapsed)
         # Without stored initial states the kernels get the memory itself, and do not look.
         self._stored = SlotMemory(spec, n).bytes if config.initial_states == "stored" else self._memory
         self._mode = (config.autoreset_mode is AutoresetMode.NEXT_STEP, self._stored is not self._memory)
         self._pool = Threads(max(self._threads, _cores()), "pearl-native")
+
+    def _count(self, config: BatchConfig, elapsed: Array) -> None:
+        """Keep elapsed steps in the narrowest words that can count on: every step reads and writes them all.
+
+        The environment's own limit counts, too, so that lower ones need no other kernels.
+        """
+        most = max(config.limit, config.spec.max_cycles or 0, int(elapsed.max()) + 1)
+        words = counter_dtype(most)
+        self._elapsed = aligned_bytes(config.n_envs * words.itemsize).view(words)
+        self._elapsed[:] = elapsed
+        self._kernels = compile_kernels(config.spec, words)
 
     def _run(self, kernel: Any, arguments: tuple[Any, ...]) -> None:
         """Call ``kernel(*arguments, n, lo, hi)`` for every range, one of them on this thread."""
@@ -85,14 +97,15 @@ class Native(Device):
         again = use_stored and mask is not None
         tick, first = self.tick, config.first_slot
         self._run(self._kernels.reset, (*given, *results.arrays[5:], *self.seed, tick, first, again))
+        self._elapsed[slice(None) if mask is None else mask] = 0
         if use_stored and mask is None:
-            stored[:] = self._memory
+            stored[:] = self._read()[0]
         return results.seen
 
     def _step(self, actions: Array) -> BatchStep:
         config, results = self.config, self._results.take()
         began = time.perf_counter()
-        given = (self._memory, self._stored, actions, self.reward_table)
+        given = (self._memory, self._stored, self._elapsed, actions, self.reward_table)
         # Concatenated rather than unpacked: at small sizes the call is most of a step.
         place = (self.tick, config.first_slot, config.limit)
         self._run(self._kernels.step, given + results.arrays + self.seed + place + self._mode)
@@ -117,13 +130,19 @@ class Native(Device):
             self._tuning = False
 
     def _read(self) -> tuple[Array, Array]:
+        self._slots.elapsed[:] = self._elapsed
         return self._memory, self._stored if self._stored is not self._memory else self._memory[:0]
 
     def _write(self, memory: Array, stored: Array) -> Seen:
         self._memory[:] = memory
+        self._count(self.config, self._slots.elapsed)
         if stored.size:
             self._stored[:] = stored
         return self._reset(np.zeros(self.config.n_envs, np.bool_), None)
+
+    def _apply_limit(self, config: BatchConfig) -> None:
+        super()._apply_limit(config)
+        self._count(config, self._elapsed)
 
     def _close(self) -> None:
         self._pool.close()

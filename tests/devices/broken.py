@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from pearl_marl.batch.slot_memory import SlotMemory
 from pearl_marl.batch.step import Seen
 from pearl_marl.devices import BatchConfig, BatchStep, Native
 
@@ -35,7 +34,7 @@ class Flips(Native):
             if field in BatchStep._fields:
                 flip_bit(getattr(results, field), slot, column)
             else:
-                flip_bit(SlotMemory(self.config.spec, self.config.n_envs, self._memory).columns[field], slot)
+                flip_bit(self._elapsed if field == "elapsed" else self._slots.columns[field], slot)
         return results
 
 
@@ -62,7 +61,7 @@ class Forgets(Native):
 
     def _write(self, memory: Array, stored: Array) -> Seen:
         seen = super()._write(memory, stored)
-        SlotMemory(self.config.spec, self.config.n_envs, self._memory).elapsed[3] ^= 1
+        self._elapsed[3] ^= 1
         return seen
 
 
