@@ -7,7 +7,7 @@ import importlib
 import os
 import shutil
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Container, Iterator
 from pathlib import Path
 from typing import Any
 from unittest import mock
@@ -58,7 +58,27 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
     return Scheduling(config, log)
 
 
+def left_out(config: pytest.Config, marks: Container[str]) -> bool:
+    """Return whether this run does without tests that have such marks: they are thousands, and not collected."""
+    return ("exhaustive" in marks and not config.getoption("--exhaustive")) or (
+        "simulatable" in marks
+        and os.environ["NUMBA_ENABLE_CUDASIM"] == "1"
+        and not config.getoption("--simulated-gpu")
+    )
+
+
+def pytest_pycollect_makeitem(collector: pytest.Collector, obj: object) -> list[pytest.Item] | None:
+    """Collect nothing of a class that is left out."""
+    if not isinstance(obj, type):
+        return None
+    marks = [mark.name for mark in getattr(obj, "pytestmark", ())]
+    return [] if left_out(collector.config, marks) else None
+
+
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    chosen = [item for item in items if not left_out(config, item.keywords)]
+    config.hook.pytest_deselected(items=[item for item in items if left_out(config, item.keywords)])
+    items[:] = chosen
     if hasattr(config, "workerinput"):
         from .scheduling import group, urgency
 
@@ -67,12 +87,9 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         for item in items:
             if "gpu" in item.keywords:
                 item.add_marker(pytest.mark.skip(reason="no GPU here: not run on a real one, only simulated"))
-            elif "simulatable" in item.keywords and not config.getoption("--simulated-gpu"):
-                item.add_marker(pytest.mark.skip(reason="no GPU here: make test-cuda simulates one"))
-    for mark, how in (("slow", "pytest --slow"), ("exhaustive", "make test-exhaustive")):
-        for item in [] if config.getoption(f"--{mark}") else items:
-            if mark in item.keywords:
-                item.add_marker(pytest.mark.skip(reason=f"{mark}: run {how}"))
+    for item in [] if config.getoption("--slow") else items:
+        if "slow" in item.keywords:
+            item.add_marker(pytest.mark.skip(reason="slow: run pytest --slow"))
 
 
 Once = Callable[[str, Callable[[Path], object]], Path]

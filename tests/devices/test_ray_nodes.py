@@ -45,6 +45,7 @@ def machines(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
         made.shutdown()
 
 
+@pytest.mark.exhaustive  # the tests of lost actors go the same way, on one machine
 def test_lost_machines(machines: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """Slots move to another machine that has what they need; without one, they wait for it."""
     boards = [machines.add_node(num_cpus=0, resources=BOARD, **MEMORY) for _ in range(2)]

@@ -94,7 +94,15 @@ def test_every_script_has_a_heading():
     assert [script for _, script in SCRIPTS] == blocks(INTEGRATIONS, "python")
 
 
-@pytest.mark.parametrize(("library", "script"), SCRIPTS, ids=[library for library, _ in SCRIPTS])
+@pytest.mark.parametrize(
+    ("library", "script"),
+    [
+        # The tests of that bridge learn the same.
+        pytest.param(library, script, marks=pytest.mark.exhaustive if library == "BenchMARL" else ())
+        for library, script in SCRIPTS
+    ],
+    ids=[library for library, _ in SCRIPTS],
+)
 def test_scripts_with_other_libraries_run(library, script, tmp_path):
     """Each on its own, where what it imports is installed."""
     for module in set(re.findall(r"^(?:import|from) (\w+)", script, re.MULTILINE)):
@@ -119,34 +127,49 @@ SESSIONS = [
 ]
 """Commands of which later ones use what an earlier one serves in the background, or has made."""
 
+OF_SEVERAL_PROCESSES = (" &\n", "--shards")
+"""What is in sessions whose commands are started as users start them. The others run in this process, which
+has imported most of it already."""
+
 
 @pytest.mark.parametrize(("page", "block"), SESSIONS, ids=[page.name for page, _ in SESSIONS])
-def test_sessions_run(page, block, tmp_path):
+def test_sessions_run(page, block, tmp_path, pearl, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    several = any(words in block for words in OF_SEVERAL_PROCESSES)
     background = []
-    pearl = Path(sys.executable).with_name("pearl")
+    program_file = Path(sys.executable).with_name("pearl")
     try:
         for line in block.splitlines():
             program, *arguments = shlex.split(line.removeprefix("$ ").removesuffix(" &"))
             assert program == "pearl"
             if line.endswith(" &"):
-                process = subprocess.Popen(
-                    [pearl, *arguments], cwd=tmp_path, stdout=subprocess.PIPE, text=True
-                )
+                process = subprocess.Popen([program_file, *arguments], stdout=subprocess.PIPE, text=True)
                 background.append(process)
                 assert process.stdout.readline(), "it says that it is ready"
-            else:
+            elif several:
                 done = subprocess.run(
-                    [pearl, *arguments], cwd=tmp_path, capture_output=True, text=True, timeout=1800
+                    [program_file, *arguments], capture_output=True, text=True, timeout=1800
                 )
                 assert done.returncode == 0, done.stderr
+            else:
+                status, _, stderr = pearl(*arguments)
+                assert status == 0, stderr
     finally:
         for process in background:
             process.terminate()
             assert process.wait() == 0
 
 
+LONG = (
+    "pearl bench --all --n-agents 1024 --rounds 1 --seconds 0.01",  # each environment as one is, below
+    "pearl bench LevelBasedForaging --training --quick",  # the benchmark's own tests do so
+    "python -m pearl_marl.experiments.sb3_training CartPole --algo ppo --n-agents 256 --steps 20000 "
+    "--every 8192 --source envpool",
+)
+"""Commands that repeat others; `make test-exhaustive` has them, too."""
+
 COMMANDS = [
-    (page, command, output)
+    pytest.param(page, command, output, marks=pytest.mark.exhaustive if command in LONG else (), id=command)
     for page in PAGES
     if page not in WALKS
     for block in blocks(page, "console")
@@ -155,12 +178,9 @@ COMMANDS = [
 ]
 
 
-@pytest.mark.parametrize(("page", "command", "output"), COMMANDS, ids=[c for _, c, _ in COMMANDS])
+@pytest.mark.parametrize(("page", "command", "output"), COMMANDS)
 def test_commands_run(page, command, output, tmp_path, pearl, monkeypatch):
-    """A command succeeds; where the page shows its output, it prints that.
-
-    In this process, which has imported most of it already: the sessions are of commands as users start them.
-    """
+    """A command succeeds; where the page shows its output, it prints that."""
     program, *arguments = shlex.split(command)
     if program == "python":
         whole = [sys.executable, *arguments]
@@ -175,6 +195,13 @@ def test_commands_run(page, command, output, tmp_path, pearl, monkeypatch):
         assert " ".join(stderr.split()) == " ".join(output.split())
     else:
         assert status == 0, stderr
+
+
+def test_long_commands_are_in_the_pages():
+    commands = {
+        command for page in PAGES for block in blocks(page, "console") for command in block.splitlines()
+    }
+    assert {f"$ {command}" for command in LONG} <= commands
 
 
 def test_the_core_of_ones_own_is_the_one_that_is_tested():

@@ -175,6 +175,7 @@ def test_large_memories_are_found_in_block_ram(part: str, monkeypatch: pytest.Mo
 
 
 @needs_yosys
+@pytest.mark.exhaustive
 def test_a_memory_that_is_not_block_ram_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path) -> None:
     """A memory that is read without a clock edge cannot be block RAM."""
     registers = {

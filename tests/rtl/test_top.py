@@ -26,7 +26,7 @@ from pearl_marl.hardware.build import Build
         ),
         pytest.param("CliffWalking", {}, (193, 24, 32), 0.2, 4, marks=pytest.mark.exhaustive),
         pytest.param("CliffWalking", {}, (40, 16, 1024), 0.0, 4, marks=pytest.mark.exhaustive),
-        ("ShiftAdd", {}, (23, 5, 64), 0.0, 3),
+        pytest.param("ShiftAdd", {}, (23, 5, 64), 0.0, 3, marks=pytest.mark.exhaustive),
         pytest.param("ShiftAdd", {}, (90, 4, 32), 0.1, 4, marks=pytest.mark.exhaustive),
         ("Meadow", {}, (23, 5, 64), 0.1, 4),
     ],
