@@ -59,7 +59,7 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
 
 
 def left_out(config: pytest.Config, marks: Container[str]) -> bool:
-    """Return whether this run does without tests that have such marks: they are thousands, and not collected."""
+    """Return whether this run does without tests that have such marks: thousands, which are not collected."""
     return ("exhaustive" in marks and not config.getoption("--exhaustive")) or (
         "simulatable" in marks
         and os.environ["NUMBA_ENABLE_CUDASIM"] == "1"

@@ -63,7 +63,7 @@ def aligned_bytes(count: int) -> Bytes:
 
 
 def counter_dtype(most: int) -> np.dtype[Any]:
-    """Return the narrowest dtype that counts to ``most``, for a device whose every step goes through counters."""
+    """Return the narrowest dtype that counts to ``most``, for a device whose steps go through all of them."""
     return np.min_scalar_type(min(most, MAX_CYCLES))
 
 
