@@ -52,6 +52,22 @@ def told(script: str) -> Any:
     return json.loads(output.stdout)
 
 
+IN_A_CLONE = """
+import sys
+sys.meta_path = [finder for finder in sys.meta_path if "editable" not in repr(finder).lower()]
+import pearl_marl
+import pearl_marl.experiments.report
+print(pearl_marl.get_spec("CliffWalking").name, pearl_marl.wrappers.__file__)
+"""
+
+
+def test_a_clone_is_whole_where_another_copy_is_installed() -> None:
+    """Python finds the folder of the package first there, and four others lie beside it."""
+    root = Path(__file__).parents[1]
+    printed = subprocess.run([sys.executable, "-c", IN_A_CLONE], capture_output=True, text=True, cwd=root)
+    assert printed.stdout.split() == ["CliffWalking", str(root / "wrappers" / "__init__.py")], printed.stderr
+
+
 def test_the_import_alone_takes_no_library() -> None:
     modules = told("import json, sys, pearl_marl; print(json.dumps(list(sys.modules)))")
     assert not set(modules) & {*HEAVY, *LIBRARIES}
