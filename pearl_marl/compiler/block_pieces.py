@@ -20,8 +20,9 @@ from pearl_marl.compiler.pieces import Pieces, assign, call, cell_dtype, each, i
 from pearl_marl.compiler.straight_line import observers
 from pearl_marl.spec import EnvSpec
 
-BLOCK = 2048
-"""Slots of a block: what a loop touches then fits a 32 KiB L1 cache. A multiple of 64."""
+BLOCK = 1024
+"""Slots of a block: what its loops touch then fits a 32 KiB L1 cache. A multiple of 64, and at most 2040: the
+template counts flags in bytes."""
 
 KNOWN = re.compile(
     r"np|u32|range|draw|key|initial|golden_step|observe|observe_\d+|u?int\d+_[a-z_]+|float\d+_[a-z_]+|[A-Z]+_\w+"

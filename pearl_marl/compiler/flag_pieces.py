@@ -1,4 +1,4 @@
-"""The pieces of the CPU's kernels that write observations of many flags, and masks.
+"""The pieces of the CPU's kernels that write observations of many flags or of one wide number, and masks.
 
 Left to itself, a loop that writes a long row for each slot is scalar, or scatters its words. So one loop
 packs the flags into bytes, in SIMD code, and another one writes a byte's bits out, all of them at once.
@@ -15,6 +15,8 @@ from pearl_marl.spec import EnvSpec, Field
 FEW = 16
 """Up to so many flags of an observation are written one by one."""
 BYTE = 8
+WIDER = 4
+"""From so many times the width of its word on, an observation is made first and widened then."""
 
 
 class Run(NamedTuple):
@@ -37,10 +39,12 @@ def is_flag(field: Field) -> bool:
 def runs(spec: EnvSpec) -> list[Run]:
     """Return the elements of an agent's row that are written in runs.
 
-    That is all masks, and all of an observation whose elements are its fields and that has many flags.
+    That is all masks, and all of an observation whose elements are its fields and that has many flags, or is
+    one number in a much wider word: a loop works on as few slots at once as its widest word allows.
     """
     masks = _runs("M", spec.mask_fields, len(spec.observation))
-    if spec.unpack is not None or sum(map(is_flag, spec.observation)) <= FEW:
+    wide = [spec.observation_dtype.itemsize >= WIDER * field.dtype.itemsize for field in spec.observation]
+    if spec.unpack is not None or (wide != [True] and sum(map(is_flag, spec.observation)) <= FEW):
         return masks
     return _runs("O", spec.observation, 0) + masks
 

@@ -96,7 +96,11 @@ def step(
 
         ended = np.uint64(0)
         for w in range($FLAG_WORDS):
-            ended += flag_words[w] * np.uint64(0x0101010101010101) >> np.uint64(56)  # the sum of its bytes
+            ended += flag_words[w]
+        # Eight sums, a byte each; then four of 16 bits, and the sum of these.
+        even = np.uint64(0x00FF00FF00FF00FF)
+        ended = (ended & even) + (ended >> np.uint64(8) & even)
+        ended = ended * np.uint64(0x0001000100010001) >> np.uint64(48)
         if ended and not next_step:
             $restart
         $store_block
