@@ -48,6 +48,16 @@ def encode(actions: Any, spec: EnvSpec, target: npt.NDArray[Any], first_slot: in
     return words
 
 
+def are_words(actions: Any, target: npt.NDArray[Any]) -> bool:
+    """Return whether actions are an array like ``target``, as a device takes it, of whatever words."""
+    return (
+        actions.__class__ is np.ndarray
+        and actions.dtype is target.dtype
+        and actions.shape == target.shape
+        and actions.flags.carray
+    )
+
+
 def refuse_masked(
     words: npt.NDArray[Any], masks: npt.NDArray[np.int8], first: int = 0, taking_turns: int = 1
 ) -> None:
@@ -80,7 +90,7 @@ def _encode(actions: Any, spec: EnvSpec, target: npt.NDArray[Any], first: int) -
         if not _fix(numbers, target, float(space.low[0]), float(space.high[0]), scale):
             raise refusal(actions, space, len(target), first)
         return target
-    if array.dtype is target.dtype and array.shape == target.shape and array.flags.carray:
+    if are_words(array, target):
         if _largest(array) >= space.n:
             raise refusal(actions, space, len(target), first)
         return array

@@ -31,11 +31,14 @@ class Block:
         Its bytes, from a cache line on.
     arrays
         What ``carve`` made of them. To hold on to one of them is to refer to it, not only to this tuple.
+    addresses
+        Of each array, ``int64``.
     """
 
     def __init__(self, size: int, carve: Carve | None) -> None:
         self.memory = aligned_bytes(size)
         self.arrays = carve(self.memory) if carve else ()
+        self.addresses = np.array([array.ctypes.data for array in self.arrays], np.int64)
         # NumPy lets a view of a view refer to what owns the memory, so the owner tells of all of them.
         self._watched = [self.memory.base, *self.arrays]
         self._unshared = list(map(sys.getrefcount, self._watched))

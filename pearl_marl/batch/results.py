@@ -108,7 +108,12 @@ class ResultArrays:
 
     def take(self) -> BatchStep:
         """Return arrays to write the next results into; their content is of no meaning."""
-        return self._same or self.layout.step(self._new.block(self.layout.size).arrays)
+        return self.take_addressed()[0]
+
+    def take_addressed(self) -> tuple[BatchStep, npt.NDArray[np.int64]]:
+        """Do the same; return also the addresses of :attr:`BatchStep.arrays`."""
+        block = self._block or self._new.block(self.layout.size)
+        return self._same or self.layout.step(block.arrays), block.addresses
 
     def take_block(self) -> tuple[npt.NDArray[np.uint8], BatchStep]:
         """Do the same; return also the bytes that the arrays lie in, as :attr:`layout` has them."""

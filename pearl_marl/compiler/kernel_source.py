@@ -17,6 +17,18 @@ from pearl_marl.compiler.pieces import each
 from pearl_marl.compiler.straight_line import golden_functions
 from pearl_marl.spec import EnvSpec
 
+RESULTS = ("observations", "rewards", "terminations", "truncations", "final_observations")
+ADDRESSES = ("memory", "stored", "elapsed", *RESULTS, "action_masks", "alive")
+"""What the kernel ``step`` is given the addresses of; the last two are 0 where there is no such array."""
+
+SETTINGS = (
+    *("seed_0", "seed_1", "tick", "first_slot", "limit", "next_step", "use_stored", "n"),
+    "checked",  # whether it looks for actions that are not in the space, and then does nothing
+)
+GIVEN = *ADDRESSES, *SETTINGS
+"""What the kernel ``step`` is given in one array, in its order. Numba looks at each argument of a call, and
+longest at arrays: for few slots that was most of a step."""
+
 CROWD = 8
 """Fields above which a block's state is copied into lanes. Of more than a few arrays LLVM does not check
 whether they overlap, and leaves the loop scalar; parts of one array it can tell apart. With the 10 fields of
@@ -78,8 +90,15 @@ def _source(itself: _Itself, counter: str) -> str:
     parts["allocate"] = [f"{name} = allocate({count})" for name, count in spaces.items()]
     parts["release"] = [f"release({name})" for name in spaces]
     parts["functions"] = [line for lines in p.functions.values() for line in lines]
+    parts["given"] = [
+        f"{name} = {'address' if name in ADDRESSES else 'np.int64'}(given[{k}])"
+        for k, name in enumerate(GIVEN)
+    ]
     words = {
         "NAME": spec.name,
+        "AGENTS": str(p.agents),
+        # Numbers are checked before they become words.
+        "LAST_ACTION": str(getattr(spec.action_space, "n", 0) - 1),
         "BLOCK": str(size),
         "FLAG_WORDS": str(size // 8),
         "PADDED": p.padded,
@@ -88,7 +107,6 @@ def _source(itself: _Itself, counter: str) -> str:
         "OVER": "np.uint8(N[i] & 1)" if several else "N[i]",
         "GONE": " gone_words," if several else "",
         "SHOWN": shown,
-        "LAST": f"final_observations,{shown}",
         "GIVEN": ", ".join(given),
         "SEEN": ", ".join(seen),
         "FIRST_GIVEN": given[0],

@@ -43,10 +43,15 @@ def reset(memory, stored, mask, observations,$SHOWN seed_0, seed_1, tick, first_
 
 
 @kernel
-def step(
-    memory, stored, elapsed, actions, table, observations, rewards, terminations, truncations, $LAST
-    seed_0, seed_1, tick, first_slot, limit, next_step, use_stored, n, lo, hi,
-):
+def step(given, actions, table, lo, hi):
+    $given
+    if checked:
+        of_range = actions[$AGENTS * lo : $AGENTS * hi]
+        largest = of_range[0]
+        for i in range(of_range.size):
+            largest = max(largest, of_range[i])
+        if largest > $LAST_ACTION:
+            return False
     $PADDED
     $allocate
     $code
@@ -105,6 +110,7 @@ def step(
             $restart
         $store_block
     $release
+    return True
 
 
 @kernel

@@ -46,10 +46,12 @@ class Kernels(NamedTuple):
     ``reset(memory, stored, mask, observations, seed_0, seed_1, tick, first_slot, use_stored, n, lo, hi)``
         starts an episode in every slot of ``lo .. hi - 1`` whose mask is set, and writes the
         observation of every slot of the range. Elapsed steps are left to the caller.
-    ``step(memory, stored, elapsed, actions, table, observations, rewards, terminations, truncations,
-    final_observations, seed_0, seed_1, tick, first_slot, limit, next_step, use_stored, n, lo, hi)``
-        steps that range. ``elapsed`` are the steps of each slot's episode, which ``memory`` has a column for,
-        in narrower words. ``final_observations`` are written for a block in which a slot ended.
+    ``step(given, actions, table, lo, hi)``
+        steps that range. ``given`` is an ``int64`` array of addresses and settings: see
+        :data:`~pearl_marl.compiler.kernel_source.GIVEN`. ``elapsed`` are the steps of each slot's episode,
+        which ``memory`` has a column for, in narrower words. ``final_observations`` are written for a block
+        in which a slot ended. Returns whether all actions were in the action space, if that was to be
+        checked; if not, nothing has been done.
     ``deliver(*words, observations)``
         turns the words of observations, an array a field, into the observations themselves.
     ``results(*words, code_words, ter_words, stored, table, observations, rewards, terminations, truncations,

@@ -8,6 +8,7 @@ What a loop reads and writes are addresses rather than arrays, whose owners Numb
 compile in less time. ``uint8_column(array, start, index)`` is the address of a word, ``index`` words behind
 byte ``start`` of an array; ``uint8_row(column, index, count)`` makes an array of some words again. Scratch
 space, which begins a cache line, comes from ``allocate(count)`` and goes back by ``release(space)``.
+``address(number)`` is the address of a byte.
 """
 
 from __future__ import annotations
@@ -161,6 +162,14 @@ def _row(element: Any) -> Any:
 
 
 @intrinsic
+def _address(_: Any, number: Any) -> Any:
+    def generate(context: Any, builder: Any, signature: Any, operands: Any) -> Any:
+        return builder.inttoptr(operands[0], BYTES)
+
+    return _Address(types.uint8)(number), generate
+
+
+@intrinsic
 def _allocate(_: Any, count: Any) -> Any:
     def generate(context: Any, builder: Any, signature: Any, operands: Any) -> Any:
         word = context.get_value_type(types.intp)
@@ -191,7 +200,7 @@ def _kept(builder: Any, first: Any) -> Any:
 
 def operations() -> dict[str, Any]:
     """Return all operations by their names, for a kernel's source to call."""
-    named = {"allocate": _allocate, "release": _release}
+    named = {"address": _address, "allocate": _allocate, "release": _release}
     for t in NUMBERS:
         named |= {f"{t}_column": _column(t), f"{t}_row": _row(t)}
         named |= {f"{t}_{name}": _named(f"{t}_{name}") for name in ("choose", "flags", "copy", "prefetch")}

@@ -10,13 +10,17 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
+from gymnasium.spaces import Discrete
 from gymnasium.vector import AutoresetMode
 
+from pearl_marl.batch.actions import are_words, refusal
 from pearl_marl.batch.config import BatchConfig
 from pearl_marl.batch.results import ResultArrays
 from pearl_marl.batch.slot_memory import SlotMemory, aligned_bytes, counter_dtype
 from pearl_marl.batch.step import Array, BatchStep, Seen
 from pearl_marl.compiler.block_pieces import BLOCK
+from pearl_marl.compiler.kernel_source import GIVEN, RESULTS
 from pearl_marl.compiler.kernels import compile_kernels
 from pearl_marl.devices.base import Device, count_or_none
 from pearl_marl.devices.threads import Threads
@@ -26,6 +30,9 @@ SLOW_STEP_SECONDS = 300e-6
 
 SECONDS_PER_THREAD = 150e-6
 """The least work a thread is taken for."""
+
+_TICK = GIVEN.index("tick")
+_SEEDS = slice(GIVEN.index("seed_0"), GIVEN.index("seed_1") + 1)
 
 TRIAL_STEPS = 5
 """Steps in a row that decide: a single one may only have been interrupted."""
@@ -54,10 +61,23 @@ class Native(Device):
         self._results = ResultArrays(config)
         self._slots = SlotMemory(spec, n)
         self._memory = self._slots.bytes
+        self._given = np.zeros(len(GIVEN), np.int64)
         self._count(config, self._slots.elapsed)
         # Without stored initial states the kernels get the memory itself, and do not look.
         self._stored = SlotMemory(spec, n).bytes if config.initial_states == "stored" else self._memory
-        self._mode = (config.autoreset_mode is AutoresetMode.NEXT_STEP, self._stored is not self._memory)
+        shown = ("action_masks",) * bool(spec.mask_fields) + ("alive",) * (spec.agents > 1)
+        self._places = np.array([GIVEN.index(name) for name in (*RESULTS, *shown)])
+        # Others are checked by what the kernel does not know: roles, and what was seen before the step.
+        self._checks = isinstance(spec.action_space, Discrete) and not shown
+        self._put("memory", self._memory.ctypes.data)
+        self._put("stored", self._stored.ctypes.data)
+        self._put("first_slot", config.first_slot)
+        self._put("next_step", config.autoreset_mode is AutoresetMode.NEXT_STEP)
+        self._put("use_stored", self._stored is not self._memory)
+        self._put("n", n)
+        self._put("checked", self._checks)
+        self._addresses: Array | None = None
+        self._seed: tuple[int, int] | None = None
         self._pool = Threads(max(self._threads, _cores()), "pearl-native")
 
     def _count(self, config: BatchConfig, elapsed: Array) -> None:
@@ -69,23 +89,32 @@ class Native(Device):
         words = counter_dtype(most)
         self._elapsed = aligned_bytes(config.n_envs * words.itemsize).view(words)
         self._elapsed[:] = elapsed
+        self._put("elapsed", self._elapsed.ctypes.data)
+        self._put("limit", config.limit)
         self._kernels = compile_kernels(config.spec, words)
 
-    def _run(self, kernel: Any, arguments: tuple[Any, ...]) -> None:
-        """Call ``kernel(*arguments, n, lo, hi)`` for every range, one of them on this thread."""
+    def _put(self, name: str, value: int) -> None:
+        """Change what every step is given."""
+        self._given[GIVEN.index(name)] = value
+
+    def _run(self, kernel: Any, arguments: tuple[Any, ...]) -> Any:
+        """Call ``kernel(*arguments, lo, hi)`` for every range, one of them on this thread.
+
+        Where there is only one range, return what it returns.
+        """
         n = self.config.n_envs
         if self._threads == 1:
-            kernel(*arguments, n, 0, n)
-            return
+            return kernel(*arguments, 0, n)
         blocks = -(-n // BLOCK)
         parts = min(self._threads, blocks)
         # Ranges end where blocks do.
         edges = [blocks * i // parts * BLOCK for i in range(parts)] + [n]
         first, *others = itertools.pairwise(edges)
-        tasks = [self._pool.submit(partial(kernel, *arguments, n, lo, hi)) for lo, hi in others]
-        kernel(*arguments, n, *first)
+        tasks = [self._pool.submit(partial(kernel, *arguments, lo, hi)) for lo, hi in others]
+        kernel(*arguments, *first)
         for task in tasks:
             task.result()
+        return True
 
     def _reset(self, mask: Array | None, seed: int | None) -> Seen:
         config, stored = self.config, self._stored
@@ -95,20 +124,37 @@ class Native(Device):
         use_stored = stored is not self._memory
         given = self._memory, stored, flags, results.obs
         again = use_stored and mask is not None
-        tick, first = self.tick, config.first_slot
-        self._run(self._kernels.reset, (*given, *results.arrays[5:], *self.seed, tick, first, again))
+        place = (*self.seed, self.tick, config.first_slot, again, n)
+        self._run(self._kernels.reset, (*given, *results.arrays[5:], *place))
         self._elapsed[slice(None) if mask is None else mask] = 0
         if use_stored and mask is None:
             stored[:] = self._read()[0]
         return results.seen
 
+    def step(self, actions: npt.ArrayLike) -> BatchStep:
+        """Step every slot once; see :meth:`Device.step`."""
+        # The kernel looks at the actions itself, where no other thread has begun by then.
+        if not (self.ready and self.under_way is None and self._checks and self._threads == 1):
+            return super().step(actions)
+        if not are_words(actions, self._actions):
+            return super().step(actions)
+        result = self._step(actions)  # type: ignore[arg-type]
+        self.tick += 1
+        return result
+
     def _step(self, actions: Array) -> BatchStep:
-        config, results = self.config, self._results.take()
+        results, addresses = self._results.take_addressed()
         began = time.perf_counter()
-        given = (self._memory, self._stored, self._elapsed, actions, self.reward_table)
-        # Concatenated rather than unpacked: at small sizes the call is most of a step.
-        place = (self.tick, config.first_slot, config.limit)
-        self._run(self._kernels.step, given + results.arrays + self.seed + place + self._mode)
+        given = self._given
+        given[_TICK] = self.tick
+        # For few slots, to write the same again would be a good part of a step.
+        if addresses is not self._addresses:
+            given[self._places] = self._addresses = addresses
+        if self.seed is not self._seed:
+            given[_SEEDS] = self._seed = self.seed
+        if not self._run(self._kernels.step, (given, actions, self.reward_table)):
+            space: Any = self.config.spec.action_space
+            raise refusal(actions, space, len(actions), self.config.first_slot)
         if self._tuning:
             self._tune(time.perf_counter() - began)
         return results

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import pearl_marl
-from pearl_marl.devices import BatchConfig, Native, native
+from pearl_marl.devices import BatchConfig, Lockstep, Native, native
 from pearl_marl.errors import ActionError, OrderError
 from pearl_marl.testing import assert_same_trajectory, trajectory
 
@@ -33,6 +33,36 @@ def test_sizes_may_be_numpy_integers(dtype: Any) -> None:
     device, plain = opened(n=dtype(100)), opened(n=100)
     assert (device.reset(seed=1) == plain.reset(seed=1)).all()
     assert_same_trajectory(trajectory(device, actions(5, 100)), trajectory(plain, actions(5, 100)))
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_a_step_that_is_refused_changes_nothing(threads: int) -> None:
+    """Words are looked at in the kernel, or before any of several threads begins."""
+    device = opened(Native(threads=threads))
+    device.reset(seed=0)
+    device.step(actions(1)[0])
+    before = device.snapshot()
+    for slot in (0, N - 1):
+        wrong = actions(1)[0]
+        wrong[slot] = 4
+        with pytest.raises(ActionError, match=f"agent_{slot}: action 4"):
+            device.step(wrong)
+    after = device.snapshot()
+    assert (before.tick, before.memory.tobytes()) == (after.tick, after.memory.tobytes())
+
+
+def test_limits_of_all_widths() -> None:
+    """Elapsed steps are in words that hold the limit, and go on counting in others when that changes."""
+    lockstep = Lockstep("native", "reference").open(BatchConfig(spec=SPEC, n_envs=70, max_cycles=20))
+    lockstep.reset(seed=0)
+    device: Any = lockstep.device
+    widths = []
+    for limit, steps in ((300, 260), (7, 5), (70_000, 20), (0, 3), (255, 256), (3, 5), (65_535, 2)):
+        lockstep.set_max_cycles(limit)
+        widths.append(device._elapsed.itemsize)
+        for row in actions(steps, 70):
+            lockstep.step(row)
+    assert widths == [2, 2, 4, 1, 1, 1, 2]
 
 
 @pytest.mark.parametrize("spoil", ["read-only", "unaligned", "strided"])
