@@ -17,7 +17,7 @@ from rich.table import Table
 
 from pearl_marl.batch.actions import random_actions
 from pearl_marl.devices import BatchConfig, Native
-from pearl_marl.errors import PearlError
+from pearl_marl.errors import ArgumentError, PearlError
 from pearl_marl.evaluation.matches import Match, cross_table
 from pearl_marl.policies.loading import RANDOM, Policy, load_policy
 from pearl_marl.registry import get_spec
@@ -82,11 +82,13 @@ def main(
     console = Console(highlight=False)
     try:
         files = sorted((run / "past").glob("*.safetensors"))
+        if not files:
+            raise ArgumentError(f"{run} has no folder past/: give that of a run of --algo self-play")
         chosen = [files[k] for k in sorted({round(k) for k in np.linspace(0, len(files) - 1, members)})]
-        policies = {str(int(file.stem)): load_policy(str(file), SPEC) for file in chosen if files}
+        policies = {str(int(file.stem)): load_policy(str(file), SPEC) for file in chosen}
         policies["last"] = load_policy(str(run), SPEC)
     except PearlError as error:
-        console.print(f"Error: {error}")
+        console.print(f"Error: {error}", markup=False)
         raise typer.Exit(2) from None
     sets = positions(judged), positions(judged, policies["last"], STRAY)
     headings = "optimal in random games", "in games of the last"

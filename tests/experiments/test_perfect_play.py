@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import typer
 from pearl_marl.envs.connect_four.step import COLUMNS, ROWS
+from pearl_marl.experiments import self_play
 from pearl_marl.experiments.perfect_play import DRAW, ILLEGAL, LOSS, WIN, Judge
 
 from pearl_marl.batch.actions import random_actions
@@ -85,3 +88,10 @@ def test_good_moves_are_told_from_bad_ones() -> None:
     told = Judge().optimal(seen, worst)
     np.testing.assert_array_equal(told, values[np.arange(60), worst] == values.max(1))
     assert not told.all()
+
+
+def test_a_run_without_past_selves_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(typer.Exit):
+        self_play.main(tmp_path)
+    said = " ".join(capsys.readouterr().out.split())
+    assert said.endswith("has no folder past/: give that of a run of --algo self-play")
