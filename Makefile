@@ -1,6 +1,6 @@
 # make demo   the main job, start to finish: 43,008 agents stepped, then a policy learned
 # make test   the whole test suite
-# Both set up everything they need in .venv; all they ask for is python3 (3.11 or later), make
+# Both set up everything they need in .venv; all they ask for is python3 (3.11 or later), make, perl
 # and a C++ compiler.
 
 PYTHON ?= python3

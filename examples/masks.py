@@ -15,7 +15,7 @@ for _ in range(100):
     favour[::2, 3] += 0.5  # the first player of each world likes the middle
     step = env.step_batch((favour * masks).argmax(1))
     won += (step.rewards.reshape(env.n_worlds, 2) > 0).sum(0)
-print(f"Won by who likes the middle: {won[0]:.0f}; by the other, who plays anything: {won[1]:.0f}")
+print(f"Games won by the player that prefers the middle: {won[0]:.0f}; by the random one: {won[1]:.0f}")
 assert won[0] > won[1]
 
 # PettingZoo's way has the mask beside the observation, and refuses what it forbids.

@@ -77,7 +77,7 @@ def get_spec(name: str) -> EnvSpec:
         raise ArgumentError(f"there is no environment {name!r}; {spec.name} has the id {spec.id!r}")
     if spec is None:
         known = {_key(other): other for other in names()}
-        near = difflib.get_close_matches(key, known, n=3, cutoff=0.5)
+        near = difflib.get_close_matches(key, known, n=3)
         hint = f"did you mean {' or '.join(repr(known[k]) for k in near)}?" if near else ""
         missing = f"module {module!r} registers no environment {plain!r}" if colon else ""
         raise ArgumentError(

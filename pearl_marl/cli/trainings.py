@@ -50,8 +50,8 @@ def show(env_id: str | None, quick: bool, out: Path | None, as_json: bool) -> No
         _print(task, goal, [row for row in result["compared"] if row["task"] == task])
     facts = result["machine"]
     console.print(
-        "Medians over seeds. x is how many times as fast ours is, and how many times sooner at the goal: the "
-        f"median of each seed's, least to most. {facts['processor']}, {facts['cores']} cores.",
+        "Medians over seeds. x is how many times as fast ours is, and how many times sooner it reaches the "
+        f"goal, with minimum and maximum. {facts['processor']}, {facts['cores']} cores.",
         style="dim",
     )
 
