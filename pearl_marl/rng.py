@@ -86,19 +86,19 @@ def checked_seed(seed: object) -> int:
     try:
         value = operator.index(seed)  # type: ignore[arg-type]
     except TypeError:
-        raise ArgumentError(f"seed is {seed!r}; it must be a non-negative integer or None") from None
+        value = -1
     if value < 0 or isinstance(seed, bool):
-        raise ArgumentError(f"seed is {seed!r}; it must be a non-negative integer or None")
+        raise ArgumentError(f"seed is {seed!r}; it must be a non-negative integer")
     return value
 
 
 def seed_words(seed: int) -> tuple[int, int]:
-    """Spread a non-negative seed of any size over two 32-bit words.
+    """Spread a non-negative seed of any size, and any type of integer, over two 32-bit words.
 
     Through :class:`numpy.random.SeedSequence`, whose output NumPy guarantees not to change, so
     that neighbouring seeds have nothing in common.
     """
-    low, high = np.random.SeedSequence(seed).generate_state(2, np.uint32)
+    low, high = np.random.SeedSequence(operator.index(seed)).generate_state(2, np.uint32)
     return int(low), int(high)
 
 

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from gymnasium.spaces import Box, Discrete, MultiBinary
 from gymnasium.vector import AutoresetMode
+from pearl_marl.wrappers import reward_lambda_v0
 
 import pearl_marl
 from pearl_marl.devices import BatchConfig, Native
@@ -87,6 +88,7 @@ OTHERS = [
     refused("negative seed", lambda e: e.reset(seed=-3), ArgumentError, "seed is -3"),
     refused("fractional seed", lambda e: e.reset(seed=1.5), ArgumentError, "seed is 1.5"),
     refused("seed of a batch", lambda e: e.reset_batch("1"), ArgumentError, "seed is '1'"),
+    refused("seed in a list", lambda e: e.reset(seed=np.array([5])), ArgumentError, "seed is array([5])"),
     refused("negative limit", lambda e: setattr(e, "max_cycles", -1), ArgumentError, "max_cycles is -1"),
     refused("fractional limit", lambda e: setattr(e, "max_cycles", 2.5), ArgumentError, "max_cycles is 2.5"),
     refused("true limit", lambda e: setattr(e, "max_cycles", True), ArgumentError, "max_cycles is True"),
@@ -96,6 +98,7 @@ OTHERS = [
     refused(
         "mask of numbers", lambda e: e.device.reset(mask=[0, 1, 2, 3, 4]), ArgumentError, "bool", "int64"
     ),
+    refused("ragged mask", lambda e: e.reset_slots([[True], [True, False]]), ArgumentError, "(5,)", "ragged"),
     refused("mask and seed", lambda e: e.device.reset(1, [True] * N), ArgumentError, "seed", "mask"),
     refused("no mask", lambda e: e.reset_slots(None), ArgumentError, "mask is None; reset_batch()"),
     refused("a stranger's actions", lambda e: e.action_space("x"), ArgumentError, "no agent 'x'", "agent_4"),
@@ -108,6 +111,17 @@ OTHERS = [
     refused("foreign blob", lambda e: e.load_state(b"\x89PNG" * 99), SavedStateError, "no saved state"),
     refused("text", lambda e: e.load_state("PEARLST1"), SavedStateError, "not str"),
 ]
+
+
+@pytest.mark.parametrize("name", ["CliffWalking", "ConnectFour"])
+@pytest.mark.parametrize("seed", [np.array(5), np.uint8(5)], ids=repr)
+def test_a_seed_of_any_type_of_integer_is_taken_by_all(name: str, seed: Any) -> None:
+    env, twin = (reward_lambda_v0(pearl_marl.parallel_env(name, 2), np.negative) for _ in range(2))
+    env.reset(seed=seed)
+    twin.reset(seed=5)
+    assert env.save_state() == twin.save_state()
+    assert env.unwrapped.np_random.integers(2**60) == twin.unwrapped.np_random.integers(2**60)
+
 
 TABLES = [
     refused("short table", lambda e: e.set_rewards([1.0]), ArgumentError, "(1,)", "2 categories"),

@@ -71,7 +71,7 @@ class WrappedParallelEnv(_Wrapped, ParallelInterface):
 
     def reset_slots(self, mask: Mask) -> Array:
         """Begin an episode in the masked worlds; return all observations."""
-        return self.transform.reset(self.env.reset_slots(mask), None, mask)
+        return self.transform.reset(self.env.reset_slots(mask), None, np.asarray(mask))
 
     def step_slots(self, actions: npt.ArrayLike) -> BatchStep:
         """See :meth:`ParallelInterface.step_slots`."""
@@ -134,7 +134,7 @@ class WrappedVectorEnv(_Wrapped, VectorInterface):
     def reset_batch(self, seed: int | None = None, mask: npt.ArrayLike | None = None) -> Array:
         """See :class:`VectorInterface`."""
         obs = self.env.reset_batch(seed, mask)
-        return self.transform.reset(obs, seed, None if mask is None else np.asarray(mask, np.bool_))
+        return self.transform.reset(obs, seed, None if mask is None else np.asarray(mask))
 
     def step_batch(self, actions: npt.ArrayLike) -> BatchStep:
         """See :class:`VectorInterface`."""

@@ -107,11 +107,13 @@ class BatchConfig:
             "first_slot": self.first_slot,
         }
 
-    def checked_mask(self, mask: npt.ArrayLike) -> npt.NDArray[np.bool_]:
-        """Return a mask of slots as an array; refuse what is none."""
+
+def checked_mask(mask: npt.ArrayLike, n: int) -> npt.NDArray[np.bool_]:
+    """Return a reset mask of ``n`` slots as an array; refuse what is none."""
+    try:
         array = np.asarray(mask)
-        if array.shape != (self.n_envs,) or array.dtype != np.bool_:
-            raise ArgumentError(
-                f"a reset mask is bool of shape ({self.n_envs},), not {array.dtype} of shape {array.shape}"
-            )
-        return array
+    except ValueError:
+        raise ArgumentError(f"a reset mask is bool of shape ({n},), not a ragged list") from None
+    if array.shape != (n,) or array.dtype != np.bool_:
+        raise ArgumentError(f"a reset mask is bool of shape ({n},), not {array.dtype} of shape {array.shape}")
+    return array

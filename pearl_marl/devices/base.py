@@ -24,7 +24,7 @@ import numpy.typing as npt
 from pearl_marl import rng
 from pearl_marl.batch import rewards as reward_tables
 from pearl_marl.batch.actions import encode, refuse_masked
-from pearl_marl.batch.config import BatchConfig
+from pearl_marl.batch.config import BatchConfig, checked_mask
 from pearl_marl.batch.recycling import Recycler
 from pearl_marl.batch.results import Layout
 from pearl_marl.batch.saved_state import SavedState
@@ -154,7 +154,7 @@ class Device(ABC):
             A mask at the first reset, or the device is closed or busy.
         """
         self.check_idle("reset")
-        chosen = None if mask is None else self.config.checked_mask(mask)
+        chosen = None if mask is None else checked_mask(mask, self.config.n_envs)
         if chosen is not None and seed is not None:
             raise ArgumentError("a seed restarts every slot, so it cannot come with a reset mask")
         if chosen is not None and not self.ready:

@@ -14,6 +14,7 @@ from pearl_marl.devices import Device
 from pearl_marl.errors import ArgumentError
 from pearl_marl.evaluation.run import Evaluation, interval
 from pearl_marl.policies.loading import Policy
+from pearl_marl.rng import checked_seed
 from pearl_marl.spec import EnvSpec
 
 Array = npt.NDArray[Any]
@@ -65,7 +66,7 @@ class Match(Evaluation):
         self._openings = openings
         self.seats = _seats(n_agents, spec.agents)
 
-        rng = np.random.default_rng(seed)
+        rng = np.random.default_rng(checked_seed(seed))
 
         def both(*seen: Array) -> Array:
             # Both are given everything: some policies go by which row an agent has.

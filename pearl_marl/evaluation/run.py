@@ -23,6 +23,7 @@ from pearl_marl.devices.transport import STAGES
 from pearl_marl.errors import ArgumentError, OrderError
 from pearl_marl.evaluation.episodes import RunningEpisodes
 from pearl_marl.policies.loading import Policy
+from pearl_marl.rng import checked_seed
 from pearl_marl.spec import EnvSpec
 
 LIMIT = 1000
@@ -96,7 +97,7 @@ class Evaluation:
         check_memory(self.config, 48)  # what is noted of an agent
         self.episodes = n_agents if episodes is None else episodes
         self.device = make_device(device)
-        self.seed, self._policy = seed, policy
+        self.seed, self._policy = checked_seed(seed), policy
         self.steps = self.truncated = 0
         self._quota = np.full(n_agents, self.episodes // n_agents)
         self._quota[: self.episodes % n_agents] += 1

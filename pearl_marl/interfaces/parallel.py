@@ -24,6 +24,7 @@ from pearl_marl.interfaces.parallel_interface import ParallelInterface
 from pearl_marl.packing import observed_as
 from pearl_marl.registry import get_spec
 from pearl_marl.rendering import Renderer, check_render_mode, renderer
+from pearl_marl.rng import checked_seed
 from pearl_marl.spec import snake_case
 
 
@@ -96,7 +97,7 @@ class PearlParallelEnv(ParallelInterface):
         """Begin an episode for every agent; return observations of shape ``(n_agents, ...)``."""
         obs = self.device.reset(seed)
         if seed is not None:
-            self.np_random = np.random.default_rng(seed)
+            self.np_random = np.random.default_rng(checked_seed(seed))
         self._live = self._all
         if self.render_mode == "human":
             self.render()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ from gymnasium.spaces import Box, Discrete, Space, Tuple
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
+from pearl_marl.batch.config import checked_mask
 from pearl_marl.batch.step import Array, BatchStep, on_host
 from pearl_marl.errors import ArgumentError, OrderError
 from pearl_marl.interfaces.agent_dict import observations_in
@@ -104,12 +106,16 @@ class VectorInterface(VectorEnv[Any, Any, Any], Batch):
         ``seed`` is a non-negative integer for the whole batch; ``None`` goes on with the random numbers in
         use. ``options={"reset_mask": mask}``, ``bool`` of shape ``(num_envs,)``, resets some only.
         """
-        options = options or {}
+        options = {} if options is None else options
+        if not isinstance(options, Mapping):
+            raise ArgumentError(
+                f"options is {options!r}; it must be a dict, as {{'reset_mask': mask}}, or None"
+            )
         unknown = [name for name in options if name != "reset_mask"]
         if unknown:
             raise ArgumentError(f"unknown reset option {unknown[0]!r}; the only one is 'reset_mask'")
         mask = options.get("reset_mask")
-        if mask is not None and not (mask := np.asarray(mask)).any():
+        if mask is not None and not (mask := checked_mask(mask, self.num_envs)).any():
             raise ArgumentError("reset_mask resets nothing: at least one element must be True")
         obs = on_host(self.reset_batch(seed, mask))
         if seed is not None:

@@ -22,6 +22,7 @@ from gymnasium.spaces import Discrete, MultiDiscrete, Tuple
 from pearl_marl.batch.actions import random_actions
 from pearl_marl.errors import ArgumentError
 from pearl_marl.files import load_arrays
+from pearl_marl.rng import checked_seed
 from pearl_marl.spec import EnvSpec
 
 Array = npt.NDArray[Any]
@@ -57,9 +58,7 @@ def load_policy(name: str, spec: EnvSpec, seed: int = 0) -> Policy:
     if not isinstance(name, str):
         raise ArgumentError(f"policy is {name!r}; it must be its name, such as {RANDOM!r} or a file's")
     if name == RANDOM:
-        if seed < 0:
-            raise ArgumentError(f"seed is {seed}; it must be a non-negative integer")
-        rng = np.random.default_rng(seed)
+        rng = np.random.default_rng(checked_seed(seed))
         return lambda observations, masks=None: random_actions(spec, rng, len(observations), masks)
     path = Path(name)
     if name and path.is_dir():

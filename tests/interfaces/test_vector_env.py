@@ -55,11 +55,14 @@ def test_unknown_mode() -> None:
         ({"reset_mask": np.zeros(4, bool)}, "nothing"),
         ({"reset_mask": np.ones(3, bool)}, r"\(3,\)"),
         ({"reset_mask": np.ones(4)}, "float64"),
+        ({"reset_mask": [[True], [True, False]]}, "ragged"),
+        (3, "options is 3; it must be a dict"),
+        ([], r"options is \[\]"),
         ({"mask": np.ones(4, bool)}, "'mask'.*'reset_mask'"),
     ],
 )
 @pytest.mark.parametrize("mode", AutoresetMode, ids=lambda mode: mode.name)
-def test_refused_masks(mode: AutoresetMode, options: dict[str, Any], words: str, toys: None) -> None:
+def test_refused_masks(mode: AutoresetMode, options: Any, words: str, toys: None) -> None:
     env, twin = (pearl_marl.make_vec("Drift", 4, autoreset_mode=mode) for _ in range(2))
     env.reset(seed=0)
     twin.reset(seed=0)

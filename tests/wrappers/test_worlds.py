@@ -49,6 +49,14 @@ def chosen(env: Any, t: int) -> Any:
     return random_allowed(env.action_masks, draws)
 
 
+def test_a_mask_of_worlds_may_be_a_list() -> None:
+    env, twin = (wrappers.shared_reward_v0(crowded()) for _ in range(2))
+    for e in (env, twin):
+        e.reset_batch(5)
+    mask = [True, False, True]
+    np.testing.assert_array_equal(env.reset_slots(mask), twin.reset_slots(np.array(mask)))
+
+
 def played(env: Any, steps: int = 40, plain: Any = None) -> Iterator[tuple[BatchStep, BatchStep, Any]]:
     """Yield a wrapped environment's steps, an unwrapped one's, and who acted in them."""
     plain = crowded() if plain is None else plain
