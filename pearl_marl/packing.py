@@ -16,7 +16,7 @@ from gymnasium.spaces import Box
 from pearl_marl.compiler.kernels import compile_kernels
 from pearl_marl.errors import ArgumentError
 from pearl_marl.golden import GoldenFunction
-from pearl_marl.spec import EnvSpec
+from pearl_marl.spec import EnvSpec, check_spec
 
 Array = npt.NDArray[Any]
 
@@ -27,7 +27,7 @@ FORMS = ("whole", "packed")
 
 def observed_as(spec: EnvSpec, observations: str) -> EnvSpec:
     """Return a spec whose observations are in one of :data:`FORMS`."""
-    if observations not in FORMS:
+    if not isinstance(observations, str) or observations not in FORMS:
         raise ArgumentError(f"observations is {observations!r}; possible are {', '.join(map(repr, FORMS))}")
     return packed(spec) if observations == "packed" else spec
 
@@ -73,6 +73,8 @@ def unpacked(spec: EnvSpec, rows: Array) -> Array:
 
     ``spec`` is that of the environment with its observations as they are.
     """
+    check_spec(spec)
+    rows = np.asarray(rows)
     if spec.unpack is None:
         raise ArgumentError(f"only planes are packed, which {spec.name}'s observations are not")
     layout = row_dtype(spec)

@@ -9,8 +9,9 @@ import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from numbers import Real
 from pathlib import Path
-from typing import Any, NamedTuple, SupportsInt
+from typing import Any, NamedTuple, SupportsInt, TypeGuard
 
 import numpy as np
 import numpy.typing as npt
@@ -475,6 +476,23 @@ def _result(word: Field) -> Result:
     fix = "np.clip keeps it in" + (f", and `{wraps}` lets it wrap around" if "(" in wraps or low == 0 else "")
     limit = f"{word.bits} bits hold" if word.bits > 1 else "1 bit holds"
     return Result(word.name, low, high, limit, fix)
+
+
+def is_number(value: object, infinite: bool = False) -> TypeGuard[float]:
+    """Return whether a value is a real number that a float holds; with ``infinite``, also an infinite one."""
+    if isinstance(value, bool) or not isinstance(value, Real):
+        return False
+    try:
+        number = float(value)
+    except OverflowError:
+        return False
+    return math.isfinite(number) or (infinite and math.isinf(number))
+
+
+def check_spec(value: object) -> None:
+    """Refuse what is no spec."""
+    if not isinstance(value, EnvSpec):
+        raise ArgumentError(f"spec is {value!r}; it must be an EnvSpec, as pearl_marl.get_spec returns")
 
 
 def check_max_cycles(value: object) -> None:

@@ -13,7 +13,8 @@ from gymnasium.vector import AutoresetMode
 from pearl_marl.wrappers import reward_lambda_v0
 
 import pearl_marl
-from pearl_marl.devices import BatchConfig, Native
+from pearl_marl.devices import BatchConfig, Native, Ray, Rtl, Sharded
+from pearl_marl.devices.served import ServedBoard
 from pearl_marl.errors import ActionError, ArgumentError, OrderError, PearlError, SavedStateError
 from pearl_marl.memory_map import memory_map
 from pearl_marl.spec import Field
@@ -249,6 +250,32 @@ MAKE = [
     refused(
         "initial", lambda f: f("CliffWalking", 2, initial_states="same"), ArgumentError, "'same'", "'stored'"
     ),
+    refused(
+        "initial states in an array",
+        lambda f: f("CliffWalking", 2, initial_states=np.array(["random", "x"])),
+        ArgumentError,
+        "initial_states is array",
+    ),
+    refused(
+        "observations in an array",
+        lambda f: f("CliffWalking", 2, observations=np.array(["whole", "x"])),
+        ArgumentError,
+        "observations is array",
+    ),
+    refused(
+        "a huge number",
+        lambda f: f("FrozenLake", 2, success_rate=10**400),
+        ArgumentError,
+        "success_rate is 1000",
+        "it must be a probability",
+    ),
+    refused(
+        "huge rewards",
+        lambda f: f("FrozenLake", 2, reward_schedule=(10**400, 0, 0)),
+        ArgumentError,
+        "reward_schedule is (1000",
+        "three finite numbers",
+    ),
     refused("rewards", lambda f: f("CliffWalking", 2, rewards=[1]), ArgumentError, "(1,)", "2 categories"),
 ]
 
@@ -279,6 +306,29 @@ def test_making_a_parallel_env(call: Call, error: type[PearlError], words: str) 
 def test_no_renderer(toys: None) -> None:
     with pytest.raises(ArgumentError, match="Drift has none"):
         pearl_marl.parallel_env("Drift", render_mode="human")
+
+
+@pytest.mark.parametrize("make", [pearl_marl.env, pearl_marl.raw_env])
+@pytest.mark.parametrize("name", ["CliffWalking", "ConnectFour"])
+def test_observing_nobody(make: Any, name: str) -> None:
+    env = make(name, 2)
+    env.reset(seed=0)
+    with pytest.raises(ArgumentError, match=r"there is no agent 'x'; agents are agent_0 to agent_1"):
+        env.observe("x")
+    assert env.observe("agent_0") is not None
+
+
+def test_observing_who_has_left() -> None:
+    env = pearl_marl.raw_env("CliffWalking", 2)
+    env.reset(seed=0)
+    for action in (0, *[1] * 11, 2):
+        env.step(3)
+        env.step(action)
+    assert env.agent_selection == "agent_1"
+    env.step(None)
+    env.step(3)
+    with pytest.raises(OrderError, match=r"'agent_1'.*: its episode has ended"):
+        env.observe("agent_1")
 
 
 def test_rendering_an_unknown_agent() -> None:
@@ -370,11 +420,63 @@ def test_threads(threads: Any) -> None:
         ({"first_slot": 2**32 - 1}, "random draws can tell 1 apart from slot 4,294,967,295 on"),
         ({"autoreset_mode": AutoresetMode.DISABLED}, "DISABLED"),
         ({"n_envs": None}, "None"),
+        ({"spec": "Drift"}, "spec is 'Drift'; it must be an EnvSpec"),
     ],
 )
 def test_configurations(arguments: dict[str, Any], words: str) -> None:
     with pytest.raises(ArgumentError, match=words):
         BatchConfig(**{"spec": DRIFT, "n_envs": 2, **arguments})
+
+
+TWO = ["native", "native"]
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda: Sharded(None), "parts is None; it must be a list of at least one device"),
+        (lambda: Sharded(3), "parts is 3"),
+        (lambda: Sharded(TWO, sizes="22"), "sizes is '22'; it must be 2 positive integers"),
+        (lambda: Sharded(TWO, sizes=[2.0, 2.0]), "sizes is [2.0, 2.0]"),
+        (lambda: Sharded(TWO, sizes=3), "sizes is 3"),
+        (lambda: Ray(2), "shards is 2; it must be a list"),
+        (lambda: Ray(TWO, resources=2), "resources is 2"),
+        (lambda: Rtl(trace=3), "trace is 3; it must be a file name"),
+        (lambda: Native().open(None), "open() takes a BatchConfig, not None"),
+        (lambda: Native().open(DRIFT), "open() takes a BatchConfig, not EnvSpec"),
+        (lambda: ServedBoard("/dev/null", DRIFT, 4, path="zz"), "path is 'zz'; possible are 'backdoor'"),
+    ],
+)
+def test_devices(make: Callable[[], Any], words: str) -> None:
+    with pytest.raises(ArgumentError, match=re.escape(words)):
+        make()
+
+
+def test_sizes_in_an_array() -> None:
+    device = Sharded(TWO, sizes=np.array([1, 3])).open(BatchConfig(spec=DRIFT, n_envs=4))
+    assert [part.config.n_envs for part in device.parts] == [1, 3]
+
+
+def test_recv_after_close() -> None:
+    env = pearl_marl.parallel_env("CliffWalking", N)
+    env.reset(seed=0)
+    env.send([0] * N)
+    env.close()
+    with pytest.raises(OrderError, match=r"recv\(\) after close\(\)"):
+        env.recv()
+
+
+@pytest.mark.parametrize(
+    ("spec", "rows", "words"),
+    [
+        ("Seaquest", np.zeros((1, 69), np.uint8), "spec is 'Seaquest'"),
+        (pearl_marl.get_spec("Seaquest"), None, "have the dtype object and the shape ()"),
+        (pearl_marl.get_spec("Seaquest"), [[0] * 69], "have the dtype int64 and the shape (1, 69)"),
+    ],
+)
+def test_unpacking(spec: Any, rows: Any, words: str) -> None:
+    with pytest.raises(ArgumentError, match=re.escape(words)):
+        pearl_marl.unpacked(spec, rows)
 
 
 # Saved states.

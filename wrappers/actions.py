@@ -12,6 +12,7 @@ from pearl_marl.batch.actions import random_allowed, random_numbers
 from pearl_marl.batch.step import Array, BatchStep
 from pearl_marl.errors import ArgumentError
 from pearl_marl.interfaces.batch import Batch, Mask
+from pearl_marl.spec import is_number
 
 from .base import box, checked_function, differing, wrap
 from .transform import Slots, Transform
@@ -93,7 +94,7 @@ def scale_actions_v0(env: Batch, scale: float) -> Any:
 
     def make(batch: Batch, space: Space[Any], action_space: Any) -> Transform:
         old = box(action_space, "scale_actions_v0", "actions")
-        if not np.isfinite(scale) or scale <= 0:
+        if not is_number(scale) or scale <= 0:
             raise ArgumentError(f"scale is {scale!r}; it must be a positive number")
         new = Box(old.low * scale, old.high * scale, dtype=np.float32)
         return _Mapped(batch, space, new, lambda actions: actions * scale)
@@ -231,7 +232,7 @@ def sticky_actions_v0(env: Batch, repeat_action_probability: float) -> Any:
     Where there are masks, one that is masked now is not repeated. SuperSuit draws the same for every agent if
     there is a seed.
     """
-    if not 0 <= repeat_action_probability < 1:
+    if not is_number(repeat_action_probability) or not 0 <= repeat_action_probability < 1:
         raise ArgumentError(
             f"repeat_action_probability is {repeat_action_probability!r}; it must be in [0, 1)"
         )

@@ -26,6 +26,13 @@ def checked_function(name: str, value: Any) -> None:
         raise ArgumentError(f"{name} is {value!r}; it must be a function")
 
 
+def checked_integer(name: str, value: Any, least: int = 1) -> int:
+    """Return an argument that has to be an integer of at least so many."""
+    if isinstance(value, bool) or not isinstance(value, int) or value < least:
+        raise ArgumentError(f"{name} is {value!r}; it must be an integer of at least {least}")
+    return value
+
+
 def wrap(env: Batch, make: Callable[..., Transform], *arguments: Any) -> Any:
     """Put a transform around an environment.
 

@@ -10,12 +10,14 @@ import numpy.typing as npt
 from gymnasium.spaces import Box, Discrete, Space
 
 from pearl_marl.batch.recycling import Recycler
+from pearl_marl.batch.results import memory_of_machine
 from pearl_marl.batch.step import Array, BatchStep
 from pearl_marl.errors import ArgumentError
 from pearl_marl.interfaces.batch import Batch
+from pearl_marl.spec import is_number
 
 from . import kernels
-from .base import box, checked, checked_function, differing, with_zeros, wrap
+from .base import box, checked, checked_function, checked_integer, differing, with_zeros, wrap
 from .transform import Slots, Transform
 
 Change = Callable[[Array], Array]
@@ -40,6 +42,8 @@ def _mapped(env: Batch, name: str, change: Change) -> Any:
     def make(batch: Batch, space: Space[Any], action_space: Any) -> Transform:
         old = box(space, name)
         low, high = (change(bound[None])[0] for bound in (old.low, old.high))
+        if (low > high).any():  # it may be cast to a type that does not hold it
+            raise ArgumentError(f"{name} would make {low} and {high} of the bounds of {old}: low above high")
         return _Mapped(batch, Box(low, high, dtype=low.dtype.type), action_space, change)
 
     return wrap(env, make)
@@ -65,16 +69,28 @@ def observation_lambda_v0(
         checked_function("change_obs_space_fn", change_obs_space_fn)
 
     def make(batch: Batch, space: Space[Any], action_space: Any) -> Transform:
+        shown: Space[Any] | None = None
+        if change_obs_space_fn is not None:
+            shown = change_obs_space_fn(space)
+            if not isinstance(shown, Space):
+                raise ArgumentError(f"change_obs_space_fn made {shown!r}; it must be a space of Gymnasium")
+
         def change(obs: Array) -> Array:
             result = np.asarray(change_observation_fn(obs, space))
-            if len(result) != len(obs):
+            if result.ndim == 0 or len(result) != len(obs):
+                rows = len(result) if result.ndim else "no"
                 raise ArgumentError(
-                    f"change_observation_fn made {len(result)} rows of {len(obs)}; it gets whole batches"
+                    f"change_observation_fn made {rows} rows of {len(obs)}; it gets whole batches"
+                )
+            if shown is not None and shown.shape not in (None, result.shape[1:]):
+                raise ArgumentError(
+                    f"change_observation_fn made rows of shape {result.shape[1:]}, "
+                    f"and change_obs_space_fn {shown}"
                 )
             return result
 
-        if change_obs_space_fn is not None:
-            return _Mapped(batch, change_obs_space_fn(space), action_space, change)
+        if shown is not None:
+            return _Mapped(batch, shown, action_space, change)
         old = box(space, "observation_lambda_v0 without change_obs_space_fn")
         ends = np.stack([change(bound[None])[0] for bound in (old.low, old.high)])
         new = Box(ends.min(0), ends.max(0), dtype=ends.dtype.type)
@@ -85,7 +101,12 @@ def observation_lambda_v0(
 
 def dtype_v0(env: Batch, dtype: npt.DTypeLike) -> Any:
     """Cast observations."""
-    kind = np.dtype(dtype)
+    try:
+        kind = np.dtype(dtype)
+    except TypeError:
+        kind = np.dtype(object)
+    if kind.kind not in "biuf":
+        raise ArgumentError(f"dtype is {dtype!r}; it must be one of integers, floats or bool")
     return _mapped(env, "dtype_v0", lambda obs: obs.astype(kind))
 
 
@@ -96,9 +117,11 @@ def flatten_v0(env: Batch) -> Any:
 
 def reshape_v0(env: Batch, shape: tuple[int, ...]) -> Any:
     """Give each observation another shape of as many elements."""
+    if not isinstance(shape, (tuple, list)) or not all(isinstance(side, (int, np.integer)) for side in shape):
+        raise ArgumentError(f"shape is {shape!r}; it must be a tuple of integers")
 
     def change(obs: Array) -> Array:
-        if np.prod(shape) != np.prod(obs.shape[1:]):
+        if min(shape, default=0) < 0 or np.prod(shape) != np.prod(obs.shape[1:]):
             raise ArgumentError(f"{obs.shape[1:]} cannot be reshaped to {shape}: not as many elements")
         return obs.reshape(len(obs), *shape)
 
@@ -107,8 +130,10 @@ def reshape_v0(env: Batch, shape: tuple[int, ...]) -> Any:
 
 def normalize_obs_v0(env: Batch, env_min: float = 0.0, env_max: float = 1.0) -> Any:
     """Scale observations from the bounds of their space, which must be finite, to others."""
-    if not env_min < env_max:
-        raise ArgumentError(f"env_min is {env_min}, env_max {env_max}; the first must be the smaller")
+    if not (is_number(env_min) and is_number(env_max) and env_min < env_max):
+        raise ArgumentError(
+            f"env_min is {env_min!r}, env_max {env_max!r}; the first must be the smaller number"
+        )
 
     def make(batch: Batch, space: Space[Any], action_space: Any) -> Transform:
         old = box(space, "normalize_obs_v0")
@@ -160,9 +185,8 @@ def resize_v1(env: Batch, x_size: int, y_size: int, linear_interp: bool = True) 
     linear_interp
         Whether to mix the four nearest pixels (in ``float32``, and cut off for integers), not take one.
     """
-    for name, size in (("x_size", x_size), ("y_size", y_size)):
-        if isinstance(size, bool) or not isinstance(size, int) or size < 1:
-            raise ArgumentError(f"{name} is {size!r}; it must be a positive integer")
+    checked_integer("x_size", x_size)
+    checked_integer("y_size", y_size)
 
     def change(obs: Array) -> Array:
         if obs.ndim not in (3, 4):
@@ -322,6 +346,15 @@ class _Window(Transform):
         return frame if slots is None else frame.take(slots, 0)
 
 
+def _check_frames(env: Batch, name: str, frames: Any, least: int = 1) -> None:
+    """Refuse what is no number of frames, or too many for this machine's memory."""
+    checked_integer(name, frames, least)
+    space = checked(env).slot_observation_space
+    most = memory_of_machine() // (env.batch_size * max(1, int(np.prod(space.shape or ()))))
+    if frames > most:
+        raise ArgumentError(f"{name} is {frames:,}; this machine has memory for less than {most:,} frames")
+
+
 class _FrameStack(_Window):
     def __init__(
         self, batch: Batch, space: Space[Any], action_space: Any, size: int, axis: int, repeat: bool
@@ -419,9 +452,8 @@ def frame_stack_v2(env: Batch, stack_size: int = 4, stack_dim: int = -1) -> Any:
 
 
 def _frame_stack(env: Batch, size: int, axis: int, repeat: bool) -> Any:
-    if isinstance(size, bool) or not isinstance(size, int) or size < 1:
-        raise ArgumentError(f"stack_size is {size!r}; it must be a positive integer")
-    if axis not in (0, -1):
+    _check_frames(env, "stack_size", size)
+    if isinstance(axis, bool) or not isinstance(axis, int) or axis not in (0, -1):
         raise ArgumentError(f"stack_dim is {axis!r}; possible are 0 and -1")
 
     def make(batch: Batch, space: Space[Any], action_space: Any) -> Transform:
@@ -460,13 +492,11 @@ def _window(env: Batch, name: str, kind: type[_Window], frames: int, repeat: boo
 
 def delay_observations_v0(env: Batch, delay: int) -> Any:
     """Show what was to be seen ``delay`` steps ago; zeros before."""
-    if isinstance(delay, bool) or not isinstance(delay, int) or delay < 0:
-        raise ArgumentError(f"delay is {delay!r}; it must be an integer of at least 0")
+    _check_frames(env, "delay", delay, least=0)
     return _window(env, "delay_observations_v0", _Delay, delay + 1, repeat=False)
 
 
 def max_observation_v0(env: Batch, memory: int) -> Any:
     """Show the greatest value of each element in the last ``memory`` steps of the episode."""
-    if isinstance(memory, bool) or not isinstance(memory, int) or memory < 1:
-        raise ArgumentError(f"memory is {memory!r}; it must be a positive integer")
+    _check_frames(env, "memory", memory)
     return _window(env, "max_observation_v0", _Maximum, memory, repeat=True)

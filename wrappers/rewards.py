@@ -11,6 +11,7 @@ from gymnasium.spaces import Space
 from pearl_marl.batch.step import Array, BatchStep
 from pearl_marl.errors import ArgumentError
 from pearl_marl.interfaces.batch import Batch
+from pearl_marl.spec import is_number
 
 from .base import checked_function, wrap
 from .transform import Transform
@@ -58,7 +59,10 @@ def shared_reward_v0(env: Batch) -> Any:
 
 def clip_reward_v0(env: Batch, lower_bound: float = -1, upper_bound: float = 1) -> Any:
     """Move rewards beyond two bounds to the bounds."""
-    if not lower_bound <= upper_bound:
+    for name, bound in (("lower_bound", lower_bound), ("upper_bound", upper_bound)):
+        if not is_number(bound, infinite=True):
+            raise ArgumentError(f"{name} is {bound!r}; it must be a number")
+    if lower_bound > upper_bound:
         raise ArgumentError(
             f"lower_bound is {lower_bound}, upper_bound {upper_bound}; they are the wrong way round"
         )

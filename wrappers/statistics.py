@@ -10,6 +10,7 @@ from gymnasium.spaces import Box, Space
 from pearl_marl.batch.step import Array, BatchStep
 from pearl_marl.errors import ArgumentError
 from pearl_marl.interfaces.batch import Batch, Mask
+from pearl_marl.spec import is_number
 
 from . import kernels
 from .base import box, wrap
@@ -25,9 +26,9 @@ class _Normalised(Transform):
         self, batch: Batch, space: Space[Any], action_space: Any, width: int, epsilon: float
     ) -> None:
         super().__init__(batch, space, action_space)
-        if not epsilon > 0:
+        if not is_number(epsilon) or epsilon <= 0:
             raise ArgumentError(f"epsilon is {epsilon!r}; it must be a positive number")
-        self._epsilon = epsilon
+        self._epsilon = float(epsilon)
         self._mean, self._variance, self._count = np.zeros(width), np.ones(width), np.full((), 1e-4)
         self._statistics = {"mean": self._mean, "variance": self._variance, "count": self._count}
         self.memory = dict(self._statistics)
@@ -92,9 +93,9 @@ class _NormalisedReward(_Normalised):
         self, batch: Batch, space: Space[Any], action_space: Any, gamma: float, epsilon: float
     ) -> None:
         super().__init__(batch, space, action_space, 1, epsilon)
-        if not 0 <= gamma <= 1:
+        if not is_number(gamma) or not 0 <= gamma <= 1:
             raise ArgumentError(f"gamma is {gamma!r}; it must be in [0, 1]")
-        self._gamma = gamma
+        self._gamma = float(gamma)
         self._returns = np.zeros(self.n)
         self.memory["returns"] = self._returns
 
@@ -114,7 +115,7 @@ def normalize_observation_v0(env: Batch, epsilon: float = 1e-8) -> Any:
     ``env.transform.updates = False`` freezes the statistics; ``env.transform.statistics()`` returns
     them and ``env.transform.set_statistics(...)`` takes them up, as for evaluation.
     """
-    return wrap(env, _NormalisedObservation, float(epsilon))
+    return wrap(env, _NormalisedObservation, epsilon)
 
 
 def normalize_reward_v0(env: Batch, gamma: float = 0.99, epsilon: float = 1e-8) -> Any:
@@ -122,4 +123,4 @@ def normalize_reward_v0(env: Batch, gamma: float = 0.99, epsilon: float = 1e-8) 
 
     As in Gymnasium, where an episode terminates the sum is that last reward alone.
     """
-    return wrap(env, _NormalisedReward, float(gamma), float(epsilon))
+    return wrap(env, _NormalisedReward, gamma, epsilon)

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
-from numbers import Real
 from typing import Any
 
 import numpy as np
@@ -13,7 +11,7 @@ from gymnasium.spaces import Box, Discrete
 
 from pearl_marl.errors import ArgumentError
 from pearl_marl.golden import Word
-from pearl_marl.spec import EnvSpec, Field, Golden, Grid
+from pearl_marl.spec import EnvSpec, Field, Golden, Grid, is_number
 
 from .picture import draw
 from .step import SIZE, initial, make_observe, make_step, rewards
@@ -169,13 +167,9 @@ def _payoff(matrix: object) -> list[list[float]]:
         matrix = matrix.tolist()
     rows = matrix if isinstance(matrix, Sequence) else []
     numbers = [one for row in rows if isinstance(row, Sequence) and len(row) == 3 for one in row]
-    if len(rows) != 2 or len(numbers) != 6 or not all(map(_finite, numbers)):
+    if len(rows) != 2 or len(numbers) != 6 or not all(map(is_number, numbers)):
         raise ArgumentError(f"payoff_matrix is {matrix!r}; it must be two rows of three finite numbers")
     return [[float(one) for one in row] for row in rows]
-
-
-def _finite(value: object) -> bool:
-    return isinstance(value, Real) and not isinstance(value, bool) and math.isfinite(value)
 
 
 SPEC = configure()

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
-from numbers import Real
 from typing import Any
 
 import numpy as np
@@ -12,7 +10,7 @@ from gymnasium import Env
 from gymnasium.spaces import Discrete
 
 from pearl_marl.errors import ArgumentError
-from pearl_marl.spec import EnvSpec, Field, Golden, Grid
+from pearl_marl.spec import EnvSpec, Field, Golden, Grid, is_number
 
 from .step import SIDE, make_initial, make_observe, make_step, make_step_slippery
 
@@ -67,13 +65,13 @@ def configure(
         )
     if not isinstance(is_slippery, bool):
         raise ArgumentError(f"is_slippery is {is_slippery!r}; it must be True or False")
-    if not _is_number(success_rate) or not 0 <= success_rate <= 1:
+    if not is_number(success_rate) or not 0 <= success_rate <= 1:
         raise ArgumentError(f"success_rate is {success_rate!r}; it must be a probability, 0 to 1")
     if (
         isinstance(reward_schedule, str)
         or not isinstance(reward_schedule, (Sequence, np.ndarray))
         or len(reward_schedule) != 3
-        or not all(map(_is_number, reward_schedule))
+        or not all(map(is_number, reward_schedule))
     ):
         raise ArgumentError(
             f"reward_schedule is {reward_schedule!r}; it must be three finite numbers: goal, hole, frozen"
@@ -154,11 +152,6 @@ def _checked(desc: Sequence[str]) -> tuple[str, ...]:
     if not any("S" in line for line in lake):
         raise ArgumentError("desc has no S; put one where episodes are to start")
     return lake
-
-
-def _is_number(value: object) -> bool:
-    """Tell whether something is a finite real number."""
-    return isinstance(value, Real) and not isinstance(value, bool) and math.isfinite(value)
 
 
 def _mask(lake: Sequence[str], letter: str) -> int:

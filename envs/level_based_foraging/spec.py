@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from numbers import Real
 from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
@@ -12,7 +11,7 @@ import numpy.typing as npt
 from gymnasium.spaces import Box, Discrete
 
 from pearl_marl.errors import ArgumentError
-from pearl_marl.spec import EnvSpec, Field, Golden, Grid
+from pearl_marl.spec import EnvSpec, Field, Golden, Grid, is_number
 
 from .picture import make_draw
 from .step import LOADED, Rules, make_initial, make_masks, make_observe, make_step, rewards
@@ -80,7 +79,7 @@ def configure(
     for name, flag in (*flags, ("observe_agent_levels", observe_agent_levels)):
         if not isinstance(flag, bool):
             raise ArgumentError(f"{name} is {flag!r}; it must be True or False")
-    if not isinstance(penalty, Real) or isinstance(penalty, bool) or not math.isfinite(penalty):
+    if not is_number(penalty):
         raise ArgumentError(f"penalty is {penalty!r}; it must be a finite number")
     players = _integer("players", players, PLAYERS)
     max_num_food = _integer("max_num_food", max_num_food, FOODS)

@@ -9,7 +9,7 @@ from gymnasium import Env
 from gymnasium.spaces import Box, Discrete
 
 from pearl_marl.errors import ArgumentError
-from pearl_marl.spec import EnvSpec, Field, Golden
+from pearl_marl.spec import EnvSpec, Field, Golden, is_number
 
 from .step import FRACTION, goal_word, initial, observe, step
 
@@ -31,8 +31,7 @@ def configure(goal_velocity: float = 0) -> EnvSpec:
         The least velocity, per step, with which the goal counts as reached, -1 to 1. The car
         never exceeds 0.07.
     """
-    number = isinstance(goal_velocity, (int, float, np.integer, np.floating))
-    if not number or isinstance(goal_velocity, bool) or not -1 <= goal_velocity <= 1:
+    if not is_number(goal_velocity) or not -1 <= goal_velocity <= 1:
         raise ArgumentError(f"goal_velocity is {goal_velocity!r}; it must be a number from -1 to 1")
     goal = goal_word(float(goal_velocity))
     return EnvSpec(

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
-from numbers import Real
 from typing import Any
 
 import numpy as np
@@ -12,7 +10,7 @@ import numpy.typing as npt
 from gymnasium.spaces import Box, Discrete
 
 from pearl_marl.errors import ArgumentError
-from pearl_marl.spec import EnvSpec, Field, Golden, Grid
+from pearl_marl.spec import EnvSpec, Field, Golden, Grid, is_number
 
 from .kitchen import LAYOUTS, MOST, Kitchen
 from .layers import COUNT, OWN_PLACE, make_unpack
@@ -146,7 +144,7 @@ def _integer(name: str, value: object, limits: tuple[int, int]) -> int:
 
 def _number(name: str, value: object) -> float:
     """Return a finite number."""
-    if isinstance(value, bool) or not isinstance(value, Real) or not math.isfinite(value):
+    if not is_number(value):
         raise ArgumentError(f"{name} is {value!r}; it must be a finite number")
     return float(value)
 

@@ -11,7 +11,7 @@ from gymnasium.spaces import Box
 
 from pearl_marl.errors import ArgumentError
 from pearl_marl.fixed_point import FRACTION
-from pearl_marl.spec import EnvSpec, Field, Golden
+from pearl_marl.spec import EnvSpec, Field, Golden, is_number
 
 from .step import REWARD_FRACTION, SPEED_FRACTION, TORQUE_FRACTION, fall, initial, observe, step
 
@@ -35,8 +35,7 @@ def configure(g: float = 10.0) -> EnvSpec:
     g
         Gravity in m/s**2, -200 to 200.
     """
-    number = isinstance(g, (int, float, np.integer, np.floating)) and not isinstance(g, bool)
-    if not number or not -MAX_GRAVITY <= g <= MAX_GRAVITY:
+    if not is_number(g) or not -MAX_GRAVITY <= g <= MAX_GRAVITY:
         raise ArgumentError(f"g is {g!r}; it must be a number from -{MAX_GRAVITY} to {MAX_GRAVITY}")
     pull = fall(float(g))
     return EnvSpec(

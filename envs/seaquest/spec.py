@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import numpy as np
@@ -11,7 +10,7 @@ from gymnasium.spaces import Box, Discrete
 
 from pearl_marl.errors import ArgumentError
 from pearl_marl.golden import Word
-from pearl_marl.spec import EnvSpec, Field, Golden
+from pearl_marl.spec import EnvSpec, Field, Golden, is_number
 
 from .step import (
     BULLETS,
@@ -226,8 +225,7 @@ def configure(sticky_action_prob: float = 0.1, difficulty_ramping: bool = True) 
     difficulty_ramping
         Whether surfacing makes enemies faster and more frequent.
     """
-    number = isinstance(sticky_action_prob, (int, float)) and not isinstance(sticky_action_prob, bool)
-    if not number or not math.isfinite(sticky_action_prob) or not 0 <= sticky_action_prob <= 1:
+    if not is_number(sticky_action_prob) or not 0 <= sticky_action_prob <= 1:
         raise ArgumentError(f"sticky_action_prob is {sticky_action_prob!r}; it must be a number from 0 to 1")
     if not isinstance(difficulty_ramping, bool):
         raise ArgumentError(f"difficulty_ramping is {difficulty_ramping!r}; it must be True or False")
@@ -246,7 +244,7 @@ def configure(sticky_action_prob: float = 0.1, difficulty_ramping: bool = True) 
         golden=Golden(initial, make_step(sticky_below, difficulty_ramping), observe),
         unpack=unpack,
         step_draws=2,
-        options={"sticky_action_prob": sticky_action_prob, "difficulty_ramping": difficulty_ramping},
+        options={"sticky_action_prob": float(sticky_action_prob), "difficulty_ramping": difficulty_ramping},
         configure=configure,
         oracle="pearl_marl.envs.seaquest.oracle:MinAtar/Seaquest-v1",
         follows="MinAtar Seaquest-v1",

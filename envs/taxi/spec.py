@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from numbers import Real
 from typing import Any
 
 import numpy.typing as npt
@@ -10,7 +9,7 @@ from gymnasium import Env
 from gymnasium.spaces import Discrete
 
 from pearl_marl.errors import ArgumentError
-from pearl_marl.spec import EnvSpec, Field, Golden, Grid
+from pearl_marl.spec import EnvSpec, Field, Golden, Grid, is_number
 
 from .step import SIDE, make_initial, make_step, observe, step
 
@@ -53,7 +52,7 @@ def configure(
         if not isinstance(flag, bool):
             raise ArgumentError(f"{name} is {flag!r}; it must be True or False")
     for name, share in (("rainy_probability", rainy_probability), ("fickle_probability", fickle_probability)):
-        if not isinstance(share, Real) or isinstance(share, bool) or not 0 <= share <= 1:
+        if not is_number(share) or not 0 <= share <= 1:
             raise ArgumentError(f"{name} is {share!r}; it must be a probability, 0 to 1")
     slips = is_rainy and rainy_probability < 1
     thresholds = _threshold(rainy_probability), _threshold((1 + rainy_probability) / 2)

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from gymnasium.vector import AutoresetMode
 
 from pearl_marl.errors import ArgumentError
-from pearl_marl.spec import EnvSpec, check_max_cycles, check_slots
+from pearl_marl.spec import EnvSpec, check_max_cycles, check_slots, check_spec
 
 
 def worlds_of(spec: EnvSpec, n_agents: int | None) -> int:
@@ -66,6 +66,7 @@ class BatchConfig:
     copy: bool = True
 
     def __post_init__(self) -> None:
+        check_spec(self.spec)
         n, first = self.n_envs, self.first_slot
         if isinstance(first, bool) or not isinstance(first, (int, np.integer)) or first < 0:
             raise ArgumentError(f"first_slot is {first!r}; it must be an integer of at least 0")
@@ -75,7 +76,7 @@ class BatchConfig:
                 f"a device resets in SAME_STEP or NEXT_STEP mode, not {self.autoreset_mode!r}"
             )
         check_max_cycles(self.max_cycles)
-        if self.initial_states not in ("random", "stored"):
+        if not isinstance(self.initial_states, str) or self.initial_states not in ("random", "stored"):
             raise ArgumentError(
                 f"initial_states is {self.initial_states!r}; possible are 'random' and 'stored'"
             )

@@ -109,6 +109,8 @@ class Device(ABC):
         """
         if self._closed or hasattr(self, "config"):
             raise OrderError(f"this {self.name} device has been opened before; make another one")
+        if not isinstance(config, BatchConfig):
+            raise ArgumentError(f"open() takes a BatchConfig, not {config!r}")
         self.made_with = dict(self.__dict__)
         table = reward_tables.reward_table(config.spec, config.spec.rewards if rewards is None else rewards)
         self._open(config)
@@ -215,6 +217,8 @@ class Device(ABC):
 
     def recv(self) -> BatchStep:
         """Wait for the step that :meth:`send` started and return its results."""
+        if self._closed:
+            self.check_idle("recv")
         if self.under_way is None:
             raise OrderError("recv() without a step under way: call send() first")
         words, step = self.under_way

@@ -46,7 +46,7 @@ def make_device(device: str | Device, *, tensors: bool = False) -> Device:
 
 def make_distinct(name: str, devices: Sequence[str | Device], use: str) -> list[Device]:
     """Return devices for as many shares of slots; refuse what is no list of them, or has one twice."""
-    if isinstance(devices, (str, Device)) or not len(devices):
+    if isinstance(devices, str) or not isinstance(devices, Sequence) or not devices:
         raise ArgumentError(f"{name} is {devices!r}; it must be a list of at least one device")
     made = [make_host_device(device) for device in devices]
     if len(set(map(id, made))) < len(made):

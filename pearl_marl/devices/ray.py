@@ -102,7 +102,7 @@ class Ray(Sharded):
             raise ArgumentError("a shard of a Ray device is a Ray device itself: list its shards instead")
         if resources is None or isinstance(resources, Mapping):
             resources = [resources] * len(made)
-        elif isinstance(resources, str) or len(resources) != len(made):
+        elif isinstance(resources, str) or not isinstance(resources, Sequence) or len(resources) != len(made):
             raise ArgumentError(
                 f"resources is {resources!r}; it must be one for all, or a list of one for each of the "
                 f"{len(made)} shards"

@@ -19,6 +19,12 @@ from pearl_marl.memory_map import MemoryMap
 PATHS = ("backdoor", "axi")
 
 
+def check_path(path: object) -> None:
+    """Refuse what is none of :data:`PATHS`."""
+    if path not in PATHS:
+        raise ArgumentError(f"path is {path!r}; possible are {', '.join(map(repr, PATHS))}")
+
+
 class Rtl(CommBram):
     """The simulated hardware.
 
@@ -56,11 +62,10 @@ class Rtl(CommBram):
         for name, value in (("pe_num", pe_num), ("data_wl", data_wl)):
             if value is not None and (isinstance(value, bool) or not isinstance(value, (int, np.integer))):
                 raise ArgumentError(f"{name} is {value!r}; it must be an integer or None")
-        if path not in PATHS:
-            raise ArgumentError(f"path is {path!r}; possible are {', '.join(map(repr, PATHS))}")
+        check_path(path)
         if not isinstance(pipelined, bool):
             raise ArgumentError(f"pipelined is {pipelined!r}; it must be True or False")
-        self._trace = None if trace is None else os.fspath(trace)
+        self._trace = os.fspath(trace) if isinstance(trace, os.PathLike) else trace
         if self._trace is not None and not (isinstance(self._trace, str) and self._trace.isascii()):
             raise ArgumentError(f"trace is {trace!r}; it must be a file name in ASCII")
         self._pe_num, self._data_wl, self._path = pe_num, data_wl, path

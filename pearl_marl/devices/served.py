@@ -31,6 +31,7 @@ from pathlib import Path
 
 import numpy as np
 
+from pearl_marl.devices.rtl import check_path
 from pearl_marl.devices.simulator.model_build import library
 from pearl_marl.devices.simulator.simulation import Simulation
 from pearl_marl.devices.xdma_transport import SERVER_LOCK
@@ -82,6 +83,7 @@ class ServedBoard:
         data_wl: int | None = None,
         path: str = "backdoor",
     ) -> None:
+        check_path(path)
         build = Build.of(spec, n_envs, pe_num, data_wl)
         self.spec, self.layout = build
         self.steps = 0

@@ -18,6 +18,7 @@ from concurrent.futures import wait
 from dataclasses import replace
 from typing import TypeVar
 
+import numpy as np
 import numpy.typing as npt
 
 from pearl_marl.batch.config import BatchConfig
@@ -60,10 +61,10 @@ class Sharded(Device):
     ) -> None:
         self.checkpoint_every = count_or_none("checkpoint_every", checkpoint_every)
         self.parts = make_distinct("parts", parts, "each takes up one share of slots")
-        if sizes is not None and (len(sizes) != len(self.parts) or min(sizes) < 1):
+        if sizes is not None and not _are_sizes(sizes, len(self.parts)):
             raise ArgumentError(f"sizes is {sizes!r}; it must be {len(self.parts)} positive integers")
         self.name = " + ".join(part.name for part in self.parts)
-        self._sizes = sizes
+        self._sizes = None if sizes is None else [int(size) for size in sizes]
 
     @property
     def way_on(self) -> str:
@@ -96,7 +97,7 @@ class Sharded(Device):
                 f"{n} slots do not fall to {count} parts of {', '.join(map(str, sizes))} slots; sizes= "
                 "says how many each has"
             )
-        edges = [0, *itertools.accumulate(int(size) for size in sizes)]
+        edges = [0, *itertools.accumulate(sizes)]
         self._slots = [slice(a, b) for a, b in itertools.pairwise(edges)]
         self._results = ResultArrays(config)
         self._threads = Threads(count, "pearl-sharded")
@@ -185,3 +186,14 @@ class Sharded(Device):
             if self.config.spec.agents > 1:
                 results.alive[rows] = part.alive
         return results.seen
+
+
+def _are_sizes(sizes: object, count: int) -> bool:
+    """Return whether these are so many positive integers."""
+    if isinstance(sizes, np.ndarray):
+        sizes = sizes.tolist()
+    return (
+        isinstance(sizes, Sequence)
+        and len(sizes) == count
+        and all(isinstance(size, (int, np.integer)) and size >= 1 for size in sizes)
+    )

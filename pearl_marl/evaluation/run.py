@@ -24,7 +24,7 @@ from pearl_marl.errors import ArgumentError, OrderError
 from pearl_marl.evaluation.episodes import RunningEpisodes
 from pearl_marl.policies.loading import Policy
 from pearl_marl.rng import checked_seed
-from pearl_marl.spec import EnvSpec
+from pearl_marl.spec import EnvSpec, check_spec
 
 LIMIT = 1000
 """The time limit where neither the environment nor the caller has one: a policy that gets nowhere would
@@ -80,8 +80,7 @@ class Evaluation:
         seed: int = 0,
         max_cycles: int | None = None,
     ) -> None:
-        if not isinstance(spec, EnvSpec):
-            raise ArgumentError(f"spec is {spec!r}; it must be an EnvSpec, as pearl_marl.get_spec returns")
+        check_spec(spec)
         if not callable(policy):
             raise ArgumentError(f"policy is {policy!r}; it must be a function, as load_policy returns")
         most = memory_of_machine() // EPISODE_BYTES

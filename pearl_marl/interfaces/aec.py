@@ -43,6 +43,15 @@ class _CheckedAEC(parallel_to_aec_wrapper):  # type: ignore[misc]
 
     env: PearlParallelEnv
 
+    def observe(self, agent: str) -> Any:
+        try:
+            return super().observe(agent)
+        except KeyError:
+            self.env.slot_of(agent)  # says so where there is none of that name
+            raise OrderError(
+                f"observe({agent!r}): its episode has ended, and it has left until reset()"
+            ) from None
+
     def step(self, action: Any) -> None:
         self.check(action)
         super().step(action)
