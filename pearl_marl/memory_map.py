@@ -227,7 +227,7 @@ def memory_map(spec: EnvSpec, n_envs: int, pe_num: int, data_wl: int) -> MemoryM
     if not 1 <= pe_num <= n_envs:
         raise ArgumentError(f"pe_num is {pe_num}; possible are 1 to n_envs = {n_envs}")
     if data_wl not in DATA_WIDTHS:
-        raise ArgumentError(f"data_wl is {data_wl}; possible are {', '.join(map(str, DATA_WIDTHS))}")
+        raise ArgumentError(f"data_wl is {data_wl!r}; possible are {', '.join(map(str, DATA_WIDTHS))}")
     groups = -(-n_envs // pe_num)
     registers = {"control": len(Control), "doorbell": len(Doorbell), "status": len(Status)}
     streams = {"reset_mask": 1, **stream_bits(spec)}

@@ -14,7 +14,7 @@ from pearl_marl.hardware.synthesis import Usage, synthesised
 from pearl_marl.latency import HostTimes, Link, measure_host, predict
 from pearl_marl.latency.prediction import Overlap, Prediction
 from pearl_marl.memory_map import DATA_WIDTHS, MemoryMap, memory_map
-from pearl_marl.spec import EnvSpec
+from pearl_marl.spec import EnvSpec, check_spec
 
 MAX_PE_NUM = 256
 """The most processing elements that are looked at, in powers of two, which need the fewest shifters."""
@@ -83,6 +83,11 @@ def plan(
     ArgumentError
         A parameter is not possible, or no build fits the part.
     """
+    check_spec(spec)
+    if not isinstance(link, Link):
+        raise ArgumentError(f"link is {link!r}; it must be a Link, such as one of pearl_marl.latency.LINKS")
+    if part is not None and not isinstance(part, Part):
+        raise ArgumentError(f"part is {part!r}; it must be one of pearl_marl.hardware.fitting.PARTS, or None")
     memory_map(spec, n_envs, 1, DATA_WIDTHS[0])  # refuses what is no number of slots
     sizes = [1 << k for k in range(MAX_PE_NUM.bit_length()) if 1 << k <= n_envs]
     if pe_num is not None:

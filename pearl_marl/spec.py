@@ -255,8 +255,12 @@ class EnvSpec:
         self._check_names("state", self.state, ("elapsed", "ended"))
         self._check_names("observation", self.seen)
         self._check_action()
-        if not re.fullmatch(r"[A-Za-z][A-Za-z0-9]*", self.name):
+        if not isinstance(self.name, str) or not re.fullmatch(r"[A-Za-z][A-Za-z0-9]*", self.name):
             raise ArgumentError(f"name {self.name!r}: it takes letters and digits, a letter first")
+        for what in ("version", "reset_draws", "step_draws"):
+            value = getattr(self, what)
+            if isinstance(value, bool) or not isinstance(value, int) or value < 0:
+                raise ArgumentError(f"{self.name}: {what} is {value!r}; it must be an integer of at least 0")
         if self.rewards is not None and self.reward.bits > 16:
             raise ArgumentError(f"{self.name}: a category of {self.reward.bits} bits; a table takes up to 16")
         if self.rewards is not None and self.reward.signed:

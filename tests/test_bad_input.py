@@ -16,7 +16,10 @@ import pearl_marl
 from pearl_marl.devices import BatchConfig, Native, Ray, Rtl, Sharded
 from pearl_marl.devices.served import ServedBoard
 from pearl_marl.errors import ActionError, ArgumentError, OrderError, PearlError, SavedStateError
+from pearl_marl.latency import LINKS
 from pearl_marl.memory_map import memory_map
+from pearl_marl.plan import plan
+from pearl_marl.policies.loading import load_policy, table_policy
 from pearl_marl.spec import Field
 
 from .toy import DRIFT
@@ -567,6 +570,10 @@ def test_fields(bits: int) -> None:
             "a signed reward field is no category",
         ),
         ({"max_cycles": -2}, "max_cycles is -2"),
+        ({"name": 3}, "name 3: it takes letters"),
+        ({"version": "x"}, "Drift: version is 'x'; it must be an integer of at least 0"),
+        ({"reset_draws": -1}, "Drift: reset_draws is -1"),
+        ({"step_draws": 1.5}, "Drift: step_draws is 1.5"),
         ({"state": (Field("two words", 3),)}, "Drift: state field 'two words': a name takes letters, digits"),
         ({"state": (Field("0", 3),)}, "Drift: state field '0': .* and no digit first"),
         ({"state": (Field("Höhe", 3),)}, "Drift: state field 'Höhe': a name"),
@@ -598,6 +605,26 @@ def test_registering_twice_warns(toys: None) -> None:
 def test_memory_maps_of_too_many_elements() -> None:
     with pytest.raises(ArgumentError, match="pe_num is 3"):
         memory_map(DRIFT, 2, 3, 32)
+
+
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (lambda: memory_map(DRIFT, 4, 2, "32"), "data_wl is '32'"),
+        (lambda: load_policy("random", DRIFT, "x"), "seed is 'x'"),
+        (lambda: load_policy("random", DRIFT, 1.5), "seed is 1.5"),
+        (lambda: load_policy("random", "Drift"), "spec is 'Drift'; it must be an EnvSpec"),
+        (
+            lambda: table_policy([[1], [1, 2]], pearl_marl.get_spec("CliffWalking")),
+            "takes numbers of shape (48, 4)",
+        ),
+        (lambda: plan(DRIFT, 4, "gen2x8", 1e8), "link is 'gen2x8'; it must be a Link"),
+        (lambda: plan(DRIFT, 4, LINKS["gen2x8"], 1e8, "vc707"), "part is 'vc707'; it must be one of"),
+    ],
+)
+def test_plans_and_policies(call: Callable[[], Any], words: str) -> None:
+    with pytest.raises(ArgumentError, match=re.escape(words)):
+        call()
 
 
 @pytest.mark.parametrize("command", ["run", "eval", "bench", "verify"])

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import pearl_marl
-from pearl_marl.errors import PearlError
+from pearl_marl.errors import ArgumentError, OrderError, PearlError
 from pearl_marl.rendering import HeatMap
 
 INSTALL = r"pip install '\.\[render\]'"
@@ -50,6 +50,15 @@ def test_a_drawing_in_letters_needs_none(monkeypatch: pytest.MonkeyPatch) -> Non
     with closing(pearl_marl.parallel_env("CliffWalking", render_mode="ansi")) as env:
         env.reset(seed=0)
         assert "x" in env.render()
+
+
+def test_heat_maps_that_cannot_be_saved(tmp_path: Path) -> None:
+    heat_map = HeatMap(pearl_marl.get_spec("CliffWalking"))
+    with pytest.raises(OrderError, match=r"save\(\) before add\(\)"):
+        heat_map.save(tmp_path / "map.png")
+    with pytest.raises(ArgumentError, match="is a folder; name a file"):
+        heat_map.save(tmp_path)
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_heat_map_without_matplotlib(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

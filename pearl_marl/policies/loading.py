@@ -23,7 +23,7 @@ from pearl_marl.batch.actions import random_actions
 from pearl_marl.errors import ArgumentError
 from pearl_marl.files import load_arrays
 from pearl_marl.rng import checked_seed
-from pearl_marl.spec import EnvSpec
+from pearl_marl.spec import EnvSpec, check_spec
 
 Array = npt.NDArray[Any]
 Policy = Callable[..., Any]
@@ -55,6 +55,7 @@ def load_policy(name: str, spec: EnvSpec, seed: int = 0) -> Policy:
     ArgumentError
         There is no such policy, or it is not one for this environment.
     """
+    check_spec(spec)
     if not isinstance(name, str):
         raise ArgumentError(f"policy is {name!r}; it must be its name, such as {RANDOM!r} or a file's")
     if name == RANDOM:
@@ -95,6 +96,7 @@ def table_policy(table: npt.ArrayLike, spec: EnvSpec) -> Policy:
     ArgumentError
         The shape is another, or there is no number somewhere.
     """
+    check_spec(spec)
     space = spec.observation_space
     parts = space.spaces if isinstance(space, Tuple) else (space,)
     if not all(isinstance(part, Discrete) for part in (*parts, spec.action_space)):
@@ -102,7 +104,10 @@ def table_policy(table: npt.ArrayLike, spec: EnvSpec) -> Policy:
             f"a table is for discrete observations and actions; {spec.name} has {space} and "
             f"{spec.action_space}"
         )
-    values = np.asarray(table)
+    try:
+        values = np.asarray(table)
+    except ValueError:  # a ragged list
+        values = np.asarray(None)
     shape = tuple(int(part.n) for part in (*parts, spec.action_space))  # type: ignore[union-attr]
     if values.shape != shape or values.dtype.kind not in "iuf":
         raise ArgumentError(

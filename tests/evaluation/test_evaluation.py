@@ -227,6 +227,9 @@ def test_a_device_that_keeps_its_results_as_tensors() -> None:
 def test_refused_evaluations() -> None:
     with pytest.raises(ArgumentError, match="the number of episodes is 0"):
         Evaluation(CARDS, hit_below_17(), 5, episodes=0)
+    for episodes in (1.5, "3"):
+        with pytest.raises(ArgumentError, match=f"the number of episodes is {episodes!r}"):
+            Evaluation(CARDS, hit_below_17(), 5, episodes=episodes)  # type: ignore[arg-type]
     with pytest.raises(ArgumentError, match="the number of agents is 0"):
         Evaluation(CARDS, hit_below_17(), 0)
     with pytest.raises(ActionError, match="agent_0: action 7"):
