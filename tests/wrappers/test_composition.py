@@ -360,6 +360,11 @@ class TestArguments:
         with pytest.raises(ArgumentError, match=words):
             wrap(pearl_marl.parallel_env("Drift", N)).reset()
 
+    @pytest.mark.parametrize("scale", ["2", np.ones(2), 0, np.inf], ids=repr)
+    def test_scales(self, scale: Any) -> None:
+        with pytest.raises(ArgumentError, match=r"scale is .*; it must be a positive number"):
+            wrappers.scale_actions_v0(pearl_marl.parallel_env("Pendulum", 2), scale)
+
     def test_rewards_of_the_wrong_shape(self) -> None:
         env = wrappers.reward_lambda_v0(pearl_marl.parallel_env("Drift", N), lambda rewards: rewards[0])
         env.reset(seed=0)
