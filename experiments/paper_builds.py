@@ -59,7 +59,7 @@ class Verdict(NamedTuple):
 def verdict(build: Build) -> Verdict:
     """Return whether a build fits: by the file, or if that does not have it by memories and multipliers."""
     spec, layout = build
-    found = json.loads(FILE.read_text()).get(spec.name)
+    found = json.loads(FILE.read_text("utf-8")).get(spec.name)
     if found is not None and all(found[size] == getattr(layout, size) for size in SIZES):
         lacks, unless = _lacks(found), "fits"
         source = f"synthesised {found['date']} at {found['commit']}"
@@ -93,7 +93,7 @@ def _measured(usage: Usage) -> dict[str, Any]:
 
 def main() -> None:
     """Synthesise all builds, write each into the file once it is done, and print a table in Markdown."""
-    known = json.loads(FILE.read_text())
+    known = json.loads(FILE.read_text("utf-8"))
     for name in track(TABLE_2, "synthesise", console=Console(stderr=True)):
         known[name] = _measured(synthesise(build(name)))
         FILE.write_text(json.dumps(known, indent=2) + "\n")

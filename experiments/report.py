@@ -119,7 +119,7 @@ def _template() -> Any:
         import jinja2
     except ImportError:
         raise ArgumentError("a report needs Jinja2: pip install '.[report]'") from None
-    text = resources.files(__package__).joinpath("report.html").read_text()
+    text = resources.files(__package__).joinpath("report.html").read_text("utf-8")
     environment = jinja2.Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
     return environment.from_string(text)
 
@@ -127,7 +127,7 @@ def _template() -> Any:
 def _read(path: Path) -> dict[str, Any] | None:
     """Return a section's data, if they are there and whole."""
     try:
-        data: dict[str, Any] = json.loads(path.read_text())
+        data: dict[str, Any] = json.loads(path.read_text("utf-8"))
         data["rows"], data["quick"]
     except (OSError, ValueError, KeyError, TypeError):
         return None

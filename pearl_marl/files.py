@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import errno
 import os
 from pathlib import Path
 from typing import Any
@@ -14,10 +16,14 @@ from pearl_marl.errors import ArgumentError
 def replace_file(path: Path, content: bytes, keep: Path | None = None) -> None:
     """Write a file beside its place, and put it there once it is on the disk; or raise ArgumentError.
 
-    The file that was there goes to ``keep``, if that is given. For a moment there is only this one.
+    Its folder is made. The file that was there goes to ``keep``, if that is given. For a moment there is only
+    this one.
     """
     scratch = path.with_name(f"{path.name}.tmp")
     try:
+        if path.exists() and not path.is_file():  # a device would be replaced as a file is
+            raise OSError(errno.EEXIST, "there is something that is no file")
+        path.parent.mkdir(parents=True, exist_ok=True)
         with scratch.open("wb") as file:
             file.write(content)
             file.flush()
@@ -31,7 +37,19 @@ def replace_file(path: Path, content: bytes, keep: Path | None = None) -> None:
         finally:
             os.close(folder)
     except OSError as error:
-        raise ArgumentError(f"{path} cannot be written: {error.strerror}") from None
+        with contextlib.suppress(OSError):
+            scratch.unlink()
+        raise ArgumentError(
+            f"{path} cannot be written: {error.strerror}; make room for it, or choose another place"
+        ) from None
+
+
+def check_files(folder: Path, *names: str) -> None:
+    """Refuse a folder in which something that is no file has one of these names, before the work."""
+    for path in (folder / name for name in names):
+        if path.exists() and not path.is_file():
+            what = "a folder" if path.is_dir() else "no file of a disk"
+            raise ArgumentError(f"{path} is {what}, and a file is to be written there: choose another place")
 
 
 def load_arrays(path: Path, mmap_mode: Any = None) -> Any:

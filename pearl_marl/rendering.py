@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import io
 import math
 import os
 from collections.abc import Iterator, Sequence
@@ -16,6 +17,7 @@ from gymnasium.error import DependencyNotInstalled
 
 from pearl_marl.batch.step import BatchStep
 from pearl_marl.errors import ArgumentError, OrderError, PearlError
+from pearl_marl.files import replace_file
 from pearl_marl.spec import EnvSpec
 
 VIDEO_WORLDS, VIDEO_STEPS = 9, 200
@@ -113,10 +115,6 @@ class Video:
     def __init__(self, spec: EnvSpec, path: Path, labels: Sequence[str] = ()) -> None:
         if path.suffix.lower() != ".gif":
             raise ArgumentError(f"--video is {path}; it must be a file that ends in .gif")
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise ArgumentError(f"--video {path} cannot be written: {error.strerror}") from None
         os.environ.setdefault("SDL_VIDEODRIVER", "dummy")  # pygame asks for a screen that is never shown
         self._image, self._drawing = _import_pillow()
         self._labels = labels
@@ -141,7 +139,9 @@ class Video:
         """Write the film."""
         first, *others = self._frames
         arguments = {"duration": self._milliseconds, "loop": 0}
-        first.save(self._path, save_all=True, append_images=others, **arguments)
+        film = io.BytesIO()
+        first.save(film, "GIF", save_all=True, append_images=others, **arguments)
+        replace_file(self._path, film.getvalue())
 
     def close(self) -> None:
         """Close the renderer."""
@@ -197,8 +197,7 @@ class HeatMap:
         axes.set(xticks=range(columns), yticks=range(rows), xlabel="column", ylabel="row")
         axes.set_title(f"{self._spec.name}: visits of all agents ({self.counts.sum():,} steps)")
         figure.colorbar(image, label="visits (log scale)", shrink=0.9)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        figure.savefig(path, dpi=120)
+        save_figure(figure, path)
 
 
 def new_figure(width: float, height: float) -> Any:
@@ -210,6 +209,13 @@ def new_figure(width: float, height: float) -> Any:
     from matplotlib.figure import Figure
 
     return Figure(figsize=(width, height), layout="constrained")
+
+
+def save_figure(figure: Any, path: Path, dpi: int = 120) -> None:
+    """Write a figure of matplotlib as a picture, of the format that the file's name ends in."""
+    picture = io.BytesIO()
+    figure.savefig(picture, format=path.suffix[1:] or None, dpi=dpi)
+    replace_file(path, picture.getvalue())
 
 
 def _matplotlib() -> Any:

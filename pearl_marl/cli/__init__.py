@@ -6,7 +6,9 @@ May import everything; of the experiments, :mod:`~pearl_marl.cli.report` alone.
 from __future__ import annotations
 
 import errno
+import io
 import os
+import re
 import sys
 from importlib import import_module
 from typing import Annotated, Any, NoReturn
@@ -93,6 +95,7 @@ def main() -> None:
     A refused call prints its sentence and exits with status 2, an interrupted one with status 130, and one
     whose output cannot be written with status 1.
     """
+    _complete_streams()
     with interrupts.watched():
         try:
             if not _is_somewhere():
@@ -113,11 +116,23 @@ def main() -> None:
             if isinstance(error, OSError) and error.errno in _UNWRITABLE and error.filename is None:
                 os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # Python writes the rest when it ends
                 _leave(f"the output cannot be written: {error.strerror}", 1)
+            if isinstance(error, MemoryError):
+                _leave("there is not enough memory for that: take fewer agents, or a smaller file", 2)
             raise
 
 
 _UNWRITABLE = errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO
 """What a write fails with, to standard output or to a file that is open."""
+
+
+def _complete_streams() -> None:
+    """Have streams that take whatever is printed: a caller may have closed one, or have only ASCII."""
+    for name in ("stdout", "stderr"):
+        stream = getattr(sys, name)
+        if stream is None:
+            setattr(sys, name, open(os.devnull, "w"))  # noqa: SIM115 - until Python ends
+        elif isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")
 
 
 def _is_somewhere() -> bool:
@@ -129,5 +144,6 @@ def _is_somewhere() -> bool:
 
 
 def _leave(sentence: str, status: int) -> NoReturn:
+    sentence = re.sub(r"(\S{80})\S{160,}(\S{80})", r"\1...\2", sentence)  # a value may fill the screen
     error_console.print(f"[bold red]pearl:[/] {escape(sentence)}", soft_wrap=True)
     sys.exit(status)

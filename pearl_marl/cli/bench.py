@@ -105,6 +105,8 @@ def command(
         return
     spec = common.spec_of(env_id or "CliffWalking", option)
     n_agents = common.agents_of(spec, n_agents)
+    file = f"bench_{spec.name}_{n_agents}.json"
+    common.check_results(out, file)
     rows = contenders(spec, n_agents)
     small = [
         c
@@ -112,7 +114,7 @@ def command(
         if c.ours and c.name in ("kernel only", "step_batch, copy=False")
     ]
     result = _measured(spec, n_agents, rows, small, rounds, seconds)
-    if common.delivered(result, as_json, out, f"bench_{spec.name}_{n_agents}.json"):
+    if common.delivered(result, as_json, out, file):
         return
     console.print(_table(spec.id, rows))
     if result["steps_of"] is not None:
@@ -127,6 +129,7 @@ def command(
 
 
 def _growth(rounds: int, out: Path | None, as_json: bool) -> None:
+    common.check_results(out, "bench_growth.json")
     expected = len(SUBJECTS) * len(COUNTS)
     points = list(common.progress(growth(rounds), expected, "from 43,008 agents to 10 million"))
     result: dict[str, Any] = {
@@ -151,6 +154,8 @@ def _growth(rounds: int, out: Path | None, as_json: bool) -> None:
 
 def _every(n_agents: int | None, rounds: int, seconds: float, out: Path | None, as_json: bool) -> None:
     about = common.ABOUT if n_agents is None else n_agents
+    file = f"bench_all_{about}.json"
+    common.check_results(out, file)
     grid = common.table(
         f"Agent-steps per second, {about:,} agents",
         ["environment"],
@@ -165,7 +170,7 @@ def _every(n_agents: int | None, rounds: int, seconds: float, out: Path | None, 
         rows = [c for c in contenders(spec, count) if c.name in (*OURS, ENVPOOL, *OTHERS)]
         results.append(_measured(spec, count, rows, [], rounds, seconds))
         grid.add_row(spec.name, *_figures(rows))
-    if common.delivered(results, as_json, out, f"bench_all_{about}.json"):
+    if common.delivered(results, as_json, out, file):
         return
     console.print(grid)
     console.print(

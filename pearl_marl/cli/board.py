@@ -46,7 +46,7 @@ def command(
     """
     board, spec = boards.find(board_name), common.spec_of(env_id, option)
     build = boards.board_build(board, spec, n_envs, pe_num)
-    files = boards.write(board, build, common.out_folder(out))
+    files = boards.write(board, build, out)
     placed: Placed | None = None
     if board.flow:
         stages = boards.make_bitstream(board, board.flow, out)
@@ -59,17 +59,13 @@ def command(
         return
     title = f"{spec.id} for the {board.title} ({board.part}): {boards.size(build.layout)}"
     if placed is None:
-        _say(f"{title}. Wrote {len(files)} files into {out}. The bitstream is Vivado's to make:")
-        _say(f"cd {out} && vivado -mode batch -source build.tcl")
+        common.say(f"{title}. Wrote {len(files)} files into {out}. The bitstream is Vivado's to make:")
+        common.say(f"cd {out} && vivado -mode batch -source build.tcl")
     else:
         console.print(_table(title, board, placed))
-        _say(
+        common.say(
             f"Wrote {out / board.bitstream}; openFPGALoader -b {board.name} {out / board.bitstream} loads it."
         )
-
-
-def _say(text: str) -> None:
-    console.print(text, markup=False, soft_wrap=True)
 
 
 def _table(title: str, board: Board, placed: Placed) -> Table:

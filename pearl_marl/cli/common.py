@@ -7,14 +7,17 @@ import contextlib
 import json
 import os
 import re
+import tempfile
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 from rich.console import Console
+from rich.markup import escape
 
 from pearl_marl.errors import ArgumentError
+from pearl_marl.files import check_files, replace_file
 from pearl_marl.limits import MANY
 from pearl_marl.registry import get_spec, names
 
@@ -25,8 +28,11 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
-console = Console(highlight=False)
-error_console = Console(stderr=True, highlight=False)
+if os.environ.get("COLUMNS") == "0":  # of a terminal that does not know: Rich would print nothing
+    del os.environ["COLUMNS"]
+# Without emojis, which a path or a name such as a:b:c would become.
+console = Console(highlight=False, emoji=False)
+error_console = Console(stderr=True, highlight=False, emoji=False)
 
 ABOUT = 43008
 """How many agents a command has by default: the paper's number, or a little less to have whole worlds."""
@@ -67,22 +73,27 @@ Steps = Annotated[int, typer.Option("--steps", min=1, max=MANY, help="Number of 
 
 def check_folder(option: str, folder: Path) -> None:
     """Refuse a folder that cannot be written, before the work whose results go there; make nothing."""
+    folders = folder, *folder.absolute().parents
     try:
-        there = next(path for path in (folder, *folder.absolute().parents) if path.exists())
-        why = (
-            "Not a directory" if not there.is_dir() else "" if os.access(there, os.W_OK) else "no permission"
-        )
+        there = next(path for path in folders if path.exists() or path.is_symlink())
+        with tempfile.TemporaryFile(dir=there):  # what permissions say, they do not say to root
+            pass
     except OSError as error:
-        why = error.strerror or type(error).__name__
-    if why:
-        raise ArgumentError(f"{option} {folder} is no folder that can be written: {why}")
+        raise ArgumentError(
+            f"{option} {folder} is no folder that can be written: {error.strerror}; choose another"
+        ) from None
 
 
 def check_file(option: str, path: Path) -> None:
     """Refuse a file that cannot be written, before the work; make nothing."""
     check_folder(option, path.parent)
-    if path.is_dir():
-        raise ArgumentError(f"{option} {path} is a folder; it must be a file's name")
+    check_files(path.parent, path.name)
+
+
+def check_results(out: Path | None, *names: str) -> None:
+    """Refuse an ``--out`` folder where a result of one of these names cannot be written, before the work."""
+    if out is not None:
+        check_files(out, *names)
 
 
 def writable(parameter: typer.CallbackParam, folder: Path | None) -> Path | None:
@@ -117,7 +128,7 @@ def env_options(pairs: Iterable[str] | None, option: str = "--option") -> dict[s
 
 def _literal(text: str) -> Any:
     for read in (json.loads, ast.literal_eval):
-        with contextlib.suppress(ValueError, SyntaxError):
+        with contextlib.suppress(ValueError, SyntaxError, RecursionError, MemoryError):
             return read(text)
     return text
 
@@ -140,7 +151,9 @@ def simulated(device: str) -> bool:
 
 def on_device(what: str, device: str) -> str:
     """Return the title of figures of something on a device; of simulated hardware it says so."""
-    return f"{what} on {device}" + (", simulated: times are the simulator's" if simulated(device) else "")
+    return f"{what} on {escape(device)}" + (
+        ", simulated: times are the simulator's" if simulated(device) else ""
+    )
 
 
 def counted(n: int, what: str) -> str:
@@ -153,20 +166,12 @@ def in_file_name(device: str) -> str:
     return re.sub(r"[^\w.-]+", "_", device)
 
 
-def out_folder(folder: Path) -> Path:
-    """Make the ``--out`` folder."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ArgumentError(f"--out {folder} is no folder that can be written: {error.strerror}") from None
-    return folder
-
-
 def progress(items: Iterable[T], total: int, label: str) -> Iterator[T]:
     """Iterate with a progress bar on standard error, so that standard output stays for results."""
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    text = TextColumn("{task.description}", markup=False)
+    columns = (text, BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=error_console, transient=True) as bar:
         yield from bar.track(items, total=total, description=label, update_period=0.2)
 
@@ -183,6 +188,11 @@ def table(title: str, text: Iterable[str], figures: Iterable[str], **arguments: 
     return made
 
 
+def say(text: str) -> None:
+    """Print a sentence with names and paths in it, which are not broken where lines end."""
+    console.print(text, markup=False, soft_wrap=True)
+
+
 def print_json(value: Any) -> None:
     """Print a result for machines."""
     typer.echo(json.dumps(value, indent=2))
@@ -190,8 +200,8 @@ def print_json(value: Any) -> None:
 
 def write_json(folder: Path, name: str, value: Any) -> Path:
     """Write a result into the ``--out`` folder; return its path."""
-    path = out_folder(folder) / name
-    path.write_text(json.dumps(value, indent=2) + "\n")
+    path = folder / name
+    replace_file(path, f"{json.dumps(value, indent=2)}\n".encode())
     return path
 
 

@@ -12,6 +12,7 @@ from pearl_marl.cli.common import console, error_console
 from pearl_marl.compiler.cores import Core, generated_core
 from pearl_marl.compiler.targets import FAMILIES, Target
 from pearl_marl.errors import ArgumentError
+from pearl_marl.files import replace_file
 
 Clock = Annotated[
     float, typer.Option("--clock", metavar="MHZ", help="The clock rate that the pipeline is built for.")
@@ -44,7 +45,7 @@ def command(
     """
     if graph is not None and graph.suffix.lower() != ".svg":
         raise ArgumentError(f"--graph is {graph}; it must be a file that ends in .svg")
-    if graph is not None and out is not None and graph.absolute() == out.absolute():
+    if graph is not None and out is not None and graph.resolve() == out.resolve():
         raise ArgumentError(f"--out and --graph are both {out}: give one of them another name")
     for name, path in (("--out", out), ("--graph", graph)):
         if path is not None:
@@ -52,9 +53,9 @@ def command(
     spec = common.spec_of(env_id, option)
     core = generated_core(spec, Target(family, clock))
     if out is not None:
-        _write(out, core.text)
+        replace_file(out, core.text.encode())
     if graph is not None:
-        _write(graph, core.picture())
+        replace_file(graph, core.picture().encode())
     figures = {
         "environment": spec.id,
         "family": family,
@@ -74,14 +75,6 @@ def command(
     for path in (out, graph):
         if path is not None:
             error_console.print(f"Wrote {path}.", soft_wrap=True, markup=False)
-
-
-def _write(path: Path, text: str) -> None:
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(text)
-    except OSError as error:
-        raise ArgumentError(f"{path} cannot be written: {error.strerror}") from None
 
 
 def _sentence(core: Core) -> str:

@@ -108,6 +108,12 @@ def command(
         given |= {"device": device, "openings": openings}
         _tournament(spec, [policy, *rivals], n_agents, given, out, as_json)
         return
+    divergence = f"divergence_{spec.name}_{common.in_file_name(device)}.json"
+    common.check_results(out, "evaluation.json", "evaluation.html", *([divergence] if lockstep else []))
+    if lockstep and device == REFERENCE:
+        raise ArgumentError(
+            f"--lockstep compares with {REFERENCE!r}, which always agrees with itself: name another --device"
+        )
     stepped = Lockstep(device, REFERENCE) if lockstep else device
     chooses = load_policy(policy, spec, seed)
     evaluation: Evaluation
@@ -124,7 +130,7 @@ def command(
     except LockstepError as error:
         error_console.print(f"[bold red]Not bit-exact.[/] {escape(str(error))}", soft_wrap=True)
         if out is not None:
-            path = common.out_folder(out) / f"divergence_{spec.name}_{common.in_file_name(device)}.json"
+            path = out / divergence
             error.replay.write(path)
             error_console.print(
                 f"Wrote {path}: pearl verify {path} replays it.", markup=False, soft_wrap=True
@@ -145,6 +151,8 @@ def command(
         try:
             write_report(evaluation, result, out / "evaluation.html")
             written.append(out / "evaluation.html")
+        except ArgumentError:
+            raise
         except PearlError as error:  # the evaluation is done, and its figures are written
             error_console.print(f"No evaluation.html: {error}", markup=False)
     if as_json:
@@ -154,11 +162,11 @@ def command(
     console.print(_latency(result))
     if lockstep:
         console.print(
-            f"{device} is bit-exact with {REFERENCE}: {result['words_compared']:,} words compared.",
+            f"{escape(device)} is bit-exact with {REFERENCE}: {result['words_compared']:,} words compared.",
             style="bold green",
         )
     for path in written:
-        console.print(f"Wrote {path}")
+        common.say(f"Wrote {path}")
 
 
 def _tournament(
@@ -173,6 +181,7 @@ def _tournament(
     for name in names:
         if names.count(name) > 1:
             raise ArgumentError(f"{name!r} is given as --policy or --against twice; a table has it once")
+    common.check_results(out, "matches.json")
     policies = {name: load_policy(name, spec, given["seed"] + k) for k, name in enumerate(names)}
     pairs = len(policies) * (len(policies) - 1) // 2
     label = f"{spec.name} on {given['device']}, {n_agents:,} agents: pairs"
@@ -205,7 +214,7 @@ def _tournament(
 def _outcome(result: dict[str, Any]) -> Table:
     grid = Table(title=common.on_device(result["environment"], result["device"]), show_header=False)
     grid.add_column("what", style="bold")
-    grid.add_column("figure")
+    grid.add_column("figure", overflow="fold")  # a digest that is cut cannot be compared
     grid.add_row("policy", escape(result["policy"]))
     if "match" in result:
         match = result["match"]

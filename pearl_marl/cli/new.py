@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 import keyword
 import re
+import shutil
 from importlib import resources
 from importlib.resources.abc import Traversable
 from pathlib import Path
@@ -14,7 +15,7 @@ import typer
 from rich.markup import escape
 
 from pearl_marl.cli import common
-from pearl_marl.cli.common import console, out_folder
+from pearl_marl.cli.common import console, say
 from pearl_marl.errors import ArgumentError
 from pearl_marl.hardware import elaboration
 from pearl_marl.registry import names
@@ -47,7 +48,6 @@ def command(name: NewName, agents: SharedBy = 1, out: Where = Path(), as_json: c
     folder = _checked(name, out)
     if not 1 <= agents <= MAX_AGENTS:
         raise ArgumentError(f"--agents is {agents}; a world has 1 to {MAX_AGENTS}")
-    out_folder(out)
     words = {
         TEMPLATE: name,
         snake_case(TEMPLATE): snake_case(name),
@@ -55,18 +55,24 @@ def command(name: NewName, agents: SharedBy = 1, out: Where = Path(), as_json: c
         WORLD: WORLD.replace("2", str(agents)),
     }
     templates = resources.files("pearl_marl") / "templates"
-    copied = set(_copy(templates / "environment", folder, words))
-    if agents > 1:
-        copied |= set(_copy(templates / "world", folder, words))  # over the other
+    try:
+        copied = set(_copy(templates / "environment", folder, words))
+        if agents > 1:
+            copied |= set(_copy(templates / "world", folder, words))  # over the other
+    except OSError as error:
+        shutil.rmtree(folder, ignore_errors=True)  # half a package would be in the way of the next try
+        raise ArgumentError(
+            f"{folder} cannot be written: {error.strerror}; make room for it, or choose another --out"
+        ) from None
     written = sorted(copied)
     if as_json:
         common.print_json(
             {"folder": str(folder), "files": [str(path.relative_to(folder)) for path in written]}
         )
         return
-    console.print(f"Wrote {folder}:", soft_wrap=True, markup=False)
+    say(f"Wrote {folder}:")
     for path in written:
-        console.print(f"  {path.relative_to(folder)}", soft_wrap=True, markup=False)
+        say(f"  {path.relative_to(folder)}")
     console.print(
         f"It works as it is: [bold]cd {escape(str(folder))}[/], [bold]pip install -e '.\\[test]'[/], "
         f"[bold]pytest[/], [bold]pearl verify {snake_case(name)}:{name} --device rtl[/].",
@@ -89,11 +95,11 @@ def _checked(name: str, out: Path) -> Path:
         raise ArgumentError(
             f"name {name!r}: the folder {TESTS!r} holds the package's tests; choose another name"
         )
-    taken = next((other for other in names() if snake_case(other) == snake), None)
+    taken = next((other for other in names() if other.lower() == name.lower()), None)  # as get_spec() has it
     if taken is not None:
         raise ArgumentError(f"there is an environment {taken!r} already; choose another name")
     folder = out / snake
-    if folder.exists():
+    if folder.exists() or folder.is_symlink():
         raise ArgumentError(f"{folder} exists already; choose another name, or another folder with --out")
     found = importlib.util.find_spec(snake)
     if keyword.iskeyword(snake) or (found is not None and found.origin is not None):  # None is a mere folder
@@ -109,11 +115,11 @@ def _checked(name: str, out: Path) -> Path:
 def _copy(source: Traversable, target: Path, words: dict[str, str]) -> list[Path]:
     """Copy a folder, with ``words`` replaced in the names and contents of its files; return the files."""
     written = []
-    target.mkdir(exist_ok=True)
+    target.mkdir(parents=True, exist_ok=True)
     for item in source.iterdir():
         path = target / _replaced(item.name, words)
         if item.is_file():
-            path.write_text(_replaced(item.read_text(), words))
+            path.write_text(_replaced(item.read_text("utf-8"), words), "utf-8")
             written.append(path)
         elif not item.name.startswith((".", "_")):  # caches of pip and of linters
             written += _copy(item, path, words)

@@ -69,6 +69,8 @@ def command(
     if part not in (*PARTS, ANY):
         raise ArgumentError(f"there is no part {part!r}; possible are {', '.join(PARTS)}, {ANY}")
     taken = _link(link)
+    file = f"plan_{spec.name}_{n_envs}.json"
+    common.check_results(out, file)
     found = plan(spec, n_envs, taken, clock * 1e6, PARTS.get(part), pe_num, data_wl)
     layout, usage = found.chosen.layout, found.usage
     sizes = f"--n-envs {layout.n_envs} --pe-num {layout.pe_num} --data-wl {layout.data_wl}"
@@ -98,7 +100,7 @@ def command(
         "synthesise": " ".join([f"pearl synth {env_id} {sizes}", *options]),
         "machine": machine(),
     }
-    if common.delivered(result, as_json, out, f"plan_{spec.name}_{n_envs}.json"):
+    if common.delivered(result, as_json, out, file):
         return
     console.print(_candidates(result, found))
     console.print(_stages(result, found))

@@ -10,6 +10,7 @@ from typing import Annotated
 import typer
 from rich.markup import escape
 
+from pearl_marl.cli import common
 from pearl_marl.cli.common import AsJson, console, error_console, print_json, progress, table, writable
 
 Quick = Annotated[
@@ -64,6 +65,6 @@ def command(
         counts = Counter(row["kind"] for row in data["rows"])
         grid.add_row(name, f"{counts.total()}", *(f"{counts[kind] or ''}" for kind in kinds))
     console.print(grid)
-    console.print(f"Wrote {out / 'index.html'}", soft_wrap=True)
+    common.say(f"Wrote {out / 'index.html'}")
     if any(each.problem for each in made):
         sys.exit(1)

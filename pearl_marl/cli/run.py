@@ -65,6 +65,9 @@ def command(
     """Step every agent with random (or given) actions: throughput and episode statistics."""
     spec = common.spec_of(env_id, option)
     n_agents = common.agents_of(spec, n_agents)
+    common.check_results(out, "run.json", *(["heat_map.png"] if spec.grid else []))
+    if video is not None:
+        common.check_file("--video", video)
     given = None if actions is None else _given(actions, spec, n_agents, steps)
     heat_map = HeatMap(spec) if spec.grid else None
 
@@ -114,6 +117,8 @@ def command(
             try:
                 heat_map.save(out / "heat_map.png")
                 written.append(out / "heat_map.png")
+            except ArgumentError:
+                raise
             except PearlError as error:  # the run is done, and its figures are written
                 error_console.print(f"No heat_map.png: {error}", markup=False)
     if as_json:
@@ -124,7 +129,7 @@ def command(
         console.print("Visits of all agents (darker is more, logarithmic):")
         console.print(heat_map.text())
     for path in written:
-        console.print(f"Wrote {path}")
+        common.say(f"Wrote {path}")
 
 
 def _random(env: PearlParallelEnv, steps: int, seed: int) -> Iterator[npt.NDArray[Any]]:

@@ -99,6 +99,8 @@ def command(
     sizes = _numbers(n_envs)
     # One design grows: what is chosen for the fewest slots holds for all.
     chosen = default_map(spec, sizes[0], pe_num, data_wl)
+    name = f"synth_{spec.name}_{part}_{chosen.pe_num}_{chosen.data_wl}.json"
+    common.check_results(out, name)
     builds = [Build.of(spec, n, chosen.pe_num, chosen.data_wl) for n in sizes]
     _check_fit(fit, part, confirmed)
     work = [(build, part, False) for build in builds]
@@ -124,7 +126,6 @@ def command(
         "fmax_device": PLACEMENTS[other].device if rates else None,
         "fit": None if found is None else found.as_json(),
     }
-    name = f"synth_{spec.name}_{part}_{chosen.pe_num}_{chosen.data_wl}.json"
     if not common.delivered(result, as_json, out, name):
         _show(spec.id, part, points, other, rates, found)
     _exit_if_misplaced([(spec, usage) for usage in points])
@@ -155,11 +156,13 @@ def _exit_if_misplaced(usages: list[tuple[EnvSpec, Usage]]) -> None:
 def _every(
     n_envs: int, pe_num: int | None, data_wl: int | None, part: Family, out: Path | None, as_json: bool
 ) -> None:
+    file = f"synth_all_{part}_{n_envs}.json"
+    common.check_results(out, file)
     builds = [Build.of(get_spec(name), n_envs, pe_num, data_wl) for name in names()]
     work = common.progress(builds, len(builds), f"{n_envs:,} slots")
     usages = [(build.spec, synthesise(build, part)) for build in work]
     result = [{"environment": spec.id, "family": str(part), **usage.as_json()} for spec, usage in usages]
-    if not common.delivered(result, as_json, out, f"synth_all_{part}_{n_envs}.json"):
+    if not common.delivered(result, as_json, out, file):
         console.print(_table_of_all(f"{n_envs:,} slots, {part}", usages))
     _exit_if_misplaced(usages)
 

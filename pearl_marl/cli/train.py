@@ -108,7 +108,7 @@ def command(
     settings = training.settings_for(algo, env_id, given, shards, spec.agents)
 
     columns = (
-        TextColumn(f"{env_id}, {algo}"),
+        TextColumn(f"{env_id}, {algo}", markup=False),
         BarColumn(),
         MofNCompleteColumn(),
         TimeRemainingColumn(),

@@ -33,6 +33,7 @@ def show(env_id: str | None, quick: bool, out: Path | None, as_json: bool) -> No
         raise ArgumentError(f"no training of {name} is compared; possible are {possible}")
     work = turns.entries(chosen, turns.SEEDS[:1] if quick else turns.SEEDS)
     file = f"trainings_{name or 'all'}.json"
+    common.check_results(out, file)
     goals = {task.name: task.goal for task in chosen}
     rows: list[dict[str, Any]] = []
     threads = os.environ.get("OMP_NUM_THREADS", "as each chooses")

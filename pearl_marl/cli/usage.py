@@ -28,27 +28,32 @@ def sentence(error: Any, commands: Iterable[str], arguments: Iterable[str]) -> s
     if kind == "NoSuchOption":
         near = difflib.get_close_matches(error.option_name, error.possibilities or (), 1)
         hint = f"did you mean {near[0]}?" if near else f"{help_} lists those that there are"
+        if named and not of_command:
+            hint = f"options stand after the command, and pearl {named} --help lists its own"
         return f"{command} has no option {error.option_name}; {hint}"
     if kind == "BadOptionUsage":
         return f"{error.format_message().rstrip('.')}: see {help_}"
     message = error.format_message()
     if message.startswith("No such command"):
-        name = message.split("'")[1]
+        name = next(word for word in words if not word.startswith("-"))
         near = difflib.get_close_matches(name, list(commands), 1)
         hint = f"did you mean {near[0]!r}?" if near else f"there are {', '.join(commands)}"
         return f"there is no command {name!r}; {hint}"
     if message.startswith("Got unexpected extra argument"):
         extra = message.split("(", 2)[2].rstrip(")")
         return f"{command} does not take {extra!r}, in: pearl {shlex.join(words)}; see {help_}"
+    if message.startswith("Missing command"):
+        return f"name a command: there are {', '.join(commands)}"
     return str(message)
 
 
 def refuse_empty(arguments: Iterable[str]) -> None:
-    """Refuse an option whose value is empty: as a path, that would be the current folder."""
+    """Refuse an argument that is empty, also as an option's value: a path would be the current folder."""
     before = ""
     for word in arguments:
-        if word == "" and before.startswith("--"):
-            raise ArgumentError(f"{before} is empty; give it a value, or leave it out")
+        if word == "":
+            what = before if before.startswith("--") else "an argument"
+            raise ArgumentError(f"{what} is empty; give it a value, or leave it out")
         if re.fullmatch(r"--[\w-]+=", word):
             raise ArgumentError(f"{word[:-1]} is empty; give it a value, or leave it out")
         before = word

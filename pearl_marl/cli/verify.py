@@ -113,6 +113,8 @@ def command(
         raise ArgumentError(
             f"--device and --reference are both {device!r}, which always agrees with itself: name another one"
         )
+    divergence = f"divergence_{spec.name}_{common.in_file_name(device)}.json"
+    common.check_results(out, divergence)
     parted: LockstepError | None = None
     path = None
     try:
@@ -123,7 +125,7 @@ def command(
     except LockstepError as caught:
         parted = caught
         if out is not None:
-            path = common.out_folder(out) / f"divergence_{spec.name}_{common.in_file_name(device)}.json"
+            path = out / divergence
             _smallest(parted.replay, device, reference).write(path)
     result: dict[str, Any] = {
         "environment": spec.id,
@@ -143,10 +145,10 @@ def command(
     if as_json:
         common.print_json(result)
     else:
-        console.print(_table(f"{spec.id} on {device}, compared with {reference}", result["modes"]))
+        console.print(_table(escape(f"{spec.id} on {device}, compared with {reference}"), result["modes"]))
         _say(parted, _verdict(result))
         if path is not None:
-            console.print(f"Wrote {path}: pearl verify {path} replays it.", markup=False, soft_wrap=True)
+            common.say(f"Wrote {path}: pearl verify {path} replays it.")
     if parted is not None:
         sys.exit(1)
     if not result["episodes"]:
@@ -185,7 +187,7 @@ def _replay(recorded_call: Replay, device: str | None, reference: str | None, as
         n = recorded_call.config.n_agents
         agents = f"{n:,} agent{'s' * (n != 1)}"
         text = f"Recorded, replayed here with {agents}:\n{recorded}\n"
-        console.print(text, markup=False, soft_wrap=True)
+        common.say(text)
         _say(error, f"The divergence is gone: {device} agrees with {reference} in every word of this call.")
     if error is not None:
         sys.exit(1)

@@ -21,6 +21,7 @@ from pearl_marl.batch.config import BatchConfig, worlds_of
 from pearl_marl.batch.saved_state import SavedState
 from pearl_marl.comparison.divergence import Divergence
 from pearl_marl.errors import ArgumentError, PearlError
+from pearl_marl.files import replace_file
 from pearl_marl.registry import get_spec, names
 
 _FORMAT = "pearl verify replay"
@@ -65,8 +66,7 @@ class Replay:
             "seed": self.seed,
             "mask": None if self.mask is None else _packed(self.mask.tobytes()),
         }
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(json.dumps(value, indent=2) + "\n")
+        replace_file(path, f"{json.dumps(value, indent=2)}\n".encode())
 
     @classmethod
     def read(cls, path: Path) -> Replay:

@@ -88,7 +88,9 @@ class SerialTransport(Transport):
             raise DeviceError(f"the serial port {port} is in use by another process") from None
         except (OSError, termios.error) as error:
             self.close()
-            raise DeviceError(f"{port} cannot be used as a serial port at 3 Mbaud: {error}") from None
+            raise DeviceError(
+                f"{port} cannot be used as a serial port at 3 Mbaud: {error.args[-1]}; name a board's port"
+            ) from None
 
     def write(self, offset: int, data: Stream) -> None:
         """See :class:`Transport`."""

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from pearl_marl.evaluation.run import Evaluation
+from pearl_marl.files import replace_file
 from pearl_marl.rendering import new_figure
 
 _PAGE = Template("""<!DOCTYPE html>
@@ -97,7 +98,7 @@ def write_report(evaluation: Evaluation, result: dict[str, Any], path: Path) -> 
         latency=_table(("stage", "time", "median, us", "90 %", "99 %", "max"), latency),
         stages=_stages(result),
     )
-    path.write_text(page)
+    replace_file(path, page.encode("utf-8", "xmlcharrefreplace"))  # a name may have what is no letter
 
 
 def _number(value: float | None) -> str:

@@ -7,7 +7,6 @@ vendor's tool.
 from __future__ import annotations
 
 import json
-import shutil
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from importlib import resources
@@ -16,6 +15,7 @@ from typing import Any
 
 from pearl_marl.compiler.targets import Target
 from pearl_marl.errors import ArgumentError, DeviceError
+from pearl_marl.files import check_files, replace_file
 from pearl_marl.hardware import elaboration, toolchain
 from pearl_marl.hardware.build import Build
 from pearl_marl.hardware.fitting import PARTS, modelled_bram36, most
@@ -205,22 +205,25 @@ def facts(board: Board, build: Build) -> dict[str, Any]:
 def write(board: Board, build: Build, folder: Path) -> list[str]:
     """Write all that a tool needs for a bitstream into ``folder``; return the names of the files."""
     paths = sources(board, build.spec)
-    (folder / "rtl").mkdir(exist_ok=True)
-    for path in paths:
-        shutil.copyfile(path, folder / "rtl" / path.name)
     listed = [SIZES, *(f"rtl/{path.name}" for path in paths)]
     texts = {
         SIZES: _sizes(build),
         SOURCES: "\n".join(listed) + "\n",
         FACTS: json.dumps(facts(board, build), indent=2) + "\n",
-        **{path.name: path.read_text() for path in sorted(_folder(board).iterdir()) if path.suffix != ".sv"},
+        **{
+            path.name: path.read_text("utf-8")
+            for path in sorted(_folder(board).iterdir())
+            if path.suffix != ".sv"
+        },
     }
     if board.flow:
         synthesis = board.flow.synthesis.format(top=board.top)
         texts["synthesis.ys"] = f"{read_design(board, listed)}\n{synthesis}\n"
+    texts |= {f"rtl/{path.name}": path.read_text("utf-8") for path in paths}
+    check_files(folder, *texts)
     for name, text in texts.items():
-        (folder / name).write_text(text)
-    return [*texts, *listed[1:]]
+        replace_file(folder / name, text.encode())
+    return [*texts]
 
 
 def _sizes(build: Build) -> str:
@@ -297,7 +300,7 @@ def make_bitstream(board: Board, flow: Flow, folder: Path) -> Iterator[str]:
 def _check_timing(board: Board, folder: Path) -> None:
     """Refuse a placement that misses the board's clock, or was not placed for it."""
     log = folder / "nextpnr.log"
-    clocks = json.loads((folder / "report.json").read_text())["fmax"].values()
+    clocks = json.loads((folder / "report.json").read_text("utf-8"))["fmax"].values()
     # A PLL says what it makes of a clock.
     if not clocks or any(abs(clock["constraint"] - board.clock_mhz) > 0.1 for clock in clocks):
         raise DeviceError(f"nextpnr did not place this design for {board.clock_mhz:g} MHz: see {log}")
@@ -312,7 +315,7 @@ def _check_timing(board: Board, folder: Path) -> None:
 
 def placed(flow: Flow, folder: Path) -> Placed:
     """Read the report that nextpnr has left in a folder."""
-    report = json.loads((folder / "report.json").read_text())
+    report = json.loads((folder / "report.json").read_text("utf-8"))
     counts = report["utilization"]
     return Placed(
         min(clock["achieved"] for clock in report["fmax"].values()),

@@ -104,7 +104,7 @@ def core_wrapper(spec: EnvSpec) -> str:
     core, bits = snake_case(spec.name), stream_bits(spec)
     assigned = ", ".join(f".{name}({literal})" for name, literal in core_parameters(spec).items())
     template = resources.files("pearl_marl.rtl") / f"{WRAPPER}.in"
-    return template.read_text().format(
+    return template.read_text("utf-8").format(
         id=spec.id,
         core=core,
         parameters=f" #({assigned})" if assigned else "",
@@ -169,7 +169,7 @@ def core_timing(spec: EnvSpec, target: Target = TARGET) -> Timing:
 
 
 def _timing(core: Path) -> Timing:
-    package = core.read_text().partition("endpackage")[0]
+    package = core.read_text("utf-8").partition("endpackage")[0]
     stated = dict(re.findall(r"localparam\s+int\s+unsigned\s+(\w+)\s*=\s*(\d+)\s*;", package))
     for name in ("LATENCY", "II"):
         if name not in stated:

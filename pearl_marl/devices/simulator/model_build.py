@@ -77,8 +77,8 @@ def library(build: Build, traced: bool = False, pipelined: bool = True) -> Path:
         *(f"-G{name}={value}" for name, value in parameters.items()),
     ]
     sources = elaboration.sources(spec)
-    code = _columns(layout) + _CODE.read_text()
-    texts = [code, *(path.read_text() for path in (*sources, Path(pyverilator_mends.__file__)))]
+    code = _columns(layout) + _CODE.read_text("utf-8")
+    texts = [code, *(path.read_text("utf-8") for path in (*sources, Path(pyverilator_mends.__file__)))]
     digest = _digest(_tools(), arguments, make, traced, texts)
     folder = cache_folder("rtl")
     title = f"{spec.name}-{layout.n_envs}-{layout.pe_num}-{layout.data_wl}{'' if pipelined else '-serial'}"
@@ -166,7 +166,7 @@ def _keep(work: Path, common: Path) -> None:
 def _whole(entry: Path) -> bool:
     try:
         checksum = hashlib.sha256((entry / "model.so").read_bytes()).hexdigest()
-        return (entry / "checksum").read_text() == checksum
+        return (entry / "checksum").read_text("utf-8") == checksum
     except OSError:
         return False
 

@@ -124,7 +124,7 @@ def generate(folder: Path, arguments: Sequence[str], code: str, traced: bool) ->
         inputs, outputs = (
             [(name.lstrip("&"), width) for name, width in ports] for ports in (inputs, outputs)
         )
-        root = (folder / f"V{top}___024root.h").read_text()
+        root = (folder / f"V{top}___024root.h").read_text("utf-8")
         internals = [(name, int(high) + 1) for high, name in _SIGNAL.findall(root)]
         text: str = template(top, inputs, outputs, internals, json)
         text = text.replace(f"top->{top}__DOT__", f"top->rootp->{top}__DOT__")
