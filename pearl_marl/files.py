@@ -5,6 +5,8 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
+import zipfile
+import zlib
 from pathlib import Path
 from typing import Any
 
@@ -52,14 +54,30 @@ def check_files(folder: Path, *names: str) -> None:
             raise ArgumentError(f"{path} is {what}, and a file is to be written there: choose another place")
 
 
-def load_arrays(path: Path, mmap_mode: Any = None) -> Any:
-    """Return what NumPy loads from a .npy or .npz file; ValueError says what else it is."""
+def check_readable(path: Path) -> None:
+    """Raise ValueError for what is no file: whoever opens a FIFO may wait for ever."""
+    if not path.is_file():
+        raise ValueError("it is a folder, or no file of a disk" if path.exists() else "there is no such file")
+
+
+def load_array(path: Path, name: str = "", mmap_mode: Any = None) -> Any:
+    """Return the array of a .npy file, or the one of that name in a .npz file; or raise ValueError."""
+    check_readable(path)
     with path.open("rb") as file:
         first = file.read(6)
     # Of anything else NumPy says that it is pickled, and how to load it all the same.
-    if not first.startswith((b"\x93NUMPY", b"PK")):
+    if not first.startswith((b"\x93NUMPY", b"PK\x03\x04", b"PK\x05\x06")):
         raise ValueError("it does not begin as one that NumPy writes" if first else "it is empty")
     try:
-        return np.load(path, mmap_mode)
-    except ValueError as error:
+        found = np.load(path, mmap_mode)
+        if isinstance(found, np.ndarray):
+            return found
+        with found:
+            if name in found.files:
+                return found[name]
+            listed = ", ".join(found.files) or "none"
+    except (OverflowError, MemoryError):  # of the sizes in a header
+        raise ValueError("it is damaged, or larger than memory") from None
+    except (ValueError, EOFError, zipfile.BadZipFile, zlib.error, NotImplementedError) as error:
         raise ValueError("it holds Python objects" if "ickle" in str(error) else str(error)) from None
+    raise ValueError(f"it has no array {name!r}; its arrays are {listed}" if name else "it is a .npz file")

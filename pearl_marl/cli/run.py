@@ -21,7 +21,7 @@ from pearl_marl.cli import common
 from pearl_marl.cli.common import console, error_console
 from pearl_marl.errors import ArgumentError, PearlError
 from pearl_marl.evaluation.episodes import EpisodeStatistics
-from pearl_marl.files import load_arrays
+from pearl_marl.files import load_array
 from pearl_marl.interfaces.parallel import PearlParallelEnv, parallel_env
 from pearl_marl.rendering import VIDEO_STEPS, VIDEO_WORLDS, HeatMap, Video
 from pearl_marl.spec import MAX_CYCLES, EnvSpec
@@ -142,11 +142,9 @@ def _random(env: PearlParallelEnv, steps: int, seed: int) -> Iterator[npt.NDArra
 
 def _given(path: Path, spec: EnvSpec, n: int, steps: int) -> Iterator[npt.NDArray[Any]]:
     try:
-        batches = load_arrays(path, mmap_mode="r")
-    except (OSError, ValueError, EOFError) as error:
+        batches = load_array(path, mmap_mode="r")
+    except (OSError, ValueError) as error:
         raise ArgumentError(f"--actions {path} is no readable .npy file: {error}") from None
-    if not isinstance(batches, np.ndarray):
-        raise ArgumentError(f"--actions {path} holds several arrays; it must be a .npy file of one")
     needed = (steps, n, *(spec.action_space.shape or ()))
     if batches.ndim != len(needed) or batches.shape[1:] != needed[1:] or len(batches) < steps:
         raise ArgumentError(

@@ -11,6 +11,7 @@ import typer
 from rich.markup import escape
 
 from pearl_marl.batch.config import worlds_of
+from pearl_marl.batch.results import check_memory
 from pearl_marl.cli.common import (
     Agents,
     AsJson,
@@ -58,6 +59,7 @@ def command(
     Rtl(pe_num, data_wl, path)  # refuses what is no size or path
     spec = spec_of(env_id, option)
     config = BatchConfig(spec=spec, n_envs=worlds_of(spec, agents_of(spec, n_agents)))
+    check_memory(config)
     board = ServedBoard(at, spec, config.n_envs, pe_num, data_wl, path)
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: board.stop())

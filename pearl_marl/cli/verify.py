@@ -51,6 +51,7 @@ ReferenceName = Annotated[
         show_default="reference, or the file's",
     ),
 ]
+STEPS = 300
 StepsOfAll = Annotated[
     int,
     typer.Option("--steps", min=1, max=MANY, help="Number of steps of every agent, divided among the modes."),
@@ -80,7 +81,7 @@ def command(
     device: DeviceToCheck = None,
     reference: ReferenceName = None,
     n_agents: common.Agents = None,
-    steps: StepsOfAll = 300,
+    steps: StepsOfAll = STEPS,
     seed: common.Seed = 0,
     max_cycles: MaxCycles = None,
     autoreset_mode: Mode = None,
@@ -95,6 +96,11 @@ def command(
     written as a file that `pearl verify FILE` replays. 2: the call was refused.
     """
     if subject.endswith(".json") or Path(subject).is_file():
+        modes = n_agents, max_cycles, autoreset_mode, initial_states, option, out
+        if any(given is not None for given in modes) or (steps, seed) != (STEPS, 0):
+            raise ArgumentError(
+                f"{subject} is one recorded call: of the options, it takes --device, --reference and --json"
+            )
         _replay(Replay.read(Path(subject)), device, reference, as_json)
         return
     try:

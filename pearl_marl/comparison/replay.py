@@ -21,7 +21,7 @@ from pearl_marl.batch.config import BatchConfig, worlds_of
 from pearl_marl.batch.saved_state import SavedState
 from pearl_marl.comparison.divergence import Divergence
 from pearl_marl.errors import ArgumentError, PearlError
-from pearl_marl.files import replace_file
+from pearl_marl.files import check_readable, replace_file
 from pearl_marl.registry import get_spec, names
 
 _FORMAT = "pearl verify replay"
@@ -72,8 +72,9 @@ class Replay:
     def read(cls, path: Path) -> Replay:
         """Read what :meth:`write` wrote; raise ArgumentError for what is something else, or damaged."""
         try:
+            check_readable(path)
             value = json.loads(path.read_bytes())
-        except (OSError, ValueError) as error:
+        except (OSError, ValueError, RecursionError) as error:
             raise ArgumentError(f"{path} cannot be read as a replay file: {error}") from None
         if not isinstance(value, dict) or value.get("format") != _FORMAT:
             raise ArgumentError(f"{path} is no replay file of pearl verify")

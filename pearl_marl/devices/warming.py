@@ -64,11 +64,15 @@ def warm_all(env_ids: Iterable[str], options: dict[str, Any]) -> Iterator[Warmed
     if workers < 2:
         yield from (warm(env_id, options) for env_id in given)
         return
-    # Ctrl-C is the parent's to answer.
-    ignore = signal.signal, (signal.SIGINT, signal.SIG_IGN)
-    pool = ProcessPoolExecutor(workers, get_context("spawn"), *ignore)
+    pool = ProcessPoolExecutor(workers, get_context("spawn"))
     try:
-        for done in as_completed([pool.submit(warm, env_id, options) for env_id in given]):
+        # Ctrl-C is the parent's to answer: processes have blocked what was blocked when they started.
+        signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
+        try:
+            begun = [pool.submit(warm, env_id, options) for env_id in given]
+        finally:
+            signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGINT])
+        for done in as_completed(begun):
             yield done.result()
     finally:
         pool.shutdown(cancel_futures=True)

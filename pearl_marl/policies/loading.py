@@ -21,7 +21,7 @@ from gymnasium.spaces import Discrete, MultiDiscrete, Tuple
 
 from pearl_marl.batch.actions import random_actions
 from pearl_marl.errors import ArgumentError
-from pearl_marl.files import load_arrays
+from pearl_marl.files import load_array
 from pearl_marl.rng import checked_seed
 from pearl_marl.spec import EnvSpec, check_spec
 
@@ -125,13 +125,8 @@ def table_policy(table: npt.ArrayLike, spec: EnvSpec) -> Policy:
 
 def _table(path: Path, spec: EnvSpec, _: int) -> Policy:
     try:
-        found = load_arrays(path)
-        table = found if isinstance(found, np.ndarray) else found["q"]
-    except KeyError:
-        raise ArgumentError(
-            f"{path} has no array 'q'; its arrays are {', '.join(found.files) or 'none'}"
-        ) from None
-    except (OSError, ValueError, zipfile.BadZipFile, EOFError) as error:
+        table = load_array(path, "q")
+    except (OSError, ValueError) as error:
         raise ArgumentError(f"{path} is no readable table: {error}") from None
     try:
         return table_policy(table, spec)
@@ -187,8 +182,10 @@ def _stable_baselines3(path: Path, spec: EnvSpec, _: int) -> Policy:
     try:
         data = load_from_zip_file(path, device="cpu")[0] or {}
         kind = data["policy_class"].__module__.split(".")[1]
-    except (ValueError, KeyError, AttributeError, IndexError, zipfile.BadZipFile) as error:
+    except (ValueError, zipfile.BadZipFile) as error:
         raise ArgumentError(f"{path} is no model of stable-baselines3: {error}") from None
+    except (KeyError, AttributeError, IndexError):
+        raise ArgumentError(f"{path} is no model of stable-baselines3: it does not say its policy") from None
     # A model does not say by which algorithm it was made; two have the same policy.
     by_policy: dict[str, Any] = {"dqn": sb3.DQN, "sac": sb3.SAC, "td3": sb3.TD3}
     algorithm = by_policy.get(kind, sb3.PPO if "clip_range" in data else sb3.A2C)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -61,7 +62,16 @@ def pickled() -> bytes:
     return file.getvalue()
 
 
-@pytest.mark.parametrize("content", [b"", b"no", b"\x93NUMPY" + bytes(50), pickled()])
+def zipped() -> bytes:
+    file = io.BytesIO()
+    np.savez(file, a=np.zeros(3), b=np.zeros(3))
+    return file.getvalue()
+
+
+FILES = b"", b"no", b"PK\x03\x04", b"\x93NUMPY" + bytes(50), pickled(), zipped()
+
+
+@pytest.mark.parametrize("content", FILES)
 def test_files_that_hold_no_array_are_refused(pearl: Pearl, content: bytes, tmp_path: Path) -> None:
     (tmp_path / "actions.npy").write_bytes(content)
     status, _, err = pearl("run", "CliffWalking", "--n-agents", 5, "--actions", tmp_path / "actions.npy")
@@ -69,6 +79,17 @@ def test_files_that_hold_no_array_are_refused(pearl: Pearl, content: bytes, tmp_
     assert len(err.splitlines()) == 1
     assert "pickle" not in err
     assert "no readable .npy file" in err
+
+
+@pytest.mark.parametrize("line", ["run CliffWalking --actions fifo.npy", "verify fifo.json"])
+def test_nobody_waits_for_a_fifo(
+    pearl: Pearl, line: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    os.mkfifo(line.split()[-1])
+    status, _, err = pearl(*line.split())
+    assert status == 2
+    assert "it is a folder, or no file of a disk" in err
 
 
 class TestWorlds:

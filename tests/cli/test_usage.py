@@ -79,6 +79,7 @@ Pearl = Callable[..., tuple[int, str, str]]
             "serve LevelBasedForaging --at lb --n-agents 3",
             "n_agents is 3, and a world of LevelBasedForaging has",
         ),
+        ("serve CliffWalking --at b --n-agents 4000000000", "4,000,000,000 agents of CliffWalking take"),
         # What hardware there can be.
         *(
             (f"{command} CartPole --n-envs 99999999999", "n_envs is 99,999,999,999; random draws can tell")

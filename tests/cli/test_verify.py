@@ -125,6 +125,16 @@ def test_a_divergence_is_shown_written_replayed_and_mended(pearl, tmp_path, monk
     assert json.loads(out)["recorded"]["slot"] == 6
 
 
+@pytest.mark.parametrize(
+    "option",
+    ["--n-agents 5", "--steps 3", "--seed 1", "--max-cycles 0", "--option x=1", "--out ."],
+)
+def test_a_replay_has_its_own_options(pearl, option):
+    status, out, err = pearl("verify", "call.json", *option.split())
+    assert (status, out) == (2, "")
+    assert err.startswith("pearl: call.json is one recorded call: of the options, it takes --device, ")
+
+
 @pytest.mark.usefixtures("broken")
 def test_the_whole_batch_where_the_slot_alone_is_right(pearl, tmp_path):
     arguments = ("--device", "neighbours", "--n-agents", 5000, "--steps", 80, "--out", tmp_path, "--json")

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 import subprocess
 import sys
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -69,6 +71,19 @@ def test_what_would_not_be_kept_is_not_compiled(tmp_path: Path) -> None:
     done = subprocess.run(call, capture_output=True, text=True, check=False, env=environment)
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr.startswith("pearl: the cache folder cannot be written, so no kernel would be kept: ")
+
+
+@pytest.mark.skipif(len(os.sched_getaffinity(0)) < 2, reason="one core compiles in this process")
+def test_ctrl_c_while_processes_start() -> None:
+    """A terminal sends it to all of them."""
+    call = [sys.executable, "-c", ENTRY, "warm", "CliffWalking", "FrozenLake"]
+    process = subprocess.Popen(call, stderr=subprocess.PIPE, text=True, start_new_session=True)
+    children = Path(f"/proc/{process.pid}/task/{process.pid}/children")
+    while len(children.read_text().split()) < 2:
+        time.sleep(0.01)
+    os.killpg(process.pid, signal.SIGINT)
+    _, err = process.communicate()
+    assert (process.returncode, err) == (130, "pearl: interrupted\n")
 
 
 @pytest.mark.parametrize(

@@ -81,11 +81,17 @@ def test_files_that_are_no_tables(tmp_path: Path) -> None:
     np.savez(tmp_path / "other.npz", curve=np.zeros(3))
     (tmp_path / "text.npy").write_text("no numbers")
     (tmp_path / "text.npz").write_text("no numbers")
+    (tmp_path / "zip.npz").write_bytes(b"PK\x03\x04")
+    with (tmp_path / "header.npy").open("wb") as file:
+        header = {"descr": "<f8", "fortran_order": False, "shape": (10**12, 10**6)}
+        np.lib.format.write_array_header_1_0(file, header)
     for name, says in (
-        ("other.npz", "has no array 'q'; its arrays are curve"),
+        ("other.npz", "no readable table: it has no array 'q'; its arrays are curve"),
         ("text.npy", "no readable table: it does not begin as one that NumPy writes"),
         ("text.npz", "no readable table: it does not begin as one that NumPy writes"),
         ("missing.npy", "there is no file"),
+        ("zip.npz", "no readable table: File is not a zip file"),
+        ("header.npy", "no readable table: it is damaged, or larger than memory"),
     ):
         with pytest.raises(ArgumentError, match=says):
             load_policy(str(tmp_path / name), CLIFF)
