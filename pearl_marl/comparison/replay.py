@@ -15,8 +15,10 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from gymnasium.spaces import Box
 from gymnasium.vector import AutoresetMode
 
+from pearl_marl.batch.actions import encode
 from pearl_marl.batch.config import BatchConfig, worlds_of
 from pearl_marl.batch.saved_state import SavedState
 from pearl_marl.comparison.divergence import Divergence
@@ -105,17 +107,57 @@ class Replay:
             initial_states=batch["initial_states"],
             first_slot=batch["first_slot"],
         )
+        _check_divergence(value["divergence"], config)
         before, actions, mask = (
             None if value[name] is None else _unpacked(value[name]) for name in ("before", "actions", "mask")
         )
+        saved = None if before is None else SavedState.from_bytes(before, config.identity())
+        call = value["divergence"]["call"]
+        words = None if actions is None else np.frombuffer(actions, spec.action.dtype)
+        if (words is not None) != (call == "step") or (before is None and call != "reset"):
+            raise ArgumentError(f"it lacks what a {call} begins with, or has what that does not take")
+        if call != "reset" and (value["seed"], mask) != (None, None):
+            raise ArgumentError(f"a {call} has no seed and no mask")
+        if words is not None:
+            numbers = words * 2.0**-spec.action.fraction  # of the action space, where words are fixed-point
+            given = numbers.reshape(-1, 1) if isinstance(spec.action_space, Box) else words
+            encode(given, spec, np.empty(config.n_agents, words.dtype), config.first_slot)  # refuses what no agent can do
         return cls(
             config=config,
             divergence=Divergence.from_json(value["divergence"]),
-            before=None if before is None else SavedState.from_bytes(before, config.identity()),
-            actions=None if actions is None else np.frombuffer(actions, spec.action.dtype),
+            before=saved,
+            actions=words,
             seed=value["seed"],
             mask=None if mask is None else np.frombuffer(mask, np.bool_),
         )
+
+
+_KINDS: dict[str, type] = {
+    "environment": str,
+    "device": str,
+    "reference": str,
+    "call": str,
+    "step": int,
+    "slot": int,
+    "slots": int,
+    "differences": list,
+}
+"""What a divergence is told by."""
+
+
+def _check_divergence(told: dict[str, Any], config: BatchConfig) -> None:
+    """Refuse what is told of a divergence that cannot have been."""
+    for name, kind in _KINDS.items():
+        if type(told[name]) is not kind:
+            raise ArgumentError(f"its {name} is {told[name]!r}; it must be of the type {kind.__name__}")
+    if told["call"] not in ("step", "reset", "restore", "snapshot"):
+        raise ArgumentError(f"its call is {told['call']!r}; there is no such call")
+    if not told["differences"]:
+        raise ArgumentError("it has no differences")
+    if not 0 <= told["slot"] - config.first_slot < config.n_envs or told["environment"] != config.spec.id:
+        raise ArgumentError(f"its slot {told['slot']} of {told['environment']} is none of its batch")
+    if not isinstance(told["state_before"], (dict, type(None))):
+        raise ArgumentError(f"its state_before is {told['state_before']!r}; it must be words by name")
 
 
 def _packed(data: bytes) -> str:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import base64
 import json
+import zlib
 from pathlib import Path
 
 import numpy as np
@@ -197,6 +199,16 @@ def test_an_out_that_is_a_file_is_refused_before_the_work(pearl, tmp_path):
     assert "--out" in err
 
 
+def packed(data):
+    return base64.b64encode(zlib.compress(data)).decode()
+
+
+def edited(text, inside=None, **changes):
+    value = json.loads(text)
+    (value if inside is None else value[inside]).update(changes)
+    return json.dumps(value)
+
+
 FOREIGN = {
     "no JSON": (lambda text: text[:100], "cannot be read as a replay file"),
     "bytes": (lambda text: "\x00\x01\x02", "cannot be read as a replay file"),
@@ -209,6 +221,17 @@ FOREIGN = {
     "another mode": (lambda text: text.replace('"SameStep"', '"Someday"'), "damaged"),
     "a lost key": (lambda text: text.replace('"before"', '"after"'), "damaged: KeyError: 'before'"),
     "a damaged state": (lambda text: text.replace('"before": "eN', '"before": "eM'), "damaged"),
+    "no differences": (lambda text: edited(text, "divergence", differences=[]), "it has no differences"),
+    "a slot in words": (lambda text: edited(text, "divergence", slots="x"), "its slots is 'x'"),
+    "no state": (lambda text: edited(text, "divergence", state_before=[1]), "its state_before is [1]"),
+    "another slot": (lambda text: edited(text, "divergence", slot=7), "its slot 7"),
+    "another call": (lambda text: edited(text, "divergence", call="frob"), "its call is 'frob'"),
+    "no step": (lambda text: edited(text, "divergence", call="snapshot"), "has what that does not take"),
+    "no actions": (lambda text: edited(text, actions=None), "it lacks what a step begins with"),
+    "a seed": (lambda text: edited(text, seed=3), "a step has no seed"),
+    "no action": (lambda text: edited(text, actions=packed(bytes([255]))), "agent_6: action 255 is out of"),
+    "other actions": (lambda text: edited(text, actions=packed(bytes(7))), "actions have shape (7,)"),
+    "brackets": (lambda text: "[" * 100_000, "cannot be read as a replay file"),
     "no base64": (lambda text: text.replace('"before": "eN', '"before": "%%'), "damaged"),
 }
 
