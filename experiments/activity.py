@@ -20,7 +20,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import typer
+from pearl_marl.experiments.calling import call
 from rich.console import Console
 from rich.progress import track
 
@@ -129,4 +129,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    typer.run(main)
+    call(main)

@@ -11,6 +11,7 @@ from typing import Annotated, Any
 
 import numpy as np
 import typer
+from pearl_marl.experiments.calling import call
 
 from pearl_marl.interfaces.parallel import parallel_env
 from pearl_marl.registry import get_spec
@@ -53,4 +54,4 @@ def main(path: Annotated[Path, typer.Argument(metavar="FILE.gif", help="Where to
 
 
 if __name__ == "__main__":
-    typer.run(main)
+    call(main)

@@ -23,12 +23,14 @@ import typer
 from benchmarl.algorithms import IppoConfig, IqlConfig, MappoConfig, QmixConfig, VdnConfig
 from benchmarl.experiment import Callback, Experiment, ExperimentConfig
 from benchmarl.models.mlp import MlpConfig
+from pearl_marl.experiments.calling import call
 from pearl_marl.wrappers.benchmarl import PearlTask
 from pearl_marl.wrappers.torchrl import TorchRLEnv
 from rich.console import Console
 from torchrl.envs import PettingZooWrapper, SerialEnv
 
 import pearl_marl
+from pearl_marl.files import replace_file
 
 console = Console()
 
@@ -189,10 +191,9 @@ def main(
         f"{whole:.1f} s of CPU for {total:,} steps of worlds: stepping {stepping.seconds / whole:.1%}, "
         f"the environment {inside.seconds / whole:.1%}"
     )
-    out.mkdir(parents=True, exist_ok=True)
     written = {"worlds": worlds, "steps": steps, "seconds": shares, "curve": curve.points}
-    (out / f"{algorithm}_{through}.json").write_text(json.dumps(written, indent=2))
+    replace_file(out / f"{algorithm}_{through}.json", json.dumps(written, indent=2).encode())
 
 
 if __name__ == "__main__":
-    typer.run(main)
+    call(main)

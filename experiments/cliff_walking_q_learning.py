@@ -10,6 +10,7 @@ right after a few hundred steps.
 from __future__ import annotations
 
 import contextlib
+import io
 import json
 import time
 from collections.abc import Iterator
@@ -19,13 +20,15 @@ from typing import Annotated, Any
 import numpy as np
 import numpy.typing as npt
 import typer
+from pearl_marl.experiments.calling import call
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.text import Text
 
 import pearl_marl
 from pearl_marl.evaluation.episodes import EpisodeStatistics
-from pearl_marl.rendering import import_pyplot
+from pearl_marl.files import replace_file
+from pearl_marl.rendering import import_pyplot, save_figure
 
 ROWS, COLUMNS, START, GOAL = 4, 12, 36, 47
 OPTIMAL_RETURN = -13
@@ -49,12 +52,8 @@ def main(
 ) -> None:
     """Learn, draw the policy, and write learning_curve.png, q_learning.json and q_table.npy."""
     table = np.zeros((ROWS * COLUMNS, 4))
-    try:
-        with contextlib.closing(pearl_marl.parallel_env("CliffWalking", n_agents, device=device)) as env:
-            curve = learn(table, env, steps, epsilon, learning_rate, discount, seed)
-    except pearl_marl.errors.PearlError as error:
-        Console(stderr=True).print(f"Error: {error}", highlight=False, markup=False, soft_wrap=True)
-        raise typer.Exit(2) from None
+    with contextlib.closing(pearl_marl.parallel_env("CliffWalking", n_agents, device=device)) as env:
+        curve = learn(table, env, steps, epsilon, learning_rate, discount, seed)
 
     solved = next((point for point in curve if point["greedy_return"] == OPTIMAL_RETURN), None)
     console.print(draw_policy(table))
@@ -67,11 +66,11 @@ def main(
             f"Optimal return of {OPTIMAL_RETURN} after {solved['seconds']:.2f} s "
             f"and {solved['agent_steps']:,} agent-steps."
         )
-    out.mkdir(parents=True, exist_ok=True)
-    np.save(out / "q_table.npy", table)
-    (out / "q_learning.json").write_text(
-        json.dumps({"n_agents": n_agents, "seed": seed, "curve": curve}, indent=2)
-    )
+    saved = io.BytesIO()
+    np.save(saved, table)
+    replace_file(out / "q_table.npy", saved.getvalue())
+    about = {"n_agents": n_agents, "seed": seed, "curve": curve}
+    replace_file(out / "q_learning.json", json.dumps(about, indent=2).encode())
     draw_curve(curve, n_agents, out / "learning_curve.png")
     console.print(f"Wrote {out}/learning_curve.png, q_learning.json and q_table.npy")
     if solved is None:
@@ -201,9 +200,9 @@ def draw_curve(curve: list[dict[str, Any]], n_agents: int, path: Path) -> None:
     axes.set_title(f"CliffWalking: tabular Q-learning, {n_agents:,} agents, one shared table")
     axes.grid(alpha=0.3)
     axes.legend()
-    figure.savefig(path, dpi=120)
+    save_figure(figure, path)
     plt.close(figure)
 
 
 if __name__ == "__main__":
-    typer.run(main)
+    call(main)

@@ -7,7 +7,7 @@ row, which takes some five minutes the first time.
 from __future__ import annotations
 
 import numpy as np
-import typer
+from pearl_marl.experiments.calling import call
 from rich.console import Console
 from rich.progress import track
 
@@ -86,4 +86,4 @@ def measure(build: Build, pipelined: bool = True) -> tuple[int, int]:
 
 
 if __name__ == "__main__":
-    typer.run(main)
+    call(main)

@@ -14,11 +14,12 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import typer
+from pearl_marl.experiments.calling import call
 from rich.console import Console
 from rich.progress import track
 
 from pearl_marl.benchmark.paper import TABLE_2
+from pearl_marl.files import replace_file
 from pearl_marl.hardware.build import Build
 from pearl_marl.hardware.fitting import PARTS, modelled_bram36, modelled_dsp
 from pearl_marl.hardware.synthesis import Family, Usage, synthesise
@@ -96,7 +97,7 @@ def main() -> None:
     known = json.loads(FILE.read_text("utf-8"))
     for name in track(TABLE_2, "synthesise", console=Console(stderr=True)):
         known[name] = _measured(synthesise(build(name)))
-        FILE.write_text(json.dumps(known, indent=2) + "\n")
+        replace_file(FILE, f"{json.dumps(known, indent=2)}\n".encode())
     print("| environment | slots | PEs | word | LUT | FF | BRAM36 | DSP | on a VC707 |")
     print("| --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: | --- |")
     for name in TABLE_2:
@@ -105,4 +106,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    typer.run(main)
+    call(main)

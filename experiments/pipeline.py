@@ -9,8 +9,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import typer
 from pearl_marl.experiments import paper_builds
+from pearl_marl.experiments.calling import call
 
 from pearl_marl.benchmark.paper import TABLE_2
 from pearl_marl.hardware.boards import BOARDS
@@ -96,4 +96,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    typer.run(main)
+    call(main)

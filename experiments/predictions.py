@@ -10,8 +10,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-import typer
 from pearl_marl.experiments import paper_builds, pipeline
+from pearl_marl.experiments.calling import call
 from pearl_marl.experiments.equations import LOOPS
 
 from pearl_marl.benchmark.measure import duration, rate
@@ -96,4 +96,4 @@ def _papers_link() -> Iterable[tuple[str, ...]]:
 
 
 if __name__ == "__main__":
-    typer.run(main)
+    call(main)

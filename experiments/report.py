@@ -11,6 +11,7 @@ import csv
 import datetime
 import difflib
 import importlib
+import io
 import json
 import sys
 import time
@@ -22,7 +23,7 @@ from typing import Any, NamedTuple, cast
 from pearl_marl.benchmark.machine import machine
 from pearl_marl.errors import ArgumentError, PearlError
 from pearl_marl.files import replace_file
-from pearl_marl.rendering import import_pyplot
+from pearl_marl.rendering import import_pyplot, save_figure
 
 from . import readme
 from .section import KINDS, Progress, Row, Section, having
@@ -194,10 +195,11 @@ def _entry(folder: Path, name: str, data: dict[str, Any] | None, problem: str | 
         return entry
     rows: list[Row] = data["rows"]
     keys = list(dict.fromkeys(key for row in rows for key in row))
-    with (folder / f"{name}.csv").open("w", newline="") as file:
-        writer = csv.DictWriter(file, keys)
-        writer.writeheader()
-        writer.writerows(rows)
+    listed = io.StringIO()
+    writer = csv.DictWriter(listed, keys)
+    writer.writeheader()
+    writer.writerows(rows)
+    replace_file(folder / f"{name}.csv", listed.getvalue().encode())
     try:
         figure = section.draw(rows) if hasattr(section, "draw") else None
     except KeyError as error:
@@ -210,7 +212,7 @@ def _entry(folder: Path, name: str, data: dict[str, Any] | None, problem: str | 
     if figure is None:
         picture.unlink(missing_ok=True)
     else:
-        figure.savefig(picture, dpi=160)
+        save_figure(figure, picture, dpi=160)
         import_pyplot().close(figure)
     shown = {key: heading for key, heading in section.COLUMNS.items() if having(rows, key)}
     table = [[_cell(row.get(key)) for key in ("kind", *shown)] for row in rows]

@@ -19,11 +19,13 @@ from typing import Annotated, Any
 import stable_baselines3
 import torch
 import typer
+from pearl_marl.experiments.calling import call
 from rich.console import Console
 from rich.table import Table
 
 import pearl_marl
 from pearl_marl.devices import Native
+from pearl_marl.files import replace_file
 
 console = Console()
 
@@ -120,9 +122,8 @@ def main(
             numbers = f"{row['rollout']:.2f}", f"{row['stepping']:.2f}", inside
             table.add_row(contender.name, f"{n:,}", *numbers, f"{share:.1%}")
     console.print(table)
-    out.mkdir(parents=True, exist_ok=True)
-    (out / "sb3_rollout.json").write_text(json.dumps(figures, indent=2))
+    replace_file(out / "sb3_rollout.json", json.dumps(figures, indent=2).encode())
 
 
 if __name__ == "__main__":
-    typer.run(main)
+    call(main)

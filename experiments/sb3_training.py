@@ -16,6 +16,7 @@ from typing import Annotated, Any
 import gymnasium
 import typer
 from gymnasium.spaces import Box
+from pearl_marl.experiments.calling import call
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from stable_baselines3 import DQN, PPO
@@ -24,7 +25,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecNormalize
 from torch import nn
 
 import pearl_marl
-from pearl_marl.errors import ArgumentError, PearlError
+from pearl_marl.errors import ArgumentError
 from pearl_marl.evaluation.run import Evaluation
 from pearl_marl.registry import get_spec
 from pearl_marl.training.run_folder import RunFolder
@@ -179,18 +180,14 @@ def main(
         raise typer.BadParameter(f"{algo!r}; possible are 'ppo' and 'dqn'", param_hint="--algo")
     about = {"environment": env_id, "algorithm": algo, "n_agents": n_agents, "steps": steps, "goal": goal}
     columns = (BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TextColumn("{task.fields[note]}"))
-    try:
-        run = RunFolder(out, {**about, "every": every, "seed": seed, "source": source})
-        with Progress(*columns, console=console) as bar:
-            task = bar.add_task(env_id, total=steps, note="")
+    run = RunFolder(out, {**about, "every": every, "seed": seed, "source": source})
+    with Progress(*columns, console=console) as bar:
+        task = bar.add_task(env_id, total=steps, note="")
 
-            def show(done: int, mean: float) -> None:
-                bar.update(task, completed=min(done, steps), note=f"return {mean:.1f}")
+        def show(done: int, mean: float) -> None:
+            bar.update(task, completed=min(done, steps), note=f"return {mean:.1f}")
 
-            model, points = train(source, env_id, algo, n_agents, steps, seed, goal, every, show=show)
-    except PearlError as error:
-        console.print(f"Error: {error}", highlight=False)
-        raise typer.Exit(2) from None
+        model, points = train(source, env_id, algo, n_agents, steps, seed, goal, every, show=show)
     for seconds, done, mean in points:
         run.report(done, seconds=seconds, eval_return=mean)
     run.write_metrics()
@@ -206,4 +203,4 @@ def main(
 
 
 if __name__ == "__main__":
-    typer.run(main)
+    call(main)

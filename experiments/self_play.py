@@ -11,13 +11,14 @@ from typing import Annotated, Any
 import numpy as np
 import numpy.typing as npt
 import typer
+from pearl_marl.experiments.calling import call
 from pearl_marl.experiments.perfect_play import ILLEGAL, Judge
 from rich.console import Console
 from rich.table import Table
 
 from pearl_marl.batch.actions import random_actions
 from pearl_marl.devices import BatchConfig, Native
-from pearl_marl.errors import ArgumentError, PearlError
+from pearl_marl.errors import ArgumentError
 from pearl_marl.evaluation.matches import Match, cross_table
 from pearl_marl.policies.loading import RANDOM, Policy, load_policy
 from pearl_marl.registry import get_spec
@@ -80,16 +81,12 @@ def main(
 ) -> None:
     """Print wins of past selves against a random player, their shares of optimal moves, and a cross table."""
     console = Console(highlight=False)
-    try:
-        files = sorted((run / "past").glob("*.safetensors"))
-        if not files:
-            raise ArgumentError(f"{run} has no folder past/: give that of a run of --algo self-play")
-        chosen = [files[k] for k in sorted({round(k) for k in np.linspace(0, len(files) - 1, members)})]
-        policies = {str(int(file.stem)): load_policy(str(file), SPEC) for file in chosen}
-        policies["last"] = load_policy(str(run), SPEC)
-    except PearlError as error:
-        console.print(f"Error: {error}", markup=False)
-        raise typer.Exit(2) from None
+    files = sorted((run / "past").glob("*.safetensors"))
+    if not files:
+        raise ArgumentError(f"{run} has no folder past/: give that of a run of --algo self-play")
+    chosen = [files[k] for k in sorted({round(k) for k in np.linspace(0, len(files) - 1, members)})]
+    policies = {str(int(file.stem)): load_policy(str(file), SPEC) for file in chosen}
+    policies["last"] = load_policy(str(run), SPEC)
     sets = positions(judged), positions(judged, policies["last"], STRAY)
     headings = "optimal in random games", "in games of the last"
     table = Table("after iteration", "against random: won", "drawn", "lost", *headings)
@@ -116,4 +113,4 @@ def main(
 
 
 if __name__ == "__main__":
-    typer.run(main)
+    call(main)

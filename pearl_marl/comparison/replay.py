@@ -121,7 +121,7 @@ class Replay:
         if words is not None:
             numbers = words * 2.0**-spec.action.fraction  # of the action space, where words are fixed-point
             given = numbers.reshape(-1, 1) if isinstance(spec.action_space, Box) else words
-            encode(given, spec, np.empty(config.n_agents, words.dtype), config.first_slot)  # refuses what no agent can do
+            encode(given, spec, np.empty_like(words, shape=config.n_agents), config.first_slot)  # or refuse
         return cls(
             config=config,
             divergence=Divergence.from_json(value["divergence"]),
