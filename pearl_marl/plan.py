@@ -43,8 +43,9 @@ class Candidate:
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """The build that was chosen, and what it was chosen from: the narrowest word that serves each ``pe_num``.
+    """The build that was chosen, and what it was chosen from.
 
+    ``candidates`` are a build for each ``pe_num``: what was chosen, and else the narrowest word that serves.
     ``larger`` is the same of the next ``pe_num``, whether it fits the part or not: what was not chosen. It is
     ``None`` if nothing larger was looked at.
 
@@ -120,7 +121,8 @@ def plan(
         overlap = Overlap(predict(spec, half, link, half_host, clock))
     return Plan(
         chosen,
-        tuple(_smallest(group) for group in _by_size(fitting)),
+        # Of its own size, what was chosen: near the fastest of all may be a wider word than near its own.
+        tuple(chosen if chosen in group else _smallest(group) for group in _by_size(fitting)),
         next(map(_smallest, _by_size(larger)), None),
         host,
         half_host,

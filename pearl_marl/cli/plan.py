@@ -139,7 +139,7 @@ def _candidates(result: dict[str, Any], found: Plan) -> Table:
             rate(prediction.rate),
             f"{candidate.bram36:g}",
             f"{candidate.dsp:,}",
-            prediction.bottleneck,
+            f"{prediction.bottleneck}{' (chosen)' if chosen else ''}",
             style="bold green" if chosen else None,
         )
     return grid

@@ -310,6 +310,15 @@ def test_plans_for_few_slots(n: int) -> None:
 
 
 @pytest.mark.usefixtures("quick_host")
+def test_what_is_chosen_is_among_what_it_was_chosen_from() -> None:
+    """Also where a narrower word would be near the fastest of as many elements."""
+    found = plan.plan(SPEC, 43008, LINKS["gen2x8"], 100e6)
+    alone = plan.plan(SPEC, 43008, LINKS["gen2x8"], 100e6, pe_num=found.chosen.layout.pe_num)
+    assert alone.chosen.layout.data_wl < found.chosen.layout.data_wl
+    assert found.chosen in found.candidates
+
+
+@pytest.mark.usefixtures("quick_host")
 def test_pearl_plan(pearl: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     arguments = ("plan", "CliffWalking", "--part", "vc707", "--link", "25,3,2", "--clock", "100")
     status, out, err = pearl(*arguments)
@@ -328,6 +337,9 @@ def test_pearl_plan(pearl: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     assert result == json.loads((tmp_path / "plan_CliffWalking_43008.json").read_text())
     assert (result["link"]["call_us"], result["link"]["read_gb_per_s"]) == pytest.approx((25, 2))
     assert result["usage"] is None
+    assert result["chosen"] in result["candidates"]
+    (row,) = (line for line in out.splitlines() if "(chosen)" in line)
+    assert row.split()[1:4:2] == ["64", f"{result['chosen']['data_wl']}"]
     assert result["reason"].startswith("64 PEs")
     assert result["chosen"]["device"] == pytest.approx(result["loop_cycles"]["ours"] / 100e6)
     usage = Usage(43008, 64, 256, 12_345, 678, 110.0, 9, (Memory("m", 1, 2, "LUT RAM"),), {})
