@@ -100,6 +100,8 @@ def _import(module: str, name: str) -> None:
             f"there is no module {error.name!r} for {name!r}; install the package (pip install -e .), or add "
             "its folder to PYTHONPATH"
         ) from None
+    except SystemExit as error:  # which would be taken for the end of the caller
+        raise ArgumentError(f"the module {module!r} ends Python when it is imported") from error
 
 
 def register(spec: EnvSpec) -> None:

@@ -214,7 +214,7 @@ def _described(header: dict[str, str]) -> dict[str, Any]:
     """Return what a file's metadata say of its policy."""
     try:
         about = json.loads(header["policy"])
-    except (KeyError, ValueError):
+    except (KeyError, ValueError, RecursionError):
         about = None
     if not isinstance(about, dict):
         raise ArgumentError("its metadata says nothing of its policy")
@@ -258,6 +258,8 @@ def _rebuilt(about: dict[str, Any], tensors: dict[str, Tensor]) -> NetworkPolicy
             raise ArgumentError(
                 f"its tensors are not those of {spec.name}: {name} has the shape {found}, not {expected}"
             )
+        if tensors[name].isnan().any():
+            raise ArgumentError(f"{name} has NaN among its numbers: the training diverged")
     policy.load_state_dict(tensors)
     return policy
 

@@ -210,6 +210,14 @@ def test_a_module_that_fails_speaks_for_itself(tmp_path: Path, monkeypatch: pyte
 
 
 @pytest.mark.usefixtures("registry")
+def test_a_module_that_ends_python(pearl: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "ends.py").write_text("import sys\nsys.exit(0)\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    status, out, err = pearl("run", "ends:Env")
+    assert (status, out, err) == (2, "", "pearl: the module 'ends' ends Python when it is imported\n")
+
+
+@pytest.mark.usefixtures("registry")
 @pytest.mark.parametrize("agents", [1, 3])
 @pytest.mark.parametrize("name", ["Ab", LONG])
 def test_what_is_written_is_clean(

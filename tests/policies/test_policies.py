@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -167,5 +168,8 @@ def test_models_of_stable_baselines3(algorithm: str, env_id: str, tmp_path: Path
 def test_a_zip_that_is_no_model(tmp_path: Path) -> None:
     pytest.importorskip("stable_baselines3")
     (tmp_path / "model.zip").write_text("no zip")
-    with pytest.raises(ArgumentError, match=r"model\.zip is no model of stable-baselines3"):
-        load_policy(str(tmp_path / "model.zip"), POLE)
+    with zipfile.ZipFile(tmp_path / "empty.zip", "w") as archive:
+        archive.writestr("data", "{}")
+    for name, says in (("model.zip", ""), ("empty.zip", ": it does not say its policy$")):
+        with pytest.raises(ArgumentError, match=rf"{name} is no model of stable-baselines3{says}"):
+            load_policy(str(tmp_path / name), POLE)

@@ -80,6 +80,7 @@ def rewritten(path: Path, about: Any = None, drop: str = "", **changes: Any) -> 
 DAMAGED = {
     "no metadata of the policy": ({"drop": "policy"}, "says nothing of its policy"),
     "metadata that is no JSON": ({"about": "{"}, "says nothing of its policy"),
+    "metadata of many brackets": ({"about": "[" * 100_000}, "says nothing of its policy"),
     "metadata that is no dict": ({"about": [1]}, "says nothing of its policy"),
     "no environment": ({"drop": "environment"}, "has no 'environment'"),
     "no options": ({"drop": "options"}, "has no 'options'"),
@@ -105,6 +106,16 @@ def test_a_damaged_policy_is_refused(changes: dict[str, Any], says: str, saved: 
     with pytest.raises(ArgumentError, match=rf"policy\.safetensors.*{says}") as caught:
         load_policy(str(saved), get_spec("CartPole"))
     assert "\n" not in str(caught.value)
+
+
+def test_a_policy_that_diverged_is_refused(saved: Path) -> None:
+    tensors = safetensors.load_file(saved)
+    tensors["network.output.bias"][0] = np.nan
+    with trained.safe_open(saved, "pt") as stored:
+        header = stored.metadata()
+    safetensors.save_file(tensors, saved, header)
+    with pytest.raises(ArgumentError, match=r"network\.output\.bias has NaN among its numbers"):
+        load_policy(str(saved), get_spec("CartPole"))
 
 
 @pytest.mark.parametrize(
