@@ -8,7 +8,7 @@ import signal
 import sys
 import threading
 from collections.abc import Iterator
-from typing import Any, NoReturn
+from typing import Any
 
 STATUS = 130
 """Of a command that was interrupted, as shells have it."""
@@ -24,6 +24,7 @@ class Interrupts:
         self.noted = False
         self.advice = ""
         self._at_once = False
+        self._later = ""
 
     @property
     def sentence(self) -> str:
@@ -52,7 +53,16 @@ class Interrupts:
         finally:
             self._at_once = False
 
-    def _interrupt(self, *_: Any) -> NoReturn:
+    @contextlib.contextmanager
+    def later(self, sentence: str) -> Iterator[None]:
+        """In the block, say a sentence at the first Ctrl-C, and leave it to what asks ``noted``."""
+        self._later = sentence
+        try:
+            yield
+        finally:
+            self._later = ""
+
+    def _interrupt(self, *_: Any) -> None:
         self.noted = True
         if self._at_once:
             sys.stderr.flush()
@@ -60,7 +70,9 @@ class Interrupts:
             os._exit(STATUS)
         # Who cannot wait until all is closed ends it by a second one.
         signal.signal(signal.SIGINT, signal.SIG_DFL)
-        raise KeyboardInterrupt
+        if not self._later:
+            raise KeyboardInterrupt
+        os.write(2, f"\npearl: {self._later}\n".encode())
 
 
 interrupts = Interrupts()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import math
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -124,8 +125,14 @@ def command(
             )
             bar.update(task, completed=done, total=total, note=note)
 
+        run = env_id, options, algo, settings, device, out, goal, evaluate_every, show
+        # An iteration that has begun is learned to its end: half of one could not be gone on with.
+        keeping = "keeping the run after this iteration; Ctrl-C again ends it now"
         rows = training.train(
-            env_id, options, algo, settings, device, out, goal, evaluate_every, show, shards=shards
+            *run,
+            shards=shards,
+            undisturbed=partial(interrupts.later, keeping),
+            stopped=lambda: interrupts.noted,
         )
     best = max(rows, key=lambda row: row["eval_return"])
     result = {"environment": env_id, "algorithm": algo, "folder": str(out), "best": best, "last": rows[-1]}

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import difflib
 import math
 import time
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
@@ -148,6 +150,8 @@ def train(
     checkpoint_seconds: float = 20.0,
     evaluated: int | None = None,
     shards: int | None = None,
+    undisturbed: Callable[[], AbstractContextManager[Any]] = contextlib.nullcontext,
+    stopped: Callable[[], bool] = lambda: False,
 ) -> list[dict[str, Any]]:
     """Train, and write the run's folder; return the metrics.
 
@@ -172,9 +176,14 @@ def train(
     shards
         How many processes step agents, by Ray; ``None`` for this one. Whatever it is, and whatever it was
         before a run was killed, the result is the same.
+    undisturbed, stopped
+        An iteration, with its evaluation, is done in the first one's context. After it the second one is
+        asked, and if it says so, all is kept to go on with, and the run ends.
 
     Raises
     ------
+    KeyboardInterrupt
+        The run was stopped.
     ArgumentError
         The folder holds a run of other settings, or cannot be written; or the algorithm does not suit the
         environment.
@@ -217,30 +226,39 @@ def train(
             run.write_metrics()  # a kill may have left those of an earlier moment
         began, kept = time.perf_counter() - seconds, time.perf_counter()
         finished = goal is not None and best >= goal
+        curve = f"{spec.name}: {algorithm}, {settings.n_agents:,} agents"
         while trainer.done < settings.iterations and not finished:
-            trainer.iterate()
-            last = trainer.done == settings.iterations
-            if trainer.done % every and not last:
-                continue
-            n = max((evaluated or trainer.evaluated) // spec.agents, 1) * spec.agents
-            with threads_for(spec, settings):
-                mean, deviation = evaluate(trainer.policy, spec, n)
-            seconds = time.perf_counter() - began
-            row = {"seconds": seconds, **trainer.figures(), "eval_return": mean, "eval_deviation": deviation}
-            if spec.agents > 1 and not spec.turns:
-                row["eval_world_return"] = mean * spec.agents
-            run.report(trainer.agent_steps, **row)
-            progress(trainer.done, settings.iterations, row)
-            finished = goal is not None and mean >= goal
-            # Whoever always beats a random player can still become better at beating others.
-            if mean > best or spec.turns:
-                best = max(best, mean)
-                trainer.policy.save(folder / POLICY)
-            run.keep(getattr(trainer, "past", {}))
-            if last or finished or time.perf_counter() - kept >= checkpoint_seconds:
+            with undisturbed():
+                trainer.iterate()
+                last = trainer.done == settings.iterations
+                noting = last or not trainer.done % every
+                if noting:
+                    n = max((evaluated or trainer.evaluated) // spec.agents, 1) * spec.agents
+                    with threads_for(spec, settings):
+                        mean, deviation = evaluate(trainer.policy, spec, n)
+                    row = {"seconds": time.perf_counter() - began, **trainer.figures()}
+                    row |= {"eval_return": mean, "eval_deviation": deviation}
+                    if spec.agents > 1 and not spec.turns:
+                        row["eval_world_return"] = mean * spec.agents
+                    run.report(trainer.agent_steps, **row)
+                    progress(trainer.done, settings.iterations, row)
+                    finished = goal is not None and mean >= goal
+                    # Whoever always beats a random player can still become better at beating others.
+                    if mean > best or spec.turns:
+                        best = max(best, mean)
+                        trainer.policy.save(folder / POLICY)
+                    run.keep(getattr(trainer, "past", {}))
+            done = last or finished
+            stop = stopped() and not done
+            if stop or done or (noting and time.perf_counter() - kept >= checkpoint_seconds):
+                seconds = time.perf_counter() - began
                 run.checkpoint({"trainer": trainer.state(), "seconds": seconds, "best": best})
                 kept = time.perf_counter()
-        run.draw_curve(f"{spec.name}: {algorithm}, {settings.n_agents:,} agents", goal)
+            if stop:
+                if run.rows:
+                    run.draw_curve(curve, goal)
+                raise KeyboardInterrupt
+        run.draw_curve(curve, goal)
     return run.rows
 
 

@@ -132,19 +132,13 @@ def slowly(module, name):
 """
 
 
-@pytest.mark.parametrize(
-    ("module", "name", "then"),
-    [
-        ("pearl_marl.training.rollout", "make_device", "raise ImportError('half of it') from None"),
-        ("pearl_marl.training.run", "evaluate", "raise"),
-    ],
-)
-def test_ctrl_c_at_work(module: str, name: str, then: str, tmp_path: Path) -> None:
-    """While kernels compile, and later; libraries may make another exception of it."""
+@pytest.mark.parametrize("then", ["raise", "raise ImportError('half of it') from None"])
+def test_ctrl_c_at_work(then: str, tmp_path: Path) -> None:
+    """While kernels compile; libraries may make another exception of it."""
     pytest.importorskip("torch", reason="torch is not installed: pip install '.[train]'")
     mark, out = tmp_path / "reached", tmp_path / "run"
     hook = SLOW.format(mark=str(mark), then=then)
-    hook += f"\nimport {module}\nslowly({module}, {name!r})\n"
+    hook += "\nfrom pearl_marl.training import rollout\nslowly(rollout, 'make_device')\n"
     process = started(hook, "train", "CartPole", "--n-agents", 32, "--out", out)
     status, err = interrupted(process, mark.exists)
     assert status == 130, err
@@ -164,8 +158,11 @@ def test_ctrl_c_under_way(tmp_path: Path) -> None:
     status, err = interrupted(process, (out / "policy.safetensors").exists)
     assert status == 130, err
     assert "Traceback" not in err
-    assert len(sentences(err)) == 1, err
-    assert f"with the same --out {out}" in err
+    keeping, last = sentences(err)
+    assert keeping == "pearl: keeping the run after this iteration; Ctrl-C again ends it now"
+    assert f"with the same --out {out}" in last
+    for name in ("checkpoint.pt", "metrics.csv", "learning_curve.png"):
+        assert (out / name).exists(), "of seconds after the start: none is due yet"
 
 
 def test_ctrl_c_in_another_command(tmp_path: Path) -> None:

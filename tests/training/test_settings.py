@@ -222,6 +222,8 @@ def test_the_setting_that_differs_is_named(pearl: Pearl, tmp_path: Path) -> None
     assert status == 2
     assert f"{tmp_path} holds a run with rate 0.25, not 0.5: " in err
     assert "give the same settings to go on with it, or another --out" in err
+    longer = [100 if argument == 1 else argument for argument in arguments]
+    assert "holds a run with iterations 1, not 100: " in pearl("train", *longer, "--set", "rate=0.25")[2]
 
 
 def test_without_out_a_run_is_named_after_what_it_is(

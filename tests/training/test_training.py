@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import importlib
+import itertools
 import json
 import signal
 import subprocess
@@ -286,6 +287,27 @@ def test_a_killed_run_goes_on_as_if_nothing_had_been(algorithm: str, tmp_path: P
     ]
     assert files[0] == files[1]
     assert all((tmp_path / "whole" / file).read_bytes() == (killed / file).read_bytes() for file in files[0])
+
+
+def test_a_stopped_run_goes_on_as_if_nothing_had_been(tmp_path: Path) -> None:
+    """Wherever it is stopped: also between evaluations, long before a checkpoint is due."""
+    whole = run("ppo", "FrozenLake", tmp_path / "whole", every=4, **SMALL["ppo"])
+    settings = training.settings_for("ppo", "FrozenLake", SMALL["ppo"])
+    done = itertools.count(1)
+    for last in (3, 1):
+        with pytest.raises(KeyboardInterrupt):
+            training.train(
+                *("FrozenLake", {}, "ppo", settings, "native", tmp_path / "stopped"),
+                evaluate_every=4,
+                evaluated=EVALUATED,
+                stopped=lambda last=last: next(done) >= last,  # type: ignore[misc]
+            )
+    rows = run("ppo", "FrozenLake", tmp_path / "stopped", every=4, **SMALL["ppo"])
+    timeless = [[{**row, "seconds": 0} for row in part] for part in (whole, rows)]
+    assert timeless[0] == timeless[1]
+    assert (tmp_path / "whole" / "policy.safetensors").read_bytes() == (
+        tmp_path / "stopped" / "policy.safetensors"
+    ).read_bytes()
 
 
 def same(one: Any, other: Any) -> bool:
