@@ -72,7 +72,7 @@ def main(
     about = {"n_agents": n_agents, "seed": seed, "curve": curve}
     replace_file(out / "q_learning.json", json.dumps(about, indent=2).encode())
     draw_curve(curve, n_agents, out / "learning_curve.png")
-    console.print(f"Wrote {out}/learning_curve.png, q_learning.json and q_table.npy")
+    console.print(f"Wrote {out}/learning_curve.png, q_learning.json and q_table.npy", markup=False)
     if solved is None:
         raise typer.Exit(1)
 

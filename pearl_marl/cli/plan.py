@@ -6,6 +6,7 @@ import math
 from typing import Annotated, Any
 
 import typer
+from rich.markup import escape
 from rich.table import Table
 
 from pearl_marl.benchmark.machine import machine
@@ -201,7 +202,7 @@ def _sentences(result: dict[str, Any], found: Plan) -> list[str]:
             " DSP are those of random draws alone: what the environment's own core takes is not known."
         )
     if usage is None:
-        resources += f" LUT and FF are known after: {result['synthesise']}"
+        resources += f" LUT and FF are known after: {escape(result['synthesise'])}"
     else:
         resources += (
             f" Synthesised: {usage.lut:,} LUT, {usage.ff:,} FF, {usage.bram36:g} BRAM36, {usage.dsp:,} DSP."

@@ -12,7 +12,7 @@ import typer
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from pearl_marl.cli import common
-from pearl_marl.cli.common import console, error_console
+from pearl_marl.cli.common import error_console
 from pearl_marl.cli.interrupts import interrupts
 from pearl_marl.errors import ArgumentError
 
@@ -139,8 +139,7 @@ def command(
     if as_json:
         common.print_json(result)
         return
-    console.print(
+    common.say(
         f"Best mean return {best['eval_return']:.2f}, after {best['agent_steps']:,} agent-steps and "
-        f"{best['seconds']:.1f} s. Wrote {out}: policy.safetensors, metrics.csv, learning_curve.png",
-        soft_wrap=True,
+        f"{best['seconds']:.1f} s. Wrote {out}: policy.safetensors, metrics.csv, learning_curve.png"
     )

@@ -258,12 +258,21 @@ def test_a_device_is_no_file_to_write(
     assert not Path(name).is_file()
 
 
-def test_paths_are_printed_as_they_are(pearl: Pearl, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("line", "what"),
+    [
+        ("run CliffWalking --n-agents 4 --steps 2", "/run.json\n"),
+        ("train CliffWalking --algo q-learning --n-agents 64 --iterations 1", ": policy.safetensors"),
+    ],
+)
+def test_paths_are_printed_as_they_are(pearl: Pearl, line: str, what: str, tmp_path: Path) -> None:
     """Neither as the emoji of a name between colons nor as a style in brackets."""
+    if line.startswith("train"):
+        pytest.importorskip("torch", reason="torch is not installed: pip install '.[train]'")
     folder = tmp_path / "o:b:[red]x"
-    status, out, _ = pearl("run", "CliffWalking", "--n-agents", 4, "--steps", 2, "--out", folder)
-    assert status == 0
-    assert f"Wrote {folder / 'run.json'}\n" in out
+    status, out, err = pearl(*line.split(), "--out", folder)
+    assert status == 0, err
+    assert f"Wrote {folder}{what}" in out
 
 
 def test_too_little_memory(pearl: Pearl) -> None:
@@ -310,13 +319,16 @@ def test_a_closed_stream(closed: int) -> None:
     assert ("CliffWalking" in done.stdout) == (closed == 2)
 
 
-def test_streams_of_ascii() -> None:
+def test_streams_of_ascii(tmp_path: Path) -> None:
     ascii_ = {**os.environ, "LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0", "COLUMNS": "0"}
-    line = "run", "CliffWalking", "--n-agents", "4", "--steps", "2"
+    line = "eval", "Blackjack", "--policy", "random", "--n-agents", "40", "--out", str(tmp_path)
     done = called(*line, stdout=subprocess.PIPE, env=ascii_)
     assert (done.returncode, done.stderr.strip()) == (0, "")
-    assert "throughput" in done.stdout
-    assert "?" in done.stdout
+    assert "digest" in done.stdout
+    assert "? 0." in done.stdout, "a mean and its confidence"
+    assert "±" not in done.stdout
+    pytest.importorskip("matplotlib")
+    assert not (tmp_path / "evaluation.html").read_text("utf-8").isascii()
 
 
 def test_a_current_folder_that_is_gone(tmp_path: Path) -> None:
