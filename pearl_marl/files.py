@@ -10,8 +10,6 @@ import zlib
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from pearl_marl.errors import ArgumentError
 
 
@@ -62,6 +60,8 @@ def check_readable(path: Path) -> None:
 
 def load_array(path: Path, name: str = "", mmap_mode: Any = None) -> Any:
     """Return the array of a .npy file, or the one of that name in a .npz file; or raise ValueError."""
+    import numpy as np  # not above: who only writes has no need of it, and `pearl --help` no time
+
     check_readable(path)
     with path.open("rb") as file:
         first = file.read(6)
