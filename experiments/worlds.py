@@ -87,7 +87,7 @@ TASKS = (
         "RobotWarehouse",
         "ippo",
         None,
-        18.0,
+        21.2,
         "1 a shelf that was asked for",
         seeds=SEEDS[:1],
     ),
