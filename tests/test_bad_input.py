@@ -460,15 +460,6 @@ def test_sizes_in_an_array() -> None:
     assert [part.config.n_envs for part in device.parts] == [1, 3]
 
 
-def test_recv_after_close() -> None:
-    env = pearl_marl.parallel_env("CliffWalking", N)
-    env.reset(seed=0)
-    env.send([0] * N)
-    env.close()
-    with pytest.raises(OrderError, match=r"recv\(\) after close\(\)"):
-        env.recv()
-
-
 @pytest.mark.parametrize(
     ("spec", "rows", "words"),
     [

@@ -217,8 +217,6 @@ class Device(ABC):
 
     def recv(self) -> BatchStep:
         """Wait for the step that :meth:`send` started and return its results."""
-        if self._closed:
-            self.check_idle("recv")
         if self.under_way is None:
             raise OrderError("recv() without a step under way: call send() first")
         words, step = self.under_way

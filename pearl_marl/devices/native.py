@@ -67,6 +67,7 @@ class Native(Device):
         self._stored = SlotMemory(spec, n).bytes if config.initial_states == "stored" else self._memory
         shown = ("action_masks",) * bool(spec.mask_fields) + ("alive",) * (spec.agents > 1)
         self._places = np.array([GIVEN.index(name) for name in (*RESULTS, *shown)])
+        self._words = np.empty(config.n_agents, spec.action.dtype)  # as the kernel takes them
         # Others are checked by what the kernel does not know: roles, and what was seen before the step.
         self._checks = isinstance(spec.action_space, Discrete) and not shown
         self._put("memory", self._memory.ctypes.data)
@@ -136,7 +137,7 @@ class Native(Device):
         # The kernel looks at the actions itself, where no other thread has begun by then.
         if not (self.ready and self.under_way is None and self._checks and self._threads == 1):
             return super().step(actions)
-        if not are_words(actions, self._actions):
+        if not are_words(actions, self._words):
             return super().step(actions)
         result = self._step(actions)  # type: ignore[arg-type]
         self.tick += 1
