@@ -280,8 +280,12 @@ class Device(ABC):
 
     def snapshot(self) -> SavedState:
         """Return all that the continuation depends on; :meth:`restore` of any device takes it."""
+        return self.shared_snapshot().copy()
+
+    def shared_snapshot(self) -> SavedState:
+        """Return the same in memory that the next step may change, for who writes it down before."""
         self.check_idle("snapshot", ready=True)
-        return self.saved(*self._read()).copy()
+        return self.saved(*self._read())
 
     def saved(self, memory: Array, stored: Array) -> SavedState:
         """Return slots' memory and stored initial states as a state saved now."""

@@ -172,7 +172,7 @@ class PearlParallelEnv(ParallelInterface):
     def save_state(self) -> bytes:
         """Return everything that what follows depends on; :meth:`load_state` takes it, on any device."""
         self.device.check_idle("save_state", ready=True)
-        saved = self.device.snapshot()
+        saved = self.device.shared_snapshot()
         live = self._live[:0] if self.autoreset else self._live
         return replace(saved, identity=self._identity(), live=live.view(np.uint8)).to_bytes()
 
