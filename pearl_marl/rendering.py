@@ -17,7 +17,7 @@ from gymnasium.error import DependencyNotInstalled
 
 from pearl_marl.batch.step import BatchStep
 from pearl_marl.errors import ArgumentError, OrderError, PearlError
-from pearl_marl.files import replace_file
+from pearl_marl.files import check_files, replace_file
 from pearl_marl.spec import EnvSpec
 
 VIDEO_WORLDS, VIDEO_STEPS = 9, 200
@@ -185,14 +185,14 @@ class HeatMap:
     def save(self, path: str | Path) -> None:
         """Write the map as a picture. Needs matplotlib, of the ``render`` extra."""
         rows, columns = self.counts.shape
-        if Path(path).is_dir():
-            raise ArgumentError(f"{path} is a folder; name a file to write the heat map to, such as map.png")
+        path = Path(path)
+        check_files(path.parent, path.name)
         figure = new_figure(1 + 0.7 * columns, 1.2 + 0.7 * rows)
         from matplotlib.colors import LogNorm
 
         if not self.counts.any():
             raise OrderError("save() before add(): nothing has been counted that a heat map could show")
-        path, axes = Path(path), figure.subplots()
+        axes = figure.subplots()
         image = axes.imshow(np.where(self.counts, self.counts, np.nan), norm=LogNorm(vmin=1), cmap="viridis")
         axes.set(xticks=range(columns), yticks=range(rows), xlabel="column", ylabel="row")
         axes.set_title(f"{self._spec.name}: visits of all agents ({self.counts.sum():,} steps)")

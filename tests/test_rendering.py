@@ -56,7 +56,7 @@ def test_heat_maps_that_cannot_be_saved(tmp_path: Path) -> None:
     heat_map = HeatMap(pearl_marl.get_spec("CliffWalking"))
     with pytest.raises(OrderError, match=r"save\(\) before add\(\)"):
         heat_map.save(tmp_path / "map.png")
-    with pytest.raises(ArgumentError, match="is a folder; name a file"):
+    with pytest.raises(ArgumentError, match="is a folder, and a file is to be written there"):
         heat_map.save(tmp_path)
     assert not list(tmp_path.iterdir())
 
