@@ -22,6 +22,7 @@ ROOMS = (
         "errors",
         "limits",
         "cache",
+        "deferral",
         "files",
         "version",
         "remaking",

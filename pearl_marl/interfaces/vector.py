@@ -10,6 +10,7 @@ import numpy.typing as npt
 from gymnasium.vector import AutoresetMode
 
 from pearl_marl.batch.step import Array
+from pearl_marl.deferral import uninterrupted
 from pearl_marl.devices import BatchConfig, BatchStep, Device, make_device
 from pearl_marl.errors import ArgumentError
 from pearl_marl.interfaces.batch import World
@@ -58,11 +59,13 @@ class PearlVectorEnv(VectorInterface):
         """See :class:`VectorInterface`."""
         return self.device.step(actions)
 
+    @uninterrupted
     def send(self, actions: npt.ArrayLike) -> None:
         """Start a step and return at once; :meth:`recv` has its results. Takes what :meth:`step` does."""
         self.check_nobody_waits()
         self.device.send(actions)
 
+    @uninterrupted
     def recv(self) -> Shown:
         """Wait for the step that :meth:`send` started and return what :meth:`step` would have."""
         return self.shown(self.device.recv())
