@@ -131,6 +131,22 @@ class WrappedVectorEnv(_Wrapped, VectorInterface):
         super().__init__(env.num_envs, *spaces, mode, transform.world)
         self.spec, self.render_mode = env.spec, env.render_mode
 
+    @property
+    def np_random(self) -> np.random.Generator:
+        """The random numbers of the environment inside."""
+        generator: np.random.Generator = self.env.np_random
+        return generator
+
+    @np_random.setter
+    def np_random(self, value: np.random.Generator) -> None:
+        self.env.np_random = value
+
+    @property
+    def np_random_seed(self) -> int:
+        """What they were made from; -1 where they were assigned."""
+        seed: int = self.env.np_random_seed
+        return seed
+
     def reset_batch(self, seed: int | None = None, mask: npt.ArrayLike | None = None) -> Array:
         """See :class:`VectorInterface`."""
         obs = self.env.reset_batch(seed, mask)

@@ -7,6 +7,7 @@ from copy import deepcopy
 from typing import Any
 
 import numpy.typing as npt
+from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode
 
 from pearl_marl.batch.step import Array
@@ -53,7 +54,10 @@ class PearlVectorEnv(VectorInterface):
 
     def reset_batch(self, seed: int | None = None, mask: npt.ArrayLike | None = None) -> Array:
         """See :class:`VectorInterface`."""
-        return self.device.reset(seed, mask)
+        obs = self.device.reset(seed, mask)
+        if seed is not None:
+            self._np_random, self._np_random_seed = seeding.np_random(int(seed))
+        return obs
 
     def step_batch(self, actions: npt.ArrayLike) -> BatchStep:
         """See :class:`VectorInterface`."""

@@ -120,8 +120,6 @@ class VectorInterface(VectorEnv[Any, Any, Any], Batch):
         if mask is not None and not (mask := checked_mask(mask, self.num_envs)).any():
             raise ArgumentError("reset_mask resets nothing: at least one element must be True")
         obs = on_host(self.reset_batch(seed, mask))
-        if seed is not None:
-            self._np_random_seed = int(seed)
         if self._mode is AutoresetMode.DISABLED:
             if mask is None:
                 self._waiting[:] = False
