@@ -16,6 +16,7 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvS
 
 from pearl_marl.batch.slot_memory import SlotMemory
 from pearl_marl.batch.step import BatchStep
+from pearl_marl.deferral import uninterrupted
 from pearl_marl.devices.by_name import make_host_device
 from pearl_marl.errors import ArgumentError, OrderError
 from pearl_marl.evaluation.episodes import RunningEpisodes
@@ -92,6 +93,7 @@ class PearlVecEnv(VecEnv):
         self._began = time.time()
         self._episodes = RunningEpisodes(self.num_envs)
 
+    @uninterrupted
     def reset(self) -> Array:
         """Begin an episode in every slot; return observations of shape ``(num_envs, ...)``."""
         obs = self.env.reset_batch(self._next_seed)
@@ -102,10 +104,12 @@ class PearlVecEnv(VecEnv):
         self._reset_seeds()
         return self._own(obs)
 
+    @uninterrupted
     def step_async(self, actions: Array) -> None:
         """Take up actions of shape ``(num_envs, ...)``; :meth:`step_wait` steps."""
         self._actions = actions
 
+    @uninterrupted
     def step_wait(self) -> VecEnvStepReturn:
         """Step every slot once.
 
