@@ -96,7 +96,8 @@ def _picture(spec: EnvSpec, drawn: Any) -> npt.NDArray[np.uint8]:
     if right and picture.dtype.kind == "f":
         low, high = picture.min(), picture.max()
         if low >= 0 and high <= 1:
-            return np.rint(picture * 255).astype(np.uint8)
+            scaled: npt.NDArray[np.uint8] = np.rint(picture * 255).astype(np.uint8)
+            return scaled
         found, right = f"{found}, with values from {low:g} to {high:g}", False
     if not right or picture.dtype != np.uint8:
         raise PearlError(
