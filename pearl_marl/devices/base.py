@@ -317,7 +317,7 @@ class Device(ABC):
         A snapshot of another one raises SavedStateError, which names what differs. Nothing has changed then.
         """
         self.check_idle("restore")
-        saved.check(self.config.identity())
+        saved.check(self.config)
         with self._noted("restore", saved):
             self.seed, self.tick = saved.seed, saved.tick
             self.reward_table = reward_tables.padded(self.config.spec, saved.rewards)

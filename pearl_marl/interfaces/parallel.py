@@ -196,8 +196,9 @@ class PearlParallelEnv(ParallelInterface):
         SavedStateError
             The bytes are damaged, of another version, environment, size or mode. Nothing has changed.
         """
-        saved = SavedState.from_bytes(blob, self._identity())
-        obs = self.device.restore(saved)
+        self.device.check_idle("load_state")
+        saved = SavedState.from_bytes(blob, self.device.config, self.autoreset)
+        obs = self.device.restore(replace(saved, live=saved.live[:0]))  # which a device knows nothing of
         self._live = self._all if self.autoreset else saved.live.astype(np.bool_)
         return obs
 
