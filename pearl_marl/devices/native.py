@@ -164,7 +164,7 @@ class Native(Device):
         results, addresses = self._results.take_addressed()
         began = time.perf_counter()
         given = self._given
-        # Results of the last step, perhaps, which this one writes over. An array with memory of its own is not.
+        # They may be results of the last step, which this one writes over, unless they own their memory.
         if (
             actions.base is not None
             and not self.config.copy
