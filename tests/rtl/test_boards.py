@@ -224,7 +224,7 @@ def test_the_vc707_is_wired_as_it_should(exported: Path) -> None:
 def test_the_vc707s_constraints_are_of_its_ports(exported: Path, flat: dict[str, Any]) -> None:
     text = (exported / "vc707.xdc").read_text()
     configured = dict(re.findall(r"set_property (\w+) (\S+) \[current_design\]", text))
-    assert configured == {"CFGBVS": "GND", "CONFIG_VOLTAGE": "1.8"}  # of bank 0, by UG885
+    assert configured == {"CFGBVS": "GND", "CONFIG_VOLTAGE": "1.8"}  # of bank 0
     ports = flat["ports"]
     named = re.findall(r"get_ports \{?(\w+)(?:\[(\d+|\*)\])?\}?\]", text)
     for name, index in named:
