@@ -174,8 +174,8 @@ class ParallelInterface(pettingzoo.ParallelEnv, Batch):  # type: ignore[misc]
         masks = on_host(self.action_masks) if self.world.masked else None
         nobody = np.zeros(len(obs), np.bool_)
         return (
-            AgentDict(self._name_who_is_there(), obs, self._shown(masks)),
-            AgentDict(self.possible_agents, nobody, ended_infos(obs, self._shown_last)),
+            AgentDict.of(self._name_who_is_there(), obs, self._shown(masks)),
+            AgentDict.of(self.possible_agents, nobody, ended_infos(obs, self._shown_last)),
         )
 
     def step(self, actions: Mapping[str, Any] | npt.ArrayLike) -> tuple[dict[str, Any], ...]:
@@ -222,11 +222,11 @@ class ParallelInterface(pettingzoo.ParallelEnv, Batch):  # type: ignore[misc]
                 obs, rewards, terminations, truncations = (a[here] for a in (obs, *result[1:4]))
                 masks = None if masks is None else masks[here]
         return (
-            AgentDict(agents, obs, self._shown(masks, here)),
-            AgentDict(agents, rewards, python_values),
-            AgentDict(agents, terminations, python_values),
-            AgentDict(agents, truncations, python_values),
-            AgentDict(agents, ended, ended_infos(final_obs, self._shown_last)),
+            AgentDict.of(agents, obs, self._shown(masks, here)),
+            AgentDict.of(agents, rewards, python_values),
+            AgentDict.of(agents, terminations, python_values),
+            AgentDict.of(agents, truncations, python_values),
+            AgentDict.of(agents, ended, ended_infos(final_obs, self._shown_last)),
         )
 
     def _shown(self, masks: Array | None, slots: Array | None = None) -> Callable[[Array], Sequence[Any]]:
