@@ -57,14 +57,22 @@ class SavedState:
         spec, n = config.spec, config.n_envs
         _check_integers("seed", self.seed, 2, 32)
         _check_integers("tick", (self.tick,), 1, 64)
-        if not isinstance(self.rewards, tuple) or not all(type(reward) in (int, float) for reward in self.rewards):
-            raise SavedStateError(f"the saved state has rewards = {_short(self.rewards)}; they must be numbers")
+        if not isinstance(self.rewards, tuple) or not all(
+            type(reward) in (int, float) for reward in self.rewards
+        ):
+            raise SavedStateError(
+                f"the saved state has rewards = {_short(self.rewards)}; they must be numbers"
+            )
         try:
             reward_table(spec, self.rewards if self.rewards or spec.rewards is not None else None)
         except ArgumentError as error:
             raise SavedStateError(f"the saved state's {error}") from None
         slots = size(spec, n)
-        lengths = slots, slots if config.initial_states == "stored" else 0, 0 if autoreset else config.n_agents
+        lengths = (
+            slots,
+            slots if config.initial_states == "stored" else 0,
+            0 if autoreset else config.n_agents,
+        )
         for name, length in zip(_ARRAYS, lengths, strict=True):
             array = getattr(self, name)
             if not isinstance(array, np.ndarray) or array.dtype != np.uint8 or array.shape != (length,):

@@ -92,8 +92,11 @@ class Replay:
     @classmethod
     def _from_json(cls, value: dict[str, Any]) -> Replay:
         batch = value["batch"]
-        # Not imported: who wrote the file says nothing about what may run here.
-        spec = registered_spec(batch["environment"].rpartition("-v")[0]).with_options(**batch["options"])
+        try:
+            spec = registered_spec(batch["environment"].rpartition("-v")[0])
+        except ArgumentError as error:  # nothing is imported because a file says so
+            raise ArgumentError(f"{error}; for one of a package of yours, give --env PACKAGE:ENV") from None
+        spec = spec.with_options(**batch["options"])
         if spec.id != batch["environment"]:
             raise ArgumentError(f"it is of {batch['environment']}; here is {spec.id}")
         config = BatchConfig(
