@@ -81,7 +81,7 @@ def registered_spec(name: str) -> EnvSpec:
 
 
 def _spec(name: str, missing: str) -> EnvSpec:
-    """Return the spec of that name or id; if there is none, raise ArgumentError that begins with ``missing``."""
+    """Return the spec of that name or id; else raise ArgumentError, which begins with ``missing``."""
     plain, versioned, version = name.partition("-v")
     key = _key(plain)
     if key not in _specs and key in _folders():

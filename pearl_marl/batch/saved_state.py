@@ -202,7 +202,7 @@ class SavedState:
 
 
 def check_identity(saved: dict[str, Any], mine: dict[str, Any], exactly: bool = False) -> None:
-    """Raise SavedStateError where a saved identity differs; it may have more, unless it is ``exactly`` that."""
+    """Raise SavedStateError where a saved identity differs; unless ``exactly`` it may have more."""
     # Options may hold what JSON has no type for, such as tuples: compare what becomes of them.
     saved, mine = json.loads(json.dumps([saved, mine]))
     for name in {**mine, **saved} if exactly else mine:

@@ -1,4 +1,4 @@
-"""Whether words of slots can have come of steps: what a saved state of others is held to, column by column."""
+"""Whether words of slots can have come of steps: the checks of a saved state of others, column by column."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def check_counters(config: BatchConfig, slots: SlotMemory) -> None:
 
 
 def check_observations(config: BatchConfig, slots: SlotMemory) -> None:
-    """Raise SavedStateError where a state shows an agent a number that its observation space does not have."""
+    """Raise SavedStateError where a state shows an agent what its observation space does not have."""
     spec, space = config.spec, config.spec.observation_space
     parts = space.spaces if isinstance(space, Tuple) else (space,)
     if not all(isinstance(part, Discrete) for part in parts):

@@ -58,7 +58,7 @@ class Native(Device):
         self._alone = 0.0
 
     @property
-    def tick(self) -> int:  # type: ignore[override]
+    def tick(self) -> int:
         """See :class:`Device`. It lies in what the kernels are given, and a step moves it with the slots."""
         return int(self._given[_TICK])
 

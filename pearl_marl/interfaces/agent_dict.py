@@ -34,6 +34,8 @@ class AgentDict(dict[str, Any]):
 
     __slots__ = ("_agents", "_values", "array")
 
+    _agents: Sequence[str]
+    _values: Callable[[npt.NDArray[Any]], Sequence[Any]]
     array: npt.NDArray[Any]
     """The values as the device returned them; no copy is made."""
 
@@ -64,7 +66,7 @@ class AgentDict(dict[str, Any]):
             made._values = values
             # C code asks a dict for its size without asking us: json.dumps takes size 0 for "{}".
             # One key present sends it to items(), which fills the dict.
-            dict.__setitem__(made, UNREAD, UNREAD)  # type: ignore[index]
+            dict.__setitem__(made, UNREAD, UNREAD)  # type: ignore[misc]
             made.__class__ = _UnfilledAgentDict
         return made
 
@@ -86,7 +88,7 @@ class _UnfilledAgentDict(AgentDict):
     def fill(self) -> None:
         # The values first: another thread may look as soon as the class says that they are there.
         dict.update(self, zip(self._agents, self._values(self.array), strict=True))
-        dict.pop(self, UNREAD, None)
+        dict.pop(self, UNREAD, None)  # type: ignore[misc]
         self.__class__ = AgentDict  # type: ignore[assignment]
 
     def __len__(self) -> int:

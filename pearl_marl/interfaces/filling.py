@@ -10,13 +10,13 @@ FEW = 16
 
 
 class _Unread:
-    """What a container holds until it is filled: neither a name nor a number to any code that reads memory."""
+    """What a container holds until it is filled: neither a name nor a number to code that reads memory."""
 
     def __repr__(self) -> str:
         return "<not filled yet: take dict(...) or list(...) of the whole>"
 
     def __reduce__(self) -> str:
-        return "UNREAD"
+        raise TypeError(f"no result can be pickled while it is {self}")
 
 
 UNREAD = _Unread()

@@ -94,8 +94,9 @@ class Names(Sequence[str]):
 class AgentList(list[str]):
     """A list of agents' names that is filled when it is changed, or read from one end to the other.
 
-    Its length, an element, a slice, and whether a name is in it need no filling. A list of few is filled at once.
-    Copies and pickles are plain lists. Of other names than :class:`Names` it is an ordinary list.
+    Its length, an element, a slice, and whether a name is in it need no filling. A list of few names is
+    filled at once. Copies and pickles are plain lists. Of other names than :class:`Names` it is an ordinary
+    list.
     """
 
     __slots__ = ("_names",)

@@ -1,4 +1,4 @@
-"""Saved states of strangers, their checksums right: what no step leaves is refused, and nothing has changed."""
+"""Saved states of strangers with right checksums: what no step leaves is refused, and nothing has changed."""
 
 from __future__ import annotations
 
