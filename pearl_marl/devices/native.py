@@ -60,7 +60,7 @@ class Native(Device):
 
     @property
     def tick(self) -> int:
-        """See :class:`Device`. It lies in what the kernels are given, and a step moves it with the slots."""
+        """See :class:`Device`. It lies in what the kernels are given, which may move it with the slots."""
         return int(self._given[_TICK])
 
     @tick.setter
@@ -79,8 +79,10 @@ class Native(Device):
         shown = ("action_masks",) * bool(spec.mask_fields) + ("alive",) * (spec.agents > 1)
         self._places = np.array([GIVEN.index(name) for name in (*RESULTS, *shown)])
         self._words = np.empty(config.n_agents, spec.action.dtype)  # as the kernel takes them
-        # Others are checked by what the kernel does not know: roles, and what was seen before the step.
-        self._checks = isinstance(spec.action_space, Discrete) and not shown
+        # Others are checked by what the kernel does not know: roles, and what was seen before the step. A class
+        # that does more in a step has the tick moved after that.
+        whole = type(self)._step is Native._step
+        self._checks = isinstance(spec.action_space, Discrete) and not shown and whole
         self._put("memory", self._memory.ctypes.data)
         self._put("stored", self._stored.ctypes.data)
         self._put("first_slot", config.first_slot)

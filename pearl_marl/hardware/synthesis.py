@@ -317,7 +317,7 @@ def _run(job: _Job, cells: Cells, placement: Placement | None) -> dict[str, Any]
 
 
 def count_cells(by_type: Mapping[str, int], cells: Cells) -> dict[str, Any]:
-    """Return ``lut``, ``ff``, ``bram36`` and ``dsp`` of a netlist, given how many cells of each type it has."""
+    """Return ``lut``, ``ff``, ``bram36`` and ``dsp`` of a netlist, given the number of its cells by type."""
     return {
         "lut": sum(by_type.get(name, 0) * luts for name, luts in cells.lut.items()),
         "ff": sum(count for name, count in by_type.items() if re.fullmatch(cells.ff, name)),

@@ -401,7 +401,12 @@ def served_by_another_process(folder: Path) -> subprocess.Popen[str]:
         text=True,
     )
     assert process.stdout is not None
-    if "device" not in "".join(iter(process.stdout.readline, "}\n")):
+    answer = ""
+    for line in process.stdout:
+        answer += line
+        if line == "}\n":
+            break
+    if "device" not in answer:
         raise AssertionError(process.communicate()[1])
     return process
 
