@@ -23,8 +23,8 @@ ADDRESSES = ("memory", "stored", "elapsed", *RESULTS, "action_masks", "alive")
 
 SETTINGS = (
     *("seed_0", "seed_1", "tick", "first_slot", "limit", "next_step", "use_stored", "n"),
-    # Whether it is all that a step does: it looks for actions that are not in the space, and then does nothing;
-    # else it moves the tick, too.
+    # Whether it is all that a step does: where actions are not in the space it does nothing, and otherwise it
+    # moves the tick, too.
     "checked",
 )
 GIVEN = *ADDRESSES, *SETTINGS

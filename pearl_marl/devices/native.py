@@ -79,8 +79,8 @@ class Native(Device):
         shown = ("action_masks",) * bool(spec.mask_fields) + ("alive",) * (spec.agents > 1)
         self._places = np.array([GIVEN.index(name) for name in (*RESULTS, *shown)])
         self._words = np.empty(config.n_agents, spec.action.dtype)  # as the kernel takes them
-        # Others are checked by what the kernel does not know: roles, and what was seen before the step. A class
-        # that does more in a step has the tick moved after that.
+        # Others are checked by what the kernel does not know: roles, and what was seen before the step. Of a
+        # class that does more in a step, the tick moves after that.
         whole = type(self)._step is Native._step
         self._checks = isinstance(spec.action_space, Discrete) and not shown and whole
         self._put("memory", self._memory.ctypes.data)
