@@ -20,6 +20,7 @@ from gymnasium.spaces import Box, Discrete, Tuple
 
 from pearl_marl.errors import ArgumentError
 from pearl_marl.golden import GoldenFunction
+from pearl_marl.pickling import reduced
 from pearl_marl.tracing.checks import Argument, Result, check
 from pearl_marl.tracing.operations import word_range
 
@@ -424,6 +425,16 @@ class EnvSpec:
     def id(self) -> str:
         """The name with its version, as in ``"CliffWalking-v0"``."""
         return f"{self.name}-v{self.version}"
+
+    # It never changes, and pickled it comes back by what made it: see `pickling`.
+    def __copy__(self) -> EnvSpec:
+        return self
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> EnvSpec:
+        return self
+
+    def __reduce_ex__(self, protocol: Any) -> Any:
+        return reduced(self) or super().__reduce_ex__(protocol)
 
     def with_options(self, also: Iterable[str] = (), /, **options: Any) -> EnvSpec:
         """Return the spec of this environment under the given keyword arguments.

@@ -435,12 +435,17 @@ class Device(ABC):
             return {"settings": self.__dict__}
         saved = self.snapshot() if self.ready else None
         settings = {name: _unopened(value) for name, value in self.made_with.items()}
-        return {"settings": settings, "config": self.config, "rewards": self.reward_table, "saved": saved}
+        state = {"settings": settings, "config": self.config, "rewards": self.reward_table, "saved": saved}
+        return {**state, "closed": self._closed}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state["settings"])
         if "config" in state:
             config = state["config"]
+            if state["closed"]:  # nothing is taken up for that
+                self.made_with, self.config, self.reward_table = state["settings"], config, state["rewards"]
+                self.alive, self._closed = np.ones(config.n_agents, np.bool_), True
+                return
             self.open(config, reward_tables.categories(config.spec, state["rewards"]))
             if state["saved"] is not None:
                 self.restore(state["saved"])

@@ -6,7 +6,8 @@ In both, an action is checked when it is given.
 from __future__ import annotations
 
 from collections import deque
-from typing import Any
+from copy import deepcopy
+from typing import Any, Self
 
 import numpy as np
 from pettingzoo.utils.conversions import parallel_to_aec_wrapper
@@ -43,6 +44,10 @@ class _CheckedAEC(parallel_to_aec_wrapper):  # type: ignore[misc]
     """PettingZoo's conversion, which by itself would notice a bad action only at the end of the round."""
 
     env: PearlParallelEnv
+
+    def __copy__(self) -> Self:
+        # As of the environment inside: two that share it would step each other's agents.
+        return deepcopy(self)
 
     def observe(self, agent: str) -> Any:
         try:

@@ -82,6 +82,10 @@ class PearlParallelEnv(ParallelInterface):
         self._renderer: Renderer | None = None
         self._rendered_world = 0
 
+    def __getstate__(self) -> dict[str, Any]:
+        # A copy opens a window, or makes pictures, by itself.
+        return {**self.__dict__, "_renderer": None}
+
     def __repr__(self) -> str:
         return f"{type(self).__name__}({self.spec.id}, n_agents={self.batch_size}, device={self.device.name})"
 
