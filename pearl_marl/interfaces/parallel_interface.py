@@ -185,29 +185,30 @@ class ParallelInterface(pettingzoo.ParallelEnv, Batch):  # type: ignore[misc]
         ----------
         actions
             An action for each of ``agents`` by name, or an array of shape ``(n_agents, *action_space.shape)``
-            for all of ``possible_agents``; there, what it says for agents that have left is ignored.
+            for all of ``possible_agents``. What either says for agents that have left is ignored.
 
         Returns
         -------
         Observations (NumPy scalars, tuples of them, or arrays; with masks, a dict of ``"observation"`` and
         ``"action_mask"``), rewards (``float``), terminations and truncations (``bool``) and infos, each a
-        dict by agent; all empty for ``{}`` once no agent is left. The mask of an agent that ends is 0.
+        dict by agent; all empty for a dict once no agent is left. The mask of an agent that ends is 0.
 
         Raises
         ------
         ActionError
-            Names the first agent whose action is missing, unexpected, out of range, or masked in an
-            environment that refuses such. Nothing has moved.
+            Names the first agent whose action is missing, out of range, or masked in an environment that
+            refuses such; or a name that no agent has. Nothing has moved.
         OrderError
-            Before ``reset``, after ``close``, or once every agent has left.
+            Before ``reset``, after ``close``, or for an array once every agent has left.
         """
         agents = self._name_who_is_there()
         live = self._named
         given: Any = actions
         if isinstance(actions, Mapping) and self.ready:
-            if not agents and not actions:  # PettingZoo's convention, which SuperSuit's black_death needs
+            values = self._values(agents, actions)
+            if not values:  # PettingZoo's convention, which SuperSuit's black_death needs
                 return {}, {}, {}, {}, {}
-            given = self._action_array(agents, actions)
+            given = self._action_array(agents, values)
         result = self.step_batch(given).on_host()
         obs, rewards, terminations, truncations, final_obs = result
         ended, masks, here = result.ended, result.action_masks, None
@@ -262,13 +263,14 @@ class ParallelInterface(pettingzoo.ParallelEnv, Batch):  # type: ignore[misc]
         masks = np.zeros((len(rows), n), np.int8) if self.world.masked else None
         return self._shown(masks, slots)(rows)
 
-    def _action_array(self, agents: Sequence[str], actions: Mapping[str, Any]) -> Array:
-        """Return a dict's actions as an array over all slots; the rows of agents that left hold anything."""
-        values = self._values(agents, actions)
-        try:
-            array = np.array(values)
-        except ValueError:  # some are sequences
-            array = np.empty(0)
+    def _action_array(self, agents: Sequence[str], values: list[Any]) -> Array:
+        """Return actions of agents as an array over all slots; the rows of agents that left hold anything."""
+        array = _array(values)
+        if not self._are_actions(array, len(values)) and self.world.agents > 1:
+            # What the dead give, whatever it is, is ignored.
+            acting = on_host(self.alive)[self._named].tolist()
+            values = [value if acts else self._idle for value, acts in zip(values, acting, strict=True)]
+            array = _array(values)
         if not self._are_actions(array, len(values)):
             raise refuse_first(agents, values, self.slot_action_space)
         if len(values) == self.batch_size:
@@ -278,7 +280,7 @@ class ParallelInterface(pettingzoo.ParallelEnv, Batch):  # type: ignore[misc]
         return whole
 
     def _values(self, agents: Sequence[str], actions: Mapping[str, Any]) -> list[Any]:
-        """Return the actions of those that are there, who must be the ones that have one."""
+        """Return the actions of those that are there; none is to be for an agent that there never was."""
         try:
             values = [actions[agent] for agent in agents]
         except KeyError as missing:
@@ -286,10 +288,12 @@ class ParallelInterface(pettingzoo.ParallelEnv, Batch):  # type: ignore[misc]
                 f"no action for {missing.args[0]!r}; all {len(agents)} agents in env.agents need one"
             ) from None
         if len(actions) != len(values):
-            here = set(agents)
-            extra = next(agent for agent in actions if agent not in here)
-            why = "its episode has ended" if extra in self.names else "there is no such agent"
-            raise ActionError(f"an action for {extra!r}, but {why}; only agents in env.agents act")
+            unknown = [agent for agent in actions if agent not in self.names]
+            if unknown:
+                raise ActionError(
+                    f"an action for {unknown[0]!r}, but there is no such agent; agents are agent_0 to "
+                    f"agent_{self.batch_size - 1}"
+                )
         return values
 
     def _are_actions(self, array: Array, count: int) -> bool:
@@ -304,6 +308,14 @@ class ParallelInterface(pettingzoo.ParallelEnv, Batch):  # type: ignore[misc]
             self._agents = AgentList(self._here)
             self._named = live
         return self._here
+
+
+def _array(values: list[Any]) -> Array:
+    """Return values as an array; an empty one where some are sequences of other lengths."""
+    try:
+        return np.array(values)
+    except ValueError:
+        return np.empty(0)
 
 
 def _first(own: Space[Any], whole: Space[Any]) -> slice | None:
