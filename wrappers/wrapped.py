@@ -157,7 +157,7 @@ class WrappedVectorEnv(_Wrapped, VectorInterface):
     def reset_batch(self, seed: int | None = None, mask: npt.ArrayLike | None = None) -> Array:
         """See :class:`VectorInterface`."""
         obs = self.env.reset_batch(seed, mask)
-        return self.transform.reset(obs, seed, None if mask is None else np.asarray(mask))
+        return self.began(self.transform.reset(obs, seed, None if mask is None else np.asarray(mask)), mask)
 
     @uninterrupted
     def step_batch(self, actions: npt.ArrayLike) -> BatchStep:

@@ -140,11 +140,20 @@ class PearlParallelEnv(ParallelInterface):
     def _step_noted(self, actions: npt.ArrayLike) -> BatchStep:
         return self._stepped(self.device.step(actions))
 
+    @uninterrupted
     def reset_slots(self, mask: Mask) -> Array:
-        """Begin an episode in the masked worlds, shape ``(n_worlds,)``; return all observations."""
+        """Begin an episode in the masked worlds, shape ``(n_worlds,)``; return all observations.
+
+        With ``autoreset=False``, agents of those worlds that have left are back in ``agents``. Observations
+        of others that have left have no meaning.
+        """
         if mask is None:
             raise ArgumentError("mask is None; reset_batch() begins an episode in every world")
-        return self.device.reset(mask=mask)
+        obs = self.device.reset(mask=mask)
+        back = self.world.rows(np.asarray(mask)) & ~self._live
+        if back.any():
+            self._live = self._live | back
+        return obs
 
     def send(self, actions: npt.ArrayLike) -> None:
         """Start a step and return immediately; :meth:`recv` returns its results.

@@ -52,12 +52,13 @@ class PearlVectorEnv(VectorInterface):
         spaces = deepcopy(spec.observation_space), deepcopy(spec.action_space)
         super().__init__(config.n_envs, *spaces, autoreset_mode, World.of(spec))
 
+    @uninterrupted
     def reset_batch(self, seed: int | None = None, mask: npt.ArrayLike | None = None) -> Array:
         """See :class:`VectorInterface`."""
         obs = self.device.reset(seed, mask)
         if seed is not None:
             self._np_random, self._np_random_seed = seeding.np_random(int(seed))
-        return obs
+        return self.began(obs, mask)
 
     def step_batch(self, actions: npt.ArrayLike) -> BatchStep:
         """See :class:`VectorInterface`."""
