@@ -17,6 +17,7 @@ from pearl_marl.batch.actions import refuse_first
 from pearl_marl.batch.step import Array, BatchStep, on_host
 from pearl_marl.errors import ActionError, ArgumentError, OrderError
 from pearl_marl.interfaces.agent_dict import AgentDict, ended_infos, observations_in, python_values
+from pearl_marl.interfaces.agent_spaces import AgentSpaces
 from pearl_marl.interfaces.batch import Batch, Mask, World
 from pearl_marl.interfaces.names import AgentList, Names
 from pearl_marl.spec import Role
@@ -85,6 +86,16 @@ class ParallelInterface(pettingzoo.ParallelEnv, Batch):  # type: ignore[misc]
     def role(self, agent: str) -> str:
         """Return the name of an agent's role; ``"agent"`` where all are alike."""
         return self._roles[self._place(agent)].name
+
+    @functools.cached_property
+    def observation_spaces(self) -> Mapping[str, Space[Any]]:
+        """Every agent's :meth:`observation_space`: a dict, or of many agents a mapping that acts like one."""
+        return AgentSpaces.of(self.names, self._observation_spaces)
+
+    @functools.cached_property
+    def action_spaces(self) -> Mapping[str, Space[Any]]:
+        """Every agent's :meth:`action_space`, likewise."""
+        return AgentSpaces.of(self.names, [role.action_space for role in self._roles])
 
     def observation_space(self, agent: str) -> Space[Any]:
         """Return an agent's observation space, one object for all agents of its role.

@@ -80,6 +80,11 @@ class VectorInterface(VectorEnv[Any, Any, Any], Batch):
         self._seen: Array = np.zeros(0)
 
     @property
+    def autoreset_mode(self) -> AutoresetMode:
+        """What becomes of sub-environments that ended; Gymnasium's own environments have it, too."""
+        return self._mode
+
+    @property
     def live(self) -> Mask:
         """Everybody: nobody leaves."""
         return self._everybody
