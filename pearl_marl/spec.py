@@ -447,7 +447,7 @@ class EnvSpec:
         known = list(inspect.signature(self.configure).parameters) if self.configure else []
         for name in options:
             if name not in known:
-                meant = {"num_envs": "n_agents", "n_envs": "n_agents", "n_agents": "num_envs"}.get(name, "")
+                meant = _MEANT.get(name, "")
                 near = [meant] if meant in also else difflib.get_close_matches(name, [*known, *also], n=1)
                 hint = f", did you mean {near[0]!r}?" if near else ""
                 own = f"{self.name}'s own arguments: {', '.join(known) or 'none'}"
@@ -455,6 +455,16 @@ class EnvSpec:
         assert self.configure is not None
         return self.configure(**{**self.options, **options})
 
+
+_MEANT = {
+    "num_envs": "n_agents",
+    "n_envs": "n_agents",
+    "n_agents": "num_envs",
+    "max_episode_steps": "max_cycles",
+    "max_steps": "max_cycles",
+    "time_limit": "max_cycles",
+}
+"""What arguments of other packages are called here."""
 
 TERMINATED = Field("terminated", 1)
 """What ``golden.step`` tells of an agent's end."""

@@ -91,7 +91,12 @@ class PearlParallelEnv(ParallelInterface):
 
     @property
     def max_cycles(self) -> int:
-        """Steps after which an episode is truncated, 0 for never. Assigning takes effect at the next step."""
+        """Steps after which an episode is truncated, 0 for never. Assigning takes effect at the next step.
+
+        ``None`` is the environment's own limit. Episodes under way count from their beginning, and those that
+        are too long already end with that step. Where there was no limit, no steps were counted: they are
+        from then on.
+        """
         return self.device.config.limit
 
     @max_cycles.setter

@@ -75,6 +75,15 @@ class PearlVectorEnv(VectorInterface):
         """Wait for the step that :meth:`send` started and return what :meth:`step` would have."""
         return self.shown(self.device.recv())
 
+    @property
+    def max_cycles(self) -> int:
+        """See :class:`pearl_marl.PearlParallelEnv`."""
+        return self.device.config.limit
+
+    @max_cycles.setter
+    def max_cycles(self, value: int | None) -> None:
+        self.device.set_max_cycles(value)
+
     def recover(self) -> None:
         """See :meth:`pearl_marl.PearlParallelEnv.recover`."""
         self.device.recover()
