@@ -32,6 +32,7 @@ ROOMS = (
         "rng",
         "fixed_point",
         "planes",
+        "pickling",
         "spec",
         "envs",
         "registry",

@@ -142,7 +142,7 @@ class Transform:
 
     def check(self, actions: Array) -> None:
         """Refuse actions that are not possible; for transforms that may not hand them on."""
-        possible = self.possible(actions)
+        possible = self.possible(actions) | self.resetting  # for whom it is ignored
         if not possible.all():
             first = int(np.argmin(possible))
             raise refuse_first([f"agent_{first}"], [actions[first].tolist()], self.action_space)

@@ -52,6 +52,16 @@ class _Wrapped:
         return self.transform.action_masks
 
     @property
+    def max_cycles(self) -> int:
+        """See :class:`pearl_marl.PearlParallelEnv`."""
+        limit: int = self.env.max_cycles
+        return limit
+
+    @max_cycles.setter
+    def max_cycles(self, value: int | None) -> None:
+        self.env.max_cycles = value
+
+    @property
     def unwrapped(self) -> Any:
         """The environment inside all wrappers."""
         return self.env.unwrapped
@@ -98,16 +108,6 @@ class WrappedParallelEnv(_Wrapped, ParallelInterface):
         obs = self.env.load_state(inner)
         self.transform.restore(remembered)
         return self.transform.restored(obs)
-
-    @property
-    def max_cycles(self) -> int:
-        """See :class:`pearl_marl.PearlParallelEnv`."""
-        limit: int = self.env.max_cycles
-        return limit
-
-    @max_cycles.setter
-    def max_cycles(self, value: int | None) -> None:
-        self.env.max_cycles = value
 
     @property
     def live(self) -> Mask:
@@ -157,7 +157,7 @@ class WrappedVectorEnv(_Wrapped, VectorInterface):
     def reset_batch(self, seed: int | None = None, mask: npt.ArrayLike | None = None) -> Array:
         """See :class:`VectorInterface`."""
         obs = self.env.reset_batch(seed, mask)
-        return self.transform.reset(obs, seed, None if mask is None else np.asarray(mask))
+        return self.began(self.transform.reset(obs, seed, None if mask is None else np.asarray(mask)), mask)
 
     @uninterrupted
     def step_batch(self, actions: npt.ArrayLike) -> BatchStep:

@@ -26,6 +26,7 @@ from pearl_marl.compiler.kernels import compile_kernels
 from pearl_marl.deferral import completed
 from pearl_marl.devices.base import Device, count_or_none
 from pearl_marl.devices.threads import Threads
+from pearl_marl.errors import ActionError
 
 SLOW_STEP_SECONDS = 300e-6
 """From here on a second thread can pay: handing it work and waiting for it costs about 50 us."""
@@ -156,6 +157,10 @@ class Native(Device):
         try:
             # One call of the kernel moves slots and tick, so that Ctrl-C comes before both or after both.
             return self._step(actions)  # type: ignore[arg-type]
+        except ActionError:
+            if self.config.autoreset_mode is not AutoresetMode.NEXT_STEP:
+                raise
+            return super().step(actions)  # which looks whether they are of slots that only reset
         except BaseException as error:
             if self._given[_TICK] != tick:
                 completed(error, "step")

@@ -48,10 +48,16 @@ class _Watch(MetaPathFinder):
 
 
 class _Watched(Loader):
-    """Loads a module by its own loader, which the module then keeps."""
+    """Loads a module by its own loader, which the module then keeps, and has what that has besides."""
 
     def __init__(self, loader: Loader, then: Callable[[], None]) -> None:
         self._loader, self._then = loader, then
+
+    def __getattr__(self, name: str) -> Any:
+        # Some ask for data or source of a library that is not imported yet.
+        if name == "_loader":
+            raise AttributeError(name)
+        return getattr(self._loader, name)
 
     def create_module(self, spec: ModuleSpec) -> ModuleType | None:
         return self._loader.create_module(spec)
