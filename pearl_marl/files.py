@@ -6,9 +6,7 @@ import contextlib
 import errno
 import os
 import zipfile
-import zlib
 from pathlib import Path
-from typing import Any
 
 from pearl_marl.errors import ArgumentError
 
@@ -58,26 +56,12 @@ def check_readable(path: Path) -> None:
         raise ValueError("it is a folder, or no file of a disk" if path.exists() else "there is no such file")
 
 
-def load_array(path: Path, name: str = "", mmap_mode: Any = None) -> Any:
-    """Return the array of a .npy file, or the one of that name in a .npz file; or raise ValueError."""
-    import numpy as np  # not above: who only writes has no need of it, and `pearl --help` no time
+def check_uncompressed(archive: zipfile.ZipFile, size: int) -> None:
+    """Raise ValueError for an archive of ``size`` bytes whose content takes more memory than it does itself.
 
-    check_readable(path)
-    with path.open("rb") as file:
-        first = file.read(6)
-    # Of anything else NumPy says that it is pickled, and how to load it all the same.
-    if not first.startswith((b"\x93NUMPY", b"PK\x03\x04", b"PK\x05\x06")):
-        raise ValueError("it does not begin as one that NumPy writes" if first else "it is empty")
-    try:
-        found = np.load(path, mmap_mode)
-        if isinstance(found, np.ndarray):
-            return found
-        with found:
-            if name in found.files:
-                return found[name]
-            listed = ", ".join(found.files) or "none"
-    except (OverflowError, MemoryError):  # of the sizes in a header
-        raise ValueError("it is damaged, or larger than memory") from None
-    except (ValueError, EOFError, zipfile.BadZipFile, zlib.error, NotImplementedError) as error:
-        raise ValueError("it holds Python objects" if "ickle" in str(error) else str(error)) from None
-    raise ValueError(f"it has no array {name!r}; its arrays are {listed}" if name else "it is a .npz file")
+    For those whose writers compress nothing, before any of it is unpacked.
+    """
+    members = archive.infolist()
+    unpacked = sum(member.file_size for member in members)
+    if unpacked > size or any(member.compress_type != zipfile.ZIP_STORED for member in members):
+        raise ValueError(f"its {size:,} bytes are compressed, and unpacked they are {unpacked:,}")
