@@ -228,14 +228,15 @@ def test_a_file_is_on_the_disk_before_it_has_its_name(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     done: list[str] = []
-    fsync, replace = os.fsync, os.replace
+    fsync, replace, scratch = os.fsync, os.replace, r"^\.pearl-[0-9a-f]{8}\.tmp$"
 
     def synced(descriptor: int) -> None:
-        done.append(f"sync {Path(os.readlink(f'/proc/self/fd/{descriptor}')).name}")
+        name = Path(os.readlink(f"/proc/self/fd/{descriptor}")).name
+        done.append(f"sync {re.sub(scratch, 'scratch', name)}")
         fsync(descriptor)
 
     def replaced(old: Path, new: Path) -> None:
-        done.append(f"{old.name} -> {new.name}")
+        done.append(f"{re.sub(scratch, 'scratch', old.name)} -> {new.name}")
         replace(old, new)
 
     monkeypatch.setattr(files.os, "fsync", synced)
@@ -245,9 +246,9 @@ def test_a_file_is_on_the_disk_before_it_has_its_name(
         done.clear()
         folder.checkpoint({"number": number})
     assert done[:4] == [
-        "sync checkpoint.pt.tmp",
+        "sync scratch",
         "checkpoint.pt -> checkpoint.previous.pt",
-        "checkpoint.pt.tmp -> checkpoint.pt",
+        "scratch -> checkpoint.pt",
         f"sync {tmp_path.name}",
     ]
     numbers = [
