@@ -15,7 +15,7 @@ from torch import Tensor, nn
 
 from pearl_marl.errors import ArgumentError, shown
 from pearl_marl.policies import policy_file
-from pearl_marl.policies.network import SHARING, Array, masked, networks
+from pearl_marl.policies.network import SHARING, Array, check_weights, masked, networks
 from pearl_marl.registry import registered_spec
 from pearl_marl.spec import EnvSpec, is_number
 
@@ -198,7 +198,7 @@ def load(path: Path) -> NetworkPolicy | Table:
         # On torch's device of no memory, as whoever wrote the file may have named any size.
         with torch.device("meta"):
             policy = _described(about, tensors)
-        _check_tensors(policy, tensors)
+        check_weights(policy, tensors, policy.spec.name)
     except ArgumentError as error:
         raise ArgumentError(f"{file} is damaged, or of another version: {error}") from None
     policy.load_state_dict(tensors, assign=True)
@@ -240,24 +240,3 @@ def _described(about: dict[str, Any], tensors: dict[str, Tensor]) -> NetworkPoli
     if not is_number(chance) or chance < 0:
         raise ArgumentError(f"its policy has the chance {shown(chance)}; it must be a number from 0")
     return NetworkPolicy(spec, about["kind"], width, sharing, chance)
-
-
-def _check_tensors(policy: NetworkPolicy | Table, tensors: dict[str, Tensor]) -> None:
-    """Refuse tensors that are not those of a policy, or that no training leaves."""
-    wanted = policy.state_dict()
-    for name in {**wanted, **tensors}:
-        found, expected = (
-            f"{of[name].dtype} of shape {tuple(of[name].shape)}" if name in of else "nothing"
-            for of in (tensors, wanted)
-        )
-        if found != expected:
-            raise ArgumentError(
-                f"its tensors are not those of {policy.spec.name}: {shown(name)} is {found}, not {expected}"
-            )
-        tensor = tensors[name]
-        if not tensor.isfinite().all():
-            raise ArgumentError(f"{name} has NaN or an infinity among its numbers: the training diverged")
-        if not wanted[name].is_meta and not tensor.equal(wanted[name]):  # as bounds, which are no weights
-            raise ArgumentError(f"{name} has other numbers than {policy.spec.name} has")
-        if name.endswith((".variance", ".count")) and tensor.min() < 0:
-            raise ArgumentError(f"{name} has a number below 0")
