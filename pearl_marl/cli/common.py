@@ -193,6 +193,13 @@ def say(text: str) -> None:
     console.print(text, markup=False, soft_wrap=True)
 
 
+def replaying(path: Path, **named: str) -> str:
+    """Return the command that replays a file: with what that does not say, or nobody takes from a file."""
+    return f"pearl verify {path}" + "".join(
+        f" --{name} {value}" for name, value in named.items() if ":" in value
+    )
+
+
 def print_json(value: Any) -> None:
     """Print a result for machines."""
     typer.echo(json.dumps(value, indent=2))

@@ -167,9 +167,8 @@ def command(
         console.print(_table(escape(f"{spec.id} on {device}, compared with {reference}"), result["modes"]))
         _say(parted, _verdict(result))
         if path is not None:
-            named = {"--env": subject, "--device": device, "--reference": reference}
-            given = "".join(f" {option} {name}" for option, name in named.items() if ":" in name)
-            common.say(f"Wrote {path}: pearl verify {path}{given} replays it.")
+            again = common.replaying(path, env=subject, device=device, reference=reference)
+            common.say(f"Wrote {path}: {again} replays it.")
     if parted is not None:
         sys.exit(1)
     if not result["episodes"]:

@@ -80,7 +80,7 @@ class Replay:
             check_readable(path)
             value = json.loads(path.read_bytes())
         except (OSError, ValueError, RecursionError) as error:
-            raise ArgumentError(f"{path} cannot be read as a replay file: {_sentence(error)}") from None
+            raise ArgumentError(f"{path} cannot be read as a replay file: {_why(error)}") from None
         if not isinstance(value, dict) or value.get("format") != _FORMAT:
             raise ArgumentError(f"{path} is no replay file of pearl verify")
         if value.get("version") != _VERSION:
@@ -94,7 +94,7 @@ class Replay:
         except PearlError as error:
             raise ArgumentError(f"{path}: {error}") from None
         except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError, zlib.error) as error:
-            raise ArgumentError(f"{path} is damaged: {_sentence(error)}") from None
+            raise ArgumentError(f"{path} is damaged: {type(error).__name__}: {_why(error)}") from None
 
     @classmethod
     def _from_json(cls, value: dict[str, Any]) -> Replay:
@@ -199,9 +199,9 @@ def checksum(value: dict[str, Any]) -> str:
     return hashlib.sha256(text.encode()).hexdigest()
 
 
-def _sentence(error: Exception) -> str:
+def _why(error: Exception) -> str:
     why = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
-    return f"{type(error).__name__}: {' '.join(why.split())[:200]}"
+    return " ".join(why.split())[:200]
 
 
 def _packed(data: bytes) -> str:
