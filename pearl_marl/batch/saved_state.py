@@ -236,8 +236,8 @@ def _check_integers(name: str, value: Any, count: int, bits: int) -> None:
     """Raise SavedStateError for what is not a tuple of so many integers from 0, of so many bits."""
     right = isinstance(value, tuple) and len(value) == count
     if not right or not all(type(word) is int and 0 <= word < 1 << bits for word in value):
-        shown = value[0] if right and count == 1 else value
+        told = value[0] if right and count == 1 else value
         what = "an integer" if count == 1 else f"{count} integers"
         raise SavedStateError(
-            f"the saved state has {name} = {shown(shown)}; it must be {what} from 0, below 2**{bits}"
+            f"the saved state has {name} = {shown(told)}; it must be {what} from 0, below 2**{bits}"
         )

@@ -172,7 +172,9 @@ def progress(items: Iterable[T], total: int, label: str) -> Iterator[T]:
 
     text = TextColumn("{task.description}", markup=False)
     columns = (text, BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=error_console, transient=True) as bar:
+    with Progress(
+        *columns, console=error_console, transient=True, disable=not error_console.is_terminal
+    ) as bar:
         yield from bar.track(items, total=total, description=label, update_period=0.2)
 
 
