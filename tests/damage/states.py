@@ -32,6 +32,9 @@ class SavedStates(Kind):
         self.env.step_batch(self.actions)
         self.sample = self.env.save_state()
 
+    def space(self) -> Any:
+        return self.env.spec.observation_space
+
     def crafted(self, rng: Rng) -> bytes:
         length = struct.unpack_from("<Q", self.sample, 12)[0]
         head, arrays = self.sample[20 : 20 + length], bytearray(self.sample[20 + length :])
@@ -51,7 +54,7 @@ class SavedStates(Kind):
             expect(self.env.save_state() == before, "a refused state has changed something")
             raise
         if sealed:
-            space = self.env.unwrapped.spec.observation_space
+            space = self.space()
             expect(all(space.contains(row) for row in obs), "an observation out of its space")
             blob = self.env.save_state()
             self.env.step_batch(self.actions)
@@ -91,6 +94,9 @@ class StatesOfWrappers(SavedStates):
         self.env.reset_batch(seed=1)
         self.env.step_batch(self.actions)
         self.sample = self.env.save_state()
+
+    def space(self) -> Any:
+        return self.env.observation_space("agent_0")
 
     def crafted(self, rng: Rng) -> bytes:
         head, _, body = self.sample.partition(b"\0")

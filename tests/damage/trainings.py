@@ -31,12 +31,15 @@ class Training(Kind):
         self.rows = self.train()
         self.file = folder / self.name
         self.sample = self.file.read_bytes()
-        self.files = {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+        self.files = self.found()
 
     def train(self) -> Any:
         settings = training.settings_for(self.algorithm, self.env_id, self.given)
         run = self.env_id, {}, self.algorithm, settings, "native", self.folder
         return training.train(*run, evaluate_every=1, checkpoint_seconds=0.0, evaluated=4)
+
+    def found(self) -> dict[Path, bytes]:
+        return {path: path.read_bytes() for path in self.folder.rglob("*") if path.is_file()}
 
     def crafted(self, rng: Rng) -> bytes:
         if not rng.integers(4):
@@ -67,12 +70,14 @@ class Training(Kind):
             rows = self.train()
         except PearlError:
             self.file.write_bytes(self.sample)
-            now = {path: path.read_bytes() for path in self.folder.rglob("*") if path.is_file()}
-            expect(now == self.files, "a refused run has changed its folder")
+            expect(self.found() == self.files, "a refused run has changed its folder")
             raise
         finally:
-            for path, before in self.files.items():
-                if path.read_bytes() != before:
+            for path, now in self.found().items():
+                before = self.files.get(path)
+                if before is None:
+                    path.unlink()
+                elif now != before:
                     path.write_bytes(before)
         expect(sealed or _alike(rows, self.rows), f"other metrics: {rows}")
 
