@@ -81,15 +81,15 @@ def _bounds(spec: EnvSpec) -> list[tuple[int, int]] | None:
     if isinstance(space, Box):
         if spec.unpack is not None:
             return None
-        ends = zip(space.low.ravel().tolist(), space.high.ravel().tolist(), strict=True)
+        ends = list(zip(space.low.ravel().tolist(), space.high.ravel().tolist(), strict=True))
     else:
         parts: Any = space.spaces if isinstance(space, Tuple) else (space,)
         if not all(isinstance(part, Discrete) for part in parts):
             return None
-        ends = ((int(part.start), int(part.start + part.n - 1)) for part in parts)
+        ends = [(int(part.start), int(part.start + part.n - 1)) for part in parts]
     bounds = []
     for (least, most), (low, high), field in zip(limits, ends, spec.observation, strict=True):
-        unit = 2.0**field.fraction
+        unit = 1 << field.fraction
         bounds.append(
             (
                 max(least, math.ceil(low * unit)) if low > -math.inf else least,

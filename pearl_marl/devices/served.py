@@ -198,8 +198,8 @@ class ServedBoard:
         self._writes = _libc.inotify_init1(_IN_NONBLOCK | _IN_CLOEXEC)
         if self._writes >= 0:
             opened.callback(os.close, self._writes)
-        node = f"/proc/self/fd/{self._file}".encode()  # ours, whatever has its name by now
-        if self._writes < 0 or _libc.inotify_add_watch(self._writes, node, _IN_MODIFY) < 0:
+        ours = f"/proc/self/fd/{self._file}".encode()  # whatever has its name by now
+        if self._writes < 0 or _libc.inotify_add_watch(self._writes, ours, _IN_MODIFY) < 0:
             raise OSError(ctypes.get_errno(), f"inotify: {os.strerror(ctypes.get_errno())}")
         self._stopping = os.eventfd(0, os.EFD_CLOEXEC)
         opened.callback(os.close, self._stopping)
@@ -215,7 +215,7 @@ class ServedBoard:
         part = self._memory[begin:end]
         done = 0
         while done < len(part):
-            moved = os.preadv(self._file, [part[done:]], begin + done)
+            moved = os.preadv(self._file, [memoryview(part)[done:]], begin + done)
             self._check_size()
             done += moved
         return part
@@ -225,7 +225,7 @@ class ServedBoard:
         self._check_size()  # or it would grow again, with zeros where there was something
         done = 0
         while done < len(part):
-            done += os.pwrite(self._file, part[done:], begin + done)
+            done += os.pwrite(self._file, memoryview(part)[done:], begin + done)
 
     def _check_size(self) -> None:
         size, whole = os.fstat(self._file).st_size, self.layout.end("status")
