@@ -211,6 +211,10 @@ class _Sticky(Transform):
         self.memory = {"taken": self._taken, "may_stick": self._may_stick}
         self._given: Array = self._taken
 
+    def is_possible(self, name: str, saved: dict[str, Array]) -> bool:
+        # Of those that may be taken again; and a wrapper inside may have taken what is no number.
+        return name != "taken" or bool((self.possible(saved["taken"]) | ~saved["may_stick"]).all())
+
     def actions(self, actions: Array) -> Array:
         self.check(actions)  # or whether a bad one is refused would be left to chance
         sticks = np.flatnonzero(self._may_stick & (self.draws() < self._below))

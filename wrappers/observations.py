@@ -333,6 +333,19 @@ class _Window(Transform):
         self._window, self._turn = np.zeros((frames, self.n, *one), dtype), np.zeros((), np.int64)
         self.memory = {"window": self._window, "turn": self._turn}
 
+    def is_possible(self, name: str, saved: dict[str, Array]) -> bool:
+        if name == "turn":
+            return 0 <= int(saved["turn"]) < self._frames
+        low, high = self._range()
+        return bool(((saved["window"] >= min(low, 0)) & (saved["window"] <= max(high, 0))).all())
+
+    def _range(self) -> tuple[Any, Any]:
+        """Return between what the numbers of frames are, but for zeros before an episode."""
+        space: Any = self.observation_space
+        if isinstance(space, Box):
+            return space.low.min(), space.high.max()
+        return (space.start, space.start + space.n - 1) if isinstance(space, Discrete) else (-np.inf, np.inf)
+
     def push(self, obs: Array) -> None:
         self._turn[...] = (self._turn + 1) % self._frames
         newest = self._frame(0)
@@ -407,6 +420,9 @@ class _NumberStack(_Window):
             raise ArgumentError(f"{size} frames of {space} are more than 63 bits tell apart")
         super().__init__(batch, Discrete(n**size), action_space, size, (), np.int64, repeat)
         self._n_values = n
+
+    def _range(self) -> tuple[Any, Any]:
+        return 0, self._n_values - 1
 
     def write(self, out: Array, slots: Slots | None) -> None:
         out[:] = 0

@@ -262,6 +262,19 @@ class Transform:
         for name, array in self.memory.items():
             array[...] = saved[name]
 
+    def wrong(self, saved: dict[str, Array]) -> str | None:
+        """Return the name of what is no snapshot's among arrays of the right shapes and dtypes, if any."""
+        if (saved["place"][:2] >= 1 << 32).any():
+            return "place"
+        for name, array in saved.items():
+            if array.dtype == np.bool_ and (array.view(np.uint8) > 1).any():
+                return name
+        return next((name for name in self.memory if not self.is_possible(name, saved)), None)
+
+    def is_possible(self, name: str, saved: dict[str, Array]) -> bool:
+        """Return whether an array of :attr:`memory` can have come of steps."""
+        return bool(np.isfinite(saved[name]).all())
+
     def restored(self, obs: Array) -> Array:
         """Return what to show after :meth:`restore`, where the batch shows ``obs``."""
         return self._without_the_dead(self.show() if self.keeps_history else self.observe(obs))

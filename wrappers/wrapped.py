@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import io
-import zipfile
-import zlib
+from functools import partial
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from pearl_marl.arrays import unpacked_arrays
 from pearl_marl.batch.step import Array, BatchStep
 from pearl_marl.deferral import uninterrupted
 from pearl_marl.errors import OrderError, SavedStateError
@@ -186,13 +186,25 @@ def _unpacked(blob: bytes, transform: Transform) -> tuple[bytes, dict[str, Array
     name = type(transform).__name__.encode()
     if head != _FORMAT + name:
         raise SavedStateError(f"this is no saved state of an environment in a {name.decode()} wrapper")
+    mine = transform.snapshot()
+
+    def check(name: str, shape: tuple[int, ...], dtype: np.dtype[Any]) -> None:
+        right = (
+            (len(shape) == 1, np.uint8) if name == "inner" else (shape == mine[name].shape, mine[name].dtype)
+        )
+        if right != (True, dtype):
+            raise SavedStateError(
+                f"the saved state's {name!r} has shape {shape} and dtype {dtype}, which is not that of this "
+                "wrapper"
+            )
+
     try:
-        with np.load(io.BytesIO(body), allow_pickle=False) as file:
-            saved = dict(file)
-        inner = saved.pop("inner").tobytes()
-    except (OSError, EOFError, KeyError, ValueError, zipfile.BadZipFile, zlib.error) as error:
+        saved = unpacked_arrays(body, {name: partial(check, name) for name in ("inner", *mine)})
+    except SavedStateError:
+        raise
+    except ValueError as error:
         raise SavedStateError(f"the saved state is damaged: {error}") from None
-    for key, array in transform.snapshot().items():
-        if key not in saved or saved[key].shape != array.shape or saved[key].dtype != array.dtype:
-            raise SavedStateError(f"the saved state's {key!r} is not that of this wrapper")
+    inner = saved.pop("inner").tobytes()
+    if (wrong := transform.wrong(saved)) is not None:
+        raise SavedStateError(f"the saved state's {wrong!r} has numbers that no step of this wrapper leaves")
     return inner, saved
