@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from typing import Any
 
 from pearl_marl.hardware import toolchain
@@ -109,18 +110,19 @@ def _grown(kind: str, name: str, small: int, large: int, growth: dict[str, float
 
 def draw(rows: list[Row]) -> Any:
     """Draw three panels over slots, and the growth factors beside the paper's."""
-    figure, grid = subplots(2, 2, 6.8)
+    figure, grid = subplots(2, 2, 10.0)
     environments = list(dict.fromkeys(row["environment"] for row in rows if row["kind"] == "predicted"))
     colours = [Colour.BLUE, Colour.ORANGE, Colour.GREEN, Colour.RED]
     colours += [Colour.PINK, Colour.SKY, Colour.BLACK, "#777777"]
+    looks = list(itertools.product(("-", "--"), colours))[: len(environments)]
     panels = list(grid.flat)
     keys = {"lut": "LUT", "ff": "flip-flops", "bram36": "BRAM36"}
-    for axes, (key, label) in zip(panels, keys.items(), strict=False):
+    for axes, (key, label) in zip(panels[:3], keys.items(), strict=True):
         sized = having(rows, key)
-        for i, (name, colour) in enumerate(zip(environments, colours, strict=False)):
+        for name, (line, colour) in zip(environments, looks, strict=True):
             points = select(sized, environment=name)
             n, used = [row["n_envs"] for row in points], [row[key] for row in points]
-            style = {**LINES["predicted"], "linestyle": "-" if i % 2 else "--"}
+            style = {**LINES["predicted"], "linestyle": line}
             axes.plot(n, used, color=colour, label=name, markersize=5, clip_on=False, **style)
         values = [row[key] for row in sized]
         log_axis(axes, "x", [row["n_envs"] for row in sized], ticks=True)

@@ -124,7 +124,7 @@ def panels(names: Sequence[str], head: float, height: float, **options: Any) -> 
     figure, grid = subplots(lines, columns, head + height * lines, squeeze=False, **options)
     for axes in list(grid.flat)[len(names) :]:
         axes.axis("off")
-    return figure, dict(zip(names, grid.flat, strict=False))
+    return figure, dict(zip(names, list(grid.flat)[: len(names)], strict=True))
 
 
 def bars(axes: Any, places: Any, values: Any, height: float, form: str = "{:,.0f}", **options: Any) -> None:

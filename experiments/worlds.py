@@ -171,7 +171,8 @@ def draw(rows: list[Row]) -> Any:
     for (task, algorithm), (name, axes) in zip(tasks, grid.items(), strict=True):
         these = select(rows, task=task, algorithm=algorithm)
         results = select(these, part="result")
-        for colour, result in zip((Colour.BLUE, Colour.SKY, Colour.GREEN), results, strict=False):
+        colours = (Colour.BLUE, Colour.SKY, Colour.GREEN)[: len(results)]
+        for colour, result in zip(colours, results, strict=True):
             curve = select(these, part="curve", seed=result["seed"])
             axes.plot(
                 [row["agent_steps"] / 1e6 for row in curve],

@@ -27,15 +27,21 @@ _TEMPORARY = "pearl_marl_"
 def cache_folder(name: str) -> Path:
     """Return the folder of that name in the cache; a temporary one if the cache cannot be written."""
     folder = Path(os.environ.get("PEARL_CACHE_DIR") or platformdirs.user_cache_dir("pearl_marl")) / name
-    folder = folder.expanduser().resolve()
     try:
+        folder = folder.expanduser().resolve()  # a RuntimeError where nobody knows the user's home
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):
             return folder
-    except OSError:  # what is made is made again in every process, and no harm done
+    except (OSError, RuntimeError):  # what is made is made again in every process, and no harm done
         temporary = Path(tempfile.mkdtemp(prefix=f"{_TEMPORARY}{name}_"))
-        atexit.register(shutil.rmtree, temporary, ignore_errors=True)
+        atexit.register(_remove, temporary, os.getpid())
         return temporary
+
+
+def _remove(temporary: Path, maker: int) -> None:
+    """Remove a temporary folder at the end of the process that made it; a forked child only uses it."""
+    if os.getpid() == maker:
+        shutil.rmtree(temporary, ignore_errors=True)
 
 
 def is_kept(folder: Path) -> bool:

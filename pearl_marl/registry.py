@@ -66,9 +66,23 @@ def get_spec(name: str) -> EnvSpec:
     if not isinstance(name, str):
         raise ArgumentError(f"an environment's name is a string, not {name!r}")
     module, colon, plain = name.rpartition(":")
-    if colon:
-        _import(module, name)
-    plain, versioned, version = plain.partition("-v")
+    if not colon:
+        return registered_spec(name)
+    _import(module, name)
+    return _spec(plain, f"module {module!r} registers no environment {plain!r}")
+
+
+def registered_spec(name: str) -> EnvSpec:
+    """Return the spec of an environment as :func:`get_spec` does, and import no package for its name.
+
+    Names that stand in a file are looked up here: others may have written them.
+    """
+    return _spec(name, f"there is no environment {name!r}")
+
+
+def _spec(name: str, missing: str) -> EnvSpec:
+    """Return the spec of that name or id; else raise ArgumentError, which begins with ``missing``."""
+    plain, versioned, version = name.partition("-v")
     key = _key(plain)
     if key not in _specs and key in _folders():
         _specs[key] = importlib.import_module(f"{_PACKAGE}.{_folders()[key]}.spec").SPEC
@@ -79,10 +93,7 @@ def get_spec(name: str) -> EnvSpec:
         known = {_key(other): other for other in names()}
         near = difflib.get_close_matches(key, known, n=3)
         hint = f"did you mean {' or '.join(repr(known[k]) for k in near)}?" if near else ""
-        missing = f"module {module!r} registers no environment {plain!r}" if colon else ""
-        raise ArgumentError(
-            f"{missing or f'there is no environment {name!r}'}; {hint or 'there are ' + ', '.join(names())}"
-        )
+        raise ArgumentError(f"{missing}; {hint or 'there are ' + ', '.join(names())}")
     return spec
 
 

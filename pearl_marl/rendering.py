@@ -24,7 +24,7 @@ VIDEO_WORLDS, VIDEO_STEPS = 9, 200
 """What a film shows at most: renderers take milliseconds for a picture."""
 
 TILE = 200
-"""The greatest width and height of a world in a film, in pixels."""
+"""The greatest width and height of a world in a film, in pixels; smaller ones are magnified up to it."""
 
 _SHADES = " ░▒▓█"
 
@@ -58,7 +58,8 @@ class OwnRenderer:
     def render(self, state: npt.NDArray[Any]) -> npt.NDArray[np.uint8]:
         """Draw a world's state as an image of shape ``(height, width, 3)``."""
         with _installed(self._spec):
-            return self._draw(tuple(state.tolist()))
+            drawn = self._draw(tuple(state.tolist()))
+        return _picture(self._spec, drawn)
 
     def close(self) -> None:
         """Close nothing: there is no window."""
@@ -70,7 +71,7 @@ class OracleRenderer:
     def __init__(self, spec: EnvSpec, mode: str) -> None:
         assert spec.oracle is not None
         assert spec.pose is not None
-        self._pose, self._spec = spec.pose, spec
+        self._pose, self._spec, self._mode = spec.pose, spec, mode
         with _installed(spec):
             self._env = gymnasium.make(spec.oracle, render_mode=mode, **spec.options).unwrapped
             self._env.reset()
@@ -79,11 +80,31 @@ class OracleRenderer:
         """Draw a world's state, as the render mode has it."""
         self._pose(self._env, tuple(state.tolist()))
         with _installed(self._spec):
-            return self._env.render()
+            drawn = self._env.render()
+        return _picture(self._spec, drawn) if self._mode == "rgb_array" else drawn
 
     def close(self) -> None:
         """Close the window, if there is one."""
         self._env.close()
+
+
+def _picture(spec: EnvSpec, drawn: Any) -> npt.NDArray[np.uint8]:
+    """Return a picture as everybody takes them; MinAtar's, for one, are floats from 0 to 1."""
+    picture = np.asarray(drawn)
+    found = f"dtype {picture.dtype} and the shape {picture.shape}"
+    right = picture.ndim == 3 and picture.shape[2] == 3 and picture.size > 0
+    if right and picture.dtype.kind == "f":
+        low, high = picture.min(), picture.max()
+        if low >= 0 and high <= 1:
+            scaled: npt.NDArray[np.uint8] = np.rint(picture * 255).astype(np.uint8)
+            return scaled
+        found, right = f"{found}, with values from {low:g} to {high:g}", False
+    if not right or picture.dtype != np.uint8:
+        raise PearlError(
+            f"the drawing of {spec.name} has the {found}; "
+            "it must be uint8, or floats from 0 to 1, of the shape (height, width, 3)"
+        )
+    return picture
 
 
 @contextlib.contextmanager
@@ -121,10 +142,16 @@ class Video:
         self._path, self._milliseconds = path, 1000 // spec.render_fps
         self._renderer = renderer(spec, "rgb_array")
         self._frames: list[Any] = []
+        self._first: list[npt.NDArray[np.uint8]] = []
+        self._still = self._plain = True
 
     def add(self, states: npt.NDArray[Any]) -> None:
         """Film worlds in these states, a row a world."""
-        tiles = [self._tile(state) for state in states[:VIDEO_WORLDS]]
+        pictures = [self._renderer.render(state) for state in states[:VIDEO_WORLDS]]
+        self._first = self._first or [picture.copy() for picture in pictures]
+        self._still &= all(map(np.array_equal, pictures, self._first))
+        self._plain &= all(bool((picture == picture[0, 0]).all()) for picture in pictures)
+        tiles = [self._tile(picture) for picture in pictures]
         width, height = tiles[0].size
         columns = math.ceil(math.sqrt(len(tiles)))
         frame = self._image.new("RGB", (columns * width, math.ceil(len(tiles) / columns) * height))
@@ -143,12 +170,23 @@ class Video:
         first.save(film, "GIF", save_all=True, append_images=others, **arguments)
         replace_file(self._path, film.getvalue())
 
+    def doubt(self) -> str | None:
+        """Return a sentence if there is nothing to see in the film, which may be a mistake of the drawing."""
+        if self._plain:
+            return f"Each picture of {self._path} has one colour only."
+        if self._still and len(self._frames) > 1:
+            return f"Nothing moves in {self._path}: its {len(self._frames)} pictures are the same."
+        return None
+
     def close(self) -> None:
         """Close the renderer."""
         self._renderer.close()
 
-    def _tile(self, state: npt.NDArray[Any]) -> Any:
-        tile = self._image.fromarray(np.asarray(self._renderer.render(state), np.uint8))
+    def _tile(self, picture: npt.NDArray[np.uint8]) -> Any:
+        tile = self._image.fromarray(picture)
+        larger = TILE // max(tile.size)
+        if larger > 1:
+            return tile.resize([larger * side for side in tile.size], self._image.Resampling.NEAREST)
         tile.thumbnail((TILE, TILE))
         return tile
 

@@ -102,6 +102,11 @@ def seed_words(seed: int) -> tuple[int, int]:
     return int(low), int(high)
 
 
+def following(tick: int) -> int:
+    """Return the tick after one: after the last of 64 bits comes 0, as in hardware."""
+    return (tick + 1) & 0xFFFFFFFFFFFFFFFF
+
+
 def draws(seed: tuple[int, int], slots: npt.ArrayLike, tick: int, index: int) -> npt.NDArray[np.uint32]:
     """Return draw ``index`` (below ``2**32``) at ``tick`` (below ``2**64``) for many slots at once.
 

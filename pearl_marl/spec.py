@@ -200,8 +200,8 @@ class EnvSpec:
     pose
         Puts the oracle's environment, unwrapped, into a slot's state, so that it can render it.
     draw
-        Draws a slot's state itself, as an image of shape ``(height, width, 3)`` and dtype ``uint8``, where no
-        oracle can do so without a screen.
+        Draws a slot's state itself, as an image of shape ``(height, width, 3)`` and dtype ``uint8`` (or of
+        floats from 0 to 1), where no oracle can do so without a screen.
     render_modes, render_fps
         How the oracle can render, as its own metadata say; ``("rgb_array",)`` with ``draw``.
     grid

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import sys
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 import pearl_marl
 from pearl_marl.errors import ArgumentError, OrderError, PearlError
-from pearl_marl.rendering import HeatMap
+from pearl_marl.rendering import HeatMap, Video, renderer
+from pearl_marl.spec import EnvSpec
 
 INSTALL = r"pip install '\.\[render\]'"
 DRAWN = [
@@ -66,3 +69,95 @@ def test_a_heat_map_without_matplotlib(tmp_path: Path, monkeypatch: pytest.Monke
     heat_map = HeatMap(pearl_marl.get_spec("CliffWalking"))
     with pytest.raises(PearlError, match=f"matplotlib: {INSTALL}"):
         heat_map.save(tmp_path / "map.png")
+
+
+PLAIN = np.full((6, 9, 3), 70, np.uint8)
+
+
+def drawn_by(draw: Any) -> EnvSpec:
+    """CliffWalking with a drawing of its own."""
+    return replace(
+        pearl_marl.get_spec("CliffWalking"), draw=draw, render_modes=("rgb_array",), configure=None
+    )
+
+
+@pytest.mark.parametrize("name", pearl_marl.envs())
+def test_pictures_are_bytes(name: str) -> None:
+    for library in ("pygame", "minatar", "seaborn", "PIL"):
+        pytest.importorskip(library)
+    with closing(pearl_marl.parallel_env(name, render_mode="rgb_array")) as env:
+        env.reset(seed=0)
+        picture = env.render()
+    assert picture.dtype == np.uint8
+    assert picture.shape[2:] == (3,)
+    assert len(np.unique(picture.reshape(-1, 3), axis=0)) > 1
+    assert picture.max() > 100
+
+
+def test_floats_become_bytes() -> None:
+    for dtype in (np.float16, np.float32, np.float64):
+        shades = np.linspace(0, 1, 256, dtype=dtype).repeat(3).reshape(16, 16, 3)
+        picture = renderer(drawn_by(lambda state, shades=shades: shades), "rgb_array").render(
+            np.zeros(2, int)
+        )
+        assert picture.dtype == np.uint8
+        assert picture.ravel().tolist() == np.arange(256).repeat(3).tolist()
+
+
+@pytest.mark.parametrize(
+    ("drawn", "words"),
+    [
+        (PLAIN[..., 0], r"uint8 and the shape \(6, 9\)"),
+        (np.zeros((6, 9, 4), np.uint8), r"the shape \(6, 9, 4\)"),
+        (np.zeros((0, 9, 3), np.uint8), r"the shape \(0, 9, 3\)"),
+        (PLAIN.astype(np.int64), "int64"),
+        (PLAIN > 0, "bool"),
+        (PLAIN.astype(np.float32), "float32.* from 70 to 70"),
+        (PLAIN / -100, "from -0.7 to -0.7"),
+        (np.full((6, 9, 3), np.nan), "from nan to nan"),
+        (None, r"object and the shape \(\)"),
+        ("x", r"the shape \(\)"),
+    ],
+)
+def test_pictures_that_are_none(drawn: Any, words: str) -> None:
+    with pytest.raises(PearlError, match=f"CliffWalking has the .*{words}.*must be uint8") as caught:
+        renderer(drawn_by(lambda state: drawn), "rgb_array").render(np.zeros(2, int))
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("sides", "shown"), [((6, 9), (132, 198)), ((100, 40), (200, 80)), ((150, 120), None)]
+)
+def test_small_pictures_are_magnified(
+    sides: tuple[int, int], shown: tuple[int, int] | None, tmp_path: Path
+) -> None:
+    images = pytest.importorskip("PIL.Image")
+    shades = np.zeros((*sides, 3), np.uint8)
+    shades[0, 0] = 255
+    with closing(Video(drawn_by(lambda state: shades), tmp_path / "film.gif")) as film:
+        film.add(np.zeros((1, 2), int))
+        film.save()
+    with images.open(tmp_path / "film.gif") as written:
+        height, width = shown or sides
+        assert written.size == (width, height)
+        bright = np.asarray(written.convert("L")) > 128
+    larger = height // sides[0]
+    assert bright.sum() == larger**2
+    assert bright[:larger, :larger].all()
+
+
+def test_films_with_nothing_to_see(tmp_path: Path) -> None:
+    pytest.importorskip("PIL")
+
+    def doubt(*shown: Any) -> str | None:
+        pictures = iter(shown)
+        with closing(Video(drawn_by(lambda state: next(pictures)), tmp_path / "film.gif")) as film:
+            for _ in shown:
+                film.add(np.zeros((1, 2), int))
+            return film.doubt()
+
+    spot, other = PLAIN.copy(), PLAIN.copy()
+    spot[0, 0] = other[1, 1] = 0
+    assert doubt(spot, other) is doubt(spot) is doubt(spot, spot, other) is doubt(spot, PLAIN) is None
+    assert "has one colour only" in str(doubt(PLAIN, PLAIN // 2))
+    assert "its 3 pictures are the same" in str(doubt(spot, spot, spot))

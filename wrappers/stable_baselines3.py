@@ -16,6 +16,7 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvS
 
 from pearl_marl.batch.slot_memory import SlotMemory
 from pearl_marl.batch.step import BatchStep
+from pearl_marl.deferral import uninterrupted
 from pearl_marl.devices.by_name import make_host_device
 from pearl_marl.errors import ArgumentError, OrderError
 from pearl_marl.evaluation.episodes import RunningEpisodes
@@ -63,8 +64,9 @@ class PearlVecEnv(VecEnv):
 
     ``infos`` of slots whose episode ended hold ``terminal_observation``, the last of that episode;
     ``TimeLimit.truncated``, whether nothing but the time limit ended it; and ``episode``, what SB3's
-    ``Monitor`` says of it: return ``r``, length ``l``, seconds ``t`` since the start. All others are one
-    empty dict, which must not be written to.
+    ``Monitor`` says of it: return ``r``, length ``l``, seconds ``t`` since the start. The first episodes of
+    ``staggered`` slots, which are cut, have no ``episode``, so that neither ``evaluate_policy`` nor SB3's own
+    figures count them. Other slots' infos are empty. Each slot's is a dict of its own in every step.
     """
 
     def __init__(self, env: Any, staggered: bool = False) -> None:
@@ -72,6 +74,7 @@ class PearlVecEnv(VecEnv):
         self.env = env
         self._show, observation_space = _observations_for_sb3(batch.slot_observation_space)
         super().__init__(batch.batch_size, observation_space, batch.slot_action_space)
+        self.metadata = env.metadata  # whose render_fps films go by
         device = make_host_device(env.unwrapped.device)
         if not isinstance(staggered, bool):
             raise ArgumentError(f"staggered is {staggered!r}; it must be True or False")
@@ -81,6 +84,8 @@ class PearlVecEnv(VecEnv):
                 "leave it out, or make the environment with max_cycles"
             )
         self._staggered = staggered
+        # Whose episode has less than the time limit to go.
+        self._cut = np.zeros(self.num_envs, np.bool_)
         # SB3 looks at the observations of one step when it has taken the next.
         self._reused = not device.config.copy
         self._next_seed: int | None = None
@@ -88,6 +93,7 @@ class PearlVecEnv(VecEnv):
         self._began = time.time()
         self._episodes = RunningEpisodes(self.num_envs)
 
+    @uninterrupted
     def reset(self) -> Array:
         """Begin an episode in every slot; return observations of shape ``(num_envs, ...)``."""
         obs = self.env.reset_batch(self._next_seed)
@@ -98,10 +104,12 @@ class PearlVecEnv(VecEnv):
         self._reset_seeds()
         return self._own(obs)
 
+    @uninterrupted
     def step_async(self, actions: Array) -> None:
         """Take up actions of shape ``(num_envs, ...)``; :meth:`step_wait` steps."""
         self._actions = actions
 
+    @uninterrupted
     def step_wait(self) -> VecEnvStepReturn:
         """Step every slot once.
 
@@ -124,8 +132,8 @@ class PearlVecEnv(VecEnv):
 
     def _infos(self, step: BatchStep) -> list[dict[str, Any]]:
         """Count a step; return what SB3 is told of the episodes that it ended."""
-        # A new one each step: should somebody write into it nevertheless, it is gone by the next.
-        infos: list[dict[str, Any]] = [{}] * self.num_envs
+        # One of each slot's own, in every step: wrappers write into them, and SB3 keeps them.
+        infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
         ended = self._episodes.add(step)
         if not ended.slots.size:
             return infos
@@ -133,11 +141,10 @@ class PearlVecEnv(VecEnv):
         finals = self._show(step.final_obs[ended.slots])
         columns = [column.tolist() for column in ended]
         for final, slot, total, length, truncated in zip(finals, *columns, strict=True):
-            infos[slot] = {
-                "terminal_observation": final,
-                "TimeLimit.truncated": truncated,
-                "episode": {"r": total, "l": length, "t": seconds},
-            }
+            infos[slot].update({"terminal_observation": final, "TimeLimit.truncated": truncated})
+            if not self._cut[slot]:
+                infos[slot]["episode"] = {"r": total, "l": length, "t": seconds}
+        self._cut[ended.slots] = False
         return infos
 
     def close(self) -> None:
@@ -220,6 +227,7 @@ class PearlVecEnv(VecEnv):
         elapsed = SlotMemory(device.config.spec, device.config.n_envs, saved.memory).elapsed
         elapsed[:] = np.linspace(0, device.config.limit, device.config.n_envs, endpoint=False)
         device.restore(saved)
+        self._cut = self.env.world.rows(elapsed > 0).copy()
 
     def _refuse_some(self, call: str, indices: VecEnvIndices) -> None:
         if indices is not None and sorted(set(self._get_indices(indices))) != list(range(self.num_envs)):

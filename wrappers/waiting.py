@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pearl_marl.batch.step import Array
+from pearl_marl.deferral import uninterrupted
 from pearl_marl.interfaces.batch import Mask
 from pearl_marl.interfaces.parallel_interface import ParallelInterface
 
@@ -58,12 +59,14 @@ class WaitingWorlds:
         self._terminated = np.zeros(self.n, np.bool_)
         self._obs: Array | None = None
 
+    @uninterrupted
     def reset(self, seed: int | None = None) -> Shown:
         """Begin an episode in every world."""
         self._obs = self.env.reset_batch(seed)
         self._elapsed[:] = 0
         return self._first()
 
+    @uninterrupted
     def reset_some(self, worlds: Mask) -> Shown:
         """Begin an episode in some worlds, by a ``bool`` for each; show all of them."""
         # Those that terminated have begun already.
@@ -73,6 +76,7 @@ class WaitingWorlds:
             self._elapsed[begin] = 0
         return self._first()
 
+    @uninterrupted
     def step(self, actions: npt.ArrayLike) -> Shown:
         """Step every world once, by actions that have a row an agent. Raises what ``step_batch`` does."""
         env, rows = self.env, self.env.world.rows

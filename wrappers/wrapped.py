@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pearl_marl.batch.step import Array, BatchStep
+from pearl_marl.deferral import uninterrupted
 from pearl_marl.errors import OrderError, SavedStateError
 from pearl_marl.interfaces.batch import Mask
 from pearl_marl.interfaces.parallel_interface import ParallelInterface
@@ -65,20 +66,24 @@ class WrappedParallelEnv(_Wrapped, ParallelInterface):
         spaces = transform.observation_space, transform.action_space
         super().__init__(env.batch_size, *spaces, transform.action_kinds, env.autoreset, transform.world)
 
+    @uninterrupted
     def reset_batch(self, seed: int | None = None) -> Array:
         """Begin an episode for every agent; return observations of shape ``(n_agents, ...)``."""
         return self.transform.reset(self.env.reset_batch(seed), seed)
 
+    @uninterrupted
     def reset_slots(self, mask: Mask) -> Array:
         """Begin an episode in the masked worlds; return all observations."""
         return self.transform.reset(self.env.reset_slots(mask), None, np.asarray(mask))
 
+    @uninterrupted
     def step_slots(self, actions: npt.ArrayLike) -> BatchStep:
         """See :meth:`ParallelInterface.step_slots`."""
         if not self.env.ready:
             self.env.step_batch(actions)  # says why that is impossible
         return self.transform.step(actions)
 
+    @uninterrupted
     def save_state(self) -> bytes:
         """Return all that the continuation depends on, what wrappers remember included."""
         inner = self.env.save_state()
@@ -86,6 +91,7 @@ class WrappedParallelEnv(_Wrapped, ParallelInterface):
             raise OrderError("save_state() before reset(): call reset() of the outermost wrapper first")
         return _packed(inner, self.transform)
 
+    @uninterrupted
     def load_state(self, blob: bytes) -> Array:
         """Continue from what :meth:`save_state` of an environment wrapped like this one returned."""
         inner, remembered = _unpacked(blob, self.transform)
@@ -131,11 +137,29 @@ class WrappedVectorEnv(_Wrapped, VectorInterface):
         super().__init__(env.num_envs, *spaces, mode, transform.world)
         self.spec, self.render_mode = env.spec, env.render_mode
 
+    @property
+    def np_random(self) -> np.random.Generator:
+        """The random numbers of the environment inside."""
+        generator: np.random.Generator = self.env.np_random
+        return generator
+
+    @np_random.setter
+    def np_random(self, value: np.random.Generator) -> None:
+        self.env.np_random = value
+
+    @property
+    def np_random_seed(self) -> int:
+        """What they were made from; -1 where they were assigned."""
+        seed: int = self.env.np_random_seed
+        return seed
+
+    @uninterrupted
     def reset_batch(self, seed: int | None = None, mask: npt.ArrayLike | None = None) -> Array:
         """See :class:`VectorInterface`."""
         obs = self.env.reset_batch(seed, mask)
         return self.transform.reset(obs, seed, None if mask is None else np.asarray(mask))
 
+    @uninterrupted
     def step_batch(self, actions: npt.ArrayLike) -> BatchStep:
         """See :class:`VectorInterface`."""
         return self.transform.step(actions)

@@ -282,7 +282,7 @@ def make_step(rules: Rules) -> GoldenFunction:
         for k, outcome in enumerate(outcome_of):
             numbers = players[k][2], food_of[k], strength_of[k], state[-1]
             what: Word = 0
-            for number, (low, high) in zip(numbers, rules.limits, strict=False):
+            for number, (low, high) in zip(numbers[: len(rules.limits)], rules.limits, strict=True):
                 what = what * (high - low + 1) + np.clip(number, low, high) - low
             categories.append(np.where(outcome == LOADED, LOADED + what, outcome))
         over = any_of(level for _, _, level in left) == 0

@@ -7,6 +7,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import struct
 import zlib
@@ -17,8 +18,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from pearl_marl.batch.slot_memory import SlotMemory
-from pearl_marl.errors import SavedStateError
+from pearl_marl.batch.config import BatchConfig
+from pearl_marl.batch.rewards import reward_table
+from pearl_marl.batch.slot_checks import check_counters, check_observations, check_words
+from pearl_marl.batch.slot_memory import SlotMemory, size
+from pearl_marl.errors import ArgumentError, SavedStateError
 from pearl_marl.spec import EnvSpec
 
 Bytes = npt.NDArray[np.uint8]
@@ -44,15 +48,46 @@ class SavedState:
     live: Bytes
     """For strict PettingZoo lifetimes, one ``uint8`` an agent: whether it is still there."""
 
-    def check(self, identity: dict[str, Any]) -> None:
-        """Raise SavedStateError where this is no state of an environment of the given identity."""
-        # Options may hold what JSON has no type for, such as tuples: compare what becomes of them.
-        saved, mine = json.loads(json.dumps([self.identity, identity]))
-        for name, value in mine.items():
-            if saved.get(name) != value:
+    def check(self, config: BatchConfig, autoreset: bool = True) -> None:
+        """Raise SavedStateError where no batch of ``config`` can have been saved like this.
+
+        Without ``autoreset``, agents that ended may have left.
+        """
+        check_identity(self.identity, config.identity())
+        spec, n = config.spec, config.n_envs
+        _check_integers("seed", self.seed, 2, 32)
+        _check_integers("tick", (self.tick,), 1, 64)
+        if not isinstance(self.rewards, tuple) or not all(
+            type(reward) in (int, float) for reward in self.rewards
+        ):
+            raise SavedStateError(
+                f"the saved state has rewards = {_short(self.rewards)}; they must be numbers"
+            )
+        try:
+            reward_table(spec, self.rewards if self.rewards or spec.rewards is not None else None)
+        except ArgumentError as error:
+            raise SavedStateError(f"the saved state's {error}") from None
+        slots = size(spec, n)
+        lengths = (
+            slots,
+            slots if config.initial_states == "stored" else 0,
+            0 if autoreset else config.n_agents,
+        )
+        for name, length in zip(_ARRAYS, lengths, strict=True):
+            array = getattr(self, name)
+            if not isinstance(array, np.ndarray) or array.dtype != np.uint8 or array.shape != (length,):
                 raise SavedStateError(
-                    f"the saved state has {name} = {saved.get(name)!r}; this environment has {value!r}"
+                    f"the saved state has {np.size(array):,} bytes of {name}; this environment has {length:,}"
                 )
+        if self.live.size and self.live.max() > 1:
+            raise SavedStateError(
+                f"the saved state has {self.live.max()} for an agent that is live; possible are 0 and 1"
+            )
+        memory = SlotMemory(spec, n, self.memory)
+        check_words(config, memory)
+        check_counters(config, memory)
+        if self.stored.size:
+            check_words(config, SlotMemory(spec, n, self.stored))
 
     def cut(self, spec: EnvSpec, slots: slice) -> SavedState:
         """Return the state of some of the slots, for a device that has no others."""
@@ -117,15 +152,18 @@ class SavedState:
         return b"".join([_MAGIC, _VERSION, struct.pack("<I", checksum), *body])
 
     @classmethod
-    def from_bytes(cls, blob: bytes, identity: dict[str, Any]) -> SavedState:
-        """Read what :meth:`to_bytes` returned, for an environment of the given identity.
+    def from_bytes(cls, blob: bytes, config: BatchConfig, autoreset: bool | None = None) -> SavedState:
+        """Read what :meth:`to_bytes` returned, for an environment of ``config``.
+
+        ``autoreset`` is part of its identity where it has agents that may leave: see :meth:`check`.
 
         Raises
         ------
         SavedStateError
             The bytes are damaged, of another version, or of another environment: names the first
-            difference and both values.
+            difference and both values. Or they hold what no step leaves.
         """
+        identity = config.identity() if autoreset is None else {**config.identity(), "autoreset": autoreset}
         if not isinstance(blob, (bytes, bytearray, memoryview)):
             raise SavedStateError(f"a saved state is bytes, not {type(blob).__name__}")
         blob = bytes(blob)
@@ -140,14 +178,75 @@ class SavedState:
         if len(body) < 8 or zlib.crc32(body) != struct.unpack_from("<I", blob, len(_MAGIC) + 1)[0]:
             raise SavedStateError("the saved state is damaged or cut short: its checksum is wrong")
         start = 8 + struct.unpack_from("<Q", body)[0]
-        header = json.loads(bytes(body[8:start]))
-        arrays = np.split(np.frombuffer(body, np.uint8, offset=start), np.cumsum(header["lengths"])[:-1])
+        header = _header(bytes(body[8:start]))
+        check_identity(header["identity"], identity, exactly=True)
+        edges = list(itertools.accumulate(header["lengths"], initial=start))
+        if edges[-1] != len(body):
+            raise SavedStateError(
+                f"the saved state is of {len(body):,} bytes, and by its header of {edges[-1]:,}"
+            )
+        whole = np.frombuffer(body, np.uint8)
+        arrays = [whole[first:end] for first, end in itertools.pairwise(edges)]
         saved = cls(
-            identity=header["identity"],
+            identity=identity,
             seed=tuple(header["seed"]),
             tick=header["tick"],
             rewards=tuple(header["rewards"]),
             **dict(zip(_ARRAYS, arrays, strict=True)),
         )
-        saved.check(identity)
-        return replace(saved, identity=identity)
+        saved.check(config, autoreset is not False)
+        memories = [saved.memory, saved.stored] if saved.stored.size else [saved.memory]
+        for memory in memories:
+            check_observations(config, SlotMemory(config.spec, config.n_envs, memory))
+        return saved
+
+
+def check_identity(saved: dict[str, Any], mine: dict[str, Any], exactly: bool = False) -> None:
+    """Raise SavedStateError where a saved identity differs; unless ``exactly`` it may have more."""
+    # Options may hold what JSON has no type for, such as tuples: compare what becomes of them.
+    saved, mine = json.loads(json.dumps([saved, mine]))
+    for name in {**mine, **saved} if exactly else mine:
+        # As text: True is 1 in Python.
+        if name not in saved or json.dumps(saved[name]) != json.dumps(mine.get(name)):
+            raise SavedStateError(
+                f"the saved state has {name} = {_short(saved.get(name))}; "
+                f"this environment has {mine.get(name)!r}"
+            )
+
+
+def _header(text: bytes) -> dict[str, Any]:
+    """Return the header of a saved state: the keys are there, and lists and dicts where they are due."""
+    try:
+        header = json.loads(text)
+    except (ValueError, RecursionError):
+        header = None
+    kinds = {"identity": dict, "seed": list, "tick": int, "rewards": list, "lengths": list}
+    if not isinstance(header, dict) or header.keys() != kinds.keys():
+        raise SavedStateError("the saved state is damaged: its header is not one of this package's")
+    for name, kind in kinds.items():
+        if type(header[name]) is not kind:
+            raise SavedStateError(
+                f"the saved state has {name} = {_short(header[name])}; it must be of the type {kind.__name__}"
+            )
+    _check_integers("lengths", tuple(header["lengths"]), len(_ARRAYS), 63)
+    return header
+
+
+def _check_integers(name: str, value: Any, count: int, bits: int) -> None:
+    """Raise SavedStateError for what is not a tuple of so many integers from 0, of so many bits."""
+    right = isinstance(value, tuple) and len(value) == count
+    if not right or not all(type(word) is int and 0 <= word < 1 << bits for word in value):
+        shown = value[0] if right and count == 1 else value
+        what = "an integer" if count == 1 else f"{count} integers"
+        raise SavedStateError(
+            f"the saved state has {name} = {_short(shown)}; it must be {what} from 0, below 2**{bits}"
+        )
+
+
+def _short(value: Any) -> str:
+    """Return what stands for a value in a sentence, however long it is."""
+    try:
+        text = repr(value)
+    except (ValueError, RecursionError):  # an integer of thousands of digits
+        text = f"of the type {type(value).__name__}"
+    return text if len(text) <= 200 else f"{text[:200]}..."

@@ -91,6 +91,8 @@ def command(
                 heat_map.add(step)
         if film is not None:
             film.save()
+            if doubt := film.doubt():
+                error_console.print(doubt, markup=False)
 
     # The first step may load or compile the kernel, which says nothing about the others.
     typical = float(np.median(stepping[1:] or stepping))

@@ -18,6 +18,7 @@ from pearl_marl.comparison.replay import Replay
 from pearl_marl.devices import Lockstep
 from pearl_marl.errors import ArgumentError, DeviceError, LockstepError
 from pearl_marl.limits import MANY
+from pearl_marl.registry import get_spec
 from pearl_marl.spec import MAX_CYCLES
 from pearl_marl.verification import Run, replay, runs, verify
 
@@ -38,6 +39,14 @@ class Starts(StrEnum):
 
 Subject = Annotated[
     str, typer.Argument(metavar="ENV|FILE", help="An environment of `pearl envs`, or a replay file.")
+]
+EnvOfFile = Annotated[
+    str | None,
+    typer.Option(
+        "--env",
+        metavar="PACKAGE:ENV",
+        help="The environment of a replay file, where it is of a package of yours.",
+    ),
 ]
 DeviceToCheck = Annotated[
     str | None,
@@ -87,6 +96,7 @@ def command(
     autoreset_mode: Mode = None,
     initial_states: InitialStates = None,
     option: common.Options = None,
+    env: EnvOfFile = None,
     out: common.Out = None,
     as_json: common.AsJson = False,
 ) -> None:
@@ -99,10 +109,13 @@ def command(
         modes = n_agents, max_cycles, autoreset_mode, initial_states, option, out
         if any(given is not None for given in modes) or (steps, seed) != (STEPS, 0):
             raise ArgumentError(
-                f"{subject} is one recorded call: of the options, it takes --device, --reference and --json"
+                f"{subject} is one recorded call: of the options, it takes --env, --device, --reference and "
+                "--json"
             )
-        _replay(Replay.read(Path(subject)), device, reference, as_json)
+        _replay(_recorded(Path(subject), env), device, reference, as_json)
         return
+    if env is not None:
+        raise ArgumentError(f"--env is for a replay file, and {subject} is none: leave it out")
     try:
         spec = common.spec_of(subject, option)
     except ArgumentError:
@@ -154,7 +167,8 @@ def command(
         console.print(_table(escape(f"{spec.id} on {device}, compared with {reference}"), result["modes"]))
         _say(parted, _verdict(result))
         if path is not None:
-            common.say(f"Wrote {path}: pearl verify {path} replays it.")
+            env_of_file = f" --env {subject}" if ":" in subject else ""
+            common.say(f"Wrote {path}: pearl verify {path}{env_of_file} replays it.")
     if parted is not None:
         sys.exit(1)
     if not result["episodes"]:
@@ -172,6 +186,15 @@ def _smallest(recorded: Replay, device: str, reference: str) -> Replay:
     except DeviceError:  # not every device can be so small
         return recorded
     return alone if again is not None and again.field == recorded.divergence.field else recorded
+
+
+def _recorded(path: Path, env: str | None) -> Replay:
+    """Read a replay file; ``env`` is imported first, as nothing is that the file itself names."""
+    spec = None if env is None else get_spec(env)
+    recorded = Replay.read(path)
+    if spec is not None and recorded.config.spec.id != spec.id:
+        raise ArgumentError(f"--env is {env}, and {path} is of {recorded.config.spec.id}")
+    return recorded
 
 
 def _replay(recorded_call: Replay, device: str | None, reference: str | None, as_json: bool) -> None:

@@ -24,7 +24,7 @@ from pearl_marl.batch.saved_state import SavedState
 from pearl_marl.comparison.divergence import Divergence
 from pearl_marl.errors import ArgumentError, PearlError
 from pearl_marl.files import check_readable, replace_file
-from pearl_marl.registry import get_spec, names
+from pearl_marl.registry import registered_spec
 
 _FORMAT = "pearl verify replay"
 _VERSION = 1
@@ -61,8 +61,6 @@ class Replay:
             "version": _VERSION,
             "divergence": self.divergence.as_json(),
             "batch": self.config.identity(),
-            # Importing it registers the environment, where that is of another package.
-            "module": self.config.spec.golden.step.__module__,
             "before": None if self.before is None else _packed(self.before.to_bytes()),
             "actions": None if self.actions is None else _packed(self.actions.tobytes()),
             "seed": self.seed,
@@ -94,9 +92,11 @@ class Replay:
     @classmethod
     def _from_json(cls, value: dict[str, Any]) -> Replay:
         batch = value["batch"]
-        name, module = batch["environment"].rpartition("-v")[0], value.get("module")
-        known = name in names() or module is None
-        spec = get_spec(name if known else f"{module}:{name}").with_options(**batch["options"])
+        try:
+            spec = registered_spec(batch["environment"].rpartition("-v")[0])
+        except ArgumentError as error:  # nothing is imported because a file says so
+            raise ArgumentError(f"{error}; for one of a package of yours, give --env PACKAGE:ENV") from None
+        spec = spec.with_options(**batch["options"])
         if spec.id != batch["environment"]:
             raise ArgumentError(f"it is of {batch['environment']}; here is {spec.id}")
         config = BatchConfig(
@@ -111,7 +111,7 @@ class Replay:
         before, actions, mask = (
             None if value[name] is None else _unpacked(value[name]) for name in ("before", "actions", "mask")
         )
-        saved = None if before is None else SavedState.from_bytes(before, config.identity())
+        saved = None if before is None else SavedState.from_bytes(before, config)
         call = value["divergence"]["call"]
         words = None if actions is None else np.frombuffer(actions, spec.action.dtype)
         if (words is not None) != (call == "step") or (before is None and call != "reset"):

@@ -110,5 +110,6 @@ def _source(itself: _Itself, counter: str) -> str:
         "GIVEN": ", ".join(given),
         "SEEN": ", ".join(seen),
         "FIRST_GIVEN": given[0],
+        "TICK": str(GIVEN.index("tick")),
     }
     return pieces.filled(TEMPLATE, words, parts)

@@ -30,6 +30,7 @@ from pearl_marl.batch.results import Layout
 from pearl_marl.batch.saved_state import SavedState
 from pearl_marl.batch.slot_memory import SlotMemory
 from pearl_marl.batch.step import Array, BatchStep, Seen, on_host
+from pearl_marl.deferral import uninterrupted
 from pearl_marl.devices.recovery import CheckpointLog, Position
 from pearl_marl.devices.threads import Threads
 from pearl_marl.errors import ArgumentError, DeviceError, OrderError
@@ -136,6 +137,7 @@ class Device(ABC):
                 raise
         return self
 
+    @uninterrupted
     def reset(self, seed: int | None = None, mask: npt.ArrayLike | None = None) -> Array:
         """Begin new episodes and return every agent's observation.
 
@@ -170,10 +172,11 @@ class Device(ABC):
             if words is not None:
                 self.seed, self.tick = words, 0
             elif chosen is None:
-                self.tick += 1  # or every reset would begin the same episodes
+                self.tick = rng.following(self.tick)  # or every reset would begin the same episodes
             self.ready = True
             return self._shown(self._reset(chosen, seed))
 
+    @uninterrupted
     def step(self, actions: npt.ArrayLike) -> BatchStep:
         """Step every slot once.
 
@@ -194,27 +197,31 @@ class Device(ABC):
             self.check_idle("step", ready=True)
         return self.step_words(self.encoded(actions))
 
+    @uninterrupted
     def step_words(self, words: Array) -> BatchStep:
         """Step every slot once by its actions' words, a row an agent in ``spec.action.dtype``; unchecked."""
-        recovery = self.recovery
+        recovery, tick = self.recovery, self.tick
         if recovery is not None:
             recovery.before(self, "step_words")
         result = self._step(words)
         if recovery is not None:
             self._after("step_words", words)
-        self.tick += 1
+        self.tick = rng.following(tick)
         if self._remembers:
             self._shown(result.seen)
         return result
 
+    @uninterrupted
     def send(self, actions: npt.ArrayLike) -> None:
         """Start a step and return at once; :meth:`recv` has its results. Raises as :meth:`step` does."""
         self.check_idle("send", ready=True)
         words = self.encoded(actions)
         if self.recovery is not None:
             self.recovery.before(self, "step_words")
+        self._sent_at = self.tick
         self._begin(words)
 
+    @uninterrupted
     def recv(self) -> BatchStep:
         """Wait for the step that :meth:`send` started and return its results."""
         if self.under_way is None:
@@ -226,7 +233,7 @@ class Device(ABC):
             if step.done():  # or Ctrl-C came first, and the step is still under way
                 self.under_way = None
         self._after("step_words", words)
-        self.tick += 1
+        self.tick = rng.following(self._sent_at)
         if self._remembers:
             self._shown(result.seen)
         return result
@@ -250,6 +257,7 @@ class Device(ABC):
                 self.action_masks = self._copies.copy(self.action_masks)
         return obs
 
+    @uninterrupted
     def set_rewards(self, table: npt.ArrayLike) -> None:
         """Replace the reward table, from the next step on: a finite number for each reward category."""
         self.check_idle("set_rewards")
@@ -269,6 +277,7 @@ class Device(ABC):
         """Clock cycles that the last step took in the hardware; ``None`` where there is none."""
         return None
 
+    @uninterrupted
     def state(self) -> Array:
         """Return every slot's state, shape ``(n, fields)``: what the next step starts from.
 
@@ -278,10 +287,12 @@ class Device(ABC):
         self.check_idle("state", ready=True)
         return SlotMemory(self.config.spec, self.config.n_envs, self._read()[0]).values()
 
+    @uninterrupted
     def snapshot(self) -> SavedState:
         """Return all that the continuation depends on; :meth:`restore` of any device takes it."""
         return self.shared_snapshot().copy()
 
+    @uninterrupted
     def shared_snapshot(self) -> SavedState:
         """Return the same in memory that the next step may change, for who writes it down before."""
         self.check_idle("snapshot", ready=True)
@@ -299,19 +310,21 @@ class Device(ABC):
             live=memory[:0],
         )
 
+    @uninterrupted
     def restore(self, saved: SavedState) -> Array:
         """Continue from a snapshot of a batch like this one; return every agent's observation.
 
         A snapshot of another one raises SavedStateError, which names what differs. Nothing has changed then.
         """
         self.check_idle("restore")
-        saved.check(self.config.identity())
+        saved.check(self.config)
         with self._noted("restore", saved):
             self.seed, self.tick = saved.seed, saved.tick
             self.reward_table = reward_tables.padded(self.config.spec, saved.rewards)
             self.ready = True
             return self._shown(self._write(saved.memory, saved.stored))
 
+    @uninterrupted
     def recover(self) -> None:
         """Go on from the last call that succeeded, after one that raised DeviceError.
 
@@ -325,6 +338,7 @@ class Device(ABC):
         else:
             self.recovery.recover(self)
 
+    @uninterrupted
     def set_max_cycles(self, max_cycles: int | None) -> None:
         """Replace the time limit, from the next step on; where there was none, steps count from now."""
         self.check_idle("set_max_cycles")
@@ -352,6 +366,7 @@ class Device(ABC):
         setattr(self, "_step", timed_step)  # noqa: B010, as mypy takes methods for constants
         return seconds
 
+    @uninterrupted
     def close(self) -> None:
         """Release what the device holds. Safe to call twice."""
         if self._closed:
@@ -443,7 +458,10 @@ class Device(ABC):
 
     @abstractmethod
     def _step(self, actions: Array) -> BatchStep:
-        """Step every slot at ``tick``; ``actions`` are checked and in the device's width."""
+        """Step every slot at ``tick``; ``actions`` are checked and in the device's width.
+
+        The caller sets ``tick`` to the next one. A device whose slots and tick move at once may have done so.
+        """
 
     def _begin(self, words: Array) -> None:
         """Start a step whose results :meth:`recv` will ask for."""

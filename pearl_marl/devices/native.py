@@ -22,6 +22,7 @@ from pearl_marl.batch.step import Array, BatchStep, Seen
 from pearl_marl.compiler.block_pieces import BLOCK
 from pearl_marl.compiler.kernel_source import GIVEN, RESULTS
 from pearl_marl.compiler.kernels import compile_kernels
+from pearl_marl.deferral import completed
 from pearl_marl.devices.base import Device, count_or_none
 from pearl_marl.devices.threads import Threads
 
@@ -56,12 +57,21 @@ class Native(Device):
         self._recent: list[float] = []
         self._alone = 0.0
 
+    @property
+    def tick(self) -> int:
+        """See :class:`Device`. It lies in what the kernels are given, and a step moves it with the slots."""
+        return int(self._given[_TICK])
+
+    @tick.setter
+    def tick(self, tick: int) -> None:
+        self._given[_TICK] = tick
+
     def _open(self, config: BatchConfig) -> None:
         spec, n = config.spec, config.n_envs
         self._results = ResultArrays(config)
         self._slots = SlotMemory(spec, n)
         self._memory = self._slots.bytes
-        self._given = np.zeros(len(GIVEN), np.int64)
+        self._given = np.zeros(len(GIVEN), np.uint64)
         self._count(config, self._slots.elapsed)
         # Without stored initial states the kernels get the memory itself, and do not look.
         self._stored = SlotMemory(spec, n).bytes if config.initial_states == "stored" else self._memory
@@ -125,7 +135,9 @@ class Native(Device):
         use_stored = stored is not self._memory
         given = self._memory, stored, flags, results.obs
         again = use_stored and mask is not None
-        place = (*self.seed, self.tick, config.first_slot, again, n)
+        # As the 64-bit word of the kernel's signature.
+        tick = int(self._given.view(np.int64)[_TICK])
+        place = (*self.seed, tick, config.first_slot, again, n)
         self._run(self._kernels.reset, (*given, *results.arrays[5:], *place))
         self._elapsed[slice(None) if mask is None else mask] = 0
         if use_stored and mask is None:
@@ -139,15 +151,27 @@ class Native(Device):
             return super().step(actions)
         if not are_words(actions, self._words):
             return super().step(actions)
-        result = self._step(actions)  # type: ignore[arg-type]
-        self.tick += 1
-        return result
+        tick = self._given[_TICK]
+        try:
+            # One call of the kernel moves slots and tick, so that Ctrl-C comes before both or after both.
+            return self._step(actions)  # type: ignore[arg-type]
+        except BaseException as error:
+            if self._given[_TICK] != tick:
+                completed(error, "step")
+            raise
 
     def _step(self, actions: Array) -> BatchStep:
         results, addresses = self._results.take_addressed()
         began = time.perf_counter()
         given = self._given
-        given[_TICK] = self.tick
+        # They may be results of the last step, which this one writes over, unless they own their memory.
+        if (
+            actions.base is not None
+            and not self.config.copy
+            and np.may_share_memory(actions, results.obs.base)
+        ):
+            self._words[:] = actions
+            actions = self._words
         # For few slots, to write the same again would be a good part of a step.
         if addresses is not self._addresses:
             given[self._places] = self._addresses = addresses

@@ -1,10 +1,15 @@
-"""Threads that a device owns."""
+"""Threads that a device owns.
+
+A fork of the process waits for what they are at. The new process has the memory but no threads, so a step
+under way would never end there.
+"""
 
 from __future__ import annotations
 
 import os
+import weakref
 from collections.abc import Callable
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from typing import Any, TypeVar
 
 T = TypeVar("T")
@@ -17,16 +22,39 @@ class Threads:
         self._count, self._name = count, name
         self._pool: ThreadPoolExecutor | None = None
         self._process = 0
+        # Not to be kept alive: its result may be arrays whose memory is to be used again.
+        self._last: Callable[[], Future[Any] | None] = lambda: None
+        _all.add(self)
 
     def submit(self, call: Callable[..., T], *arguments: Any) -> Future[T]:
         """Have a call made; its result is the future's."""
         if self._pool is None or self._process != os.getpid():
             self._process = os.getpid()
             self._pool = ThreadPoolExecutor(self._count, thread_name_prefix=self._name)
-        return self._pool.submit(call, *arguments)
+        future = self._pool.submit(call, *arguments)
+        self._last = weakref.ref(future)
+        return future
+
+    def settle(self) -> None:
+        """Wait for what was submitted last."""
+        last = self._last()
+        if last is not None and self._process == os.getpid():
+            wait([last])
 
     def close(self) -> None:
         """Wait for all that was submitted, and end the threads."""
         if self._pool is not None and self._process == os.getpid():
             self._pool.shutdown(wait=True)
         self._pool = None
+
+
+_all: weakref.WeakSet[Threads] = weakref.WeakSet()
+
+
+def _settle_all() -> None:
+    for threads in list(_all):
+        threads.settle()
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(before=_settle_all)

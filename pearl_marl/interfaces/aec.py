@@ -14,6 +14,7 @@ from pettingzoo.utils.wrappers import OrderEnforcingWrapper
 
 from pearl_marl.batch.actions import refuse_first, refuse_masked, why_not
 from pearl_marl.batch.step import on_host
+from pearl_marl.deferral import uninterrupted
 from pearl_marl.errors import ActionError, ArgumentError, OrderError
 from pearl_marl.interfaces.parallel import PearlParallelEnv, parallel_env
 
@@ -52,6 +53,7 @@ class _CheckedAEC(parallel_to_aec_wrapper):  # type: ignore[misc]
                 f"observe({agent!r}): its episode has ended, and it has left until reset()"
             ) from None
 
+    @uninterrupted
     def step(self, action: Any) -> None:
         self.check(action)
         super().step(action)
@@ -78,6 +80,7 @@ class _TurnsAEC(_CheckedAEC):
         super().__init__(parallel)
         self.metadata["is_parallelizable"] = False
 
+    @uninterrupted
     def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> None:
         self._observations, infos = self.env.reset(seed, options)
         self.infos = dict(infos)
@@ -90,6 +93,7 @@ class _TurnsAEC(_CheckedAEC):
         self._due = deque(self._on_turn())
         self.agent_selection = self._due[0]
 
+    @uninterrupted
     def step(self, action: Any) -> None:
         """Take the selected agent's action; ``None`` from one whose episode has ended, which then leaves."""
         if not self.agents:

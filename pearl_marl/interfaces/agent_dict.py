@@ -3,7 +3,10 @@
 A step of 43,008 agents takes some 20 microseconds; a plain dict of its observations takes a
 thousand times that. Most users never look at a single key, so :class:`AgentDict` puts the keys
 and values in when the first method that needs them is called. To every such method it is an
-ordinary, mutable dict.
+ordinary, mutable dict. A dict of few agents is filled at once.
+
+Compiled code may read a dict's memory and call no method: encoders of JSON, data frames. Until a dict
+of many agents is filled it holds one entry there that no encoder takes, so that they fail aloud.
 """
 
 from __future__ import annotations
@@ -15,20 +18,14 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium.spaces import Space, Tuple
 
-from pearl_marl.interfaces.filling import fill_first
+from pearl_marl.interfaces.filling import FEW, UNREAD, fill_first
 
 
 class AgentDict(dict[str, Any]):
     """Values by agent, made from an array on first use.
 
-    Parameters
-    ----------
-    agents
-        The keys, in order. Not to be changed afterwards.
-    array
-        What :attr:`array` gives: a row an agent, in the same order.
-    values
-        Makes the values from ``array``.
+    Made by :meth:`of`. Called as a class it takes what ``dict`` takes, as code expects that makes another
+    dict of the same type; such a one has no :attr:`array`.
 
     Notes
     -----
@@ -37,23 +34,41 @@ class AgentDict(dict[str, Any]):
 
     __slots__ = ("_agents", "_values", "array")
 
+    _agents: Sequence[str]
+    _values: Callable[[npt.NDArray[Any]], Sequence[Any]]
     array: npt.NDArray[Any]
     """The values as the device returned them; no copy is made."""
 
-    def __init__(
-        self,
+    @classmethod
+    def of(
+        cls,
         agents: Sequence[str],
         array: npt.NDArray[Any],
         values: Callable[[npt.NDArray[Any]], Sequence[Any]],
-    ) -> None:
-        self.array = array
-        self._agents = agents
-        self._values = values
-        if agents:
+    ) -> AgentDict:
+        """Return the dict of an array.
+
+        Parameters
+        ----------
+        agents
+            The keys, in order. Not to be changed afterwards.
+        array
+            What :attr:`array` gives: a row an agent, in the same order.
+        values
+            Makes the values from ``array``.
+        """
+        made = cls()
+        made.array = array
+        if len(agents) <= FEW:
+            dict.update(made, zip(agents, values(array), strict=True))
+        else:
+            made._agents = agents
+            made._values = values
             # C code asks a dict for its size without asking us: json.dumps takes size 0 for "{}".
             # One key present sends it to items(), which fills the dict.
-            dict.__setitem__(self, agents[0], None)
-            self.__class__ = _UnfilledAgentDict
+            dict.__setitem__(made, UNREAD, UNREAD)  # type: ignore[misc]
+            made.__class__ = _UnfilledAgentDict
+        return made
 
     def __reduce__(self) -> tuple[Any, ...]:
         return dict, (dict(self),)
@@ -73,6 +88,7 @@ class _UnfilledAgentDict(AgentDict):
     def fill(self) -> None:
         # The values first: another thread may look as soon as the class says that they are there.
         dict.update(self, zip(self._agents, self._values(self.array), strict=True))
+        dict.pop(self, UNREAD, None)  # type: ignore[misc]
         self.__class__ = AgentDict  # type: ignore[assignment]
 
     def __len__(self) -> int:

@@ -6,14 +6,14 @@ that users see and may change.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from itertools import compress
 from typing import Any, overload
 
 import numpy as np
 import numpy.typing as npt
 
-from pearl_marl.interfaces.filling import fill_first
+from pearl_marl.interfaces.filling import FEW, UNREAD, fill_first
 
 PREFIX = "agent_"
 MOST_CHARACTERS = 40
@@ -94,14 +94,20 @@ class Names(Sequence[str]):
 class AgentList(list[str]):
     """A list of agents' names that is filled when it is changed, or read from one end to the other.
 
-    Its length, an element, a slice, and whether a name is in it need no filling.
-    Copies and pickles are plain lists.
+    Its length, an element, a slice, and whether a name is in it need no filling. A list of few names is
+    filled at once. Copies and pickles are plain lists. Of other names than :class:`Names` it is an ordinary
+    list.
     """
 
     __slots__ = ("_names",)
 
-    def __init__(self, names: Names) -> None:
+    def __init__(self, names: Iterable[str] = ()) -> None:
+        if not isinstance(names, Names) or len(names) <= FEW:
+            super().__init__(names)
+            return
         self._names = names
+        # For compiled code that reads the list's memory: it would see none at all.
+        self.append(UNREAD)  # type: ignore[arg-type]
         self.__class__ = _UnfilledAgentList
 
     def __reduce_ex__(self, protocol: Any) -> tuple[Any, ...]:

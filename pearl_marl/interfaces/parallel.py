@@ -17,6 +17,7 @@ from pearl_marl.batch.results import check_memory
 from pearl_marl.batch.saved_state import SavedState
 from pearl_marl.batch.slot_memory import state_dtype
 from pearl_marl.batch.step import Array, on_host
+from pearl_marl.deferral import uninterrupted
 from pearl_marl.devices import BatchConfig, BatchStep, Device, make_device
 from pearl_marl.errors import ArgumentError, OrderError
 from pearl_marl.interfaces.batch import Mask, World
@@ -93,6 +94,7 @@ class PearlParallelEnv(ParallelInterface):
     def max_cycles(self, value: int | None) -> None:
         self.device.set_max_cycles(value)
 
+    @uninterrupted
     def reset_batch(self, seed: int | None = None) -> Array:
         """Begin an episode for every agent; return observations of shape ``(n_agents, ...)``."""
         obs = self.device.reset(seed)
@@ -125,6 +127,13 @@ class PearlParallelEnv(ParallelInterface):
 
     def step_slots(self, actions: npt.ArrayLike) -> BatchStep:
         """See :meth:`ParallelInterface.step_slots`."""
+        # Where nothing is noted here, the device's step is all that an interrupt could cut in two.
+        if self.autoreset and self.render_mode != "human":
+            return self.device.step(actions)
+        return self._step_noted(actions)
+
+    @uninterrupted
+    def _step_noted(self, actions: npt.ArrayLike) -> BatchStep:
         return self._stepped(self.device.step(actions))
 
     def reset_slots(self, mask: Mask) -> Array:
@@ -141,6 +150,7 @@ class PearlParallelEnv(ParallelInterface):
         """
         self.device.send(self.filled(actions))
 
+    @uninterrupted
     def recv(self) -> BatchStep:
         """Wait for the step that :meth:`send` started and return its results."""
         return self._stepped(self.device.recv())
@@ -169,6 +179,7 @@ class PearlParallelEnv(ParallelInterface):
             np.tile(np.array(low, dtype), shape), np.tile(np.array(high, dtype), shape), dtype=dtype.type
         )
 
+    @uninterrupted
     def save_state(self) -> bytes:
         """Return everything that what follows depends on; :meth:`load_state` takes it, on any device."""
         self.device.check_idle("save_state", ready=True)
@@ -176,6 +187,7 @@ class PearlParallelEnv(ParallelInterface):
         live = self._live[:0] if self.autoreset else self._live
         return replace(saved, identity=self._identity(), live=live.view(np.uint8)).to_bytes()
 
+    @uninterrupted
     def load_state(self, blob: bytes) -> Array:
         """Continue from what :meth:`save_state` returned, bit for bit; return every agent's observation.
 
@@ -184,8 +196,9 @@ class PearlParallelEnv(ParallelInterface):
         SavedStateError
             The bytes are damaged, of another version, environment, size or mode. Nothing has changed.
         """
-        saved = SavedState.from_bytes(blob, self._identity())
-        obs = self.device.restore(saved)
+        self.device.check_idle("load_state")
+        saved = SavedState.from_bytes(blob, self.device.config, self.autoreset)
+        obs = self.device.restore(replace(saved, live=saved.live[:0]))  # which a device knows nothing of
         self._live = self._all if self.autoreset else saved.live.astype(np.bool_)
         return obs
 
@@ -223,6 +236,7 @@ class PearlParallelEnv(ParallelInterface):
             self._renderer = renderer(self.spec, self.render_mode)
         return self._renderer.render(state)
 
+    @uninterrupted
     def close(self) -> None:
         """Release the device and the window. Safe to call twice."""
         self.device.close()

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import functools
 from abc import abstractmethod
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from itertools import cycle
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -175,8 +174,8 @@ class ParallelInterface(pettingzoo.ParallelEnv, Batch):  # type: ignore[misc]
         masks = on_host(self.action_masks) if self.world.masked else None
         nobody = np.zeros(len(obs), np.bool_)
         return (
-            AgentDict(self._name_who_is_there(), obs, self._shown(masks)),
-            AgentDict(self.possible_agents, nobody, ended_infos(obs, self._shown_last)),
+            AgentDict.of(self._name_who_is_there(), obs, self._shown(masks)),
+            AgentDict.of(self.possible_agents, nobody, ended_infos(obs, self._shown_last)),
         )
 
     def step(self, actions: Mapping[str, Any] | npt.ArrayLike) -> tuple[dict[str, Any], ...]:
@@ -223,11 +222,11 @@ class ParallelInterface(pettingzoo.ParallelEnv, Batch):  # type: ignore[misc]
                 obs, rewards, terminations, truncations = (a[here] for a in (obs, *result[1:4]))
                 masks = None if masks is None else masks[here]
         return (
-            AgentDict(agents, obs, self._shown(masks, here)),
-            AgentDict(agents, rewards, python_values),
-            AgentDict(agents, terminations, python_values),
-            AgentDict(agents, truncations, python_values),
-            AgentDict(agents, ended, ended_infos(final_obs, self._shown_last)),
+            AgentDict.of(agents, obs, self._shown(masks, here)),
+            AgentDict.of(agents, rewards, python_values),
+            AgentDict.of(agents, terminations, python_values),
+            AgentDict.of(agents, truncations, python_values),
+            AgentDict.of(agents, ended, ended_infos(final_obs, self._shown_last)),
         )
 
     def _shown(self, masks: Array | None, slots: Array | None = None) -> Callable[[Array], Sequence[Any]]:
@@ -238,21 +237,21 @@ class ParallelInterface(pettingzoo.ParallelEnv, Batch):  # type: ignore[misc]
         seen = [_first(role.observation_space, self.slot_observation_space) for role in self._roles]
         allowed = [slice(getattr(role.action_space, "n", 0)) for role in self._roles]
 
-        def each(parts: list[Any]) -> Iterable[Any]:
+        def each(parts: list[Any], count: int) -> list[Any]:
             if slots is None:
-                return cycle(parts)
+                return parts * (count // len(parts))
             return [parts[slot % len(parts)] for slot in slots.tolist()]
 
         def shown(rows: Array) -> Sequence[Any]:
             values = self._rows(rows)
             if any(seen):
-                pairs = zip(values, each(seen), strict=False)
+                pairs = zip(values, each(seen, len(rows)), strict=True)
                 values = [value if part is None else value[part] for value, part in pairs]
             if masks is None:
                 return values
             return [
                 {"observation": value, "action_mask": mask[part]}
-                for value, mask, part in zip(values, masks, each(allowed), strict=False)
+                for value, mask, part in zip(values, masks, each(allowed, len(rows)), strict=True)
             ]
 
         return shown

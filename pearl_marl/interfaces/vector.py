@@ -7,9 +7,11 @@ from copy import deepcopy
 from typing import Any
 
 import numpy.typing as npt
+from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode
 
 from pearl_marl.batch.step import Array
+from pearl_marl.deferral import uninterrupted
 from pearl_marl.devices import BatchConfig, BatchStep, Device, make_device
 from pearl_marl.errors import ArgumentError
 from pearl_marl.interfaces.batch import World
@@ -52,17 +54,22 @@ class PearlVectorEnv(VectorInterface):
 
     def reset_batch(self, seed: int | None = None, mask: npt.ArrayLike | None = None) -> Array:
         """See :class:`VectorInterface`."""
-        return self.device.reset(seed, mask)
+        obs = self.device.reset(seed, mask)
+        if seed is not None:
+            self._np_random, self._np_random_seed = seeding.np_random(int(seed))
+        return obs
 
     def step_batch(self, actions: npt.ArrayLike) -> BatchStep:
         """See :class:`VectorInterface`."""
         return self.device.step(actions)
 
+    @uninterrupted
     def send(self, actions: npt.ArrayLike) -> None:
         """Start a step and return at once; :meth:`recv` has its results. Takes what :meth:`step` does."""
         self.check_nobody_waits()
         self.device.send(actions)
 
+    @uninterrupted
     def recv(self) -> Shown:
         """Wait for the step that :meth:`send` started and return what :meth:`step` would have."""
         return self.shown(self.device.recv())

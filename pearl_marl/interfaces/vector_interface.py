@@ -14,6 +14,7 @@ from gymnasium.vector.utils import batch_space
 
 from pearl_marl.batch.config import checked_mask
 from pearl_marl.batch.step import Array, BatchStep, on_host
+from pearl_marl.deferral import uninterrupted
 from pearl_marl.errors import ArgumentError, OrderError
 from pearl_marl.interfaces.agent_dict import observations_in
 from pearl_marl.interfaces.batch import Batch, Mask, World
@@ -98,6 +99,7 @@ class VectorInterface(VectorEnv[Any, Any, Any], Batch):
             raise ArgumentError("mask is None; reset_batch() begins an episode in every slot")
         return self.reset_batch(mask=mask)
 
+    @uninterrupted
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observations, dict[str, Any]]:
@@ -118,8 +120,6 @@ class VectorInterface(VectorEnv[Any, Any, Any], Batch):
         if mask is not None and not (mask := checked_mask(mask, self.num_envs)).any():
             raise ArgumentError("reset_mask resets nothing: at least one element must be True")
         obs = on_host(self.reset_batch(seed, mask))
-        if seed is not None:
-            self._np_random_seed = int(seed)
         if self._mode is AutoresetMode.DISABLED:
             if mask is None:
                 self._waiting[:] = False
@@ -130,6 +130,7 @@ class VectorInterface(VectorEnv[Any, Any, Any], Batch):
             self._seen = obs.copy()
         return self._batched(obs), {}
 
+    @uninterrupted
     def step(self, actions: Any) -> Shown:
         """Step every sub-environment once.
 

@@ -20,7 +20,7 @@ from torch import Tensor, nn
 from pearl_marl.errors import ArgumentError
 from pearl_marl.files import replace_file
 from pearl_marl.policies.network import SHARING, Array, masked, networks
-from pearl_marl.registry import get_spec
+from pearl_marl.registry import registered_spec
 from pearl_marl.spec import EnvSpec
 
 FORMAT = "pearl-policy-1"
@@ -231,7 +231,7 @@ def _described(header: dict[str, str]) -> dict[str, Any]:
 
 def _rebuilt(about: dict[str, Any], tensors: dict[str, Tensor]) -> NetworkPolicy | Table:
     """Make the policy that metadata describe, with these tensors."""
-    spec = get_spec(about["environment"]).with_options(**about["options"])
+    spec = registered_spec(about["environment"]).with_options(**about["options"])
     policy: NetworkPolicy | Table
     if about["kind"] == "table":
         policy = Table(spec, len(tensors.get("values", ())))

@@ -92,9 +92,9 @@ class Agents:
         self.acting = self.alive if masks is None else self.alive & (masks != 0).any(1)
 
     @property
-    def identity(self) -> dict[str, Any]:
+    def config(self) -> BatchConfig:
         """What a saved state of these agents has to agree with."""
-        return self.device.config.identity()
+        return self.device.config
 
     def state(self) -> SavedState:
         """Return all that the agents' continuation depends on."""
@@ -170,7 +170,7 @@ class Trainer:
     settings
         The run's.
     agents
-        Who gathers: :class:`Agents`, or what else has ``state``, ``load`` and ``identity``.
+        Who gathers: :class:`Agents`, or what else has ``state``, ``load`` and ``config``.
     where
         The device of torch that has their observations, and on which is learned.
     """
@@ -239,7 +239,7 @@ class Trainer:
         for name, part in self.learned.items():
             part.load_state_dict(state[name])
         self.random.set_state(state["random"])
-        self.agents.load(SavedState.from_bytes(state["agents"].numpy().tobytes(), self.agents.identity))
+        self.agents.load(SavedState.from_bytes(state["agents"].numpy().tobytes(), self.agents.config))
         self.episodes.load(state["episodes"])
 
 

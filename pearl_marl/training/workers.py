@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import torch
 
+from pearl_marl.batch.config import BatchConfig, worlds_of
 from pearl_marl.batch.saved_state import SavedState
 from pearl_marl.devices import cluster
 from pearl_marl.devices.ray import Parcel, contents, parcel
@@ -142,9 +143,9 @@ class RayWorkers:
         return self._actors[i].gather.remote(rollout, weights, state)
 
     @property
-    def identity(self) -> dict[str, Any]:
+    def config(self) -> BatchConfig:
         """What a saved state of all agents has to agree with."""
-        return {**self._states[0].identity, "n_agents": self.settings.n_agents}
+        return BatchConfig(spec=self.spec, n_envs=worlds_of(self.spec, self.settings.n_agents))
 
     def state(self) -> SavedState:
         """Return all that the agents' continuation depends on: the same, however many shards there are."""

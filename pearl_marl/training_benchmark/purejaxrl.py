@@ -88,7 +88,7 @@ def weights(key: Any, shape: tuple[int, ...], actions: int, width: int) -> dict[
         }
     sizes = ((shape[0], width, 2**0.5), (width, width, 2**0.5))
     return {
-        name: [*(dense(k, *size) for k, size in zip(some, sizes, strict=False)), dense(some[2], *last)]
+        name: [*(dense(k, *size) for k, size in zip(some[:2], sizes, strict=True)), dense(some[2], *last)]
         for name, some, last in (
             ("actor", keys[:3], (width, actions, 0.01)),
             ("critic", keys[3:], (width, 1, 1.0)),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import json
 import os
 import shutil
 import subprocess
@@ -159,9 +160,10 @@ def test_a_name_with_its_module(pearl: Any, tmp_path: Path, monkeypatch: pytest.
 
 
 @pytest.mark.usefixtures("registry")
-def test_replays_find_the_environments_package(
+def test_a_replay_is_given_the_environments_package(
     pearl: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """And imports none that it names itself."""
     pearl("new", "TwoRooms")
     monkeypatch.syspath_prepend(tmp_path / "two_rooms")
     spec = pearl_marl.get_spec("two_rooms:TwoRooms")
@@ -174,9 +176,19 @@ def test_replays_find_the_environments_package(
     caught.value.replay.write(file)
     forget(tmp_path)
     _specs.pop("tworooms")
-    status, out, err = pearl("verify", file)
+    file.write_text(json.dumps({**json.loads(file.read_text()), "module": "two_rooms.spec"}))
+    for arguments in ((), ("--env", "CliffWalking")):
+        status, out, err = pearl("verify", file, "--device", "native", *arguments)
+        assert (status, out) == (2, "")
+        assert "divergence.json: there is no environment 'TwoRooms'" in err
+        assert "--env" in err
+    assert "two_rooms" not in sys.modules
+    status, out, err = pearl("verify", file, "--env", "two_rooms:TwoRooms")
     assert (status, "The divergence is gone" in out) == (2, False), out + err  # of the device, there is none
-    status, out, err = pearl("verify", file, "--device", "native")
+    status, out, err = pearl("verify", file, "--env", "CliffWalking", "--device", "native")
+    assert (status, out) == (2, "")
+    assert "--env is CliffWalking, and" in err
+    status, out, err = pearl("verify", file, "--env", "two_rooms:TwoRooms", "--device", "native")
     assert status == 0, err
     assert "The divergence is gone" in out
 

@@ -286,6 +286,27 @@ def test_builds_of_figure_9_are_those_of_all() -> None:
     assert set(report.load("figure9").BUILDS) == set(names())  # type: ignore[attr-defined]
 
 
+def test_figure_9_draws_all_environments() -> None:
+    """Each in each panel, with a look of its own."""
+    pytest.importorskip("matplotlib")
+    figure9: Any = importlib.import_module("pearl_marl.experiments.figure9")
+    sizes = dict.fromkeys(("lut", "ff", "bram36", "n_envs"), 9)
+    rows = [
+        {"kind": "predicted", "environment": name, **dict.fromkeys(figure9.COLUMNS), "n_envs": n, **more}
+        for name in names()
+        for n, more in (
+            (16, sizes | {"environment": name}),
+            (64, {"environment": name, "from_n_envs": 16, "lut_growth": 1.5, "ff_growth": 1.2}),
+        )
+    ]
+    *panels, growth = figure9.draw(rows).axes
+    for axes in panels:
+        lines = axes.lines
+        assert [line.get_label() for line in lines] == names()
+        assert len({(line.get_color(), line.get_linestyle()) for line in lines}) == len(names())
+    assert [label.get_text() for label in growth.get_yticklabels()] == names()
+
+
 def test_eq_1_is_fitted_as_it_is_drawn() -> None:
     """By its relative errors, with no time below nothing."""
     equations = importlib.import_module("pearl_marl.experiments.equations")

@@ -161,6 +161,20 @@ class TestVideo:
             assert 5 < film.n_frames <= 12
             assert film.size == size
 
+    @pytest.mark.parametrize(("action", "moves"), [(3, False), (0, True)])
+    def test_a_film_where_nothing_moves_is_reported(
+        self, pearl: Pearl, action: int, moves: bool, tmp_path: Path
+    ) -> None:
+        pytest.importorskip("PIL")
+        pytest.importorskip("pygame")
+        np.save(tmp_path / "actions.npy", np.full((3, 2), action))
+        status, _, err = pearl(
+            *("run", "CliffWalking", "--n-agents", 2, "--steps", 3),
+            *("--actions", tmp_path / "actions.npy", "--video", tmp_path / "film.gif"),
+        )
+        assert status == 0
+        assert ("its3picturesarethesame" in "".join(err.split())) != moves
+
     @pytest.mark.parametrize(
         ("env", "name", "words"),
         [

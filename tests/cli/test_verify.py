@@ -134,7 +134,7 @@ def test_a_divergence_is_shown_written_replayed_and_mended(pearl, tmp_path, monk
 def test_a_replay_has_its_own_options(pearl, option):
     status, out, err = pearl("verify", "call.json", *option.split())
     assert (status, out) == (2, "")
-    assert err.startswith("pearl: call.json is one recorded call: of the options, it takes --device, ")
+    assert err.startswith("pearl: call.json is one recorded call: of the options, it takes --env, --device, ")
 
 
 @pytest.mark.usefixtures("broken")

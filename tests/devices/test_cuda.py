@@ -78,7 +78,7 @@ def test_tensors_hold_what_arrays_hold(name: str, copy: bool, mode: AutoresetMod
         step = device.step([on_gpu(actions.astype(wide)), on_gpu(actions), actions][t % 3])
         other = native.step(actions)
         assert all(isinstance(tensor, torch.Tensor) for tensor in step)
-        for ours, theirs in zip(step.on_host()[:4], other, strict=False):
+        for ours, theirs in zip(step.on_host()[:4], tuple(other)[:4], strict=True):
             assert ours.dtype == theirs.dtype
             np.testing.assert_array_equal(ours, theirs)
         np.testing.assert_array_equal(step.arrivals().cpu(), other.arrivals())

@@ -21,7 +21,7 @@ from pearl_marl.devices import BatchConfig, Native, Reference, make_device
 from pearl_marl.errors import DeviceError
 from pearl_marl.spec import EnvSpec, Field
 
-from ..toy import LADDER
+from ..toy import LADDER, SLIDE
 
 CLIFF = pearl_marl.get_spec("CliffWalking")
 
@@ -38,22 +38,48 @@ def test_it_has_a_name() -> None:
     assert env.reset(seed=0)[0] == {"agent_0": 36, "agent_1": 36, "agent_2": 36}
 
 
-def test_no_kernel_is_made(tmp_path) -> None:
-    """A mistake of the kernels' generator must not be able to reach it."""
+def test_nothing_is_compiled_and_no_kernel_is_made(tmp_path) -> None:
+    """A mistake of the kernels' generator, or of Numba, must not be able to reach it."""
     program = """
 import sys
 from unittest import mock
+import numba
 import numpy as np
 import pearl_marl
+from pearl_marl.compiler import kernel_source, kernels
 from pearl_marl.devices import BatchConfig, Reference
-with mock.patch("pearl_marl.compiler.kernel_source.kernel_source", side_effect=AssertionError), \\
-        mock.patch("pearl_marl.compiler.kernels.load", side_effect=AssertionError):
-    device = Reference().open(BatchConfig(spec=pearl_marl.get_spec("CliffWalking"), n_envs=5))
-    device.reset(seed=0)
-    device.step(np.zeros(5, np.uint8))
+
+POISON = AssertionError("compiled")
+with mock.patch.object(kernel_source, "kernel_source", side_effect=POISON), \\
+        mock.patch.object(kernels, "load", side_effect=POISON), \\
+        mock.patch.object(kernels, "compile_kernels", side_effect=POISON), \\
+        mock.patch("numba.core.dispatcher.Dispatcher.compile", side_effect=POISON):
+    for name in pearl_marl.envs():
+        spec = pearl_marl.get_spec(name)
+        device = Reference().open(BatchConfig(spec=spec, n_envs=3, max_cycles=2))
+        device.reset(seed=0)
+        for _ in range(3):
+            words = np.zeros(3 * spec.agents, spec.action.dtype)
+            if device.action_masks is not None:
+                words[:] = device.action_masks.argmax(-1)
+            device.step_words(words)  # actions are checked and encoded for all devices alike, by Numba
 assert not [name for name in sys.modules if name.startswith("pearl_marl_kernel_")]
 """
     subprocess.run([sys.executable, "-c", program], check=True, cwd=tmp_path)
+
+
+def test_it_shows_what_unpack_writes() -> None:
+    """Not what a kernel makes of it: here a function that no compiler takes."""
+
+    def write(row_word: int, column: int, picture: Any) -> None:
+        picture[:] = [int(c) for c in f"{column:b}".zfill(24)]
+
+    device = open_reference(replace(SLIDE, unpack=write, configure=None), 40)
+    obs = device.step(np.zeros((40, 1), np.float32)).obs
+    place = device.state()[:, 0] & 127
+    weights = 1 << np.arange(24)[::-1]
+    assert (obs.reshape(40, 24) @ weights).tolist() == place.tolist()
+    assert len(set(place.tolist())) > 10
 
 
 def test_snapshots_are_those_of_the_native_device() -> None:

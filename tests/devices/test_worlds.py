@@ -156,7 +156,7 @@ def test_a_restored_state_shows_what_was_seen_and_goes_on(device: Device, mode: 
         step = device.step(random_actions(device, chance))
     assert not step.alive.all()
     seen = [array.copy() for array in step.seen]
-    saved = SavedState.from_bytes(device.snapshot().to_bytes(), device.config.identity())
+    saved = SavedState.from_bytes(device.snapshot().to_bytes(), device.config)
     rows = [random_actions(device, chance) for _ in range(12)]
     expected = [device.step(row).each(np.copy) for row in rows]
     again = Reference().open(device.config)

@@ -343,7 +343,8 @@ def test_pictures_are_minatars() -> None:
         if over:
             break
         picture = env.render("agent_1")
-        np.testing.assert_array_equal(picture, theirs.render())
+        assert picture.dtype == np.uint8
+        np.testing.assert_array_equal(picture, np.rint(255 * theirs.render()))
         pictures.add(np.asarray(picture).tobytes())
     assert len(pictures) > 20
     env.close()

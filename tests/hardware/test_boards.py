@@ -16,7 +16,7 @@ from pearl_marl.cli import app
 from pearl_marl.errors import ArgumentError, DeviceError
 from pearl_marl.hardware import boards, elaboration, toolchain
 from pearl_marl.hardware.boards import BOARDS, Board
-from pearl_marl.memory_map import default_map
+from pearl_marl.memory_map import MAGIC, Control, default_map
 from pearl_marl.registry import get_spec
 
 SPEC = get_spec("CliffWalking")
@@ -213,3 +213,12 @@ def test_constraints_are_of_the_ports(board: Board, tmp_path: Path) -> None:
         ports += [f"{name}[{i}]" for i in range(int(width) + 1)] if width else [name]
     assert sorted(name for name, _ in placed) == sorted(ports)
     assert len({pin for _, pin in placed}) == len(ports)
+
+
+def test_the_first_steps_on_a_vc707_read_what_the_design_has() -> None:
+    """What docs/boards.md expects of the control region is what the memory map says."""
+    text = (Path(__file__).parents[2] / "docs" / "boards.md").read_text()
+    layout = boards.board_build(boards.find("vc707"), get_spec("CliffWalking"), 7).layout
+    assert (layout["control"].offset, 4 * Control.N_ENVS) == (0, 12)
+    assert f"`{MAGIC:08x}`" in text
+    assert all(f"`{slots:08x}`" in text for slots in (7, 43008))

@@ -20,7 +20,7 @@ from pearl_marl.interfaces.agent_dict import AgentDict, ended_infos, observation
 def pair(n: int) -> tuple[AgentDict, dict[str, Any]]:
     agents = [f"agent_{i}" for i in range(n)]
     array = np.arange(n, dtype=np.float64) / 4
-    return AgentDict(agents, array, python_values), dict(zip(agents, array.tolist(), strict=True))
+    return AgentDict.of(agents, array, python_values), dict(zip(agents, array.tolist(), strict=True))
 
 
 class Named:
@@ -213,7 +213,7 @@ def test_nothing_is_filled_before_it_is_needed() -> None:
         return python_values(array)
 
     array = np.arange(5.0)
-    lazy = AgentDict([f"agent_{i}" for i in range(5)], array, values)
+    lazy = AgentDict.of([f"agent_{i}" for i in range(5)], array, values)
     assert len(lazy) == 5
     assert lazy
     assert lazy.array is array

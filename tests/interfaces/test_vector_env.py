@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode
 from gymnasium.wrappers import vector as wrappers
+from pearl_marl.wrappers import clip_reward_v0
 
 import pearl_marl
 from pearl_marl.errors import ArgumentError, OrderError
@@ -252,3 +253,15 @@ def test_dict_infos_to_list(toys: None) -> None:
     *_, infos = env.step([0] * 5)
     assert len(infos) == 5
     assert all("final_obs" in info for info in infos)
+
+
+@pytest.mark.parametrize("wrap", [lambda env: env, clip_reward_v0])
+def test_random_numbers_are_those_of_gymnasium(wrap: Any) -> None:
+    env = wrap(pearl_marl.make_vec("CartPole", 2))
+    env.reset(seed=7)
+    assert env.np_random_seed == 7
+    assert env.np_random.integers(1 << 30) == np.random.default_rng(7).integers(1 << 30)
+    assert env.np_random_seed == 7
+    before = env.np_random
+    env.reset()
+    assert env.np_random is before

@@ -195,12 +195,17 @@ def test_the_vc707_is_wired_as_it_should(exported: Path) -> None:
         return {name.removeprefix(prefix): bits for name, bits in cell.items() if name.startswith(prefix)}
 
     link, taken = bus(xdma, "m_axi_"), bus(upsizer, "s_axi_")
+    gates = {tuple(c["A"]): c["Y"] for name, c in cells.items() if top["cells"][name]["type"] == "$reduce_or"}
+    for name in ("awaddr", "araddr"):  # what lies above 2 GiB stays there, however far above
+        bits = link.pop(name)
+        assert len(bits) == 64
+        assert taken[name] == [*bits[:31], *gates[tuple(bits[31:])]]
     for name, bits in link.items():
         assert taken[name] == bits[: len(taken[name])], name
     clocks = {"aclk": xdma["axi_aclk"], "aresetn": xdma["axi_aresetn"]}
     tied = {"awregion", "awqos", "arregion", "arqos"}
     assert {name: taken[name] for name in clocks} == clocks
-    assert set(taken) == {*link, *clocks, *tied}
+    assert set(taken) == {*link, *clocks, *tied, "awaddr", "araddr"}
 
     given, core = bus(upsizer, "m_axi_"), bus(design, "s_axi_")
     assert set(given) - set(core) == {"aclk", "aresetn"}
@@ -218,6 +223,8 @@ def test_the_vc707_is_wired_as_it_should(exported: Path) -> None:
 
 def test_the_vc707s_constraints_are_of_its_ports(exported: Path, flat: dict[str, Any]) -> None:
     text = (exported / "vc707.xdc").read_text()
+    configured = dict(re.findall(r"set_property (\w+) (\S+) \[current_design\]", text))
+    assert configured == {"CFGBVS": "GND", "CONFIG_VOLTAGE": "1.8"}  # of bank 0
     ports = flat["ports"]
     named = re.findall(r"get_ports \{?(\w+)(?:\[(\d+|\*)\])?\}?\]", text)
     for name, index in named:

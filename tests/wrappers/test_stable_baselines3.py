@@ -177,13 +177,30 @@ def test_every_environment(name: str, make: Callable[..., Any]) -> None:
         env.reset()
 
 
-def test_infos_of_slots_that_run_on_are_one_dict() -> None:
-    env = sb3_vec_env(pearl_marl.parallel_env("CartPole", 100))
+def test_what_is_written_into_an_info_stays_there() -> None:
+    """Neither other slots see it nor later steps, and what was kept of earlier steps keeps it."""
+    env = sb3_vec_env(pearl_marl.parallel_env("CliffWalking", 100, max_cycles=2))
     env.reset()
-    infos = env.step(np.zeros(100, np.int64))[3]
-    assert len({id(info) for info in infos}) == 1
-    infos[0]["mine"] = 1
-    assert env.step(np.zeros(100, np.int64))[3][0] == {}
+    kept = []
+    for _ in range(4):
+        infos = env.step(np.zeros(100, np.int64))[3]
+        assert not any("mine" in info for info in infos)
+        for slot, info in enumerate(infos):
+            info["mine"] = slot
+        kept.append(infos)
+    assert all([info["mine"] for info in infos] == list(range(100)) for infos in kept)
+
+
+def test_evaluation_counts_no_episode_that_staggering_cut() -> None:
+    env = sb3_vec_env(pearl_marl.parallel_env("CliffWalking", 5, max_cycles=10), staggered=True)
+    model = PPO("MlpPolicy", env, n_steps=2, batch_size=10, n_epochs=1, seed=0)
+    _, lengths = evaluate_policy(model, env, n_eval_episodes=10, return_episode_rewards=True)
+    assert lengths == [10] * 10
+
+
+def test_films_go_by_the_environments_frame_rate() -> None:
+    env = pearl_marl.parallel_env("CartPole", 2)
+    assert sb3_vec_env(env).metadata["render_fps"] == env.metadata["render_fps"] == 50
 
 
 def test_episode_statistics_are_those_of_sb3s_own_monitor() -> None:
@@ -398,7 +415,8 @@ def test_staggered_first_episodes_end_at_different_steps(make: Callable[..., Any
             ends.append(int(dones.sum()))
             for info in (i for i in infos if i):
                 assert info["TimeLimit.truncated"]
-                assert info["episode"]["l"] == -info["episode"]["r"]
+                if "episode" in info:  # the cut ones are not counted
+                    assert info["episode"]["l"] == -info["episode"]["r"] == limit
         assert ends == [n // limit] * (3 * limit)
         assert all(info["episode"]["l"] == limit for info in infos if info)
     assert len(np.unique(obs)) > 1

@@ -54,9 +54,11 @@ module pearl_vc707 (
   logic link_wlast, link_wvalid, link_wready, link_bvalid, link_bready;
   logic link_rlast, link_rvalid, link_rready;
 
-  // The map ends far below 4 GiB.
-  logic unused_high;
-  assign unused_high = ^{link_awaddr[63:ADDR_BITS], link_araddr[63:ADDR_BITS]};
+  // The map ends far below 2 GiB, and what lies there is refused. So is what lies above 4 GiB, if its
+  // address has the highest bit that the design takes.
+  logic [ADDR_BITS-1:0] near_awaddr, near_araddr;
+  assign near_awaddr = {|link_awaddr[63:ADDR_BITS-1], link_awaddr[ADDR_BITS-2:0]};
+  assign near_araddr = {|link_araddr[63:ADDR_BITS-1], link_araddr[ADDR_BITS-2:0]};
 
   pearl_xdma u_xdma (
       .sys_clk         (pcie_clk),
@@ -159,7 +161,7 @@ module pearl_vc707 (
       .s_axi_aclk    (axi_clk),
       .s_axi_aresetn (axi_rst_n),
       .s_axi_awid    (link_awid),
-      .s_axi_awaddr  (link_awaddr[ADDR_BITS-1:0]),
+      .s_axi_awaddr  (near_awaddr),
       .s_axi_awlen   (link_awlen),
       .s_axi_awsize  (link_awsize),
       .s_axi_awburst (link_awburst),
@@ -180,7 +182,7 @@ module pearl_vc707 (
       .s_axi_bvalid  (link_bvalid),
       .s_axi_bready  (link_bready),
       .s_axi_arid    (link_arid),
-      .s_axi_araddr  (link_araddr[ADDR_BITS-1:0]),
+      .s_axi_araddr  (near_araddr),
       .s_axi_arlen   (link_arlen),
       .s_axi_arsize  (link_arsize),
       .s_axi_arburst (link_arburst),

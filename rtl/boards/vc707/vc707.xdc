@@ -1,6 +1,10 @@
 # Xilinx VC707. Pins are those of the board's user guide (UG885), as public designs for the board have
 # them too; lanes and reference clock are in the quads of PCIe block X1Y0, which build.tcl chooses.
 
+# Bank 0, which configures the part, has 1.8 V on this board, so CFGBVS is at ground, as public designs for it say.
+set_property CFGBVS GND [current_design]
+set_property CONFIG_VOLTAGE 1.8 [current_design]
+
 # PCIe: the reference clock of the edge connector, which is of 100 MHz, and PERST#.
 set_property PACKAGE_PIN AB8 [get_ports pcie_clk_p]
 set_property PACKAGE_PIN AB7 [get_ports pcie_clk_n]

@@ -1,0 +1,91 @@
+"""Whether words of slots can have come of steps: the checks of a saved state of others, column by column."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from gymnasium.spaces import Discrete, Tuple
+from gymnasium.vector import AutoresetMode
+
+from pearl_marl.batch.config import BatchConfig
+from pearl_marl.batch.slot_memory import SlotMemory
+from pearl_marl.errors import SavedStateError
+from pearl_marl.golden import reference
+from pearl_marl.spec import MAX_CYCLES
+from pearl_marl.tracing.operations import word_range
+
+Array = npt.NDArray[Any]
+
+_AT_ONCE = 1 << 16
+"""Slots whose observations are made at once: as exact integers they take several times the memory."""
+
+
+def check_words(config: BatchConfig, slots: SlotMemory) -> None:
+    """Raise SavedStateError where a word of the state is wider than its field."""
+    for field, column in zip(config.spec.state, slots.state, strict=True):
+        if field.bits < 8 * field.dtype.itemsize:
+            low, high = word_range(field.bits, field.signed)
+            _check_range(config, f"the state {field.name}", column, low, high)
+
+
+def check_counters(config: BatchConfig, slots: SlotMemory) -> None:
+    """Raise SavedStateError where elapsed steps or flags of ends are none that a step leaves."""
+    # A time limit that was lowered under way may be behind: the next step then truncates.
+    _check_range(config, "elapsed", slots.elapsed, 0, MAX_CYCLES - 1 if config.limit else 0)
+    ended, agents = slots.ended, config.spec.agents
+    if agents == 1:
+        # Where slots begin anew at once, none is left ended.
+        _check_range(config, "ended", ended, 0, int(config.autoreset_mode is AutoresetMode.NEXT_STEP))
+        return
+    everybody = (1 << agents + 1) - 2
+    _check_range(config, "ended", ended, 0, everybody | 1)
+    resetting = (ended & 1).astype(np.bool_)
+    if config.autoreset_mode is not AutoresetMode.NEXT_STEP:
+        _check_none(config, "ended", ended, resetting)
+    # With its last agent the world ends, and then nobody counts as gone any more.
+    _check_none(config, "ended", ended, ended & everybody == everybody)
+    _check_none(config, "ended", ended, resetting & (ended != 1))
+
+
+def check_observations(config: BatchConfig, slots: SlotMemory) -> None:
+    """Raise SavedStateError where a state shows an agent what its observation space does not have."""
+    spec, space = config.spec, config.spec.observation_space
+    parts = space.spaces if isinstance(space, Tuple) else (space,)
+    if not all(isinstance(part, Discrete) for part in parts):
+        return
+    names = [field.name for field in spec.observation]
+    for k, agent in enumerate(spec.views):
+        observe = reference(spec.golden.observe, *agent)
+        for first in range(0, config.n_envs, _AT_ONCE):
+            some = slice(first, first + _AT_ONCE)
+            seen = observe(*(column[some] for column in slots.state))
+            for name, words, part in zip(names, seen, parts, strict=True):
+                low, high = int(part.start), int(part.start + part.n - 1)  # type: ignore[attr-defined]
+                wrong = (words < low) | (words > high)
+                if spec.agents > 1:
+                    wrong &= ~slots.gone[some, k]
+                if np.any(wrong):
+                    raise SavedStateError(
+                        f"the saved state shows an agent the {name} {int(np.asarray(words)[wrong][0])}; "
+                        f"{spec.name} has {low} to {high}"
+                    )
+
+
+def _check_range(config: BatchConfig, name: str, column: Array, low: int, high: int) -> None:
+    for value in (int(column.min()), int(column.max())):
+        if not low <= value <= high:
+            slot = config.first_slot + int((column == value).argmax())
+            raise SavedStateError(
+                f"slot {slot} of the saved state has {name} = {value}, and possible are {low} to {high}"
+            )
+
+
+def _check_none(config: BatchConfig, name: str, column: Array, wrong: Array) -> None:
+    if wrong.any():
+        at = int(wrong.argmax())
+        raise SavedStateError(
+            f"slot {config.first_slot + at} of the saved state has {name} = {int(column[at])}, which no step "
+            f"of {config.autoreset_mode.value} mode leaves"
+        )
