@@ -107,6 +107,11 @@ def following(tick: int) -> int:
     return (tick + 1) & 0xFFFFFFFFFFFFFFFF
 
 
+def signed(tick: int) -> np.int64:
+    """Return a tick as kernels take it, whose integers are of 64 bits with a sign: they take its bits."""
+    return np.uint64(tick).astype(np.int64)
+
+
 def draws(seed: tuple[int, int], slots: npt.ArrayLike, tick: int, index: int) -> npt.NDArray[np.uint32]:
     """Return draw ``index`` (below ``2**32``) at ``tick`` (below ``2**64``) for many slots at once.
 

@@ -16,6 +16,7 @@ import pearl_marl
 from pearl_marl import wrappers
 from pearl_marl.batch.actions import random_actions
 from pearl_marl.deferral import PATIENCE, uninterrupted
+from tests.devices.boards import OwnBoard
 
 Env = Any
 
@@ -142,6 +143,7 @@ MAKERS: dict[str, Callable[[], Env]] = {
     "agents leave": lambda: native(1, "CartPole", 20_000, max_cycles=9, autoreset=False),
     "wrapped": lambda: wrappers.frame_stack_v1(native(1, "CartPole", 20_000), 3),
     "rtl": lambda: pearl_marl.parallel_env("CliffWalking", 64, device="rtl"),
+    "served board": lambda: pearl_marl.parallel_env("CliffWalking", 64, device=OwnBoard(4)),
     "sharded": lambda: pearl_marl.parallel_env(
         "CliffWalking", 4096, device=pearl_marl.devices.Sharded(["native", "native"])
     ),
@@ -177,7 +179,7 @@ def calls(env: Env, rng: np.random.Generator) -> dict[str, Callable[[Env], Any]]
     ],
 )
 def test_an_interrupt_comes_before_a_call_or_after_it(maker: str, tries: int) -> None:
-    if maker == "rtl":
+    if maker in ("rtl", "served board"):
         tries = min(tries, 400)
     rng = np.random.default_rng(0)
     env, other = MAKERS[maker](), MAKERS[maker]()

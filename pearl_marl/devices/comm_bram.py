@@ -22,6 +22,7 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium.vector import AutoresetMode
 
+from pearl_marl import rng
 from pearl_marl.batch.config import BatchConfig
 from pearl_marl.batch.results import ResultArrays
 from pearl_marl.batch.slot_memory import SlotMemory
@@ -204,7 +205,7 @@ class CommBram(Device):
             )
         self.known = True
         self._sequence = sequence
-        self._held = self._settings(self.tick + 1)
+        self._held = self._settings(rng.following(self.tick))
         self._cycles = int(step.status[Status.CYCLES])
 
     def _unpack(self) -> BatchStep:
@@ -223,8 +224,8 @@ class CommBram(Device):
         # The episode that begins in the hardware's next step begins here in this one.
         self._kernels.results(
             *self._obs_words, self._reward_words, self._ters, *gone, self._stored.bytes, self.reward_table,
-            *results.arrays, *self.seed, self.tick + 1, config.first_slot, self._next_step, self._repeats,
-            n, 0, n,
+            *results.arrays, *self.seed, rng.signed(rng.following(self.tick)),
+            config.first_slot, self._next_step, self._repeats, n, 0, n,
         )  # fmt: skip
         if self._next_step:
             results.rewards.reshape(n, -1)[self._ended & 1 != 0] = 0
@@ -259,8 +260,8 @@ class CommBram(Device):
         n, flags = config.n_envs, mask.view(np.uint8)
         memory.elapsed[mask] = 0
         self._kernels.reset(
-            memory.bytes, self._stored.bytes, flags, results.obs, *results.arrays[5:], *self.seed, self.tick,
-            config.first_slot, use_stored, n, 0, n,
+            memory.bytes, self._stored.bytes, flags, results.obs, *results.arrays[5:], *self.seed,
+            rng.signed(self.tick), config.first_slot, use_stored, n, 0, n,
         )  # fmt: skip
 
     def _slots(self) -> tuple[Array, Seen]:

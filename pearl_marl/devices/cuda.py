@@ -20,6 +20,7 @@ import numpy as np
 from gymnasium.spaces import Box
 from gymnasium.vector import AutoresetMode
 
+from pearl_marl import rng
 from pearl_marl.batch.actions import limits
 from pearl_marl.batch.config import BatchConfig
 from pearl_marl.batch.results import Layout, ResultArrays
@@ -142,7 +143,7 @@ class Cuda(Device):
         flags = np.ones(n, np.uint8) if mask is None else mask.astype(np.uint8)
         flags = self._gpu.to_device(flags, stream=self._stream())
         block = self._block if self._block is not None else self._new_block()
-        place = (*self._layout.starts[5:], *self.seed, self.tick, self.config.first_slot)
+        place = (*self._layout.starts[5:], *self.seed, rng.signed(self.tick), self.config.first_slot)
         self._launch(
             self._kernels.reset, self._memory, self._stored, flags, self._array(block), *place, again, n
         )
@@ -171,7 +172,7 @@ class Cuda(Device):
                 self._kernels.step,
                 *(self._memory, self._stored, words, self._rewards_there, self._array(block), self._wrong),
                 *layout.starts[1:],
-                *(*self.seed, self.tick, config.first_slot, config.limit),
+                *(*self.seed, rng.signed(self.tick), config.first_slot, config.limit),
                 *(self._next_step, self._stored is not self._memory, numbers, config.n_envs),
             )
             if self._torch is not None:

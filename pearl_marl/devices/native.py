@@ -14,6 +14,7 @@ import numpy.typing as npt
 from gymnasium.spaces import Discrete
 from gymnasium.vector import AutoresetMode
 
+from pearl_marl import rng
 from pearl_marl.batch.actions import are_words, refusal
 from pearl_marl.batch.config import BatchConfig
 from pearl_marl.batch.results import ResultArrays
@@ -135,9 +136,7 @@ class Native(Device):
         use_stored = stored is not self._memory
         given = self._memory, stored, flags, results.obs
         again = use_stored and mask is not None
-        # As the 64-bit word of the kernel's signature.
-        tick = int(self._given.view(np.int64)[_TICK])
-        place = (*self.seed, tick, config.first_slot, again, n)
+        place = (*self.seed, rng.signed(self.tick), config.first_slot, again, n)
         self._run(self._kernels.reset, (*given, *results.arrays[5:], *place))
         self._elapsed[slice(None) if mask is None else mask] = 0
         if use_stored and mask is None:

@@ -82,7 +82,7 @@ class Reference(Device):
         self._see(results, state, gone, final_obs)
         # SAME_STEP: it begins at once, with the draws of the next step.
         if not self._next_step and ended.any():
-            state = _chosen(ended, self._start(self.tick + 1), state)
+            state = _chosen(ended, self._start(rng.following(self.tick)), state)
             elapsed = np.where(ended, 0, elapsed)
             self._see(results, state, gone)
 

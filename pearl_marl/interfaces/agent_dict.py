@@ -19,6 +19,7 @@ import numpy.typing as npt
 from gymnasium.spaces import Space, Tuple
 
 from pearl_marl.interfaces.filling import FEW, UNREAD, fill_first
+from pearl_marl.interfaces.trees import register_dict
 
 
 class AgentDict(dict[str, Any]):
@@ -85,6 +86,10 @@ class _UnfilledAgentDict(AgentDict):
     # of dict itself: after the first call nothing is slower than in a plain one.
     __slots__ = ()
 
+    def __new__(cls, *args: Any, **kwargs: Any) -> AgentDict:  # type: ignore[misc]
+        # Called by code that makes another dict of the same type.
+        return AgentDict(*args, **kwargs)
+
     def fill(self) -> None:
         # The values first: another thread may look as soon as the class says that they are there.
         dict.update(self, zip(self._agents, self._values(self.array), strict=True))
@@ -107,6 +112,8 @@ fill_first(
     *("__eq__", "__ne__", "__or__", "__ror__", "__ior__"),
     *("copy", "get", "keys", "values", "items", "pop", "popitem", "setdefault", "update", "clear"),
 )
+register_dict(AgentDict)
+register_dict(_UnfilledAgentDict)
 
 
 def observations_in(space: Space[Any]) -> Callable[[npt.NDArray[Any]], list[Any]]:

@@ -23,14 +23,20 @@ class _Watch(MetaPathFinder):
 
     def __init__(self, library: str, call: Callable[[], None]) -> None:
         self._library, self._call = library, call
+        self._asking = False
 
     def find_spec(
         self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None
     ) -> ModuleSpec | None:
-        if fullname != self._library:
+        if fullname != self._library or self._asking:
             return None
-        others = (finder.find_spec(fullname, path, target) for finder in sys.meta_path if finder is not self)
-        spec = next(filter(None, others), None)
+        self._asking = True  # another watch of the library asks all finders too, and so this one
+        try:
+            spec = next(
+                filter(None, (each.find_spec(fullname, path, target) for each in sys.meta_path)), None
+            )
+        finally:
+            self._asking = False
         if spec is not None and spec.loader is not None:
             spec.loader = _Watched(spec.loader, self._imported)
         return spec

@@ -106,8 +106,10 @@ class AgentList(list[str]):
             super().__init__(names)
             return
         self._names = names
-        # For compiled code that reads the list's memory: it would see none at all.
+        # For compiled code that reads the list's memory: it would see none at all. As many of them as there
+        # are names, since some code takes the length from there and the names from our iterator.
         self.append(UNREAD)  # type: ignore[arg-type]
+        self *= len(names)
         self.__class__ = _UnfilledAgentList
 
     def __reduce_ex__(self, protocol: Any) -> tuple[Any, ...]:
@@ -120,6 +122,9 @@ class AgentList(list[str]):
 class _UnfilledAgentList(AgentList):
     # As in an AgentDict: every method that is not here fills the list, whose methods are then list's own.
     __slots__ = ()
+
+    def __new__(cls, names: Iterable[str] = ()) -> AgentList:  # type: ignore[misc]
+        return AgentList(names)
 
     def fill(self) -> None:
         # Replaces what another thread may have put in meanwhile.

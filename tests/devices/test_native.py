@@ -11,9 +11,12 @@ import numpy as np
 import pytest
 
 import pearl_marl
+from pearl_marl.batch.actions import random_actions
+from pearl_marl.compiler.block_pieces import BLOCK
 from pearl_marl.devices import BatchConfig, Lockstep, Native, native
 from pearl_marl.errors import ActionError, OrderError
 from pearl_marl.testing import assert_same_trajectory, trajectory
+from pearl_marl.testing.case import assert_same_step
 
 SPEC = pearl_marl.get_spec("CliffWalking")
 N = 5000
@@ -172,3 +175,31 @@ def test_a_bad_action_of_the_aec_form_can_be_mended() -> None:
     env.step(0)
     env.step(1)
     assert env.observe("agent_0") == 24
+
+
+@pytest.mark.parametrize("name", ["Blackjack", "CliffWalking", "CartPole"])
+@pytest.mark.parametrize("threads", [1, 2])
+def test_actions_may_lie_in_results_that_the_step_writes_over(name: str, threads: int) -> None:
+    """Somewhere in any array of the last step, as a user's own program may compute them in place."""
+    spec, n = pearl_marl.get_spec(name), 4 * BLOCK
+    env = pearl_marl.parallel_env(name, n, device=Native(threads), copy=False)
+    twin = pearl_marl.parallel_env(name, n, device="native")
+    env.reset(seed=0)
+    twin.reset(seed=0)
+    rng, tried = np.random.default_rng(0), 0
+    step = env.step_batch(random_actions(spec, rng, n, env.action_masks))
+    twin.load_state(env.save_state())
+    for index in range(len(step.arrays)):
+        room = step.arrays[index].view(np.uint8).reshape(-1)
+        for start in range(0, room.size - n + 1, max(1, room.size // 40)):
+            given = random_actions(spec, rng, n, env.action_masks)
+            assert given.dtype == np.uint8
+            place = room[start : start + n]
+            place[:] = given
+            step, other = env.step_batch(place), twin.step_batch(given.copy())
+            assert_same_step(step, other)
+            room = step.arrays[index].view(np.uint8).reshape(-1)
+            tried += 1
+    assert tried > 40
+    env.close()
+    twin.close()

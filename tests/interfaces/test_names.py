@@ -18,6 +18,12 @@ N = 12
 PLAIN = [f"agent_{i}" for i in range(N)]
 
 
+@pytest.fixture(autouse=True)
+def few_are_many(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Have containers of any size filled when they are read, and none from the start."""
+    monkeypatch.setattr("pearl_marl.interfaces.names.FEW", -1)
+
+
 def filled(names: list[str]) -> bool:
     """Whether a list's strings have been made."""
     return type(names) is AgentList

@@ -17,6 +17,7 @@ from pearl_marl import wrappers
 from pearl_marl.batch.actions import random_actions
 from pearl_marl.errors import ArgumentError, OrderError, SavedStateError
 from pearl_marl.interfaces.agent_dict import _UnfilledAgentDict
+from pearl_marl.interfaces.filling import FEW
 from pearl_marl.testing.case import assert_same_step, assert_same_trajectory, trajectory
 
 pytestmark = pytest.mark.usefixtures("toys")
@@ -39,9 +40,9 @@ STACKS: dict[str, Any] = {
 }
 
 
-def actions(name: str, steps: int, seed: int = 0) -> Any:
-    flat = random_actions(pearl_marl.get_spec(name), np.random.default_rng(seed), N * steps)
-    return flat.reshape(steps, N, *flat.shape[1:])
+def actions(name: str, steps: int, seed: int = 0, n: int = N) -> Any:
+    flat = random_actions(pearl_marl.get_spec(name), np.random.default_rng(seed), n * steps)
+    return flat.reshape(steps, n, *flat.shape[1:])
 
 
 @pytest.mark.parametrize("wrap", STACKS.values(), ids=STACKS)
@@ -72,10 +73,11 @@ class TestStacks:
         assert vector.observation_space.shape == (N, *parallel.observation_space("agent_0").shape)
 
     def test_steps_are_lazy(self, wrap: Any) -> None:
-        """No dict of any wrapper is filled before somebody reads it."""
-        env = wrap(pearl_marl.parallel_env("Drift", N, max_cycles=3))
+        """No dict of many agents is filled by a wrapper before somebody reads it."""
+        n = FEW + 1
+        env = wrap(pearl_marl.parallel_env("Drift", n, max_cycles=3))
         env.reset(seed=0)
-        for act in actions("Drift", 5):
+        for act in actions("Drift", 5, n=n):
             assert [type(result) for result in env.step(act)] == [_UnfilledAgentDict] * 5
 
     def test_saved_states(self, wrap: Any) -> None:
