@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: MIT
-// An address channel, AR or AW: takes bursts and gives the addresses of their beats, for AXI4's FIXED,
-// INCR and WRAP. A beat a cycle, also from one burst to the next, however short they are.
+// An address channel, AR or AW: takes bursts and gives the addresses of their beats, for AXI4's FIXED, INCR and
+// WRAP. A beat a cycle, also from one burst to the next, however short they are.
 //
-// A burst passes a register slice, then a stage that works out what its kind, size and length say of its
-// addresses, so that there is no more than an adder and a mask from one beat to the next; and then its beats
-// come, three cycles after it was taken or right after those of the burst before it.
+// A burst passes a register slice, and then a stage that works out what its kind, size and length say of its
+// addresses, so that there is no more than an adder and a mask from one beat to the next. Its first beat is
+// there three cycles after the burst was taken, or right after the last beat of the burst before it.
 module pearl_axi_address #(
     parameter int unsigned ADDR_BITS = 16,
     parameter int unsigned ID_BITS   = 4
@@ -68,7 +68,7 @@ module pearl_axi_address #(
     // Beats after this one.
     logic [7:0] left;
     // Bits of an address that are within a beat, and those that no beat changes.
-    logic [ADDR_BITS-1:0] within;
+    logic [ADDR_BITS-1:0] beat_mask;
     logic [ADDR_BITS-1:0] kept;
   } beats_t;
 
@@ -87,7 +87,13 @@ module pearl_axi_address #(
   assign within_span = SPAN_BITS'(taken.len) << taken.size | SPAN_BITS'(within_beat);
 
   always_comb begin
-    known = '{id: taken.id, addr: taken.addr, left: taken.len, within: ADDR_BITS'(within_beat), kept: '0};
+    known = '{
+        id: taken.id,
+        addr: taken.addr,
+        left: taken.len,
+        beat_mask: ADDR_BITS'(within_beat),
+        kept: '0
+    };
     unique case (taken.burst)
       BURST_FIXED: known.kept = '1;
       BURST_WRAP: known.kept = ~ADDR_BITS'(within_span);
@@ -98,7 +104,7 @@ module pearl_axi_address #(
   assign load = !valid_q || (next_i && end_i);
   assign taken_ready = !waiting_valid_q || load;
   // Only the first beat of a burst can be unaligned.
-  assign incremented = (beats_q.addr | beats_q.within) + 1'b1;
+  assign incremented = (beats_q.addr | beats_q.beat_mask) + 1'b1;
 
   always_ff @(posedge clk_i) begin
     if (!rst_ni) begin
@@ -130,7 +136,7 @@ module pearl_axi_address #(
   always_ff @(posedge clk_i) begin
     if (rst_ni) begin
       assert (valid_q || !next_i)
-      else $error("pearl_axi_address: a beat was done that there is not");
+      else $error("pearl_axi_address: a beat was done that was not there");
     end
   end
 

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: MIT
-// The answers on their way to one channel, R or B, in the order in which they were asked for.
+// The answers of one channel, R or B, in the order in which they were asked for.
 //
-// What is asked for takes a place, with a note that comes back beside the answer. The place is free again when
-// the master has taken the answer, so there is one for every answer, however long the master waits.
+// A request takes a place, with a note that comes back beside the answer. The place is free again once
+// the master has taken the answer, so there is always room for an answer, however long the master waits.
 module pearl_axi_answers
   import pearl_pkg::*;
 #(
@@ -23,8 +23,8 @@ module pearl_axi_answers
     input  logic                   take_i
 );
 
-  // Enough for an answer a cycle: of one that is taken at once, PORT_LATENCY + 2 cycles go by from its
-  // request to that of the next one in its place.
+  // Enough for an answer a cycle: if it is taken at once, a place is free again PORT_LATENCY + 2 cycles after
+  // its request.
   localparam int unsigned DEPTH = 2 ** $clog2(PORT_LATENCY + 2);
   localparam int unsigned PLACE_BITS = $clog2(DEPTH + 1);
 

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: MIT
 // The reading half of an AXI4 slave: bursts from AR become a request for each beat, and the answers go to R.
 //
-// The next burst's beats are asked for right after the last one's, while their answers are still on the way.
-// It asks for no more than there is room for, so that a master that does not take answers stops only itself.
+// The beats of the next burst follow at once, while answers of the last one are still on their way. It asks for no
+// more than there is room for, so a master that does not take answers stops its own reads and no writes.
 module pearl_axi_read
   import pearl_pkg::*;
 #(
@@ -29,13 +29,13 @@ module pearl_axi_read
     output logic                 r_last_o,
 
     // Wants to ask for a word, and may do so in this cycle.
-    output logic                      wants_o,
-    input  logic                      grant_i,
-    output logic [WORD_ADDR_BITS-1:0] addr_o,
+    output logic                       wants_o,
+    input  logic                       grant_i,
+    output logic  [WORD_ADDR_BITS-1:0] addr_o,
     // The answers to its requests.
-    input  logic                      answer_i,
-    input  logic [       DATA_WL-1:0] data_i,
-    input  resp_e                     resp_i
+    input  logic                       answer_i,
+    input  logic  [       DATA_WL-1:0] data_i,
+    input  resp_e                      resp_i
 );
 
   logic beat_valid, last, room;

@@ -2,19 +2,16 @@
 // An AXI4 slave in front of the memory port: INCR, FIXED and WRAP bursts, narrow and unaligned
 // beats, byte strobes.
 //
-// Reads and writes go on at the same time, and share the port by the beat: it makes one request a cycle, for
-// whichever half has one; where both have, they take turns. Neither waits for the other's master: not for
-// data of a write, nor for answers to be taken. Bursts follow each other without a gap, those of a kind in the
-// order of their addresses, answers too, whatever their IDs. So K bursts of N whole words, queued, take
-// K * N + PORT_LATENCY + 4 cycles from the first address to the last answer, both included, and twice K * N
-// where as many reads and writes are queued. Behind PORT_LATENCY lie a queue of answers for each half, up to
-// 16 bursts that wait for B, and as many beats that wait for R.
-// Between a read and a write there is an order only as AXI has it: what is asked for after the other's answer
-// comes after it. No output depends on an input of the same cycle.
+// Reads and writes go on at the same time. The port takes one request a cycle, from whichever half has one; if
+// both have, they take turns. Neither half waits for the other half's master, be it for data or for an answer
+// to be taken. Bursts of a kind follow each other without a gap, in the order of their addresses, and so do their
+// answers, whatever their IDs: K queued bursts of N whole words take K * N + PORT_LATENCY + 4 cycles from the
+// first address to the last answer, both included, and about twice as long with as many of the other kind.
+// Between a read and a write, order is as AXI has it: what is asked for after the other's answer comes after it.
+// No output depends on an input of the same cycle.
 //
-// A beat that writes part of a word reads the word first, which costs PORT_LATENCY cycles. Such a read is
-// marked as a fetch, so that the port can refuse it as it would the write, and what is refused is not written.
-// Between the two the port sees reads, but no other write.
+// A beat that writes part of a word reads the word first, and reads wait for those PORT_LATENCY + 1 cycles. The
+// first of the two requests is marked as a fetch, so that the port can refuse it as it would the write.
 // Exclusive accesses, cache, protection and quality-of-service hints are not looked at.
 module pearl_axi_slave
   import pearl_pkg::*;
@@ -71,7 +68,7 @@ module pearl_axi_slave
     input  resp_e                      resp_i
 );
 
-  logic read_wants, read_grant, write_wants, write_grant, write_needs, write_req, write_we;
+  logic read_wants, read_grant, write_wants, write_grant, write_holds, write_req, write_we;
   logic [WORD_ADDR_BITS-1:0] read_addr, write_addr;
   // Where in the port reads are that the reading half has asked for.
   logic [PORT_LATENCY-1:0] reads_q;
@@ -131,7 +128,7 @@ module pearl_axi_slave
       .b_resp_o  (s_axi_bresp),
       .wants_o   (write_wants),
       .grant_i   (write_grant),
-      .needs_o   (write_needs),
+      .holds_o   (write_holds),
       .req_o     (write_req),
       .we_o      (write_we),
       .fetch_o   (fetch_o),
@@ -148,7 +145,7 @@ module pearl_axi_slave
   logic read_q;
 
   assign write_grant = write_wants && (!read_wants || read_q);
-  assign read_grant = read_wants && !write_needs && !write_grant;
+  assign read_grant = read_wants && !write_holds && !write_grant;
 
   assign req_o = read_grant || write_req;
   assign we_o = !read_grant && write_we;
@@ -159,7 +156,7 @@ module pearl_axi_slave
       read_q  <= 1'b0;
       reads_q <= '0;
     end else begin
-      if (read_grant || write_grant || write_needs) read_q <= read_grant;
+      if (read_grant || write_grant || write_holds) read_q <= read_grant;
       reads_q <= PORT_LATENCY'({reads_q, read_grant});
     end
   end

@@ -1,13 +1,13 @@
 // SPDX-License-Identifier: MIT
-// The writing half of an AXI4 slave: bursts from AW and their beats from W become requests, and B tells of each
-// burst when all its requests are answered. The next burst is written meanwhile.
+// The writing half of an AXI4 slave: beats from W, at the addresses of the bursts from AW, become requests. When
+// all requests of a burst have been answered, B says so; the next burst is written meanwhile.
 //
 // The memories behind take whole words only, and these stream at one a cycle. A beat that writes part of a word
-// fetches the word first, and writes it back with that part changed in the cycle in which it comes; no other
-// beat is written in between. If the fetch was refused, so is the write, and nothing is written. A beat
-// that writes nothing asks for nothing, but takes its turn.
-// It wants nothing unless both an address and a beat are there, so a master that keeps either back stops only
-// its own writes, as does one that does not take answers.
+// fetches the word first, and writes it back with that part changed in the cycle in which it comes; until then
+// it holds the port. If the fetch was refused, nothing is written. A beat without strobes makes no request, but
+// takes a turn all the same.
+// It asks for a turn once it has both an address and a beat, so a master that keeps one of them back, or does
+// not take answers, stops its own writes and no reads.
 module pearl_axi_write
   import pearl_pkg::*;
 #(
@@ -37,19 +37,19 @@ module pearl_axi_write
     output logic [  ID_BITS-1:0] b_id_o,
     output logic [          1:0] b_resp_o,
 
-    // Wants a turn at the port, and may have it in this cycle. Or needs this one, and takes it.
-    output logic                      wants_o,
-    input  logic                      grant_i,
-    output logic                      needs_o,
-    output logic                      req_o,
-    output logic                      we_o,
-    output logic                      fetch_o,
-    output logic [WORD_ADDR_BITS-1:0] addr_o,
-    output logic [       DATA_WL-1:0] wdata_o,
+    // Wants a turn at the port, and has it in this cycle. From a fetch to the end of its write, it holds the port.
+    output logic                       wants_o,
+    input  logic                       grant_i,
+    output logic                       holds_o,
+    output logic                       req_o,
+    output logic                       we_o,
+    output logic                       fetch_o,
+    output logic  [WORD_ADDR_BITS-1:0] addr_o,
+    output logic  [       DATA_WL-1:0] wdata_o,
     // The answers to its requests.
-    input  logic                      answer_i,
-    input  logic [       DATA_WL-1:0] data_i,
-    input  resp_e                     resp_i
+    input  logic                       answer_i,
+    input  logic  [       DATA_WL-1:0] data_i,
+    input  resp_e                      resp_i
 );
 
   typedef struct packed {
@@ -106,13 +106,13 @@ module pearl_axi_write
 
   // ---- Requests ----
 
-  // Where in the port a fetch is, and the last beats of bursts, asked for or empty.
+  // Where in the port a fetch is, and where the last beats of bursts are, or would be if they made a request.
   logic [PORT_LATENCY-1:0] fetches_q, ends_q;
   logic fetching_q, fetched;
 
   assign fetched = fetches_q[PORT_LATENCY-1];
   assign wants_o = beat_valid && w_valid && room && !fetching_q;
-  assign needs_o = fetched;
+  assign holds_o = fetching_q;
   assign done    = fetched || (grant_i && (w.full || w.empty));
   assign ends    = done && w.last;
 
