@@ -45,7 +45,7 @@ async def run(dut: Any, source: random.Random, bursts: list[dict[str, int]], idl
     offered = False
     while len(taken) < len(due):
         # What is valid stays so until it is taken.
-        offered = offered or bool(left) and source.random() >= idle
+        offered = offered or (bool(left) and source.random() >= idle)
         dut.valid_i.value = int(offered)
         for name, bits in (("id", ID_BITS), ("addr", BITS), ("len", 8), ("size", 3), ("burst", 2)):
             getattr(dut, f"{name}_i").value = left[0][name] if offered else source.getrandbits(bits)

@@ -269,7 +269,10 @@ async def answers_come_in_the_order_of_addresses(dut: Any, given: Any) -> None:
         # Half of them are refused, and say so in their turn.
         refused = k % 2
         writes.append(
-            (refused, axi.init_write(whole - width if refused else 0, truth[:width], awid=source.randrange(16)))
+            (
+                refused,
+                axi.init_write(whole - width if refused else 0, truth[:width], awid=source.randrange(16)),
+            )
         )
     for begin, event in reads:
         await with_timeout(event.wait(), 1, "ms")
@@ -278,8 +281,9 @@ async def answers_come_in_the_order_of_addresses(dut: Any, given: Any) -> None:
     for refused, event in writes:
         await with_timeout(event.wait(), 1, "ms")
         assert event.data.resp == (AxiResp.SLVERR if refused else AxiResp.OKAY)
-    assert ids["r"] == ids["ar"] and len(ids["r"]) == 30
-    assert ids["b"] == ids["aw"] and len(ids["b"]) == 30
+    assert ids["r"] == ids["ar"]
+    assert ids["b"] == ids["aw"]
+    assert len(ids["r"]) == len(ids["b"]) == 30
 
 
 @each_variant()
