@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import hashlib
 import inspect
 import math
 import re
@@ -23,6 +24,7 @@ from pearl_marl.golden import GoldenFunction
 from pearl_marl.pickling import reduced
 from pearl_marl.tracing.checks import Argument, Result, check
 from pearl_marl.tracing.operations import word_range
+from pearl_marl.tracing.records import record
 
 
 @dataclass(frozen=True, slots=True)
@@ -385,6 +387,28 @@ class EnvSpec:
     def functions(self) -> tuple[GoldenFunction, ...]:
         """The golden functions that there are."""
         return tuple(function for function in self.golden if function is not None)
+
+    @cached_property
+    def behaviour(self) -> str:
+        """A hash of what the golden functions do, of the formats of their words and of the table of rewards.
+
+        It is the same in every process and every version of this package. Changing a variable's name or a
+        comment does not change it.
+        """
+        state, actions = (
+            [f"{word}{k}" for k in range(n)] for word, n in (("s", len(self.state)), ("a", self.agents))
+        )
+        draws = [f"d{k}" for k in range(max(self.reset_draws, self.step_draws))]
+        golden, formats = self.golden, (self.state, (self.action,), self.observation, (self.reward,))
+        parts = [
+            (self.agents, self.reset_draws, self.step_draws),
+            [[(f.bits, f.signed, f.fraction) for f in fields] for fields in formats],
+            None if self.rewards is None else [float(reward).hex() for reward in self.rewards],
+            record(golden.initial, draws[: self.reset_draws]),
+            record(golden.step, [*state, *actions, *draws[: self.step_draws]]),
+            [record(view, state, *agent) for agent in self.views for view in self.functions[2:]],
+        ]
+        return hashlib.sha256(repr(parts).encode()).hexdigest()[:16]
 
     @cached_property
     def views(self) -> tuple[tuple[int, ...], ...]:

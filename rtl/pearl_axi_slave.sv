@@ -1,11 +1,17 @@
 // SPDX-License-Identifier: MIT
 // An AXI4 slave in front of the memory port: INCR, FIXED and WRAP bursts, narrow and unaligned
-// beats, byte strobes. One burst at a time, reads and writes in turn. No output depends on an input of
-// the same cycle.
+// beats, byte strobes.
 //
-// The memories behind take whole words only. A beat that writes part of a word reads the word
-// first, which costs some cycles; whole words stream at one a cycle. Such a read is marked as a
-// fetch, so that the port can refuse it as it would the write, and what is refused is not written.
+// Reads and writes go on at the same time. The port takes one request a cycle, from whichever half has one; if
+// both have, they take turns. Neither half waits for the other half's master, be it for data or for an answer
+// to be taken. Bursts of a kind follow each other without a gap, in the order of their addresses, and so do their
+// answers, whatever their IDs: K queued bursts of N whole words take K * N + PORT_LATENCY + 4 cycles from the
+// first address to the last answer, both included, and about twice as long with as many of the other kind.
+// Between a read and a write, order is as AXI has it: what is asked for after the other's answer comes after it.
+// No output depends on an input of the same cycle.
+//
+// A beat that writes part of a word reads the word first, and reads wait for those PORT_LATENCY + 1 cycles. The
+// first of the two requests is marked as a fetch, so that the port can refuse it as it would the write.
 // Exclusive accesses, cache, protection and quality-of-service hints are not looked at.
 module pearl_axi_slave
   import pearl_pkg::*;
@@ -62,254 +68,108 @@ module pearl_axi_slave
     input  resp_e                      resp_i
 );
 
-  // Enough for a word a cycle: of a read whose answer is taken at once, PORT_LATENCY + 2 cycles go by
-  // from the request to that of the next one in its place.
-  localparam int unsigned FIFO_DEPTH = 2 ** $clog2(PORT_LATENCY + 2);
-  localparam int unsigned CREDIT_BITS = $clog2(FIFO_DEPTH + 1);
+  logic read_wants, read_grant, write_wants, write_grant, write_holds, write_req, write_we;
+  logic [WORD_ADDR_BITS-1:0] read_addr, write_addr;
+  // Where in the port reads are that the reading half has asked for.
+  logic [PORT_LATENCY-1:0] reads_q;
+  logic of_read;
+  assign of_read = reads_q[PORT_LATENCY-1];
 
-  // ---- The channels from the master, a cycle late ----
-
-  typedef struct packed {
-    logic [ID_BITS-1:0] id;
-    logic [ADDR_BITS-1:0] addr;
-    logic [7:0] len;
-    logic [2:0] size;
-    logic [1:0] burst;
-  } burst_t;
-
-  typedef struct packed {
-    logic last;
-    // All bytes are written, or none.
-    logic full;
-    logic empty;
-    logic [STRB_BITS-1:0] strb;
-    logic [DATA_WL-1:0] data;
-  } beat_t;
-
-  burst_t aw, ar, taken;
-  beat_t w;
-  logic aw_valid, aw_ready, w_valid, w_ready, ar_valid, ar_ready;
-
-  pearl_slice #(
-      .WIDTH($bits(burst_t))
-  ) u_aw (
+  pearl_axi_read #(
+      .DATA_WL  (DATA_WL),
+      .ADDR_BITS(ADDR_BITS),
+      .ID_BITS  (ID_BITS)
+  ) u_read (
       .clk_i,
       .rst_ni,
-      .valid_i(s_axi_awvalid),
-      .ready_o(s_axi_awready),
-      .data_i ({s_axi_awid, s_axi_awaddr, s_axi_awlen, s_axi_awsize, s_axi_awburst}),
-      .valid_o(aw_valid),
-      .ready_i(aw_ready),
-      .data_o (aw)
+      .ar_valid_i(s_axi_arvalid),
+      .ar_ready_o(s_axi_arready),
+      .ar_id_i   (s_axi_arid),
+      .ar_addr_i (s_axi_araddr),
+      .ar_len_i  (s_axi_arlen),
+      .ar_size_i (s_axi_arsize),
+      .ar_burst_i(s_axi_arburst),
+      .r_valid_o (s_axi_rvalid),
+      .r_ready_i (s_axi_rready),
+      .r_id_o    (s_axi_rid),
+      .r_data_o  (s_axi_rdata),
+      .r_resp_o  (s_axi_rresp),
+      .r_last_o  (s_axi_rlast),
+      .wants_o   (read_wants),
+      .grant_i   (read_grant),
+      .addr_o    (read_addr),
+      .answer_i  (of_read),
+      .data_i    (rdata_i),
+      .resp_i    (resp_i)
   );
 
-  pearl_slice #(
-      .WIDTH($bits(beat_t))
-  ) u_w (
+  pearl_axi_write #(
+      .DATA_WL  (DATA_WL),
+      .ADDR_BITS(ADDR_BITS),
+      .ID_BITS  (ID_BITS)
+  ) u_write (
       .clk_i,
       .rst_ni,
-      .valid_i(s_axi_wvalid),
-      .ready_o(s_axi_wready),
-      .data_i ({s_axi_wlast, &s_axi_wstrb, s_axi_wstrb == '0, s_axi_wstrb, s_axi_wdata}),
-      .valid_o(w_valid),
-      .ready_i(w_ready),
-      .data_o (w)
+      .aw_valid_i(s_axi_awvalid),
+      .aw_ready_o(s_axi_awready),
+      .aw_id_i   (s_axi_awid),
+      .aw_addr_i (s_axi_awaddr),
+      .aw_len_i  (s_axi_awlen),
+      .aw_size_i (s_axi_awsize),
+      .aw_burst_i(s_axi_awburst),
+      .w_valid_i (s_axi_wvalid),
+      .w_ready_o (s_axi_wready),
+      .w_data_i  (s_axi_wdata),
+      .w_strb_i  (s_axi_wstrb),
+      .w_last_i  (s_axi_wlast),
+      .b_valid_o (s_axi_bvalid),
+      .b_ready_i (s_axi_bready),
+      .b_id_o    (s_axi_bid),
+      .b_resp_o  (s_axi_bresp),
+      .wants_o   (write_wants),
+      .grant_i   (write_grant),
+      .holds_o   (write_holds),
+      .req_o     (write_req),
+      .we_o      (write_we),
+      .fetch_o   (fetch_o),
+      .addr_o    (write_addr),
+      .wdata_o   (wdata_o),
+      .answer_i  (rvalid_i && !of_read),
+      .data_i    (rdata_i),
+      .resp_i    (resp_i)
   );
 
-  pearl_slice #(
-      .WIDTH($bits(burst_t))
-  ) u_ar (
-      .clk_i,
-      .rst_ni,
-      .valid_i(s_axi_arvalid),
-      .ready_o(s_axi_arready),
-      .data_i ({s_axi_arid, s_axi_araddr, s_axi_arlen, s_axi_arsize, s_axi_arburst}),
-      .valid_o(ar_valid),
-      .ready_i(ar_ready),
-      .data_o (ar)
-  );
+  // ---- The port ----
 
-  // ---- A burst after the other ----
+  // The last turn was a read's.
+  logic read_q;
 
-  typedef enum logic [2:0] {
-    Idle,
-    // Works out the addresses.
-    Begin,
-    Read,
-    Write,
-    // A partial beat: waits for the word that it changes a part of, and writes what they make.
-    Fetch,
-    Merge,
-    // All beats are written: waits for the last answer.
-    Drain,
-    Respond
-  } state_e;
+  assign write_grant = write_wants && (!read_wants || read_q);
+  assign read_grant = read_wants && !write_holds && !write_grant;
 
-  state_e state_d, state_q;
-  logic [ID_BITS-1:0] id_q;
-  // Beats to ask for and to answer, less one.
-  logic [7:0] asks_q, answers_q;
-  logic [CREDIT_BITS-1:0] credits_q;
-  // The burst under way, or the last one, writes: a read comes before the next write.
-  logic writes_q;
-  resp_e resp_d, resp_q;
-
-  logic choose_aw, take, beat_done, all_asked_q;
-  logic read_req, push, pop, answer_valid;
-  logic [ADDR_BITS-1:0] addr;
-  // The master has placed the bytes, and counts on whole words.
-  logic unused_addr;
-  assign unused_addr = ^addr;
-  resp_e answer_resp;
-  logic [DATA_WL-1:0] answer_data;
-
-  assign choose_aw = aw_valid && (!writes_q || !ar_valid);
-  assign take = state_q == Idle && (aw_valid || ar_valid);
-  assign aw_ready = state_q == Idle && choose_aw;
-  assign ar_ready = state_q == Idle && !choose_aw;
-  assign taken = choose_aw ? aw : ar;
-
-  pearl_axi_address #(
-      .ADDR_BITS(ADDR_BITS)
-  ) u_address (
-      .clk_i,
-      .rst_ni,
-      .start_i(take),
-      .addr_i (taken.addr),
-      .len_i  (taken.len),
-      .size_i (taken.size),
-      .burst_i(taken.burst),
-      .next_i (beat_done),
-      .addr_o (addr)
-  );
-
-  // Which answer is the word that was fetched: those of earlier writes come before it.
-  logic [PORT_LATENCY-1:0] fetches_q;
-  logic fetched, refused_q;
-  assign fetched   = fetches_q[PORT_LATENCY-1];
-
-  assign read_req  = state_q == Read && !all_asked_q && credits_q != '0;
-  assign w_ready   = (state_q == Write && (w.full || w.empty)) || state_q == Merge;
-  assign beat_done = read_req || (w_valid && w_ready);
-
-  always_comb begin
-    req_o   = 1'b0;
-    we_o    = 1'b0;
-    fetch_o = 1'b0;
-    unique case (state_q)
-      Read: req_o = read_req;
-      Write: begin
-        req_o   = w_valid && !w.empty;
-        we_o    = w.full;
-        fetch_o = w_valid && !w.empty && !w.full;
-      end
-      Merge: begin
-        req_o = !refused_q;
-        we_o  = 1'b1;
-      end
-      default: ;
-    endcase
-  end
-
-  assign addr_o = addr[ADDR_BITS-1-:WORD_ADDR_BITS];
-  for (genvar i = 0; i < STRB_BITS; i++) begin : gen_merge
-    assign wdata_o[i*8+:8] = w.strb[i] ? w.data[i*8+:8] : answer_data[i*8+:8];
-  end
-
-  always_comb begin
-    state_d = state_q;
-    unique case (state_q)
-      Idle: if (take) state_d = Begin;
-      Begin: state_d = writes_q ? Write : Read;
-      Read: if (pop && s_axi_rlast) state_d = Idle;
-      Write: begin
-        if (w_valid) begin
-          if (!w_ready) state_d = Fetch;
-          else if (w.last) state_d = Drain;
-        end
-      end
-      Fetch: if (fetched) state_d = Merge;
-      Merge: state_d = w.last ? Drain : Write;
-      Drain: if (32'(credits_q) == FIFO_DEPTH) state_d = Respond;
-      Respond: if (s_axi_bready) state_d = Idle;
-    endcase
-  end
-
-  // The worst answer of a burst's beats is the burst's.
-  always_comb begin
-    resp_d = resp_q;
-    if (state_q == Idle) resp_d = RespOkay;
-    else if (rvalid_i && resp_i > resp_q) resp_d = resp_i;
-  end
+  assign req_o = read_grant || write_req;
+  assign we_o = !read_grant && write_we;
+  assign addr_o = read_grant ? read_addr : write_addr;
 
   always_ff @(posedge clk_i) begin
     if (!rst_ni) begin
-      state_q   <= Idle;
-      writes_q  <= 1'b1;
-      credits_q <= CREDIT_BITS'(FIFO_DEPTH);
-      fetches_q <= '0;
+      read_q  <= 1'b0;
+      reads_q <= '0;
     end else begin
-      state_q   <= state_d;
-      fetches_q <= PORT_LATENCY'({fetches_q, fetch_o});
-      if (take) writes_q <= choose_aw;
-      // A read holds its credit until the master has taken the answer, a write until it is answered.
-      credits_q <= credits_q - CREDIT_BITS'(req_o) + CREDIT_BITS'(state_q == Read ? pop : rvalid_i);
+      if (read_grant || write_grant || write_holds) read_q <= read_grant;
+      reads_q <= PORT_LATENCY'({reads_q, read_grant});
     end
   end
 
+  logic [PORT_LATENCY-1:0] due_q;
   always_ff @(posedge clk_i) begin
-    resp_q    <= resp_d;
-    refused_q <= resp_i != RespOkay;
-    if (take) begin
-      id_q        <= taken.id;
-      asks_q      <= taken.len;
-      answers_q   <= taken.len;
-      all_asked_q <= 1'b0;
-    end else begin
-      if (beat_done) begin
-        asks_q      <= asks_q - 1'b1;
-        all_asked_q <= asks_q == '0;
-      end
-      if (pop) answers_q <= answers_q - 1'b1;
-    end
-  end
-
-  // ---- The channels to the master ----
-
-  assign s_axi_bid = id_q;
-  assign s_axi_bresp = resp_q;
-  assign s_axi_bvalid = state_q == Respond;
-
-  assign push = rvalid_i && (state_q == Read || fetched);
-
-  pearl_fifo #(
-      .WIDTH(DATA_WL + 2),
-      .DEPTH(FIFO_DEPTH)
-  ) u_answers (
-      .clk_i,
-      .rst_ni,
-      .push_i (push),
-      .data_i ({resp_i, rdata_i}),
-      .valid_o(answer_valid),
-      .data_o ({answer_resp, answer_data}),
-      .pop_i  (pop)
-  );
-
-  assign pop = state_q == Merge || (s_axi_rvalid && s_axi_rready);
-  assign s_axi_rid = id_q;
-  assign s_axi_rdata = answer_data;
-  assign s_axi_rresp = answer_resp;
-  assign s_axi_rlast = answers_q == '0;
-  assign s_axi_rvalid = state_q == Read && answer_valid;
-
-  always_ff @(posedge clk_i) begin
+    if (!rst_ni) due_q <= '0;
+    else due_q <= PORT_LATENCY'({due_q, req_o});
     if (rst_ni) begin
-      assert (32'(credits_q) != FIFO_DEPTH || !rvalid_i)
+      assert (due_q[PORT_LATENCY-1] || !rvalid_i)
       else $error("pearl_axi_slave: an answer came that nobody asked for");
-      assert (rvalid_i || !fetched)
+      assert (rvalid_i || !due_q[PORT_LATENCY-1])
       else $error("pearl_axi_slave: an answer did not come after PORT_LATENCY cycles");
-      assert (credits_q != '0 || !req_o)
-      else $error("pearl_axi_slave: a word was asked for that there was no room for");
     end
   end
 

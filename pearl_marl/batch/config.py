@@ -13,6 +13,9 @@ from gymnasium.vector import AutoresetMode
 from pearl_marl.errors import ArgumentError
 from pearl_marl.spec import EnvSpec, check_max_cycles, check_slots, check_spec
 
+GOLDEN = "golden_functions"
+"""Of an identity: what the golden functions do. Saved states of 0.1.0 do not have it."""
+
 
 def worlds_of(spec: EnvSpec, n_agents: int | None) -> int:
     """Return how many slots have so many agents together; ``None`` is one of them.
@@ -101,6 +104,7 @@ class BatchConfig:
         return {
             "environment": self.spec.id,
             "options": dict(self.spec.options),
+            GOLDEN: self.spec.behaviour,
             "n_agents": self.n_agents,
             "autoreset_mode": self.autoreset_mode.value,
             "max_cycles": self.limit,

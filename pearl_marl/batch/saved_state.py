@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from pearl_marl.batch.config import BatchConfig
+from pearl_marl.batch.config import GOLDEN, BatchConfig
 from pearl_marl.batch.rewards import reward_table
 from pearl_marl.batch.slot_checks import check_counters, check_observations, check_words
 from pearl_marl.batch.slot_memory import SlotMemory, size
@@ -179,6 +179,7 @@ class SavedState:
             raise SavedStateError("the saved state is damaged or cut short: its checksum is wrong")
         start = 8 + struct.unpack_from("<Q", body)[0]
         header = _header(bytes(body[8:start]))
+        header["identity"].setdefault(GOLDEN, identity[GOLDEN])
         check_identity(header["identity"], identity, exactly=True)
         edges = list(itertools.accumulate(header["lengths"], initial=start))
         if edges[-1] != len(body):

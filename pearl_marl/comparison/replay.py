@@ -20,7 +20,7 @@ from gymnasium.spaces import Box
 from gymnasium.vector import AutoresetMode
 
 from pearl_marl.batch.actions import encode
-from pearl_marl.batch.config import BatchConfig, worlds_of
+from pearl_marl.batch.config import GOLDEN, BatchConfig, worlds_of
 from pearl_marl.batch.results import check_memory
 from pearl_marl.batch.saved_state import SavedState
 from pearl_marl.batch.slot_memory import size
@@ -60,12 +60,15 @@ class Replay:
 
     def write(self, path: Path) -> None:
         """Write the file."""
+        before = self.before
+        if before is not None:  # so that it can be replayed once the golden functions have changed
+            before = replace(before, identity={k: v for k, v in before.identity.items() if k != GOLDEN})
         value = {
             "format": _FORMAT,
             "version": _VERSION,
             "divergence": self.divergence.as_json(),
             "batch": self.config.identity(),
-            "before": None if self.before is None else _packed(self.before.to_bytes()),
+            "before": None if before is None else _packed(before.to_bytes()),
             "actions": None if self.actions is None else _packed(self.actions.tobytes()),
             "seed": self.seed,
             "mask": None if self.mask is None else _packed(self.mask.tobytes()),

@@ -53,10 +53,12 @@ def _what_differs(field: Control, theirs: int, spec: EnvSpec, layout: MemoryMap)
         return f"it is built for {theirs * k:,} agents, not {ours:,}: take as many, or build it anew"
     if field is Control.ENV_HASH:
         hashes = {elaboration.env_hash(each): each.id for each in known}
-        held = hashes.get(theirs, "another environment, or other options of it")
         usual = next((each.options for each in known if each.id == spec.id), {})
         changed = {name: value for name, value in spec.options.items() if usual.get(name) != value}
         wanted = spec.id + (f" with {changed}" if changed else "")
+        held = hashes.get(theirs, "another environment, or one with other options or golden functions")
+        if held == wanted:
+            held += " with other golden functions"
         return f"it is built for {held}, not for {wanted}: name that, or build it anew"
     return (
         f"it takes hardware built for {spec.id}, {layout.n_envs:,} slots, pe_num {layout.pe_num} and data_wl "

@@ -95,31 +95,38 @@ _BURST_BYTES, _BURST_BEATS = 4096, 256
 _PORT_LATENCY = 7
 """Cycles from a request behind the AXI slave to its answer (``PORT_LATENCY`` of ``rtl/pearl_pkg.sv``)."""
 
-WRITE_BURST, READ_BURST = _PORT_LATENCY + 5, _PORT_LATENCY + 4
-"""Cycles of a burst besides its beats: its address, and until the AXI slave has answered."""
+TRANSFER_WAIT = _PORT_LATENCY + 4
+"""Cycles from the first address of a transfer to its last answer, both included, besides one a beat."""
 
-_UNTIL_RUNNING = 6
+_UNTIL_RUNNING = 5
 """Cycles of a step that pass while its write is still being answered."""
 
 
-def burst_cycles(start: int, length: int, beat: int, overhead: int) -> int:
-    """Return the clock cycles of a transfer, ``beat`` bytes each, and for every burst its ``overhead``."""
+def transfer_cycles(start: int, length: int, beat: int, burst: int | None = None) -> int:
+    """Return the clock cycles of a transfer over the AXI port, ``beat`` bytes each.
+
+    The port takes queued bursts without a gap, so those of any length take as long. ``burst`` is for a
+    master that asks for the next burst only after the last one's answer: the most bytes that it takes in one.
+    """
+    if burst is None:
+        return -(-length // beat) + (TRANSFER_WAIT if length else 0)
     end, cycles = start + length, 0
     while start < end:
         stop = min(end, start + _BURST_BEATS * beat, (start // _BURST_BYTES + 1) * _BURST_BYTES)
-        cycles += overhead + -(-(stop - start) // beat)
+        stop = min(stop, (start // burst + 1) * burst)
+        cycles += TRANSFER_WAIT + -(-(stop - start) // beat)
         start = stop
     return cycles
 
 
-def write_cycles(layout: MemoryMap) -> int:
-    """Return the clock cycles in which what a step writes passes the AXI port, burst after burst."""
-    return burst_cycles(*layout.step_write, layout.data_wl // 8, WRITE_BURST)
+def write_cycles(layout: MemoryMap, burst: int | None = None) -> int:
+    """Return the clock cycles in which what a step writes passes the AXI port: :func:`transfer_cycles`."""
+    return transfer_cycles(*layout.step_write, layout.data_wl // 8, burst)
 
 
-def read_cycles(layout: MemoryMap) -> int:
+def read_cycles(layout: MemoryMap, burst: int | None = None) -> int:
     """Return the same of what a step reads."""
-    return burst_cycles(*layout.step_read, layout.data_wl // 8, READ_BURST)
+    return transfer_cycles(*layout.step_read, layout.data_wl // 8, burst)
 
 
 def draws_wait(spec: EnvSpec, layout: MemoryMap) -> int:

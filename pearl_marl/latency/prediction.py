@@ -8,12 +8,10 @@ from typing import Any
 from pearl_marl.errors import ArgumentError
 from pearl_marl.hardware import elaboration
 from pearl_marl.latency.cycles import (
-    READ_BURST,
     RESULTS,
-    WRITE_BURST,
-    burst_cycles,
     read_cycles,
     step_cycles,
+    transfer_cycles,
     write_cycles,
 )
 from pearl_marl.latency.host import HostTimes
@@ -115,7 +113,13 @@ class Prediction:
 
 
 def predict(
-    spec: EnvSpec, layout: MemoryMap, link: Link, host: HostTimes, clock: float, pipelined: bool = True
+    spec: EnvSpec,
+    layout: MemoryMap,
+    link: Link,
+    host: HostTimes,
+    clock: float,
+    pipelined: bool = True,
+    burst: int | None = None,
 ) -> Prediction:
     """Predict a step of a build, with the host's times for so many slots and a clock in hertz.
 
@@ -124,16 +128,18 @@ def predict(
     Not pipelined is what the paper calls PEARL without pipeline, with one processing element in ``layout``:
     no group overlaps with another, and the states are not kept in the hardware, but go to it with the
     actions and come back with the results, packed, at no cost to the host.
+
+    What is predicted holds for bursts of any length, if the link queues them. ``burst`` is for one that waits
+    for the answer to each: the most bytes that it moves in one.
     """
     target = elaboration.clocked("xc7", clock / 1e6)
     timing = elaboration.core_timing(spec, target)
     states = 0 if pipelined else -(-layout.n_envs * word_bits(spec.state) // 8)
     # A link can be no faster than the port at its end.
-    states_in, states_out = (
-        burst_cycles(0, states, layout.data_wl // 8, overhead) for overhead in (WRITE_BURST, READ_BURST)
-    )
-    write = max((layout.step_write[1] + states) / link.write_rate, (write_cycles(layout) + states_in) / clock)
-    read = max((layout.step_read[1] + states) / link.read_rate, (read_cycles(layout) + states_out) / clock)
+    moved = transfer_cycles(0, states, layout.data_wl // 8, burst)
+    written, came = write_cycles(layout, burst) + moved, read_cycles(layout, burst) + moved
+    write = max((layout.step_write[1] + states) / link.write_rate, written / clock)
+    read = max((layout.step_read[1] + states) / link.read_rate, came / clock)
     compute = (layout.groups - 1) * (timing.interval if pipelined else timing.latency) + timing.latency
     return Prediction(
         layout.n_envs,

@@ -162,7 +162,7 @@ def test_large_memories_are_found_in_block_ram(part: str, monkeypatch: pytest.Mo
     (point,) = json.loads(result.stdout)["points"]
     kinds = {memory["name"]: memory["kind"] for memory in point["memories"]}
     assert kinds["u_backbone.u_state_path.u_elapsed.gen_column_rams[0].u_ram"] == "block RAM"
-    assert kinds["u_axi_slave.u_answers.mem"] == "LUT RAM"
+    assert kinds["u_axi_slave.u_read.u_answers.u_answers.mem"] == "LUT RAM"
     assert point["lut"] > 500
     assert point["ff"] > 500
     assert point["bram36"] >= 0.5

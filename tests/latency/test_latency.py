@@ -32,7 +32,7 @@ from pearl_marl.latency import (
     predict,
     step_cycles,
 )
-from pearl_marl.latency.cycles import READ_BURST, WRITE_BURST, read_cycles, write_cycles
+from pearl_marl.latency.cycles import TRANSFER_WAIT, read_cycles, transfer_cycles, write_cycles
 from pearl_marl.latency.host import ENDING, NoHardware
 from pearl_marl.latency.prediction import Overlap
 from pearl_marl.memory_map import DATA_WIDTHS, memory_map
@@ -75,17 +75,34 @@ def test_clock_cycles_over_axi(spec: Any, size: tuple[int, int, int], pipelined:
     device.close()
 
 
-def test_bursts_end_at_256_beats_and_at_4_kib() -> None:
+def test_queued_bursts_of_any_length_take_as_long() -> None:
     layout = memory_map(SPEC, 43008, 128, 32)
-    words = layout.step_write[1] // 4
-    start = layout.step_write[0] // 4
-    cuts = {cut for cut in range(start, start + words) if cut % 1024 == 0}
-    bursts, at = 0, start
-    while at < start + words:
-        at = min([at + 256, start + words, *(cut for cut in cuts if cut > at)])
-        bursts += 1
-    assert write_cycles(layout) == words + WRITE_BURST * bursts
-    assert read_cycles(memory_map(SPEC, 70, 3, 32)) == READ_BURST + 14 + 5 + 3 + 3  # one burst
+    assert write_cycles(layout) == layout.step_write[1] // 4 + TRANSFER_WAIT
+    assert read_cycles(memory_map(SPEC, 70, 3, 32)) == TRANSFER_WAIT + 14 + 5 + 3 + 3
+
+
+@pytest.mark.parametrize(
+    ("start", "length", "burst", "bursts"),
+    [
+        (0, 4096, 4096, 4),  # a burst has 256 beats at most
+        (0, 4096, 512, 8),
+        (0, 4096, 256, 16),
+        (128, 512, 256, 3),
+        (4000, 200, 4096, 2),  # and does not cross a multiple of 4 KiB
+        (0, 0, 256, 0),
+    ],
+)
+def test_bursts_one_at_a_time_wait_for_each_answer(start: int, length: int, burst: int, bursts: int) -> None:
+    assert transfer_cycles(start, length, 4, burst) == length // 4 + bursts * TRANSFER_WAIT
+
+
+def test_a_link_that_does_not_queue_is_predicted_by_its_bursts() -> None:
+    layout = memory_map(SPEC, 43008, 64, 256)
+    link = Link("fast", 0.0, 1e12, 1e12, "")
+    times = [predict(SPEC, layout, link, HOST, 125e6, burst=burst) for burst in (None, 4096, 512, 256)]
+    assert [step.read for step in times] == sorted(step.read for step in times)
+    assert times[3].read == pytest.approx(read_cycles(layout, 256) / 125e6)
+    assert times[3].write == pytest.approx(write_cycles(layout, 256) / 125e6)
 
 
 def test_the_papers_loops() -> None:
@@ -142,8 +159,8 @@ def test_a_prediction_without_the_pipeline() -> None:
     assert 43008 * (4 + C + 2) <= step.device * 100e6 <= 43008 * (4 + C + 2) + 14
     # The same on a port that is slower than the link.
     fast = predict(SPEC, layout, Link("fast", 0.0, 1e12, 1e12, ""), HOST, 100e6, pipelined=False)
-    assert fast.write == pytest.approx((write_cycles(layout) + 1008 + 8 * WRITE_BURST) / 100e6)
-    assert fast.read == pytest.approx((read_cycles(layout) + 1008 + 8 * READ_BURST) / 100e6)
+    assert fast.write == pytest.approx((write_cycles(layout) + 1008 + TRANSFER_WAIT) / 100e6)
+    assert fast.read == pytest.approx((read_cycles(layout) + 1008 + TRANSFER_WAIT) / 100e6)
 
 
 def test_with_and_without_the_pipeline(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -7,7 +7,7 @@ module axi_properties #(
     parameter int unsigned ADDR_BITS = 16,
     parameter int unsigned ID_BITS = 4,
     // Bursts of either kind that the slave accepts before it ends the first of them.
-    parameter int unsigned OUTSTANDING = 3,
+    parameter int unsigned OUTSTANDING = 20,
     localparam int unsigned STRB_BITS = DATA_WL / 8
 ) (
     input logic                 clk_i,

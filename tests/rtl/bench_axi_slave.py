@@ -7,9 +7,11 @@ from typing import Any
 
 import cocotb
 from bench import axi_master, each_variant, start
-from cocotb.triggers import Combine, FallingEdge, RisingEdge, with_timeout
+from cocotb.triggers import ClockCycles, Combine, FallingEdge, RisingEdge, with_timeout
 from cocotbext.axi import AxiMaster
 from cocotbext.axi.constants import AxiResp
+
+from pearl_marl.latency.cycles import TRANSFER_WAIT
 
 IDLES = (0.0, 0.4)
 WORDS, READ_ONLY = 64, 8
@@ -116,6 +118,172 @@ async def whole_words_stream(dut: Any, given: Any) -> None:
         counting = cocotb.start_soon(count(channel))
         await with_timeout(work, 1, "ms")
         await with_timeout(counting, 1, "ms")
+
+
+async def span(dut: Any, first: str, last: str, count: int) -> int:
+    """The cycles from the first handshake of a channel to a channel's so-manieth, both included."""
+    began = done = cycle = 0
+    while done < count:
+        await RisingEdge(dut.clk_i)
+        cycle += 1
+        if not began and moves(dut, first):
+            began = cycle
+        done += moves(dut, last)
+    return cycle - began + 1
+
+
+def moves(dut: Any, channel: str) -> bool:
+    return all(getattr(dut, f"s_axi_{channel}{end}").value == 1 for end in ("valid", "ready"))
+
+
+@each_variant(beats=(1, 8, 16, 64))
+async def queued_bursts_follow_without_a_gap(dut: Any, given: Any, beats: int) -> None:
+    """So the latency model holds for bursts of any length (pearl_marl/latency/cycles.py)."""
+    width, _, writable = sizes(given)
+    await start(dut)
+    axi = axi_master(dut, random.Random(13), 0)
+    await clear(axi, writable)
+    axi.write_if.max_burst_len = axi.read_if.max_burst_len = beats
+    beats = min(beats, 4096 // width)  # AXI4's limit
+    words = WORDS // beats * beats
+    await ClockCycles(dut.clk_i, 20)
+    counting = cocotb.start_soon(span(dut, "aw", "b", words // beats))
+    await with_timeout(axi.write(0, bytes(words * width)), 1, "ms")
+    assert await counting == words + TRANSFER_WAIT
+    await ClockCycles(dut.clk_i, 20)
+    counting = cocotb.start_soon(span(dut, "ar", "r", words))
+    await with_timeout(axi.read(0, words * width), 1, "ms")
+    assert await counting == words + TRANSFER_WAIT
+
+
+@each_variant()
+async def reads_and_writes_share_the_port(dut: Any, given: Any) -> None:
+    width, _, writable = sizes(given)
+    await start(dut)
+    axi = axi_master(dut, random.Random(14), 0)
+    await clear(axi, writable)
+    axi.write_if.max_burst_len = axi.read_if.max_burst_len = 8
+    await ClockCycles(dut.clk_i, 20)
+    words = 48
+    both = [
+        cocotb.start_soon(span(dut, first, last, count))
+        for first, last, count in (("aw", "b", words // 8), ("ar", "r", words))
+    ]
+    work = axi.write(0, bytes(words * width)), axi.read(0, words * width)
+    await with_timeout(Combine(*map(cocotb.start_soon, work)), 1, "ms")
+    for counting in both:
+        assert 2 * words - 8 <= await counting <= 2 * words + TRANSFER_WAIT
+
+
+STALLS = {"aw": "write", "w": "write", "b": "write", "ar": "read", "r": "read"}
+"""Channels that a master may keep from moving, and what that stops."""
+
+
+@each_variant(channel=tuple(STALLS))
+async def neither_kind_waits_for_the_others_master(dut: Any, given: Any, channel: str) -> None:
+    width, _, writable = sizes(given)
+    await start(dut)
+    source = random.Random(15)
+    axi = axi_master(dut, source, 0)
+    truth = await clear(axi, writable)
+    half = writable // 2 // width * width
+    axi.write_if.max_burst_len = axi.read_if.max_burst_len = 1
+    stopped = axi.write_if if STALLS[channel] == "write" else axi.read_if
+    getattr(stopped, f"{channel}_channel").pause = True
+    data = source.randbytes(half)
+    # More than the slave has room for.
+    waiting = axi.write(half, data) if stopped is axi.write_if else axi.read(half, half)
+    held = cocotb.start_soon(waiting)
+    await ClockCycles(dut.clk_i, 60)
+    for _ in range(8):
+        begin, length = source.randrange(half - 2 * width), source.randint(1, 2 * width)
+        if stopped is axi.write_if:
+            answer = await with_timeout(axi.read(begin, length), 3, "us")
+            assert answer.data == truth[begin : begin + length]
+        else:
+            some = source.randbytes(length)
+            assert (await with_timeout(axi.write(begin, some), 3, "us")).resp == AxiResp.OKAY
+            truth[begin : begin + length] = some
+    assert not held.done()
+    getattr(stopped, f"{channel}_channel").pause = False
+    answer = await with_timeout(held, 1, "ms")
+    assert answer.resp == AxiResp.OKAY
+    if stopped is axi.write_if:
+        truth[half : 2 * half] = data
+    assert (await axi.read(0, writable)).data == truth
+
+
+@each_variant(idle=IDLES)
+async def many_masters_with_many_ids_see_a_memory(dut: Any, given: Any, idle: float) -> None:
+    """Each has a share of the memory for itself, with words that it shares with its neighbours."""
+    width, _, writable = sizes(given)
+    await start(dut)
+    source = random.Random(16)
+    axi = axi_master(dut, source, idle)
+    truth = await clear(axi, writable)
+    masters = 6
+
+    async def work(master: int) -> None:
+        low, high = writable * master // masters, writable * (master + 1) // masters
+        low, high = low + master % 2, high - 1
+        for _ in range(8):
+            begin = source.randrange(low, high)
+            length = source.randint(1, min(high - begin, 5 * width))
+            beat = source.randint(0, width.bit_length() - 1)
+            name = source.randrange(16)
+            if source.random() < 0.5:
+                data = source.randbytes(length)
+                answer = await axi.write(begin, data, awid=name, size=beat)
+                truth[begin : begin + length] = data
+            else:
+                answer = await axi.read(begin, length, arid=name, size=beat)
+                assert answer.data == truth[begin : begin + length]
+            assert answer.resp == AxiResp.OKAY
+
+    await with_timeout(Combine(*(cocotb.start_soon(work(master)) for master in range(masters))), 2, "ms")
+    assert (await axi.read(0, writable)).data == truth
+
+
+@each_variant()
+async def answers_come_in_the_order_of_addresses(dut: Any, given: Any) -> None:
+    width, whole, writable = sizes(given)
+    await start(dut)
+    source = random.Random(17)
+    axi = axi_master(dut, source, 0.3)
+    truth = bytearray(source.randbytes(writable))
+    await axi.write(0, bytes(truth))
+    ids: dict[str, list[int]] = {name: [] for name in ("ar", "r", "aw", "b")}
+
+    async def watch() -> None:
+        while True:
+            await RisingEdge(dut.clk_i)
+            for name, seen in ids.items():
+                if moves(dut, name) and (name != "r" or dut.s_axi_rlast.value == 1):
+                    seen.append(int(getattr(dut, f"s_axi_{name}id").value))
+
+    cocotb.start_soon(watch())
+    reads, writes = [], []
+    for k in range(30):
+        begin = source.randrange(writable - width)
+        reads.append((begin, axi.init_read(begin, source.randint(1, width), arid=source.randrange(16))))
+        # Half of them are refused, and say so in their turn.
+        refused = k % 2
+        writes.append(
+            (
+                refused,
+                axi.init_write(whole - width if refused else 0, truth[:width], awid=source.randrange(16)),
+            )
+        )
+    for begin, event in reads:
+        await with_timeout(event.wait(), 1, "ms")
+        assert event.data.data == truth[begin : begin + len(event.data.data)]
+        assert event.data.resp == AxiResp.OKAY
+    for refused, event in writes:
+        await with_timeout(event.wait(), 1, "ms")
+        assert event.data.resp == (AxiResp.SLVERR if refused else AxiResp.OKAY)
+    assert ids["r"] == ids["ar"]
+    assert ids["b"] == ids["aw"]
+    assert len(ids["r"]) == len(ids["b"]) == 30
 
 
 @each_variant()

@@ -101,7 +101,10 @@ def _with_needed(top: str, last: list[Path]) -> tuple[Path, ...]:
     return tuple(path for name, path in files.items() if name in needed)
 
 
-BUS = ("pearl_top.sv", "pearl_axi_slave.sv", "pearl_axi_address.sv")
+BUS = (
+    "pearl_top.sv",
+    *(f"pearl_axi_{name}.sv" for name in ("slave", "read", "write", "answers", "address")),
+)
 """The sources that lie between the bus and the backbone; tests of the backbone alone do without them."""
 
 

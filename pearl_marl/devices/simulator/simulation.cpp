@@ -142,59 +142,82 @@ struct Host {
         return code;
     }
 
+    // Addresses, beats and answers each move on by themselves, so that bursts are queued and follow each other without
+    // a gap. After a refusal no further burst is asked for, and those that have been are brought to their end.
     void write_port(uint64_t begin, const uint8_t* data, uint64_t length) {
         const uint64_t end = begin + length;
-        uint64_t address = begin / kWordBytes * kWordBytes;
-        while (address < end && answer == kOkay) {
-            const uint64_t count = beats(address, end);
-            top->s_axi_awaddr = address;
-            top->s_axi_awlen = count - 1;
-            top->s_axi_awsize = size_code();
-            top->s_axi_awburst = kIncrementing;
-            top->s_axi_awvalid = 1;
-            wait(top->s_axi_awready, kNoHandshake);
-            top->s_axi_awvalid = 0;
-            top->s_axi_wvalid = 1;
-            for (uint64_t beat = 0; beat < count && answer == kOkay; beat++, address += kWordBytes) {
-                const uint64_t from = std::max(begin, address), to = std::min(end, address + kWordBytes);
+        uint64_t asked = begin / kWordBytes * kWordBytes, sent = asked, burst_end = asked, unanswered = 0, i = 0;
+        bool offered = false;
+        top->s_axi_awsize = size_code();
+        top->s_axi_awburst = kIncrementing;
+        top->s_axi_bready = 1;
+        for (; i < patience && answer != kStopped; i++) {
+            const bool asks = asked < end && (answer == kOkay || offered), sends = sent < asked;
+            if (!asks && !sends && !unanswered) break;
+            const uint64_t asked_end = asked + beats(asked, end) * kWordBytes;
+            top->s_axi_awvalid = asks;
+            if (asks) {
+                top->s_axi_awaddr = asked;
+                top->s_axi_awlen = (asked_end - asked) / kWordBytes - 1;
+            }
+            top->s_axi_wvalid = sends;
+            if (sends) {
+                const uint64_t from = std::max(begin, sent), to = std::min(end, sent + kWordBytes);
                 uint8_t word[kWordBytes] = {}, strobes[sizeof(top->s_axi_wstrb)] = {};
-                std::memcpy(word + (from - address), data + (from - begin), to - from);
-                for (uint64_t i = from - address; i < to - address; i++) strobes[i / 8] |= 1 << i % 8;
+                std::memcpy(word + (from - sent), data + (from - begin), to - from);
+                for (uint64_t i = from - sent; i < to - sent; i++) strobes[i / 8] |= 1 << i % 8;
                 std::memcpy(&top->s_axi_wdata, word, kWordBytes);
                 std::memcpy(&top->s_axi_wstrb, strobes, sizeof(strobes));
-                top->s_axi_wlast = beat == count - 1;
-                wait(top->s_axi_wready, kNoHandshake);
+                if (sent == burst_end) burst_end += beats(sent, end) * kWordBytes;
+                top->s_axi_wlast = sent + kWordBytes == burst_end;
             }
-            top->s_axi_wvalid = 0;
-            top->s_axi_bready = 1;
-            wait(top->s_axi_bvalid, kNoHandshake, [&] { check(top->s_axi_bresp); });
-            top->s_axi_bready = 0;
+            settle();
+            const bool taken = asks && top->s_axi_awready, written = sends && top->s_axi_wready;
+            const bool answered = top->s_axi_bvalid;
+            if (answered) check(top->s_axi_bresp);
+            edge();
+            if (taken) asked = asked_end;
+            if (written) sent += kWordBytes;
+            unanswered += taken - answered;
+            offered = asks && !taken;
+            if (taken || written || answered) i = 0;
         }
+        if (i == patience) fail(kNoHandshake);
+        top->s_axi_awvalid = top->s_axi_wvalid = top->s_axi_bready = 0;
     }
 
     void read_port(uint64_t begin, uint8_t* data, uint64_t length) {
         const uint64_t end = begin + length;
-        uint64_t address = begin / kWordBytes * kWordBytes;
-        while (address < end && answer == kOkay) {
-            const uint64_t count = beats(address, end);
-            top->s_axi_araddr = address;
-            top->s_axi_arlen = count - 1;
-            top->s_axi_arsize = size_code();
-            top->s_axi_arburst = kIncrementing;
-            top->s_axi_arvalid = 1;
-            wait(top->s_axi_arready, kNoHandshake);
-            top->s_axi_arvalid = 0;
-            top->s_axi_rready = 1;
-            for (uint64_t beat = 0; beat < count && answer == kOkay; beat++, address += kWordBytes) {
-                const uint64_t from = std::max(begin, address), to = std::min(end, address + kWordBytes);
-                wait(top->s_axi_rvalid, kNoHandshake, [&] {
-                    const auto* word = reinterpret_cast<const uint8_t*>(&top->s_axi_rdata);
-                    std::memcpy(data + (from - begin), word + (from - address), to - from);
-                    check(top->s_axi_rresp);
-                });
+        uint64_t asked = begin / kWordBytes * kWordBytes, came = asked, i = 0;
+        bool offered = false;
+        top->s_axi_arsize = size_code();
+        top->s_axi_arburst = kIncrementing;
+        top->s_axi_rready = 1;
+        for (; i < patience && answer != kStopped; i++) {
+            const bool asks = asked < end && (answer == kOkay || offered);
+            if (!asks && came == asked) break;
+            const uint64_t asked_end = asked + beats(asked, end) * kWordBytes;
+            top->s_axi_arvalid = asks;
+            if (asks) {
+                top->s_axi_araddr = asked;
+                top->s_axi_arlen = (asked_end - asked) / kWordBytes - 1;
             }
-            top->s_axi_rready = 0;
+            settle();
+            const bool taken = asks && top->s_axi_arready, answered = top->s_axi_rvalid;
+            if (answered) {
+                const uint64_t from = std::max(begin, came), to = std::min(end, came + kWordBytes);
+                const auto* word = reinterpret_cast<const uint8_t*>(&top->s_axi_rdata);
+                std::memcpy(data + (from - begin), word + (from - came), to - from);
+                check(top->s_axi_rresp);
+                came += kWordBytes;
+            }
+            edge();
+            if (taken) asked = asked_end;
+            offered = asks && !taken;
+            if (taken || answered) i = 0;
         }
+        if (i == patience) fail(kNoHandshake);
+        top->s_axi_arvalid = top->s_axi_rready = 0;
     }
 
     void check(unsigned response) {
