@@ -21,9 +21,10 @@ ROOMS = (
         "clone",
         "errors",
         "limits",
-        "cache",
         "deferral",
         "files",
+        "arrays",
+        "cache",
         "version",
         "remaking",
         "integers",
@@ -207,7 +208,10 @@ def test_experiments_are_imported_by_the_report_alone() -> None:
 
 LIBRARIES = {
     "_asdict": "every NamedTuple's",
+    "_fields": "every NamedTuple's",
     "_replace": "every NamedTuple's",
+    "_accumulate_rewards": "of PettingZoo's AECEnv, for who derives from it",
+    "_pytree": "of PyTorch, where every library registers its containers",
     "_reset_seeds": "Stable-Baselines3's, for who derives from it",
     "_get_indices": "Stable-Baselines3's, likewise",
     "_setup_learn": "Stable-Baselines3's, likewise",

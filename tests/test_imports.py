@@ -77,7 +77,8 @@ REGISTERED = """
 import json, sys
 {imports}
 registered = {{*gymnasium.registry}} | ({{*pettingzoo.parallel_registry}} & {{*pettingzoo.aec_registry}})
-watching = [finder for finder in sys.meta_path if type(finder).__module__.startswith("pearl_marl")]
+watching = [getattr(finder, "library", None) for finder in sys.meta_path]
+watching = [library for library in watching if library in ("gymnasium", "pettingzoo")]
 kept = gymnasium.__loader__.get_source("gymnasium") != pettingzoo.__spec__.loader.get_source("pettingzoo")
 print(json.dumps({{"registered": sorted(registered), "watching": len(watching), "kept": kept}}))
 """

@@ -22,13 +22,13 @@ class _Watch(MetaPathFinder):
     """Finds a library where the other finders do, and is told when it has been executed."""
 
     def __init__(self, library: str, call: Callable[[], None]) -> None:
-        self._library, self._call = library, call
+        self.library, self._call = library, call
         self._asking = False
 
     def find_spec(
         self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None
     ) -> ModuleSpec | None:
-        if fullname != self._library or self._asking:
+        if fullname != self.library or self._asking:
             return None
         self._asking = True  # another watch of the library asks all finders too, and so this one
         try:
