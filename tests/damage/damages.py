@@ -58,7 +58,7 @@ def mutated(value: Any, rng: np.random.Generator) -> Any:
     for _ in range(int(rng.integers(1, 4))):
         places = list(_places(value))
         holder, key = places[int(rng.integers(len(places)))]
-        insane = INSANE[int(rng.integers(len(INSANE)))]
+        insane = copy.deepcopy(INSANE[int(rng.integers(len(INSANE)))])
         match int(rng.integers(6)):
             case 0:
                 del holder[key]
