@@ -196,7 +196,6 @@ class RunFolder:
         for done, policy in past.items():
             path = self.path / "past" / f"{done:06}.safetensors"
             if not path.exists():
-                path.parent.mkdir(exist_ok=True)
                 policy.save(path)
 
     def write_metrics(self) -> None:
