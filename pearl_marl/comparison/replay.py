@@ -25,7 +25,7 @@ from pearl_marl.batch.results import check_memory
 from pearl_marl.batch.saved_state import SavedState
 from pearl_marl.batch.slot_memory import size
 from pearl_marl.comparison.divergence import Divergence
-from pearl_marl.errors import ArgumentError, PearlError, shown
+from pearl_marl.errors import ArgumentError, PearlError, shown, told
 from pearl_marl.files import check_readable, replace_file
 from pearl_marl.registry import registered_spec
 from pearl_marl.rng import checked_seed
@@ -92,7 +92,7 @@ class Replay:
         try:
             return cls._from_json(value)
         except PearlError as error:
-            raise ArgumentError(f"{path}: {error}") from None
+            raise ArgumentError(f"{path}: {told(error)}") from None
         except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError, zlib.error) as error:
             raise ArgumentError(f"{path} is damaged: {type(error).__name__}: {_why(error)}") from None
 
@@ -203,8 +203,7 @@ def checksum(value: dict[str, Any]) -> str:
 
 
 def _why(error: Exception) -> str:
-    why = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
-    return " ".join(why.split())[:200]
+    return told(error.strerror if isinstance(error, OSError) and error.strerror else error)
 
 
 def _packed(data: bytes) -> str:

@@ -23,7 +23,7 @@ import torch
 from torch.utils.tensorboard import SummaryWriter
 
 from pearl_marl.benchmark.machine import machine
-from pearl_marl.errors import ArgumentError, shown
+from pearl_marl.errors import ArgumentError, shown, told
 from pearl_marl.files import check_files, check_uncompressed, claimed, replace_file
 from pearl_marl.rendering import new_figure, save_figure
 from pearl_marl.spec import is_number
@@ -84,7 +84,7 @@ class RunFolder:
             # As text: True is 1 in Python.
             if name not in before or json.dumps(before[name]) != json.dumps(now.get(name)):
                 raise ArgumentError(
-                    f"{what_is} a run with {name} {shown(before.get(name))}, not {now.get(name)!r}: "
+                    f"{what_is} a run with {told(name)} {shown(before.get(name))}, not {now.get(name)!r}: "
                     "give the same settings to go on with it, or another --out"
                 )
 

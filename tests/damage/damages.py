@@ -63,7 +63,7 @@ def mutated(value: Any, rng: np.random.Generator) -> Any:
             case 0:
                 del holder[key]
             case 1 if isinstance(holder, dict):
-                holder[f"{key}_"] = insane
+                holder[str(rng.choice([f"{key}_", "\n\n", "x" * 5000, "self", TRAP]))] = insane
             case 1:
                 holder.append(insane)
             case 2 if type(holder[key]) is int:
