@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from pearl_marl.cache import cache_folder
-from pearl_marl.compiler.cores import generated_core
+from pearl_marl.compiler.cores import core_name, generated_core
 from pearl_marl.compiler.loading import fingerprint
 from pearl_marl.compiler.targets import Target
 from pearl_marl.errors import ArgumentError
@@ -57,6 +57,11 @@ def core_path(spec: EnvSpec, target: Target = TARGET) -> Path:
     path = Path(spec.core)
     if not path.is_file():
         raise ArgumentError(f"{spec.id}: its core is to be {path}, and there is no such file")
+    if core_name(spec) != snake_case(spec.name):
+        raise ArgumentError(
+            f"{spec.id}: its own core would be the module {snake_case(spec.name)}_pe, and names that begin "
+            "with pearl are for the modules around cores; give the environment another name"
+        )
     _timing(path)
     return path
 
@@ -66,7 +71,7 @@ def _generated_core(spec: EnvSpec, target: Target) -> Path:
     functions = [fingerprint(function) for function in spec.functions]
     key = repr((spec.id, spec.options, words, functions, target))
     if key not in _generated:
-        _generated[key] = _kept(generated_core(spec, target).text, f"{snake_case(spec.name)}_pe.sv")
+        _generated[key] = _kept(generated_core(spec, target).text, f"{core_name(spec)}_pe.sv")
     return _generated[key]
 
 
@@ -101,7 +106,7 @@ def core_wrapper(spec: EnvSpec) -> str:
     ArgumentError
         An option, which is a parameter of the core, is not an integer.
     """
-    core, bits = snake_case(spec.name), stream_bits(spec)
+    core, bits = core_name(spec), stream_bits(spec)
     assigned = ", ".join(f".{name}({literal})" for name, literal in core_parameters(spec).items())
     template = resources.files("pearl_marl.rtl") / f"{WRAPPER}.in"
     return template.read_text("utf-8").format(
