@@ -181,21 +181,23 @@ def main(
     about = {"environment": env_id, "algorithm": algo, "n_agents": n_agents, "steps": steps, "goal": goal}
     columns = (BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TextColumn("{task.fields[note]}"))
     run = RunFolder(out, {**about, "every": every, "seed": seed, "source": source})
-    with Progress(*columns, console=console) as bar:
-        task = bar.add_task(env_id, total=steps, note="")
+    with run.claimed():
+        run.write_config()
+        with Progress(*columns, console=console) as bar:
+            task = bar.add_task(env_id, total=steps, note="")
 
-        def show(done: int, mean: float) -> None:
-            bar.update(task, completed=min(done, steps), note=f"return {mean:.1f}")
+            def show(done: int, mean: float) -> None:
+                bar.update(task, completed=min(done, steps), note=f"return {mean:.1f}")
 
-        model, points = train(source, env_id, algo, n_agents, steps, seed, goal, every, show=show)
-    for seconds, done, mean in points:
-        run.report(done, seconds=seconds, eval_return=mean)
-    run.write_metrics()
-    run.draw_curve(f"{env_id}: {algo} of Stable-Baselines3 on {source}, {n_agents:,} agents", goal)
-    model.save(out / "model.zip")
-    normalised = model.get_vec_normalize_env()
-    if normalised is not None:
-        normalised.save(str(out / "normalize.pkl"))
+            model, points = train(source, env_id, algo, n_agents, steps, seed, goal, every, show=show)
+        for seconds, done, mean in points:
+            run.report(done, seconds=seconds, eval_return=mean)
+        run.write_metrics()
+        run.draw_curve(f"{env_id}: {algo} of Stable-Baselines3 on {source}, {n_agents:,} agents", goal)
+        model.save(out / "model.zip")
+        normalised = model.get_vec_normalize_env()
+        if normalised is not None:
+            normalised.save(str(out / "normalize.pkl"))
     if points:
         seconds, done, mean = points[-1]
         print(f"Mean return {mean:.1f} after {done:,} agent-steps, {seconds:.1f} s of training.")

@@ -19,6 +19,8 @@ from typing import Any
 import platformdirs
 from numba import njit
 
+from pearl_marl.files import open_lock
+
 _TEMPORARY = "pearl_marl_"
 """With what the name of a folder begins that stands in for one that cannot be written."""
 
@@ -52,9 +54,12 @@ def is_kept(folder: Path) -> bool:
 @contextlib.contextmanager
 def locked(path: Path) -> Iterator[None]:
     """Let one process or thread at a time make an entry of the cache; ``path`` serves the lock alone."""
-    with path.open("w") as lock:
+    lock = open_lock(path)
+    try:
         fcntl.flock(lock, fcntl.LOCK_EX)
         yield
+    finally:
+        os.close(lock)
 
 
 def compiled(function: Callable[..., Any]) -> Callable[..., Any]:

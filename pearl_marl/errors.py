@@ -9,6 +9,15 @@ from __future__ import annotations
 from typing import Any
 
 
+def shown(value: Any) -> str:
+    """Return what stands for a value from a file in a sentence: one line, however long the value is."""
+    try:
+        text = repr(value)
+    except (ValueError, RecursionError):  # an integer of thousands of digits
+        text = f"of the type {type(value).__name__}"
+    return text if len(text) <= 200 else f"{text[:200]}..."
+
+
 class PearlError(Exception):
     """Base of every error of this package."""
 

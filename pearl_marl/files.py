@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import fcntl
 import os
+import secrets
+import stat
 import zipfile
-import zlib
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import IO
 
 from pearl_marl.errors import ArgumentError
 
@@ -17,67 +20,116 @@ def replace_file(path: Path, content: bytes, keep: Path | None = None) -> None:
     """Write a file beside its place, and put it there once it is on the disk; or raise ArgumentError.
 
     Its folder is made. The file that was there goes to ``keep``, if that is given. For a moment there is only
-    this one.
+    this one. Of several who write at once, one is the last, and its file is whole. What those who were killed
+    left beside is removed.
     """
-    scratch = path.with_name(f"{path.name}.tmp")
     try:
-        if path.exists() and not path.is_file():  # a device would be replaced as a file is
+        if _what(path) not in (None, stat.S_IFREG):  # a device would be replaced as a file is
             raise OSError(errno.EEXIST, "there is something that is no file")
         path.parent.mkdir(parents=True, exist_ok=True)
-        with scratch.open("wb") as file:
+        _remove_leftovers(path.parent)
+        with _scratch(path.parent) as (scratch, file):
             file.write(content)
             file.flush()
             os.fsync(file.fileno())
-        if keep is not None and path.exists():
-            os.replace(path, keep)
-        os.replace(scratch, path)
+            if keep is not None:
+                with contextlib.suppress(FileNotFoundError):
+                    os.replace(path, keep)
+            os.replace(scratch, path)
         folder = os.open(path.parent, os.O_RDONLY)
         try:
             os.fsync(folder)  # the names in it: a file's own fsync() does not bring them to the disk
         finally:
             os.close(folder)
     except OSError as error:
-        with contextlib.suppress(OSError):
-            scratch.unlink()
         raise ArgumentError(
             f"{path} cannot be written: {error.strerror}; make room for it, or choose another place"
         ) from None
 
 
+@contextlib.contextmanager
+def _scratch(folder: Path) -> Iterator[tuple[Path, IO[bytes]]]:
+    """Open a new file of a name of its own, and remove that at the end if it is still there.
+
+    It is locked for as long as its writer lives: see :func:`_remove_leftovers`.
+    """
+    while True:
+        scratch = folder / f".pearl-{secrets.token_hex(4)}.tmp"
+        try:
+            file = scratch.open("xb")  # which follows no link
+        except FileExistsError:
+            continue
+        with file:
+            try:
+                with contextlib.suppress(OSError):  # some networks' file systems have no locks
+                    fcntl.flock(file, fcntl.LOCK_EX)
+                if os.fstat(file.fileno()).st_nlink:  # it was not taken for a leftover before it was locked
+                    yield scratch, file
+                    return
+            finally:
+                scratch.unlink(missing_ok=True)
+
+
+def _remove_leftovers(folder: Path) -> None:
+    """Remove what writers who were killed left in a folder: nobody holds a lock on that."""
+    for scratch in folder.glob(f".pearl-{'[0-9a-f]' * 8}.tmp"):
+        with contextlib.suppress(OSError):
+            file = os.open(scratch, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                scratch.unlink()
+            finally:
+                os.close(file)
+
+
+def open_lock(path: Path) -> int:
+    """Open a file that serves as a lock, and make it if need be; or raise OSError.
+
+    Nothing in it changes, and no link is followed: in a folder of several users, another one may have put a
+    link there to a file that is dear to us.
+    """
+    why = "it is a link, or no file of a disk: remove it"
+    try:
+        lock = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC, 0o666)
+    except OSError as error:
+        raise OSError(error.errno, why if error.errno == errno.ELOOP else error.strerror, str(path)) from None
+    found = os.fstat(lock)
+    if not stat.S_ISREG(found.st_mode) or found.st_nlink != 1:
+        os.close(lock)
+        raise OSError(errno.EEXIST, why, str(path))
+    return lock
+
+
 def check_files(folder: Path, *names: str) -> None:
     """Refuse a folder in which something that is no file has one of these names, before the work."""
     for path in (folder / name for name in names):
-        if path.exists() and not path.is_file():
-            what = "a folder" if path.is_dir() else "no file of a disk"
+        found = _what(path)
+        if found not in (None, stat.S_IFREG):
+            what = "a folder" if found == stat.S_IFDIR else "no file of a disk"
             raise ArgumentError(f"{path} is {what}, and a file is to be written there: choose another place")
 
 
 def check_readable(path: Path) -> None:
     """Raise ValueError for what is no file: whoever opens a FIFO may wait for ever."""
-    if not path.is_file():
-        raise ValueError("it is a folder, or no file of a disk" if path.exists() else "there is no such file")
+    found = _what(path)
+    if found != stat.S_IFREG:
+        raise ValueError("there is no such file" if found is None else "it is a folder, or no file of a disk")
 
 
-def load_array(path: Path, name: str = "", mmap_mode: Any = None) -> Any:
-    """Return the array of a .npy file, or the one of that name in a .npz file; or raise ValueError."""
-    import numpy as np  # not above: who only writes has no need of it, and `pearl --help` no time
-
-    check_readable(path)
-    with path.open("rb") as file:
-        first = file.read(6)
-    # Of anything else NumPy says that it is pickled, and how to load it all the same.
-    if not first.startswith((b"\x93NUMPY", b"PK\x03\x04", b"PK\x05\x06")):
-        raise ValueError("it does not begin as one that NumPy writes" if first else "it is empty")
+def _what(path: Path) -> int | None:
+    """Return what sort of thing is there, if any; looked at once, as others may take it away."""
     try:
-        found = np.load(path, mmap_mode)
-        if isinstance(found, np.ndarray):
-            return found
-        with found:
-            if name in found.files:
-                return found[name]
-            listed = ", ".join(found.files) or "none"
-    except (OverflowError, MemoryError):  # of the sizes in a header
-        raise ValueError("it is damaged, or larger than memory") from None
-    except (ValueError, EOFError, zipfile.BadZipFile, zlib.error, NotImplementedError) as error:
-        raise ValueError("it holds Python objects" if "ickle" in str(error) else str(error)) from None
-    raise ValueError(f"it has no array {name!r}; its arrays are {listed}" if name else "it is a .npz file")
+        return stat.S_IFMT(path.stat().st_mode)
+    except OSError:
+        return None
+
+
+def check_uncompressed(archive: zipfile.ZipFile, size: int) -> None:
+    """Raise ValueError for an archive of ``size`` bytes whose content takes more memory than it does itself.
+
+    For those whose writers compress nothing, before any of it is unpacked.
+    """
+    members = archive.infolist()
+    unpacked = sum(member.file_size for member in members)
+    if unpacked > size or any(member.compress_type != zipfile.ZIP_STORED for member in members):
+        raise ValueError(f"its {size:,} bytes are compressed, and unpacked they are {unpacked:,}")

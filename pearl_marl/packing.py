@@ -6,7 +6,9 @@ sends many of them does so packed, and unpacks those at hand.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
+from functools import cache, partial, update_wrapper
 from typing import Any
 
 import numpy as np
@@ -16,7 +18,7 @@ from gymnasium.spaces import Box
 from pearl_marl.compiler.kernels import compile_kernels
 from pearl_marl.errors import ArgumentError
 from pearl_marl.golden import GoldenFunction
-from pearl_marl.spec import EnvSpec, check_spec
+from pearl_marl.spec import EnvSpec, Field, check_spec
 
 Array = npt.NDArray[Any]
 
@@ -34,7 +36,11 @@ def observed_as(spec: EnvSpec, observations: str) -> EnvSpec:
 
 def row_dtype(spec: EnvSpec) -> np.dtype[Any]:
     """Return the layout of a packed row: the words of the observation one after the other, little-endian."""
-    return np.dtype([(field.name, field.dtype.newbyteorder("<")) for field in spec.observation])
+    return _row_dtype(spec.observation)
+
+
+def _row_dtype(fields: tuple[Field, ...]) -> np.dtype[Any]:
+    return np.dtype([(field.name, field.dtype.newbyteorder("<")) for field in fields])
 
 
 def packed(spec: EnvSpec) -> EnvSpec:
@@ -51,17 +57,27 @@ def packed(spec: EnvSpec) -> EnvSpec:
         )
     space = Box(0, 255, (row_dtype(spec).itemsize,), np.uint8)
     roles = tuple(role._replace(observation_space=space) for role in spec.roles)
-    return replace(spec, observation_space=space, unpack=_packer(spec), roles=roles, configure=None)
+    whole = spec.configure
+    # A spec is pickled as what made it.
+    made = partial(packed, spec) if whole is None else update_wrapper(partial(_packed, whole), whole)
+    return replace(
+        spec, observation_space=space, unpack=_packer(spec.observation), roles=roles, configure=made
+    )
 
 
-def _packer(spec: EnvSpec) -> GoldenFunction:
+def _packed(configure: Callable[..., EnvSpec], **options: Any) -> EnvSpec:
+    return packed(configure(**options))
+
+
+@cache
+def _packer(fields: tuple[Field, ...]) -> GoldenFunction:
     """Return what writes the words of an observation into a row, as ``unpack`` of a spec does."""
-    lines, layout = [], row_dtype(spec)
-    for field in spec.observation:
+    lines, layout = [], _row_dtype(fields)
+    for field in fields:
         start = layout.fields[field.name][1]  # type: ignore[index]
         for byte in range(field.dtype.itemsize):
             lines.append(f"    row[{start + byte}] = int({field.name}) >> {8 * byte} & 255")
-    names = ", ".join(field.name for field in spec.observation)
+    names = ", ".join(field.name for field in fields)
     scope: dict[str, Any] = {"__name__": __name__}  # of whose module the function is
     exec("\n".join([f"def pack({names}, row):", *lines]), scope)
     pack: GoldenFunction = scope["pack"]

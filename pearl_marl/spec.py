@@ -21,6 +21,7 @@ from gymnasium.spaces import Box, Discrete, Tuple
 
 from pearl_marl.errors import ArgumentError
 from pearl_marl.golden import GoldenFunction
+from pearl_marl.pickling import reduced
 from pearl_marl.tracing.checks import Argument, Result, check
 from pearl_marl.tracing.operations import word_range
 from pearl_marl.tracing.records import record
@@ -449,6 +450,16 @@ class EnvSpec:
         """The name with its version, as in ``"CliffWalking-v0"``."""
         return f"{self.name}-v{self.version}"
 
+    # It never changes, and pickled it comes back by what made it: see `pickling`.
+    def __copy__(self) -> EnvSpec:
+        return self
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> EnvSpec:
+        return self
+
+    def __reduce_ex__(self, protocol: Any) -> Any:
+        return reduced(self) or super().__reduce_ex__(protocol)
+
     def with_options(self, also: Iterable[str] = (), /, **options: Any) -> EnvSpec:
         """Return the spec of this environment under the given keyword arguments.
 
@@ -460,7 +471,7 @@ class EnvSpec:
         known = list(inspect.signature(self.configure).parameters) if self.configure else []
         for name in options:
             if name not in known:
-                meant = {"num_envs": "n_agents", "n_envs": "n_agents", "n_agents": "num_envs"}.get(name, "")
+                meant = _MEANT.get(name, "")
                 near = [meant] if meant in also else difflib.get_close_matches(name, [*known, *also], n=1)
                 hint = f", did you mean {near[0]!r}?" if near else ""
                 own = f"{self.name}'s own arguments: {', '.join(known) or 'none'}"
@@ -468,6 +479,16 @@ class EnvSpec:
         assert self.configure is not None
         return self.configure(**{**self.options, **options})
 
+
+_MEANT = {
+    "num_envs": "n_agents",
+    "n_envs": "n_agents",
+    "n_agents": "num_envs",
+    "max_episode_steps": "max_cycles",
+    "max_steps": "max_cycles",
+    "time_limit": "max_cycles",
+}
+"""What arguments of other packages are called here."""
 
 TERMINATED = Field("terminated", 1)
 """What ``golden.step`` tells of an agent's end."""

@@ -197,13 +197,19 @@ def test_an_action_for_an_agent_that_left() -> None:
         e.step([3, 2, 3])
         assert e.agents == ["agent_0", "agent_2"]
     for actions, words in (
-        ({"agent_0": 0, "agent_1": 0, "agent_2": 0}, "'agent_1', but its episode has ended"),
+        ({"agent_0": 0, "agent_2": 0, "agent_3": 0}, "'agent_3', but there is no such agent"),
+        ({"agent_0": 0, "agent_1": 0, "agent_2": 0, 1: 0}, "for 1, but there is no such agent"),
         ({"agent_0": 0}, "'agent_2'"),
         ({"agent_0": 0, "agent_2": 4}, "agent_2: action 4"),
         ({"agent_0": 0, "agent_2": 0.5}, "agent_2: action 0.5"),
     ):
         with pytest.raises(ActionError, match=words):
             env.step(actions)
+        assert env.save_state() == twin.save_state()
+    # For who has left it may be anything.
+    for odd in (0, -3, None, "left", [1, 2]):
+        for e, actions in ((env, {"agent_1": odd, "agent_0": 0, "agent_2": 0}), (twin, [0, 0, 0])):
+            assert list(e.step(actions)[0]) == ["agent_0", "agent_2"]
         assert env.save_state() == twin.save_state()
 
 

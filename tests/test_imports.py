@@ -77,7 +77,8 @@ REGISTERED = """
 import json, sys
 {imports}
 registered = {{*gymnasium.registry}} | ({{*pettingzoo.parallel_registry}} & {{*pettingzoo.aec_registry}})
-watching = [finder for finder in sys.meta_path if type(finder).__module__.startswith("pearl_marl")]
+watching = [getattr(finder, "library", None) for finder in sys.meta_path]
+watching = [library for library in watching if library in ("gymnasium", "pettingzoo")]
 kept = gymnasium.__loader__.get_source("gymnasium") != pettingzoo.__spec__.loader.get_source("pettingzoo")
 print(json.dumps({{"registered": sorted(registered), "watching": len(watching), "kept": kept}}))
 """
@@ -104,6 +105,28 @@ def test_both_libraries_know_the_environments_in_whatever_order(imports: str) ->
         f"{library}/{env_id}" for library in ("Pearl", "pearl") for env_id in ids
     }
     assert (seen["watching"], seen["kept"]) == (0, True)
+
+
+@pytest.mark.parametrize("library", ["pettingzoo", "gymnasium"])
+def test_a_library_that_is_not_imported_yet_has_its_files(library: str) -> None:
+    """Tools look for data, source and resources of a library before they import it, or do not."""
+    script = f"""
+import importlib.resources, importlib.util, json, pkgutil
+import pearl_marl
+loader = importlib.util.find_spec("{library}").loader
+seen = [
+    loader.get_source("{library}"), loader.is_package("{library}"), loader.get_filename("{library}"),
+    loader.get_data(loader.path).decode(), pkgutil.get_data("{library}", "__init__.py").decode(),
+    importlib.resources.files("{library}").joinpath("__init__.py").read_text(), hasattr(loader, "no_such"),
+]
+import pettingzoo, gymnasium
+print(json.dumps([seen, "Pearl/Taxi-v0" in gymnasium.registry, "pearl/Taxi-v0" in pettingzoo.aec_registry]))
+"""
+    (source, is_package, file, *same, missing), *registered = told(script)
+    assert (is_package, missing) == (True, False)
+    assert registered == [True, True]
+    text = Path(file).read_text()
+    assert [source, *same] == [text] * 4
 
 
 def test_ids_are_known_without_the_specs() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -61,9 +62,13 @@ def action_lambda_v1(
         if not isinstance(shown, (Discrete, Box)):
             raise ArgumentError(f"change_space_fn made {shown}; possible are Discrete and Box")
 
-        return _Checked(batch, space, shown, lambda actions: np.asarray(change_action_fn(actions, inside)))
+        return _Checked(batch, space, shown, partial(_by_function, change_action_fn, inside))
 
     return wrap(env, make)
+
+
+def _by_function(change_action_fn: Callable[[Array, Any], Array], inside: Any, actions: Array) -> Array:
+    return np.asarray(change_action_fn(actions, inside))
 
 
 class _Clip(Transform):
@@ -97,7 +102,7 @@ def scale_actions_v0(env: Batch, scale: float) -> Any:
         if not is_number(scale) or scale <= 0:
             raise ArgumentError(f"scale is {scale!r}; it must be a positive number")
         new = Box(old.low * scale, old.high * scale, dtype=np.float32)
-        return _Mapped(batch, space, new, lambda actions: actions * scale)
+        return _Mapped(batch, space, new, partial(np.multiply, scale))
 
     return wrap(env, make)
 
@@ -205,6 +210,10 @@ class _Sticky(Transform):
         self._may_stick = np.zeros(self.n, np.bool_)
         self.memory = {"taken": self._taken, "may_stick": self._may_stick}
         self._given: Array = self._taken
+
+    def is_possible(self, name: str, saved: dict[str, Array]) -> bool:
+        # Of those that may be taken again; and a wrapper inside may have taken what is no number.
+        return name != "taken" or bool((self.possible(saved["taken"]) | ~saved["may_stick"]).all())
 
     def actions(self, actions: Array) -> Array:
         self.check(actions)  # or whether a bad one is refused would be left to chance

@@ -51,8 +51,10 @@ class _FrameSkip(Transform):
             terminations[now], truncations[now] = step.terminations[now], step.truncations[now]
             final_obs[now] = step.final_obs[now]
             over |= self.world.begins(step)
-        # Worlds that ended on the way have gone on into their next episodes: those begin here instead.
-        obs = self.batch.reset_slots(over[:: self.world.agents]) if started else step.obs
+        # Worlds that ended on the way have gone on into their next episodes: those begin here instead. Where
+        # agents leave, nobody is there to see that.
+        again = (over & self.batch.live)[:: self.world.agents]
+        obs = self.batch.reset_slots(again) if started and again.any() else step.obs
         return self.carried(step, obs, rewards, terminations, truncations, final_obs)
 
 
@@ -104,7 +106,8 @@ class _BlackDeath(Transform):
 
     def reset(self, obs: Array, seed: int | None, mask: Mask | None = None) -> Array:
         self._present[...] = True
-        self._terminated[:] = self._truncated[:] = False
+        began = slice(None) if mask is None else self.world.rows(mask)
+        self._terminated[began] = self._truncated[began] = False
         return super().reset(obs, seed, mask)
 
     def results(self, step: BatchStep) -> BatchStep:

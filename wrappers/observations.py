@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
+from operator import methodcaller
 from typing import Any
 
 import numpy as np
@@ -74,21 +76,7 @@ def observation_lambda_v0(
             shown = change_obs_space_fn(space)
             if not isinstance(shown, Space):
                 raise ArgumentError(f"change_obs_space_fn made {shown!r}; it must be a space of Gymnasium")
-
-        def change(obs: Array) -> Array:
-            result = np.asarray(change_observation_fn(obs, space))
-            if result.ndim == 0 or len(result) != len(obs):
-                rows = len(result) if result.ndim else "no"
-                raise ArgumentError(
-                    f"change_observation_fn made {rows} rows of {len(obs)}; it gets whole batches"
-                )
-            if shown is not None and shown.shape not in (None, result.shape[1:]):
-                raise ArgumentError(
-                    f"change_observation_fn made rows of shape {result.shape[1:]}, "
-                    f"and change_obs_space_fn {shown}"
-                )
-            return result
-
+        change = partial(_by_function, change_observation_fn, space, shown)
         if shown is not None:
             return _Mapped(batch, shown, action_space, change)
         old = box(space, "observation_lambda_v0 without change_obs_space_fn")
@@ -99,6 +87,24 @@ def observation_lambda_v0(
     return wrap(env, make)
 
 
+def _by_function(
+    change_observation_fn: Callable[[Array, Space[Any]], Array],
+    space: Space[Any],
+    shown: Space[Any] | None,
+    obs: Array,
+) -> Array:
+    """Return what a user's function makes of observations, to be in the space ``shown`` if it is known."""
+    result = np.asarray(change_observation_fn(obs, space))
+    if result.ndim == 0 or len(result) != len(obs):
+        rows = len(result) if result.ndim else "no"
+        raise ArgumentError(f"change_observation_fn made {rows} rows of {len(obs)}; it gets whole batches")
+    if shown is not None and shown.shape not in (None, result.shape[1:]):
+        raise ArgumentError(
+            f"change_observation_fn made rows of shape {result.shape[1:]}, and change_obs_space_fn {shown}"
+        )
+    return result
+
+
 def dtype_v0(env: Batch, dtype: npt.DTypeLike) -> Any:
     """Cast observations."""
     try:
@@ -107,25 +113,29 @@ def dtype_v0(env: Batch, dtype: npt.DTypeLike) -> Any:
         kind = np.dtype(object)
     if kind.kind not in "biuf":
         raise ArgumentError(f"dtype is {dtype!r}; it must be one of integers, floats or bool")
-    return _mapped(env, "dtype_v0", lambda obs: obs.astype(kind))
+    return _mapped(env, "dtype_v0", methodcaller("astype", kind))
 
 
 def flatten_v0(env: Batch) -> Any:
     """Give each observation one axis."""
-    return _mapped(env, "flatten_v0", lambda obs: obs.reshape(len(obs), -1))
+    return _mapped(env, "flatten_v0", _flat)
+
+
+def _flat(obs: Array) -> Array:
+    return obs.reshape(len(obs), -1)
 
 
 def reshape_v0(env: Batch, shape: tuple[int, ...]) -> Any:
     """Give each observation another shape of as many elements."""
     if not isinstance(shape, (tuple, list)) or not all(isinstance(side, (int, np.integer)) for side in shape):
         raise ArgumentError(f"shape is {shape!r}; it must be a tuple of integers")
+    return _mapped(env, "reshape_v0", partial(_reshaped, shape))
 
-    def change(obs: Array) -> Array:
-        if min(shape, default=0) < 0 or np.prod(shape) != np.prod(obs.shape[1:]):
-            raise ArgumentError(f"{obs.shape[1:]} cannot be reshaped to {shape}: not as many elements")
-        return obs.reshape(len(obs), *shape)
 
-    return _mapped(env, "reshape_v0", change)
+def _reshaped(shape: tuple[int, ...], obs: Array) -> Array:
+    if min(shape, default=0) < 0 or np.prod(shape) != np.prod(obs.shape[1:]):
+        raise ArgumentError(f"{obs.shape[1:]} cannot be reshaped to {shape}: not as many elements")
+    return obs.reshape(len(obs), *shape)
 
 
 def normalize_obs_v0(env: Batch, env_min: float = 0.0, env_max: float = 1.0) -> Any:
@@ -141,36 +151,35 @@ def normalize_obs_v0(env: Batch, env_min: float = 0.0, env_max: float = 1.0) -> 
             raise ArgumentError(f"normalize_obs_v0 takes floats, not {old.dtype}: put dtype_v0 inside it")
         if not old.is_bounded():
             raise ArgumentError(f"normalize_obs_v0 takes finite bounds; {old} has others")
-        new = Recycler()
-        low, size = old.low.ravel(), (old.high - old.low).ravel()
         new_size, new_low = old.dtype.type(env_max - env_min), old.dtype.type(env_min)
-
-        def change(obs: Array) -> Array:
-            out = new.empty(obs.shape, old.dtype)
-            rows = obs.reshape(len(obs), -1), out.reshape(len(obs), -1)
-            kernels.rescaled(rows[0], low, size, new_size, new_low, rows[1])
-            return out
-
+        scale = old.low.ravel(), (old.high - old.low).ravel(), new_size, new_low
         shown = Box(env_min, env_max, old.shape, old.dtype.type)
-        return _Mapped(batch, shown, action_space, change)
+        return _Mapped(batch, shown, action_space, partial(_rescaled, Recycler(), scale))
 
     return wrap(env, make)
+
+
+def _rescaled(new: Recycler, scale: tuple[Any, ...], obs: Array) -> Array:
+    """Return observations on another scale, as the kernel takes it."""
+    out = new.empty(obs.shape, obs.dtype)
+    kernels.rescaled(obs.reshape(len(obs), -1), *scale, out.reshape(len(obs), -1))
+    return out
 
 
 def color_reduction_v0(env: Batch, mode: str = "full") -> Any:
     """Keep one channel of pictures (``"R"``, ``"G"``, ``"B"``) or their brightness (``"full"``)."""
     if mode not in ("full", "R", "G", "B"):
         raise ArgumentError(f"mode is {mode!r}; possible are 'full', 'R', 'G' and 'B'")
-    weights = np.array([0.299, 0.587, 0.114], np.float32)
+    return _mapped(env, "color_reduction_v0", partial(_one_channel, mode))
 
-    def change(obs: Array) -> Array:
-        if obs.ndim != 4 or obs.shape[3] != 3:
-            raise ArgumentError(f"color_reduction_v0 takes pictures with 3 channels, not {obs.shape[1:]}")
-        if mode == "full":
-            return (obs.astype(np.float32) @ weights).astype(np.uint8)
-        return obs[..., "RGB".index(mode)].copy()
 
-    return _mapped(env, "color_reduction_v0", change)
+def _one_channel(mode: str, obs: Array) -> Array:
+    """Return a channel of pictures, or their brightness."""
+    if obs.ndim != 4 or obs.shape[3] != 3:
+        raise ArgumentError(f"color_reduction_v0 takes pictures with 3 channels, not {obs.shape[1:]}")
+    if mode == "full":
+        return (obs.astype(np.float32) @ np.array([0.299, 0.587, 0.114], np.float32)).astype(np.uint8)
+    return obs[..., "RGB".index(mode)].copy()
 
 
 def resize_v1(env: Batch, x_size: int, y_size: int, linear_interp: bool = True) -> Any:
@@ -187,16 +196,17 @@ def resize_v1(env: Batch, x_size: int, y_size: int, linear_interp: bool = True) 
     """
     checked_integer("x_size", x_size)
     checked_integer("y_size", y_size)
+    return _mapped(env, "resize_v1", partial(_resized, x_size, y_size, linear_interp))
 
-    def change(obs: Array) -> Array:
-        if obs.ndim not in (3, 4):
-            raise ArgumentError(f"resize_v1 takes pictures of 2 or 3 axes, not {obs.shape[1:]}")
-        if not linear_interp:
-            return obs[:, _nearest(obs.shape[1], y_size)][:, :, _nearest(obs.shape[2], x_size)]
-        result: Array = _mixed(_mixed(obs.astype(np.float32), 2, x_size), 1, y_size).astype(obs.dtype)
-        return result
 
-    return _mapped(env, "resize_v1", change)
+def _resized(x_size: int, y_size: int, linear_interp: bool, obs: Array) -> Array:
+    """Return pictures of another size."""
+    if obs.ndim not in (3, 4):
+        raise ArgumentError(f"resize_v1 takes pictures of 2 or 3 axes, not {obs.shape[1:]}")
+    if not linear_interp:
+        return obs[:, _nearest(obs.shape[1], y_size)][:, :, _nearest(obs.shape[2], x_size)]
+    result: Array = _mixed(_mixed(obs.astype(np.float32), 2, x_size), 1, y_size).astype(obs.dtype)
+    return result
 
 
 def _nearest(old: int, new: int) -> Slots:
@@ -256,7 +266,12 @@ def _numbered(space: Discrete, n: int, which: Array) -> tuple[Discrete, Change]:
     """Return the space of ``observation * n + which``, and what computes it."""
     if int(space.n) * n >= 1 << 63:
         raise ArgumentError(f"{space} times {n} agents does not fit 63 bits")
-    return Discrete(int(space.n) * n, start=int(space.start) * n), lambda obs: obs * n + which
+    return Discrete(int(space.n) * n, start=int(space.start) * n), partial(_with_number, n, which)
+
+
+def _with_number(n: int, which: Array, obs: Array) -> Array:
+    numbered: Array = obs * n + which
+    return numbered
 
 
 def _with_numbers(space: Box, numbers: Array) -> tuple[Box, Change]:
@@ -266,21 +281,21 @@ def _with_numbers(space: Box, numbers: Array) -> tuple[Box, Change]:
     # A picture without channels gets an axis for them.
     one: tuple[int, ...] = (*space.shape, 1) if len(space.shape) == 2 else space.shape
     kind = space.dtype if space.dtype.kind == "f" else np.dtype(np.float32)
-    new = Recycler()
-    n, more = numbers.shape
-    numbers = numbers.astype(kind)
-    rows, width = int(np.prod(one[:-1])), one[-1]
-
-    def change(obs: Array) -> Array:
-        out = new.empty((n, *one[:-1], width + more), kind)
-        kernels.appended(obs.reshape(n, rows, width), numbers, out.reshape(n, rows, width + more))
-        return out
-
+    more = numbers.shape[1]
+    change = partial(_appended, Recycler(), numbers.astype(kind), one)
     low, high = (
         np.concatenate([bound.reshape(one).astype(kind), np.full((*one[:-1], more), end, kind)], -1)
         for bound, end in ((space.low, 0), (space.high, 1))
     )
     return Box(low, high, dtype=kind.type), change
+
+
+def _appended(new: Recycler, numbers: Array, one: tuple[int, ...], obs: Array) -> Array:
+    """Return observations of the shape ``one``, with an agent's numbers after each row's elements."""
+    (n, more), rows, width = numbers.shape, int(np.prod(one[:-1])), one[-1]
+    out = new.empty((n, *one[:-1], width + more), numbers.dtype)
+    kernels.appended(obs.reshape(n, rows, width), numbers, out.reshape(n, rows, width + more))
+    return out
 
 
 class _Padded(Transform):
@@ -317,6 +332,19 @@ class _Window(Transform):
         # The newest is at `turn`, and the next comes in place of the oldest.
         self._window, self._turn = np.zeros((frames, self.n, *one), dtype), np.zeros((), np.int64)
         self.memory = {"window": self._window, "turn": self._turn}
+
+    def is_possible(self, name: str, saved: dict[str, Array]) -> bool:
+        if name == "turn":
+            return 0 <= int(saved["turn"]) < self._frames
+        low, high = self._range()
+        return bool(((saved["window"] >= min(low, 0)) & (saved["window"] <= max(high, 0))).all())
+
+    def _range(self) -> tuple[Any, Any]:
+        """Return between what the numbers of frames are, but for zeros before an episode."""
+        space: Any = self.observation_space
+        if isinstance(space, Box):
+            return space.low.min(), space.high.max()
+        return (space.start, space.start + space.n - 1) if isinstance(space, Discrete) else (-np.inf, np.inf)
 
     def push(self, obs: Array) -> None:
         self._turn[...] = (self._turn + 1) % self._frames
@@ -392,6 +420,9 @@ class _NumberStack(_Window):
             raise ArgumentError(f"{size} frames of {space} are more than 63 bits tell apart")
         super().__init__(batch, Discrete(n**size), action_space, size, (), np.int64, repeat)
         self._n_values = n
+
+    def _range(self) -> tuple[Any, Any]:
+        return 0, self._n_values - 1
 
     def write(self, out: Array, slots: Slots | None) -> None:
         out[:] = 0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -31,17 +32,17 @@ class _Mapped(Transform):
 def reward_lambda_v0(env: Batch, change_reward_fn: Callable[[Array], Array]) -> Any:
     """Change rewards by a function of the whole batch, ``float32`` of shape ``(n,)`` to as many numbers."""
     checked_function("change_reward_fn", change_reward_fn)
+    return wrap(env, _Mapped, partial(_by_function, change_reward_fn))
 
-    def change(rewards: Array) -> Array:
-        result = np.asarray(change_reward_fn(rewards), np.float32)
-        if result.shape != rewards.shape:
-            raise ArgumentError(
-                f"change_reward_fn made an array of shape {result.shape} of one of {rewards.shape}; "
-                "it gets the rewards of the whole batch"
-            )
-        return result
 
-    return wrap(env, _Mapped, change)
+def _by_function(change_reward_fn: Callable[[Array], Array], rewards: Array) -> Array:
+    result = np.asarray(change_reward_fn(rewards), np.float32)
+    if result.shape != rewards.shape:
+        raise ArgumentError(
+            f"change_reward_fn made an array of shape {result.shape} of one of {rewards.shape}; "
+            "it gets the rewards of the whole batch"
+        )
+    return result
 
 
 class _Shared(Transform):
@@ -67,4 +68,4 @@ def clip_reward_v0(env: Batch, lower_bound: float = -1, upper_bound: float = 1) 
             f"lower_bound is {lower_bound}, upper_bound {upper_bound}; they are the wrong way round"
         )
     low, high = np.float32(lower_bound), np.float32(upper_bound)
-    return wrap(env, _Mapped, lambda rewards: np.clip(rewards, low, high))
+    return wrap(env, _Mapped, partial(np.clip, a_min=low, a_max=high))

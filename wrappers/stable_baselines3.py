@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from typing import Any
+from copy import deepcopy
+from functools import partial
+from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -92,6 +94,10 @@ class PearlVecEnv(VecEnv):
         self._actions: Array | None = None
         self._began = time.time()
         self._episodes = RunningEpisodes(self.num_envs)
+
+    def __copy__(self) -> Self:
+        # As of the environment inside: two that share it would step each other's slots.
+        return deepcopy(self)
 
     @uninterrupted
     def reset(self) -> Array:
@@ -274,6 +280,15 @@ def _observations_for_sb3(space: Space[Any]) -> tuple[Callable[[Array], Array], 
     elif isinstance(space, Discrete):
         starts, shown = np.array(space.start), Discrete(space.n)
     else:
-        return lambda obs: obs, space
+        return _as_they_are, space
     # SB3 encodes such numbers one-hot, from 0.
-    return (lambda obs: obs - starts) if starts.any() else (lambda obs: obs), shown
+    return partial(_from_zero, starts) if starts.any() else _as_they_are, shown
+
+
+def _from_zero(starts: Array, obs: Array) -> Array:
+    shown: Array = obs - starts
+    return shown
+
+
+def _as_they_are(obs: Array) -> Array:
+    return obs

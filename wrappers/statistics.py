@@ -33,6 +33,10 @@ class _Normalised(Transform):
         self._statistics = {"mean": self._mean, "variance": self._variance, "count": self._count}
         self.memory = dict(self._statistics)
 
+    def is_possible(self, name: str, saved: dict[str, Array]) -> bool:
+        least = {"variance": 0.0, "count": np.finfo(np.float64).tiny}.get(name, -np.inf)
+        return super().is_possible(name, saved) and bool((saved[name] >= least).all())
+
     def deviation(self) -> Array:
         """Return what to divide by."""
         return np.sqrt(self._variance + self._epsilon)

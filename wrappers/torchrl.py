@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -99,7 +100,6 @@ class TorchRLEnv(EnvBase):  # type: ignore[misc]  # torchrl has no types
         super().__init__(device="cpu", batch_size=(env.n_worlds,))
         self.env = env
         self._worlds = WaitingWorlds(env)
-        self.max_cycles = self._worlds.max_cycles
         self._with_state = state
         self._next_seed: int | None = None
         self._groups = _groups(env)
@@ -108,6 +108,16 @@ class TorchRLEnv(EnvBase):  # type: ignore[misc]  # torchrl has no types
             for name, group in self._groups.items()
         }
         self._make_specs()
+
+    @property
+    def max_cycles(self) -> int:
+        """The time limit, 0 for none; ``None`` assigns the environment's own."""
+        return self._worlds.max_cycles
+
+    @max_cycles.setter
+    def max_cycles(self, value: int | None) -> None:
+        unwrapped: Any = self.env.unwrapped
+        self._worlds.max_cycles = replace(unwrapped.device.config, max_cycles=value).limit
 
     def _make_specs(self) -> None:
         seen, acted, rewarded = Composite(), Composite(), Composite()

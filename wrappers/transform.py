@@ -142,7 +142,7 @@ class Transform:
 
     def check(self, actions: Array) -> None:
         """Refuse actions that are not possible; for transforms that may not hand them on."""
-        possible = self.possible(actions)
+        possible = self.possible(actions) | self.resetting  # for whom it is ignored
         if not possible.all():
             first = int(np.argmin(possible))
             raise refuse_first([f"agent_{first}"], [actions[first].tolist()], self.action_space)
@@ -261,6 +261,19 @@ class Transform:
         self.resetting[:] = saved["resetting"]
         for name, array in self.memory.items():
             array[...] = saved[name]
+
+    def wrong(self, saved: dict[str, Array]) -> str | None:
+        """Return the name of what is no snapshot's among arrays of the right shapes and dtypes, if any."""
+        if (saved["place"][:2] >= 1 << 32).any():
+            return "place"
+        for name, array in saved.items():
+            if array.dtype == np.bool_ and (array.view(np.uint8) > 1).any():
+                return name
+        return next((name for name in self.memory if not self.is_possible(name, saved)), None)
+
+    def is_possible(self, name: str, saved: dict[str, Array]) -> bool:
+        """Return whether an array of :attr:`memory` can have come of steps."""
+        return bool(np.isfinite(saved[name]).all())
 
     def restored(self, obs: Array) -> Array:
         """Return what to show after :meth:`restore`, where the batch shows ``obs``."""

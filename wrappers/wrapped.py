@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import io
-import zipfile
-import zlib
+from functools import partial
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from pearl_marl.arrays import unpacked_arrays
 from pearl_marl.batch.step import Array, BatchStep
 from pearl_marl.deferral import uninterrupted
 from pearl_marl.errors import OrderError, SavedStateError
@@ -50,6 +50,16 @@ class _Wrapped:
     def action_masks(self) -> Array | None:
         """Which actions may be taken in the next step: the transform says."""
         return self.transform.action_masks
+
+    @property
+    def max_cycles(self) -> int:
+        """See :class:`pearl_marl.PearlParallelEnv`."""
+        limit: int = self.env.max_cycles
+        return limit
+
+    @max_cycles.setter
+    def max_cycles(self, value: int | None) -> None:
+        self.env.max_cycles = value
 
     @property
     def unwrapped(self) -> Any:
@@ -100,16 +110,6 @@ class WrappedParallelEnv(_Wrapped, ParallelInterface):
         return self.transform.restored(obs)
 
     @property
-    def max_cycles(self) -> int:
-        """See :class:`pearl_marl.PearlParallelEnv`."""
-        limit: int = self.env.max_cycles
-        return limit
-
-    @max_cycles.setter
-    def max_cycles(self, value: int | None) -> None:
-        self.env.max_cycles = value
-
-    @property
     def live(self) -> Mask:
         """Which slots' agents are there: the transform says."""
         return self.transform.live
@@ -157,7 +157,7 @@ class WrappedVectorEnv(_Wrapped, VectorInterface):
     def reset_batch(self, seed: int | None = None, mask: npt.ArrayLike | None = None) -> Array:
         """See :class:`VectorInterface`."""
         obs = self.env.reset_batch(seed, mask)
-        return self.transform.reset(obs, seed, None if mask is None else np.asarray(mask))
+        return self.began(self.transform.reset(obs, seed, None if mask is None else np.asarray(mask)), mask)
 
     @uninterrupted
     def step_batch(self, actions: npt.ArrayLike) -> BatchStep:
@@ -186,13 +186,25 @@ def _unpacked(blob: bytes, transform: Transform) -> tuple[bytes, dict[str, Array
     name = type(transform).__name__.encode()
     if head != _FORMAT + name:
         raise SavedStateError(f"this is no saved state of an environment in a {name.decode()} wrapper")
+    mine = transform.snapshot()
+
+    def check(name: str, shape: tuple[int, ...], dtype: np.dtype[Any]) -> None:
+        right = (
+            (len(shape) == 1, np.uint8) if name == "inner" else (shape == mine[name].shape, mine[name].dtype)
+        )
+        if right != (True, dtype):
+            raise SavedStateError(
+                f"the saved state's {name!r} has shape {shape} and dtype {dtype}, which is not that of this "
+                "wrapper"
+            )
+
     try:
-        with np.load(io.BytesIO(body), allow_pickle=False) as file:
-            saved = dict(file)
-        inner = saved.pop("inner").tobytes()
-    except (OSError, EOFError, KeyError, ValueError, zipfile.BadZipFile, zlib.error) as error:
+        saved = unpacked_arrays(body, {name: partial(check, name) for name in ("inner", *mine)})
+    except SavedStateError:
+        raise
+    except ValueError as error:
         raise SavedStateError(f"the saved state is damaged: {error}") from None
-    for key, array in transform.snapshot().items():
-        if key not in saved or saved[key].shape != array.shape or saved[key].dtype != array.dtype:
-            raise SavedStateError(f"the saved state's {key!r} is not that of this wrapper")
+    inner = saved.pop("inner").tobytes()
+    if (wrong := transform.wrong(saved)) is not None:
+        raise SavedStateError(f"the saved state's {wrong!r} has numbers that no step of this wrapper leaves")
     return inner, saved

@@ -22,7 +22,7 @@ from pearl_marl.batch.config import GOLDEN, BatchConfig
 from pearl_marl.batch.rewards import reward_table
 from pearl_marl.batch.slot_checks import check_counters, check_observations, check_words
 from pearl_marl.batch.slot_memory import SlotMemory, size
-from pearl_marl.errors import ArgumentError, SavedStateError
+from pearl_marl.errors import ArgumentError, SavedStateError, shown
 from pearl_marl.spec import EnvSpec
 
 Bytes = npt.NDArray[np.uint8]
@@ -61,7 +61,7 @@ class SavedState:
             type(reward) in (int, float) for reward in self.rewards
         ):
             raise SavedStateError(
-                f"the saved state has rewards = {_short(self.rewards)}; they must be numbers"
+                f"the saved state has rewards = {shown(self.rewards)}; they must be numbers"
             )
         try:
             reward_table(spec, self.rewards if self.rewards or spec.rewards is not None else None)
@@ -210,7 +210,7 @@ def check_identity(saved: dict[str, Any], mine: dict[str, Any], exactly: bool = 
         # As text: True is 1 in Python.
         if name not in saved or json.dumps(saved[name]) != json.dumps(mine.get(name)):
             raise SavedStateError(
-                f"the saved state has {name} = {_short(saved.get(name))}; "
+                f"the saved state has {name} = {shown(saved.get(name))}; "
                 f"this environment has {mine.get(name)!r}"
             )
 
@@ -227,7 +227,7 @@ def _header(text: bytes) -> dict[str, Any]:
     for name, kind in kinds.items():
         if type(header[name]) is not kind:
             raise SavedStateError(
-                f"the saved state has {name} = {_short(header[name])}; it must be of the type {kind.__name__}"
+                f"the saved state has {name} = {shown(header[name])}; it must be of the type {kind.__name__}"
             )
     _check_integers("lengths", tuple(header["lengths"]), len(_ARRAYS), 63)
     return header
@@ -237,17 +237,8 @@ def _check_integers(name: str, value: Any, count: int, bits: int) -> None:
     """Raise SavedStateError for what is not a tuple of so many integers from 0, of so many bits."""
     right = isinstance(value, tuple) and len(value) == count
     if not right or not all(type(word) is int and 0 <= word < 1 << bits for word in value):
-        shown = value[0] if right and count == 1 else value
+        told = value[0] if right and count == 1 else value
         what = "an integer" if count == 1 else f"{count} integers"
         raise SavedStateError(
-            f"the saved state has {name} = {_short(shown)}; it must be {what} from 0, below 2**{bits}"
+            f"the saved state has {name} = {shown(told)}; it must be {what} from 0, below 2**{bits}"
         )
-
-
-def _short(value: Any) -> str:
-    """Return what stands for a value in a sentence, however long it is."""
-    try:
-        text = repr(value)
-    except (ValueError, RecursionError):  # an integer of thousands of digits
-        text = f"of the type {type(value).__name__}"
-    return text if len(text) <= 200 else f"{text[:200]}..."

@@ -172,7 +172,9 @@ def progress(items: Iterable[T], total: int, label: str) -> Iterator[T]:
 
     text = TextColumn("{task.description}", markup=False)
     columns = (text, BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=error_console, transient=True) as bar:
+    with Progress(
+        *columns, console=error_console, transient=True, disable=not error_console.is_terminal
+    ) as bar:
         yield from bar.track(items, total=total, description=label, update_period=0.2)
 
 
@@ -191,6 +193,13 @@ def table(title: str, text: Iterable[str], figures: Iterable[str], **arguments: 
 def say(text: str) -> None:
     """Print a sentence with names and paths in it, which are not broken where lines end."""
     console.print(text, markup=False, soft_wrap=True)
+
+
+def replaying(path: Path, **named: str) -> str:
+    """Return the command that replays a file: with what that does not say, or nobody takes from a file."""
+    return f"pearl verify {path}" + "".join(
+        f" --{name} {value}" for name, value in named.items() if ":" in value
+    )
 
 
 def print_json(value: Any) -> None:

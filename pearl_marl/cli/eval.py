@@ -132,9 +132,8 @@ def command(
         if out is not None:
             path = out / divergence
             error.replay.write(path)
-            error_console.print(
-                f"Wrote {path}: pearl verify {path} replays it.", markup=False, soft_wrap=True
-            )
+            again = common.replaying(path, env=env_id, device=device)
+            error_console.print(f"Wrote {path}: {again} replays it.", markup=False, soft_wrap=True)
         sys.exit(1)
     result = {
         **evaluation.summary(),

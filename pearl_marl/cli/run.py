@@ -13,6 +13,7 @@ import numpy.typing as npt
 import typer
 from rich.table import Table
 
+from pearl_marl.arrays import load_array
 from pearl_marl.batch.actions import random_actions
 from pearl_marl.batch.step import on_host
 from pearl_marl.benchmark.machine import machine
@@ -21,7 +22,6 @@ from pearl_marl.cli import common
 from pearl_marl.cli.common import console, error_console
 from pearl_marl.errors import ArgumentError, PearlError
 from pearl_marl.evaluation.episodes import EpisodeStatistics
-from pearl_marl.files import load_array
 from pearl_marl.interfaces.parallel import PearlParallelEnv, parallel_env
 from pearl_marl.rendering import VIDEO_STEPS, VIDEO_WORLDS, HeatMap, Video
 from pearl_marl.spec import MAX_CYCLES, EnvSpec
@@ -143,16 +143,15 @@ def _random(env: PearlParallelEnv, steps: int, seed: int) -> Iterator[npt.NDArra
 
 
 def _given(path: Path, spec: EnvSpec, n: int, steps: int) -> Iterator[npt.NDArray[Any]]:
-    try:
-        batches = load_array(path, mmap_mode="r")
-    except (OSError, ValueError) as error:
-        raise ArgumentError(f"--actions {path} is no readable .npy file: {error}") from None
     needed = (steps, n, *(spec.action_space.shape or ()))
-    if batches.ndim != len(needed) or batches.shape[1:] != needed[1:] or len(batches) < steps:
-        raise ArgumentError(
-            f"--actions {path} has the shape {batches.shape}; {steps} steps of {n} agents need {needed}"
-        )
-    return iter(batches[:steps])
+
+    def check(shape: tuple[int, ...], _: Any) -> None:
+        if len(shape) != len(needed) or shape[1:] != needed[1:] or shape[0] < steps:
+            raise ArgumentError(
+                f"--actions {path} has the shape {shape}; {steps} steps of {n} agents need {needed}"
+            )
+
+    return iter(load_array(path, ".npy file of actions", check)[:steps])
 
 
 def _table(result: dict[str, Any]) -> Table:

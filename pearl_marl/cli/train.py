@@ -115,7 +115,9 @@ def command(
         TimeRemainingColumn(),
         TextColumn("{task.fields[note]}"),
     )
-    with Progress(*columns, console=error_console, transient=True) as bar:
+    with Progress(
+        *columns, console=error_console, transient=True, disable=not error_console.is_terminal
+    ) as bar:
         task = bar.add_task("train", total=settings.iterations, note="")
 
         def show(done: int, total: int, row: dict[str, Any]) -> None:

@@ -167,8 +167,8 @@ def command(
         console.print(_table(escape(f"{spec.id} on {device}, compared with {reference}"), result["modes"]))
         _say(parted, _verdict(result))
         if path is not None:
-            env_of_file = f" --env {subject}" if ":" in subject else ""
-            common.say(f"Wrote {path}: pearl verify {path}{env_of_file} replays it.")
+            again = common.replaying(path, env=subject, device=device, reference=reference)
+            common.say(f"Wrote {path}: {again} replays it.")
     if parted is not None:
         sys.exit(1)
     if not result["episodes"]:
@@ -199,6 +199,12 @@ def _recorded(path: Path, env: str | None) -> Replay:
 
 def _replay(recorded_call: Replay, device: str | None, reference: str | None, as_json: bool) -> None:
     recorded = recorded_call.divergence
+    for option, given, there in (
+        ("--device", device, recorded.device),
+        ("--reference", reference, recorded.reference),
+    ):
+        if given is None and ":" in there:  # nothing is opened and written to because a file says so
+            raise ArgumentError(f"it was recorded on {there}: give {option} {there}, or another one")
     device, reference = device or recorded.device, reference or recorded.reference
     error = replay(recorded_call, Lockstep(device, reference))
     if as_json:

@@ -7,6 +7,7 @@ A fault of what lies around the cores may need its neighbours; then the file hol
 from __future__ import annotations
 
 import base64
+import hashlib
 import json
 import zlib
 from dataclasses import dataclass, replace
@@ -20,14 +21,17 @@ from gymnasium.vector import AutoresetMode
 
 from pearl_marl.batch.actions import encode
 from pearl_marl.batch.config import GOLDEN, BatchConfig, worlds_of
+from pearl_marl.batch.results import check_memory
 from pearl_marl.batch.saved_state import SavedState
-from pearl_marl.comparison.divergence import Divergence
-from pearl_marl.errors import ArgumentError, PearlError
+from pearl_marl.batch.slot_memory import size
+from pearl_marl.comparison.divergence import Difference, Divergence
+from pearl_marl.errors import ArgumentError, PearlError, shown
 from pearl_marl.files import check_readable, replace_file
 from pearl_marl.registry import registered_spec
+from pearl_marl.rng import checked_seed
 
 _FORMAT = "pearl verify replay"
-_VERSION = 1
+_VERSION = 2
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,6 +73,7 @@ class Replay:
             "seed": self.seed,
             "mask": None if self.mask is None else _packed(self.mask.tobytes()),
         }
+        value["checksum"] = checksum(value)
         replace_file(path, f"{json.dumps(value, indent=2)}\n".encode())
 
     @classmethod
@@ -78,19 +83,21 @@ class Replay:
             check_readable(path)
             value = json.loads(path.read_bytes())
         except (OSError, ValueError, RecursionError) as error:
-            raise ArgumentError(f"{path} cannot be read as a replay file: {error}") from None
+            raise ArgumentError(f"{path} cannot be read as a replay file: {_why(error)}") from None
         if not isinstance(value, dict) or value.get("format") != _FORMAT:
             raise ArgumentError(f"{path} is no replay file of pearl verify")
         if value.get("version") != _VERSION:
             raise ArgumentError(
-                f"{path} has version {value.get('version')!r}; this program reads version {_VERSION}"
+                f"{path} has version {shown(value.get('version'))}; this program reads version {_VERSION}"
             )
+        if value.pop("checksum", None) != checksum(value):
+            raise ArgumentError(f"{path} is damaged: its checksum is wrong")
         try:
             return cls._from_json(value)
         except PearlError as error:
             raise ArgumentError(f"{path}: {error}") from None
-        except (KeyError, TypeError, ValueError, AttributeError, zlib.error) as error:
-            raise ArgumentError(f"{path} is damaged: {type(error).__name__}: {error}") from None
+        except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError, zlib.error) as error:
+            raise ArgumentError(f"{path} is damaged: {type(error).__name__}: {_why(error)}") from None
 
     @classmethod
     def _from_json(cls, value: dict[str, Any]) -> Replay:
@@ -110,10 +117,19 @@ class Replay:
             initial_states=batch["initial_states"],
             first_slot=batch["first_slot"],
         )
+        check_memory(config)
         _check_divergence(value["divergence"], config)
+        # What they take in memory follows from the batch; only the header of a state is not known so well.
+        most = {
+            "before": 3 * size(spec, config.n_envs) + len(json.dumps(batch)) + 10_000,
+            "actions": config.n_agents * spec.action.dtype.itemsize,
+            "mask": config.n_envs,
+        }
         before, actions, mask = (
-            None if value[name] is None else _unpacked(value[name]) for name in ("before", "actions", "mask")
+            None if value[name] is None else _unpacked(value[name], most[name], name) for name in most
         )
+        if mask is not None and (len(mask) != config.n_envs or max(mask, default=0) > 1):
+            raise ArgumentError(f"its mask is none of {config.n_envs} worlds")
         saved = None if before is None else SavedState.from_bytes(before, config)
         call = value["divergence"]["call"]
         words = None if actions is None else np.frombuffer(actions, spec.action.dtype)
@@ -130,7 +146,7 @@ class Replay:
             divergence=Divergence.from_json(value["divergence"]),
             before=saved,
             actions=words,
-            seed=value["seed"],
+            seed=None if value["seed"] is None else checked_seed(value["seed"]),
             mask=None if mask is None else np.frombuffer(mask, np.bool_),
         )
 
@@ -151,21 +167,54 @@ _KINDS: dict[str, type] = {
 def _check_divergence(told: dict[str, Any], config: BatchConfig) -> None:
     """Refuse what is told of a divergence that cannot have been."""
     for name, kind in _KINDS.items():
-        if type(told[name]) is not kind:
-            raise ArgumentError(f"its {name} is {told[name]!r}; it must be of the type {kind.__name__}")
+        # What is printed has no codes that a terminal would follow.
+        if type(told[name]) is not kind or (kind is str and not told[name].isprintable()):
+            raise ArgumentError(f"its {name} is {shown(told[name])}; it must be of the type {kind.__name__}")
     if told["call"] not in ("step", "reset", "restore", "snapshot"):
         raise ArgumentError(f"its call is {told['call']!r}; there is no such call")
+    if not 0 <= told["step"] < 1 << 64 or not 1 <= told["slots"] <= config.n_envs:
+        raise ArgumentError(
+            f"its step is {shown(told['step'])}, and {shown(told['slots'])} of {config.n_envs} slots differ"
+        )
     if not told["differences"]:
         raise ArgumentError("it has no differences")
+    for difference in told["differences"]:
+        if difference.keys() != set(Difference._fields) or not all(map(_is_word, difference.values())):
+            raise ArgumentError(f"one of its differences is {shown(difference)}")
+    actions = told["action"] if isinstance(told["action"], list) else [told["action"]]
+    if not all(action is None or (_is_word(action) and not isinstance(action, str)) for action in actions):
+        raise ArgumentError(f"its action is {shown(told['action'])}")
     if not 0 <= told["slot"] - config.first_slot < config.n_envs or told["environment"] != config.spec.id:
         raise ArgumentError(f"its slot {told['slot']} of {told['environment']} is none of its batch")
-    if not isinstance(told["state_before"], (dict, type(None))):
-        raise ArgumentError(f"its state_before is {told['state_before']!r}; it must be words by name")
+    state = {} if told["state_before"] is None else told["state_before"]
+    if not isinstance(state, dict) or not all(type(w) is int and _is_word(n) for n, w in state.items()):
+        raise ArgumentError(f"its state_before is {shown(state)}; it must be words by name")
+
+
+def _is_word(value: Any) -> bool:
+    """Return whether a value is a number, or a word for one that can be printed."""
+    return value.isprintable() if isinstance(value, str) else isinstance(value, (bool, int, float))
+
+
+def checksum(value: dict[str, Any]) -> str:
+    """Return the checksum of a replay file's value, of all but itself."""
+    text = json.dumps({name: value[name] for name in value if name != "checksum"}, sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def _why(error: Exception) -> str:
+    why = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
+    return " ".join(why.split())[:200]
 
 
 def _packed(data: bytes) -> str:
     return base64.b64encode(zlib.compress(data, 9)).decode()
 
 
-def _unpacked(text: str) -> bytes:
-    return zlib.decompress(base64.b64decode(text, validate=True))
+def _unpacked(text: str, most: int, name: str) -> bytes:
+    """Return what :func:`_packed` packed; refuse more bytes than there can be, before there are."""
+    stream = zlib.decompressobj()
+    data = stream.decompress(base64.b64decode(text, validate=True), most + 1)
+    if len(data) > most or not stream.eof or stream.unused_data:
+        raise ArgumentError(f"its {name} is cut short, or longer than the {most:,} bytes that it can have")
+    return data

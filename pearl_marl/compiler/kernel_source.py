@@ -23,7 +23,9 @@ ADDRESSES = ("memory", "stored", "elapsed", *RESULTS, "action_masks", "alive")
 
 SETTINGS = (
     *("seed_0", "seed_1", "tick", "first_slot", "limit", "next_step", "use_stored", "n"),
-    "checked",  # whether it looks for actions that are not in the space, and then does nothing
+    # Whether it is all that a step does: where actions are not in the space it does nothing, and otherwise it
+    # moves the tick, too.
+    "checked",
 )
 GIVEN = *ADDRESSES, *SETTINGS
 """What the kernel ``step`` is given in one array, in its order. Numba looks at each argument of a call, and

@@ -110,7 +110,7 @@ def step(given, actions, table, lo, hi):
             $restart
         $store_block
     $release
-    if hi - lo == n:  # in the same call, so that no interrupt comes between slots and tick
+    if checked and hi - lo == n:  # in the same call, so that no interrupt comes between slots and tick
         given[$TICK] += np.uint64(1)
     return True
 

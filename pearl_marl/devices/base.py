@@ -20,6 +20,8 @@ from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
+from gymnasium.spaces import Box
+from gymnasium.vector import AutoresetMode
 
 from pearl_marl import rng
 from pearl_marl.batch import rewards as reward_tables
@@ -33,7 +35,7 @@ from pearl_marl.batch.step import Array, BatchStep, Seen, on_host
 from pearl_marl.deferral import uninterrupted
 from pearl_marl.devices.recovery import CheckpointLog, Position
 from pearl_marl.devices.threads import Threads
-from pearl_marl.errors import ArgumentError, DeviceError, OrderError
+from pearl_marl.errors import ActionError, ArgumentError, DeviceError, OrderError
 
 CACHE_BYTES = 1 << 18
 """Results of which two sets may be in use in turns, and still be in a core's second cache."""
@@ -240,6 +242,35 @@ class Device(ABC):
 
     def encoded(self, actions: Any) -> Array:
         """Return actions as :meth:`step_words` takes them, in an array of the device's or the given one."""
+        try:
+            return self._encoded(actions)
+        except ActionError:
+            # What a slot is given for a step that it spends resetting is ignored, whatever it is.
+            others = self._without_resetting(actions)
+            if others is None:
+                raise
+            return self._encoded(others)
+
+    def _without_resetting(self, actions: Any) -> list[Any] | None:
+        """Return actions with possible ones for slots that spend the step resetting; ``None`` if none do."""
+        spec, n = self.config.spec, self.config.n_agents
+        if isinstance(actions, np.ndarray):
+            fits = actions.shape == (n, *(spec.action_space.shape or ()))
+        else:
+            fits = isinstance(actions, (list, tuple)) and len(actions) == n
+        if self.config.autoreset_mode is not AutoresetMode.NEXT_STEP or not fits:
+            return None
+        ended = SlotMemory(spec, self.config.n_envs, self._read()[0]).ended
+        resetting = np.flatnonzero((ended & 1).repeat(spec.agents))
+        if not resetting.size:
+            return None
+        given, space, masks = list(actions), spec.action_space, self.action_masks
+        idle = None if masks is None else on_host(masks).argmax(1)
+        for row in resetting.tolist():
+            given[row] = space.low if isinstance(space, Box) else 0 if idle is None else idle[row]
+        return given
+
+    def _encoded(self, actions: Any) -> Array:
         spec, first = self.config.spec, self.config.first_slot
         words = encode(actions, spec, self._actions, first)
         if spec.masked == "refused" and self.refuses:
@@ -435,12 +466,17 @@ class Device(ABC):
             return {"settings": self.__dict__}
         saved = self.snapshot() if self.ready else None
         settings = {name: _unopened(value) for name, value in self.made_with.items()}
-        return {"settings": settings, "config": self.config, "rewards": self.reward_table, "saved": saved}
+        state = {"settings": settings, "config": self.config, "rewards": self.reward_table, "saved": saved}
+        return {**state, "closed": self._closed}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state["settings"])
         if "config" in state:
             config = state["config"]
+            if state["closed"]:  # nothing is taken up for that
+                self.made_with, self.config, self.reward_table = state["settings"], config, state["rewards"]
+                self.alive, self._closed = np.ones(config.n_agents, np.bool_), True
+                return
             self.open(config, reward_tables.categories(config.spec, state["rewards"]))
             if state["saved"] is not None:
                 self.restore(state["saved"])

@@ -26,6 +26,7 @@ from pearl_marl.compiler.kernels import compile_kernels
 from pearl_marl.deferral import completed
 from pearl_marl.devices.base import Device, count_or_none
 from pearl_marl.devices.threads import Threads
+from pearl_marl.errors import ActionError
 
 SLOW_STEP_SECONDS = 300e-6
 """From here on a second thread can pay: handing it work and waiting for it costs about 50 us."""
@@ -60,7 +61,7 @@ class Native(Device):
 
     @property
     def tick(self) -> int:
-        """See :class:`Device`. It lies in what the kernels are given, and a step moves it with the slots."""
+        """See :class:`Device`. It lies in what the kernels are given, which may move it with the slots."""
         return int(self._given[_TICK])
 
     @tick.setter
@@ -79,8 +80,10 @@ class Native(Device):
         shown = ("action_masks",) * bool(spec.mask_fields) + ("alive",) * (spec.agents > 1)
         self._places = np.array([GIVEN.index(name) for name in (*RESULTS, *shown)])
         self._words = np.empty(config.n_agents, spec.action.dtype)  # as the kernel takes them
-        # Others are checked by what the kernel does not know: roles, and what was seen before the step.
-        self._checks = isinstance(spec.action_space, Discrete) and not shown
+        # Others are checked by what the kernel does not know: roles, and what was seen before the step. Of a
+        # class that does more in a step, the tick moves after that.
+        whole = type(self)._step is Native._step
+        self._checks = isinstance(spec.action_space, Discrete) and not shown and whole
         self._put("memory", self._memory.ctypes.data)
         self._put("stored", self._stored.ctypes.data)
         self._put("first_slot", config.first_slot)
@@ -154,6 +157,10 @@ class Native(Device):
         try:
             # One call of the kernel moves slots and tick, so that Ctrl-C comes before both or after both.
             return self._step(actions)  # type: ignore[arg-type]
+        except ActionError:
+            if self.config.autoreset_mode is not AutoresetMode.NEXT_STEP:
+                raise
+            return super().step(actions)  # which looks whether they are of slots that only reset
         except BaseException as error:
             if self._given[_TICK] != tick:
                 completed(error, "step")

@@ -5,7 +5,7 @@ r"""A simulated board behind files that another process reads and writes as it w
     the host's process                           this process
 
     pwrite --> DIR/xdma0_h2c_0  \  one file,      settings, states, actions  -->  Simulation
-                                 > mapped here    results, states, status    <--  (devices/simulator)
+                                 > read here      results, states, status    <--  (devices/simulator)
     pread  <-- DIR/xdma0_c2h_0  /
     poll   <-- DIR/xdma0_events_0, a FIFO    <--  an event, once the status is there
 
@@ -13,6 +13,9 @@ The file holds the board's whole address space. The kernel tells of every write 
 the doorbell, the regions that the host has changed go to the simulated board, the step is done, and
 whatever the host can read goes back into the file: states first, then results, the status last, then
 the event. So reads and writes return at once, as on a board, and a step takes its time.
+
+The file is read and written by calls, and not mapped: a mapped one that somebody cuts ends the process that
+looks at it.
 
 What a file cannot do: refuse an address, notice that it is read while a step runs, or reset what runs. So
 the host has to wait for the event.
@@ -22,23 +25,28 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
+import errno
 import fcntl
-import mmap
 import os
 import select
+import stat
 import struct
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 
 from pearl_marl.devices.rtl import check_path
 from pearl_marl.devices.simulator.model_build import library
 from pearl_marl.devices.simulator.simulation import Simulation
 from pearl_marl.devices.xdma_transport import SERVER_LOCK
 from pearl_marl.errors import DeviceError
+from pearl_marl.files import open_lock
 from pearl_marl.hardware.build import Build
 from pearl_marl.memory_map import Control, Doorbell
 from pearl_marl.spec import EnvSpec
+
+Bytes = npt.NDArray[np.uint8]
 
 _IN_MODIFY, _IN_NONBLOCK, _IN_CLOEXEC = 0x2, 0o4000, 0o2000000
 
@@ -102,7 +110,22 @@ class ServedBoard:
             self._opened = opened.pop_all()
 
     def serve(self) -> None:
-        """Do the steps that are asked for, until :meth:`stop`; raise DeviceError if the simulation fails."""
+        """Do the steps that are asked for, until :meth:`stop`.
+
+        Raises
+        ------
+        DeviceError
+            The simulation fails, or the file is cut or cannot be written any more.
+        """
+        try:
+            self._serve()
+        except OSError as error:
+            raise DeviceError(
+                f"the board at {self._folder} cannot be served any more: {error.strerror}; "
+                "start `pearl serve` again"
+            ) from error
+
+    def _serve(self) -> None:
         poller = select.poll()
         poller.register(self._writes, select.POLLIN)
         poller.register(self._stopping, select.POLLIN)
@@ -111,7 +134,7 @@ class ServedBoard:
             if self._stopping in ready:
                 return
             os.read(self._writes, 1 << 16)
-            if (sequence := int(self._doorbell[Doorbell.SEQUENCE])) != self._rung:
+            if (sequence := self._sequence()) != self._rung:
                 self._rung = sequence
                 self._step()
 
@@ -124,19 +147,18 @@ class ServedBoard:
         self._opened.close()
 
     def _lock(self, opened: contextlib.ExitStack) -> None:
-        path = self._folder / SERVER_LOCK
-        lock = opened.enter_context(path.open("a+"))
+        lock = open_lock(self._folder / SERVER_LOCK)
+        opened.callback(os.close, lock)
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            lock.seek(0)
+            owner = os.pread(lock, 20, 0).strip()
+            who = f"process {int(owner)}" if owner.isdigit() else "another process"
             raise DeviceError(
-                f"process {lock.read().strip()} serves a board at {self._folder} already: end it first, or "
-                "choose another folder"
+                f"{who} serves a board at {self._folder} already: end it first, or choose another folder"
             ) from None
-        lock.truncate(0)
-        lock.write(f"{os.getpid()}\n")
-        lock.flush()
+        os.ftruncate(lock, 0)
+        os.pwrite(lock, f"{os.getpid()}\n".encode(), 0)
 
     def _nodes(self) -> list[Path]:
         return [self._folder / f"xdma0_{name}_0" for name in ("h2c", "c2h", "events")]
@@ -148,16 +170,18 @@ class ServedBoard:
             opened.callback(node.unlink, missing_ok=True)
         os.mkfifo(events, 0o600)
         # For reading too, so that a host can tell by it that we are here.
-        self._events = os.open(events, os.O_RDWR | os.O_NONBLOCK)
+        self._events = os.open(events, os.O_RDWR | os.O_NONBLOCK | os.O_NOFOLLOW)
         opened.callback(os.close, self._events)
+        if not stat.S_ISFIFO(os.fstat(self._events).st_mode):
+            raise OSError(errno.EEXIST, f"{events} has been replaced by something else")
 
         self._file = os.open(c2h, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o600)
         opened.callback(os.close, self._file)
-        os.ftruncate(self._file, layout.end("status"))
-        self._memory = np.frombuffer(mmap.mmap(self._file, layout.end("status")), np.uint8)
-        words = self._memory[layout["doorbell"].offset : layout.end("doorbell")]
-        self._doorbell = words.view("<u4")
-        # What both sides have seen. The memories of a board that has just started hold anything.
+        # Space is there from the beginning, or there would be none when a step needs it.
+        os.posix_fallocate(self._file, 0, layout.end("status"))
+        # What the host has written, and what both sides have seen: the memories of a board that has just
+        # started hold anything.
+        self._memory = np.zeros(layout.end("status"), np.uint8)
         self._shared = ~self._memory
         self._answer = np.empty(layout.step_read[1], np.uint8)
         settings = 4 * Control.SEED_0, 4 * (Control.MAX_CYCLES + 1)
@@ -167,17 +191,49 @@ class ServedBoard:
         self._to_host = [settings, (layout["current_states"].offset, layout.end("elapsed"))]
         for begin, end in ((0, layout.end("control")), (layout["doorbell"].offset, layout.end("doorbell"))):
             self._simulation.read(begin, self._memory[begin:end])
+            self._put(begin, self._memory[begin:end])
 
-        self._rung = int(self._doorbell[Doorbell.SEQUENCE])
+        self._rung = self._sequence()
 
         self._writes = _libc.inotify_init1(_IN_NONBLOCK | _IN_CLOEXEC)
         if self._writes >= 0:
             opened.callback(os.close, self._writes)
-        if self._writes < 0 or _libc.inotify_add_watch(self._writes, os.fsencode(c2h), _IN_MODIFY) < 0:
+        ours = f"/proc/self/fd/{self._file}".encode()  # whatever has its name by now
+        if self._writes < 0 or _libc.inotify_add_watch(self._writes, ours, _IN_MODIFY) < 0:
             raise OSError(ctypes.get_errno(), f"inotify: {os.strerror(ctypes.get_errno())}")
         self._stopping = os.eventfd(0, os.EFD_CLOEXEC)
         opened.callback(os.close, self._stopping)
         os.link(c2h, h2c)  # last: who finds it finds all
+
+    def _sequence(self) -> int:
+        """Return the number of the step that was asked for last."""
+        begin = self.layout["doorbell"].offset + 4 * Doorbell.SEQUENCE
+        return int(self._get(begin, begin + 4).view("<u4")[0])
+
+    def _get(self, begin: int, end: int) -> Bytes:
+        """Read bytes of the file, where they belong in memory; return them."""
+        part = self._memory[begin:end]
+        done = 0
+        while done < len(part):
+            moved = os.preadv(self._file, [memoryview(part)[done:]], begin + done)
+            self._check_size()
+            done += moved
+        return part
+
+    def _put(self, begin: int, part: Bytes) -> None:
+        """Write bytes into the file."""
+        self._check_size()  # or it would grow again, with zeros where there was something
+        done = 0
+        while done < len(part):
+            done += os.pwrite(self._file, memoryview(part)[done:], begin + done)
+
+    def _check_size(self) -> None:
+        size, whole = os.fstat(self._file).st_size, self.layout.end("status")
+        if size < whole:
+            raise DeviceError(
+                f"somebody has cut {self._nodes()[1]} to {size:,} of {whole:,} bytes: start `pearl serve` "
+                "again, and leave its files to the programs that use the board"
+            )
 
     def _step(self) -> None:
         # The doorbell may have been seen while the rest of its write was still being copied. The kernel
@@ -185,18 +241,20 @@ class ServedBoard:
         os.utime(self._file)
         memory, shared, simulation, layout = self._memory, self._shared, self._simulation, self.layout
         for begin, end in self._from_host:
+            self._get(begin, end)
             if not np.array_equal(memory[begin:end], shared[begin:end]):
                 shared[begin:end] = memory[begin:end]
                 simulation.write(begin, shared[begin:end])
         write_at, length = layout.step_write
         read_at, _ = layout.step_read
+        self._get(write_at, write_at + length)
         simulation.step(write_at, memory[write_at : write_at + length], read_at, self._answer)
         for begin, end in self._to_host:
             simulation.read(begin, shared[begin:end])
-            memory[begin:end] = shared[begin:end]
+            self._put(begin, shared[begin:end])
         status = layout["status"].offset
-        memory[read_at:status] = self._answer[: status - read_at]
-        memory[status:] = self._answer[status - read_at :]
+        self._put(read_at, self._answer[: status - read_at])
+        self._put(status, self._answer[status - read_at :])
         self.steps += 1
         # As in the driver, events that nobody has read are one.
         with contextlib.suppress(BlockingIOError):

@@ -47,6 +47,8 @@ _FIXES = {
     "design for this environment",
     errno.ENODEV: "there is no board any more: check its power and its slot, then load the driver again",
     errno.ENOTDIR: "name the folder of a board that `pearl serve` makes",
+    errno.ELOOP: "it is a symbolic link, which `pearl serve` makes none of: remove it",
+    errno.ENOSPC: "make room on the file system of the board's folder, and start `pearl serve` there again",
     errno.EBADF: "the connection is closed",
     errno.EACCES: "give your user the right to read and write the driver's nodes, with a udev rule",
 }
@@ -140,10 +142,12 @@ class XdmaTransport(Transport):
     def _open(self) -> None:
         if isinstance(self._board, str):
             await_server(Path(self._board))
+        # A served board's folder may be one of several users, and a link in it lead to any file of ours.
+        links = os.O_NOFOLLOW if isinstance(self._board, str) else 0
         try:
-            self._h2c = os.open(f"{self._prefix}_h2c_0", os.O_WRONLY)
+            self._h2c = os.open(f"{self._prefix}_h2c_0", os.O_WRONLY | links)
             self._lock()
-            self._c2h = os.open(f"{self._prefix}_c2h_0", os.O_RDONLY)
+            self._c2h = os.open(f"{self._prefix}_c2h_0", os.O_RDONLY | links)
             self._open_events()
         except FileNotFoundError as error:
             self.close()
@@ -230,7 +234,9 @@ class XdmaTransport(Transport):
         if moved != data.size:
             self._fail(
                 f"moved {moved} of {data.size} bytes {doing} at {offset:#x}",
-                "the driver gave the transfer up half way: see dmesg",
+                "the driver gave the transfer up half way: see dmesg"
+                if isinstance(self._board, int)
+                else "its file was cut: start `pearl serve` there again",
             )
 
     def _await_event(self, seconds: float) -> None:

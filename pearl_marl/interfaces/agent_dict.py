@@ -122,8 +122,12 @@ def observations_in(space: Space[Any]) -> Callable[[npt.NDArray[Any]], list[Any]
     NumPy scalars of a flat array, views of another; a tuple where ``space`` is one.
     """
     if isinstance(space, Tuple):
-        return lambda array: [tuple(row) for row in array]
+        return _tuples
     return list
+
+
+def _tuples(array: npt.NDArray[Any]) -> list[tuple[Any, ...]]:
+    return [tuple(row) for row in array]
 
 
 def python_values(array: npt.NDArray[Any]) -> list[Any]:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from abc import abstractmethod
+from copy import deepcopy
 from functools import reduce
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -77,6 +78,10 @@ class Batch:
 
     autoreset: bool
     """Whether slots that ended start over by themselves and need no reset."""
+
+    def __copy__(self) -> Self:
+        # Two environments that share a device would step each other's agents.
+        return deepcopy(self)
 
     @property
     @abstractmethod

@@ -22,13 +22,13 @@ class _Watch(MetaPathFinder):
     """Finds a library where the other finders do, and is told when it has been executed."""
 
     def __init__(self, library: str, call: Callable[[], None]) -> None:
-        self._library, self._call = library, call
+        self.library, self._call = library, call
         self._asking = False
 
     def find_spec(
         self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None
     ) -> ModuleSpec | None:
-        if fullname != self._library or self._asking:
+        if fullname != self.library or self._asking:
             return None
         self._asking = True  # another watch of the library asks all finders too, and so this one
         try:
@@ -48,10 +48,16 @@ class _Watch(MetaPathFinder):
 
 
 class _Watched(Loader):
-    """Loads a module by its own loader, which the module then keeps."""
+    """Loads a module by its own loader, which the module then keeps, and has what that has besides."""
 
     def __init__(self, loader: Loader, then: Callable[[], None]) -> None:
         self._loader, self._then = loader, then
+
+    def __getattr__(self, name: str) -> Any:
+        # Some ask for data or source of a library that is not imported yet.
+        if name == "_loader":
+            raise AttributeError(name)
+        return getattr(self._loader, name)
 
     def create_module(self, spec: ModuleSpec) -> ModuleType | None:
         return self._loader.create_module(spec)

@@ -82,12 +82,21 @@ class PearlParallelEnv(ParallelInterface):
         self._renderer: Renderer | None = None
         self._rendered_world = 0
 
+    def __getstate__(self) -> dict[str, Any]:
+        # A copy opens a window, or makes pictures, by itself.
+        return {**self.__dict__, "_renderer": None}
+
     def __repr__(self) -> str:
         return f"{type(self).__name__}({self.spec.id}, n_agents={self.batch_size}, device={self.device.name})"
 
     @property
     def max_cycles(self) -> int:
-        """Steps after which an episode is truncated, 0 for never. Assigning takes effect at the next step."""
+        """Steps after which an episode is truncated, 0 for never. Assigning takes effect at the next step.
+
+        ``None`` is the environment's own limit. Episodes under way count from their beginning, and those that
+        are too long already end with that step. Where there was no limit, no steps were counted: they are
+        from then on.
+        """
         return self.device.config.limit
 
     @max_cycles.setter
@@ -136,11 +145,20 @@ class PearlParallelEnv(ParallelInterface):
     def _step_noted(self, actions: npt.ArrayLike) -> BatchStep:
         return self._stepped(self.device.step(actions))
 
+    @uninterrupted
     def reset_slots(self, mask: Mask) -> Array:
-        """Begin an episode in the masked worlds, shape ``(n_worlds,)``; return all observations."""
+        """Begin an episode in the masked worlds, shape ``(n_worlds,)``; return all observations.
+
+        With ``autoreset=False``, agents of those worlds that have left are back in ``agents``. Observations
+        of others that have left have no meaning.
+        """
         if mask is None:
             raise ArgumentError("mask is None; reset_batch() begins an episode in every world")
-        return self.device.reset(mask=mask)
+        obs = self.device.reset(mask=mask)
+        back = self.world.rows(np.asarray(mask)) & ~self._live
+        if back.any():
+            self._live = self._live | back
+        return obs
 
     def send(self, actions: npt.ArrayLike) -> None:
         """Start a step and return immediately; :meth:`recv` returns its results.

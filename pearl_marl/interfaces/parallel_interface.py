@@ -17,6 +17,7 @@ from pearl_marl.batch.actions import refuse_first
 from pearl_marl.batch.step import Array, BatchStep, on_host
 from pearl_marl.errors import ActionError, ArgumentError, OrderError
 from pearl_marl.interfaces.agent_dict import AgentDict, ended_infos, observations_in, python_values
+from pearl_marl.interfaces.agent_spaces import AgentSpaces
 from pearl_marl.interfaces.batch import Batch, Mask, World
 from pearl_marl.interfaces.names import AgentList, Names
 from pearl_marl.spec import Role
@@ -85,6 +86,16 @@ class ParallelInterface(pettingzoo.ParallelEnv, Batch):  # type: ignore[misc]
     def role(self, agent: str) -> str:
         """Return the name of an agent's role; ``"agent"`` where all are alike."""
         return self._roles[self._place(agent)].name
+
+    @functools.cached_property
+    def observation_spaces(self) -> Mapping[str, Space[Any]]:
+        """Every agent's :meth:`observation_space`: a dict, or of many agents a mapping that acts like one."""
+        return AgentSpaces.of(self.names, self._observation_spaces)
+
+    @functools.cached_property
+    def action_spaces(self) -> Mapping[str, Space[Any]]:
+        """Every agent's :meth:`action_space`, likewise."""
+        return AgentSpaces.of(self.names, [role.action_space for role in self._roles])
 
     def observation_space(self, agent: str) -> Space[Any]:
         """Return an agent's observation space, one object for all agents of its role.
@@ -185,29 +196,30 @@ class ParallelInterface(pettingzoo.ParallelEnv, Batch):  # type: ignore[misc]
         ----------
         actions
             An action for each of ``agents`` by name, or an array of shape ``(n_agents, *action_space.shape)``
-            for all of ``possible_agents``; there, what it says for agents that have left is ignored.
+            for all of ``possible_agents``. What either says for agents that have left is ignored.
 
         Returns
         -------
         Observations (NumPy scalars, tuples of them, or arrays; with masks, a dict of ``"observation"`` and
         ``"action_mask"``), rewards (``float``), terminations and truncations (``bool``) and infos, each a
-        dict by agent; all empty for ``{}`` once no agent is left. The mask of an agent that ends is 0.
+        dict by agent; all empty for a dict once no agent is left. The mask of an agent that ends is 0.
 
         Raises
         ------
         ActionError
-            Names the first agent whose action is missing, unexpected, out of range, or masked in an
-            environment that refuses such. Nothing has moved.
+            Names the first agent whose action is missing, out of range, or masked in an environment that
+            refuses such; or a name that no agent has. Nothing has moved.
         OrderError
-            Before ``reset``, after ``close``, or once every agent has left.
+            Before ``reset``, after ``close``, or for an array once every agent has left.
         """
         agents = self._name_who_is_there()
         live = self._named
         given: Any = actions
         if isinstance(actions, Mapping) and self.ready:
-            if not agents and not actions:  # PettingZoo's convention, which SuperSuit's black_death needs
+            values = self._values(agents, actions)
+            if not values:  # PettingZoo's convention, which SuperSuit's black_death needs
                 return {}, {}, {}, {}, {}
-            given = self._action_array(agents, actions)
+            given = self._action_array(agents, values)
         result = self.step_batch(given).on_host()
         obs, rewards, terminations, truncations, final_obs = result
         ended, masks, here = result.ended, result.action_masks, None
@@ -262,13 +274,14 @@ class ParallelInterface(pettingzoo.ParallelEnv, Batch):  # type: ignore[misc]
         masks = np.zeros((len(rows), n), np.int8) if self.world.masked else None
         return self._shown(masks, slots)(rows)
 
-    def _action_array(self, agents: Sequence[str], actions: Mapping[str, Any]) -> Array:
-        """Return a dict's actions as an array over all slots; the rows of agents that left hold anything."""
-        values = self._values(agents, actions)
-        try:
-            array = np.array(values)
-        except ValueError:  # some are sequences
-            array = np.empty(0)
+    def _action_array(self, agents: Sequence[str], values: list[Any]) -> Array:
+        """Return actions of agents as an array over all slots; the rows of agents that left hold anything."""
+        array = _array(values)
+        if not self._are_actions(array, len(values)) and self.world.agents > 1:
+            # What the dead give, whatever it is, is ignored.
+            acting = on_host(self.alive)[self._named].tolist()
+            values = [value if acts else self._idle for value, acts in zip(values, acting, strict=True)]
+            array = _array(values)
         if not self._are_actions(array, len(values)):
             raise refuse_first(agents, values, self.slot_action_space)
         if len(values) == self.batch_size:
@@ -278,7 +291,7 @@ class ParallelInterface(pettingzoo.ParallelEnv, Batch):  # type: ignore[misc]
         return whole
 
     def _values(self, agents: Sequence[str], actions: Mapping[str, Any]) -> list[Any]:
-        """Return the actions of those that are there, who must be the ones that have one."""
+        """Return the actions of those that are there; none is to be for an agent that there never was."""
         try:
             values = [actions[agent] for agent in agents]
         except KeyError as missing:
@@ -286,10 +299,12 @@ class ParallelInterface(pettingzoo.ParallelEnv, Batch):  # type: ignore[misc]
                 f"no action for {missing.args[0]!r}; all {len(agents)} agents in env.agents need one"
             ) from None
         if len(actions) != len(values):
-            here = set(agents)
-            extra = next(agent for agent in actions if agent not in here)
-            why = "its episode has ended" if extra in self.names else "there is no such agent"
-            raise ActionError(f"an action for {extra!r}, but {why}; only agents in env.agents act")
+            unknown = [agent for agent in actions if agent not in self.names]
+            if unknown:
+                raise ActionError(
+                    f"an action for {unknown[0]!r}, but there is no such agent; agents are agent_0 to "
+                    f"agent_{self.batch_size - 1}"
+                )
         return values
 
     def _are_actions(self, array: Array, count: int) -> bool:
@@ -304,6 +319,14 @@ class ParallelInterface(pettingzoo.ParallelEnv, Batch):  # type: ignore[misc]
             self._agents = AgentList(self._here)
             self._named = live
         return self._here
+
+
+def _array(values: list[Any]) -> Array:
+    """Return values as an array; an empty one where some are sequences of other lengths."""
+    try:
+        return np.array(values)
+    except ValueError:
+        return np.empty(0)
 
 
 def _first(own: Space[Any], whole: Space[Any]) -> slice | None:

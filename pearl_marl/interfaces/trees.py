@@ -6,7 +6,6 @@ Both go by the very class of a container, so a subclass of ``dict`` is a leaf to
 from __future__ import annotations
 
 from collections.abc import Iterable
-from importlib import import_module
 from typing import Any
 
 from pearl_marl.interfaces.importing import when_imported
@@ -26,7 +25,7 @@ def _parts(container: dict[str, Any]) -> tuple[list[Any], tuple[str, ...]]:
 
 
 def _register_with_torch(kind: type[dict[str, Any]]) -> None:
-    trees = import_module("torch.utils._pytree")  # all libraries register there: PyTorch has no other place
+    from torch.utils import _pytree as trees
 
     def made(values: Iterable[Any], names: tuple[str, ...]) -> dict[str, Any]:
         return dict(zip(names, values, strict=True))

@@ -52,12 +52,13 @@ class PearlVectorEnv(VectorInterface):
         spaces = deepcopy(spec.observation_space), deepcopy(spec.action_space)
         super().__init__(config.n_envs, *spaces, autoreset_mode, World.of(spec))
 
+    @uninterrupted
     def reset_batch(self, seed: int | None = None, mask: npt.ArrayLike | None = None) -> Array:
         """See :class:`VectorInterface`."""
         obs = self.device.reset(seed, mask)
         if seed is not None:
             self._np_random, self._np_random_seed = seeding.np_random(int(seed))
-        return obs
+        return self.began(obs, mask)
 
     def step_batch(self, actions: npt.ArrayLike) -> BatchStep:
         """See :class:`VectorInterface`."""
@@ -73,6 +74,15 @@ class PearlVectorEnv(VectorInterface):
     def recv(self) -> Shown:
         """Wait for the step that :meth:`send` started and return what :meth:`step` would have."""
         return self.shown(self.device.recv())
+
+    @property
+    def max_cycles(self) -> int:
+        """See :class:`pearl_marl.PearlParallelEnv`."""
+        return self.device.config.limit
+
+    @max_cycles.setter
+    def max_cycles(self, value: int | None) -> None:
+        self.device.set_max_cycles(value)
 
     def recover(self) -> None:
         """See :meth:`pearl_marl.PearlParallelEnv.recover`."""

@@ -77,7 +77,12 @@ class VectorInterface(VectorEnv[Any, Any, Any], Batch):
         self._mode = mode
         # DISABLED mode only: who waits for a reset, and what everyone saw last.
         self._waiting = np.zeros(num_envs, np.bool_)
-        self._seen: Array | None = None
+        self._seen: Array = np.zeros(0)
+
+    @property
+    def autoreset_mode(self) -> AutoresetMode:
+        """What becomes of sub-environments that ended; Gymnasium's own environments have it, too."""
+        return self._mode
 
     @property
     def live(self) -> Mask:
@@ -92,6 +97,19 @@ class VectorInterface(VectorEnv[Any, Any, Any], Batch):
     @abstractmethod
     def reset_batch(self, seed: int | None = None, mask: npt.ArrayLike | None = None) -> Array:
         """Begin new episodes, in the masked slots only if there is a mask; return all observations."""
+
+    def began(self, obs: Array, mask: npt.ArrayLike | None) -> Array:
+        """Take note of new episodes, in the masked slots or all; return ``obs``, all observations."""
+        if self._mode is AutoresetMode.DISABLED:
+            seen = on_host(obs).copy()
+            if mask is None:
+                self._waiting = np.zeros(self.num_envs, np.bool_)
+            else:
+                others = ~np.asarray(mask)
+                self._waiting = self._waiting & others
+                seen[others] = self._seen[others]
+            self._seen = seen
+        return obs
 
     def reset_slots(self, mask: Mask) -> Array:
         """Begin an episode in the masked slots; return all observations."""
@@ -121,13 +139,7 @@ class VectorInterface(VectorEnv[Any, Any, Any], Batch):
             raise ArgumentError("reset_mask resets nothing: at least one element must be True")
         obs = on_host(self.reset_batch(seed, mask))
         if self._mode is AutoresetMode.DISABLED:
-            if mask is None:
-                self._waiting[:] = False
-            else:
-                assert self._seen is not None
-                self._waiting &= ~mask
-                obs[~mask] = self._seen[~mask]
-            self._seen = obs.copy()
+            obs = self._seen.copy()
         return self._batched(obs), {}
 
     @uninterrupted

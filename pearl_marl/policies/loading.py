@@ -19,9 +19,10 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium.spaces import Discrete, MultiDiscrete, Tuple
 
+from pearl_marl.arrays import load_array
 from pearl_marl.batch.actions import random_actions
 from pearl_marl.errors import ArgumentError
-from pearl_marl.files import load_array
+from pearl_marl.files import check_uncompressed
 from pearl_marl.rng import checked_seed
 from pearl_marl.spec import EnvSpec, check_spec
 
@@ -97,6 +98,22 @@ def table_policy(table: npt.ArrayLike, spec: EnvSpec) -> Policy:
         The shape is another, or there is no number somewhere.
     """
     check_spec(spec)
+    try:
+        values = np.asarray(table)
+    except ValueError:  # a ragged list
+        values = np.asarray(None)
+    _check_table(spec, values.shape, values.dtype)
+    if (missing := np.isnan(values)).any():
+        place = tuple(int(index) for index in np.argwhere(missing)[0])
+        raise ArgumentError(f"the table has NaN, {missing.sum():,} times, first at {place}; it takes numbers")
+    greedy = values.argmax(axis=-1).astype(spec.action.dtype)
+    if isinstance(spec.observation_space, Tuple):
+        return lambda observations, _=None: greedy[tuple(observations.T)]
+    return lambda observations, _=None: greedy[observations]
+
+
+def _check_table(spec: EnvSpec, given: tuple[int, ...], dtype: np.dtype[Any]) -> None:
+    """Refuse a table of another shape than an environment's, or not of numbers."""
     space = spec.observation_space
     parts = space.spaces if isinstance(space, Tuple) else (space,)
     if not all(isinstance(part, Discrete) for part in (*parts, spec.action_space)):
@@ -104,34 +121,23 @@ def table_policy(table: npt.ArrayLike, spec: EnvSpec) -> Policy:
             f"a table is for discrete observations and actions; {spec.name} has {space} and "
             f"{spec.action_space}"
         )
-    try:
-        values = np.asarray(table)
-    except ValueError:  # a ragged list
-        values = np.asarray(None)
     shape = tuple(int(part.n) for part in (*parts, spec.action_space))  # type: ignore[union-attr]
-    if values.shape != shape or values.dtype.kind not in "iuf":
+    if given != shape or dtype.kind not in "iuf":
         raise ArgumentError(
-            f"the table has shape {values.shape} and dtype {values.dtype}; "
-            f"{spec.name} takes numbers of shape {shape}"
+            f"the table has shape {given} and dtype {dtype}; {spec.name} takes numbers of shape {shape}"
         )
-    if (missing := np.isnan(values)).any():
-        place = tuple(int(index) for index in np.argwhere(missing)[0])
-        raise ArgumentError(f"the table has NaN, {missing.sum():,} times, first at {place}; it takes numbers")
-    greedy = values.argmax(axis=-1).astype(spec.action.dtype)
-    if isinstance(space, Tuple):
-        return lambda observations, _=None: greedy[tuple(observations.T)]
-    return lambda observations, _=None: greedy[observations]
 
 
 def _table(path: Path, spec: EnvSpec, _: int) -> Policy:
-    try:
-        table = load_array(path, "q")
-    except (OSError, ValueError) as error:
-        raise ArgumentError(f"{path} is no readable table: {error}") from None
-    try:
-        return table_policy(table, spec)
-    except ArgumentError as error:
-        raise ArgumentError(f"{path}: {error}") from None
+    def named(call: Callable[..., Any], *arguments: Any) -> Any:
+        try:
+            return call(*arguments)
+        except ArgumentError as error:
+            raise ArgumentError(f"{path}: {error}") from None
+
+    table = load_array(path, "table", lambda *found: named(_check_table, spec, *found), "q")
+    policy: Policy = named(table_policy, table, spec)
+    return policy
 
 
 def _function(module: str, name: str) -> Policy:
@@ -180,16 +186,21 @@ def _stable_baselines3(path: Path, spec: EnvSpec, _: int) -> Policy:
     except ImportError:
         raise ArgumentError(f"{path} takes stable-baselines3: pip install '.[train]'") from None
     try:
+        with zipfile.ZipFile(path) as archive:
+            check_uncompressed(archive, path.stat().st_size)
         data = load_from_zip_file(path, device="cpu")[0] or {}
         kind = data["policy_class"].__module__.split(".")[1]
-    except (ValueError, zipfile.BadZipFile) as error:
-        raise ArgumentError(f"{path} is no model of stable-baselines3: {error}") from None
+        # A model does not say by which algorithm it was made; two have the same policy.
+        by_policy: dict[str, Any] = {"dqn": sb3.DQN, "sac": sb3.SAC, "td3": sb3.TD3}
+        algorithm = by_policy.get(kind, sb3.PPO if "clip_range" in data else sb3.A2C)
+        model = algorithm.load(path, device="cpu")
     except (KeyError, AttributeError, IndexError):
         raise ArgumentError(f"{path} is no model of stable-baselines3: it does not say its policy") from None
-    # A model does not say by which algorithm it was made; two have the same policy.
-    by_policy: dict[str, Any] = {"dqn": sb3.DQN, "sac": sb3.SAC, "td3": sb3.TD3}
-    algorithm = by_policy.get(kind, sb3.PPO if "clip_range" in data else sb3.A2C)
-    model = algorithm.load(path, device="cpu")
+    except MemoryError:
+        raise
+    except Exception as error:  # it may hold any objects of Python, and damaged ones
+        why = " ".join(str(error).split()) or type(error).__name__
+        raise ArgumentError(f"{path} is no model of stable-baselines3: {why[:200]}") from error
     observations: Any = spec.observation_space
     if isinstance(observations, Tuple):  # as wrappers.sb3_vec_env shows it
         observations = MultiDiscrete([part.n for part in observations.spaces])  # type: ignore[attr-defined]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -11,7 +11,7 @@ import torch
 from gymnasium.spaces import Box, Discrete, Space, Tuple
 from torch import Tensor, nn
 
-from pearl_marl.errors import ArgumentError
+from pearl_marl.errors import ArgumentError, shown
 from pearl_marl.packing import unpacked
 from pearl_marl.policies import dense
 from pearl_marl.spec import EnvSpec
@@ -31,6 +31,37 @@ Where all actions are masked, all are equally likely, and the first is the best.
 def masked(outputs: Tensor, masks: Tensor | None) -> Tensor:
     """Return outputs, shape ``(..., actions)``, with :data:`MASKED` where ``masks`` are 0."""
     return outputs if masks is None else outputs.masked_fill(masks == 0, MASKED)
+
+
+_GIVEN = "bound", "offsets"
+"""Buffers that follow from the environment, and are not learned."""
+
+
+def check_weights(module: nn.Module, tensors: Any, whose: str) -> None:
+    """Refuse tensors from a file that are not those of a module, or that no training leaves.
+
+    Compiled loops trust them: with other offsets, they would read what is beside a table.
+    """
+    wanted = module.state_dict()
+    found = tensors if isinstance(tensors, Mapping) else {}
+    for name in {**wanted, **found}:
+        kinds = [
+            f"{of[name].dtype} of shape {tuple(of[name].shape)}"
+            if isinstance(of.get(name), Tensor)
+            else "nothing"
+            for of in (found, wanted)
+        ]
+        if kinds[0] != kinds[1]:
+            raise ArgumentError(
+                f"its tensors are not those of {whose}: {shown(name)} is {kinds[0]}, not {kinds[1]}"
+            )
+        tensor, last = found[name], name.rpartition(".")[2]
+        if not tensor.isfinite().all():
+            raise ArgumentError(f"{name} has NaN or an infinity among its numbers: the training diverged")
+        if last in _GIVEN and not tensor.equal(wanted[name].to(tensor.device)):
+            raise ArgumentError(f"{name} has other numbers than {whose} has")
+        if last in ("variance", "count") and tensor.min() < 0:
+            raise ArgumentError(f"{name} has a number below 0")
 
 
 class _Dense(torch.autograd.Function):

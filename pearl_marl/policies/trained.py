@@ -5,28 +5,25 @@ A trained policy is a ``policy.safetensors`` with all that is needed to use it a
 
 from __future__ import annotations
 
-import json
-import struct
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
 from gymnasium.spaces import Box, Discrete, Tuple
-from safetensors import SafetensorError, safe_open
-from safetensors.torch import save
 from torch import Tensor, nn
 
-from pearl_marl.errors import ArgumentError
-from pearl_marl.files import replace_file
-from pearl_marl.policies.network import SHARING, Array, masked, networks
+from pearl_marl.errors import ArgumentError, shown
+from pearl_marl.policies import policy_file
+from pearl_marl.policies.network import SHARING, Array, check_weights, masked, networks
 from pearl_marl.registry import registered_spec
-from pearl_marl.spec import EnvSpec
-
-FORMAT = "pearl-policy-1"
+from pearl_marl.spec import EnvSpec, is_number
 
 KINDS = ("logits", "values", "mean")
 """How a network's outputs are meant: see :class:`NetworkPolicy`."""
+
+_SCALAR = torch.zeros(())
+"""What stands for a tensor that a file does not have."""
 
 
 class _Trained(nn.Module):
@@ -61,8 +58,7 @@ class _Trained(nn.Module):
 
     def save(self, path: Path) -> None:
         """Write what :func:`load` reads."""
-        header = {"format": FORMAT, "policy": json.dumps(self.about)}
-        replace_file(path, _ordered(save(self.state_dict(), header)))
+        policy_file.write(path, self.about, self.state_dict())
 
 
 class NetworkPolicy(_Trained):
@@ -196,78 +192,51 @@ def load(path: Path) -> NetworkPolicy | Table:
         There is none, or not one of this package's.
     """
     file = path / "policy.safetensors" if path.is_dir() else path
+    about, tensors = policy_file.read(file)
     try:
-        with safe_open(file, "pt") as stored:
-            header = stored.metadata() or {}
-            tensors = {name: stored.get_tensor(name) for name in stored.keys()}  # noqa: SIM118
-    except (OSError, SafetensorError) as error:
-        raise ArgumentError(f"{file} cannot be read as a policy: {error}") from None
-    if header.get("format") != FORMAT:
-        raise ArgumentError(f"{file} is no policy of `pearl train`: its format is {header.get('format')}")
-    try:
-        return _rebuilt(_described(header), tensors)
+        _check_description(about)
+        # On torch's device of no memory, as whoever wrote the file may have named any size.
+        with torch.device("meta"):
+            policy = _described(about, tensors)
+        check_weights(policy, tensors, policy.spec.name)
     except ArgumentError as error:
         raise ArgumentError(f"{file} is damaged, or of another version: {error}") from None
+    policy.load_state_dict(tensors, assign=True)
+    return policy
 
 
-def _described(header: dict[str, str]) -> dict[str, Any]:
-    """Return what a file's metadata say of its policy."""
-    try:
-        about = json.loads(header["policy"])
-    except (KeyError, ValueError, RecursionError):
-        about = None
+def _check_description(about: Any) -> None:
+    """Refuse what a file says of its policy where that lacks something, or has it of another type."""
     if not isinstance(about, dict):
-        raise ArgumentError("its metadata says nothing of its policy")
+        raise ArgumentError("its metadata say nothing of its policy")
     needed: dict[str, type] = {"environment": str, "options": dict, "kind": str}
     if about.get("kind") != "table":
         needed["width"] = int
     for name, kind in needed.items():
         if name not in about:
             raise ArgumentError(f"its policy has no {name!r}")
-        if not isinstance(about[name], kind):
-            raise ArgumentError(f"its policy has the {name} {about[name]!r}")
-    return about
+        if type(about[name]) is not kind:
+            raise ArgumentError(f"its policy has the {name} {shown(about[name])}")
 
 
-def _rebuilt(about: dict[str, Any], tensors: dict[str, Tensor]) -> NetworkPolicy | Table:
-    """Make the policy that metadata describe, with these tensors."""
+def _described(about: dict[str, Any], tensors: dict[str, Tensor]) -> NetworkPolicy | Table:
+    """Make the policy that metadata describe, for these tensors, as yet without them."""
     spec = registered_spec(about["environment"]).with_options(**about["options"])
-    policy: NetworkPolicy | Table
     if about["kind"] == "table":
-        policy = Table(spec, len(tensors.get("values", ())))
-    elif about["kind"] in KINDS:
-        width, sharing = about["width"], about.get("sharing", "all")  # which older files do not tell
-        if sharing not in SHARING:
-            raise ArgumentError(f"its policy has the sharing {sharing!r}; possible are {', '.join(SHARING)}")
-        layer = "network.0.hidden.weight" if sharing == "none" else "network.hidden.weight"
-        hidden = tensors.get(layer, torch.empty(0))
-        if hidden.shape != (width, width):  # and memory for another width need not be there
-            raise ArgumentError(f"its policy has the width {width}, and layers of {tuple(hidden.shape)}")
-        chance = about.get("chance", 0.0)
-        if not isinstance(chance, (int, float)) or not 0 <= chance < float("inf"):
-            raise ArgumentError(f"its policy has the chance {chance!r}; it must be a number from 0")
-        policy = NetworkPolicy(spec, about["kind"], width, sharing, chance)
-    else:
+        values = tensors.get("values", _SCALAR)
+        return Table(spec, max(1, len(values)) if values.ndim else 1)
+    if about["kind"] not in KINDS:
         raise ArgumentError(
-            f"its policy has the kind {about['kind']!r}; possible are {', '.join(KINDS)}, table"
+            f"its policy has the kind {shown(about['kind'])}; possible are {', '.join(KINDS)}, table"
         )
-    wanted = policy.state_dict()
-    for name in {**wanted, **tensors}:
-        found, expected = (tuple(of[name].shape) if name in of else "of nothing" for of in (tensors, wanted))
-        if found != expected:
-            raise ArgumentError(
-                f"its tensors are not those of {spec.name}: {name} has the shape {found}, not {expected}"
-            )
-        if tensors[name].isnan().any():
-            raise ArgumentError(f"{name} has NaN among its numbers: the training diverged")
-    policy.load_state_dict(tensors)
-    return policy
-
-
-def _ordered(content: bytes) -> bytes:
-    """Return a safetensors file with its header in order: the library's order differs from run to run."""
-    (size,) = struct.unpack_from("<Q", content)
-    header = json.loads(content[8 : 8 + size])
-    text = json.dumps(header, sort_keys=True, separators=(",", ":")).encode()
-    text += b" " * (-len(text) % 8)  # tensors begin at a multiple of eight
-    return struct.pack("<Q", len(text)) + text + content[8 + size :]
+    width, sharing = about["width"], about.get("sharing", "all")
+    if sharing not in SHARING:
+        raise ArgumentError(f"its policy has the sharing {shown(sharing)}; possible are {', '.join(SHARING)}")
+    layer = "network.0.hidden.weight" if sharing == "none" else "network.hidden.weight"
+    hidden = tensors.get(layer, _SCALAR)
+    if width < 1 or hidden.shape != (width, width):
+        raise ArgumentError(f"its policy has the width {shown(width)}, and layers of {tuple(hidden.shape)}")
+    chance = about.get("chance", 0.0)
+    if not is_number(chance) or chance < 0:
+        raise ArgumentError(f"its policy has the chance {shown(chance)}; it must be a number from 0")
+    return NetworkPolicy(spec, about["kind"], width, sharing, chance)

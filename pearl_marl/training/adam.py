@@ -16,6 +16,7 @@ import torch
 from torch import Tensor, nn
 
 from pearl_marl.compiler.loading import loop
+from pearl_marl.training.restoring import copied, whole
 
 Array = npt.NDArray[Any]
 
@@ -114,6 +115,6 @@ class Adam:
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Go on from what :meth:`state_dict` returned."""
-        self._mean.copy_(state["mean"])
-        self._square.copy_(state["square"])
-        self._steps = int(state["steps"])
+        copied("mean of gradients", self._mean, state["mean"])
+        copied("mean of their squares", self._square, state["square"], least=0)
+        self._steps = whole("number of steps", state["steps"])

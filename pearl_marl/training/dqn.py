@@ -20,6 +20,7 @@ from pearl_marl.spec import MAX_SLOTS, EnvSpec
 from pearl_marl.training.adam import Adam
 from pearl_marl.training.dense_dqn import Steps
 from pearl_marl.training.dense_dqn import learn as learn_dense
+from pearl_marl.training.restoring import copied, observed, whole
 from pearl_marl.training.rollout import TEAM, Agents, Trainer, seen_spec, team_rewards
 from pearl_marl.training.settings import SEEDS, WIDEST, Checked, check_memory, choice, count, number
 
@@ -198,6 +199,11 @@ class DQN(Trainer):
     def load(self, state: dict[str, Any]) -> None:
         """Go on from what :meth:`state` returned."""
         super().load(state)
-        self.updated = state["updated"]
+        self.updated = whole("number of updates", state["updated"])
         for name, rows in self.memory.items():
-            rows.copy_(state["memory"][name])
+            kept = state["memory"][name]
+            if name in ("obs", "arrivals"):
+                observed(f"memory of {name}", rows, kept, self.done, self.policy.spec)
+            else:
+                bounds = {"actions": (0, self.policy.outputs - 1), "masks": (0, 1)}.get(name, (None, None))
+                copied(f"memory of {name}", rows, kept, *bounds)

@@ -19,6 +19,7 @@ from pearl_marl.errors import ArgumentError
 from pearl_marl.policies.network import masked
 from pearl_marl.policies.trained import Table
 from pearl_marl.spec import MAX_SLOTS, EnvSpec
+from pearl_marl.training.restoring import copied
 from pearl_marl.training.rollout import Agents, Trainer
 from pearl_marl.training.settings import SEEDS, Checked, check_memory, count, number
 
@@ -158,6 +159,6 @@ class QLearning(Trainer):
     def load(self, state: dict[str, Any]) -> None:
         """Go on from what :meth:`state` returned."""
         super().load(state)
-        self.policy.values[:] = state["values"]
-        self.updates.copy_(state["updates"])
+        copied("table", self.policy.values, state["values"])
+        copied("number of updates", self.updates, state["updates"], least=0)
         self.rows = self.policy.rows(self.agents.obs)

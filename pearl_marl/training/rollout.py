@@ -19,10 +19,11 @@ from pearl_marl.batch.saved_state import SavedState
 from pearl_marl.devices import BatchConfig, BatchStep, Cuda, Device, make_device
 from pearl_marl.errors import ArgumentError
 from pearl_marl.packing import packed
-from pearl_marl.policies.network import MASKED, masked
+from pearl_marl.policies.network import MASKED, check_weights, masked
 from pearl_marl.spec import EnvSpec
 from pearl_marl.training.actor_critic import ActorCritic, View
 from pearl_marl.training.advantages import Course, advantages
+from pearl_marl.training.restoring import copied, saved_bytes, whole
 from pearl_marl.training.threads import threads_for
 
 ROWS = 16_384
@@ -159,7 +160,7 @@ class Returns:
     def load(self, state: tuple[Tensor, Tensor]) -> None:
         """Go on from what :meth:`state` returned."""
         for mine, kept in zip(self.state(), state, strict=True):
-            mine.copy_(kept)
+            copied("sums of episodes", mine, kept)
 
 
 class Trainer:
@@ -235,11 +236,14 @@ class Trainer:
 
     def load(self, state: dict[str, Any]) -> None:
         """Go on from what :meth:`state` returned."""
-        self.done = state["done"]
+        self.done = whole("number of iterations", state["done"])
         for name, part in self.learned.items():
+            if isinstance(part, torch.nn.Module):
+                check_weights(part, state[name], f"{self.policy.spec.name}'s {name}")
             part.load_state_dict(state[name])
         self.random.set_state(state["random"])
-        self.agents.load(SavedState.from_bytes(state["agents"].numpy().tobytes(), self.agents.config))
+        agents = saved_bytes("state of agents", state["agents"])
+        self.agents.load(SavedState.from_bytes(agents, self.agents.config))
         self.episodes.load(state["episodes"])
 
 

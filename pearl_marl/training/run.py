@@ -16,7 +16,7 @@ import numpy as np
 import torch
 
 from pearl_marl.batch.config import worlds_of
-from pearl_marl.errors import ArgumentError, PearlError, SavedStateError
+from pearl_marl.errors import ArgumentError, PearlError, SavedStateError, shown
 from pearl_marl.evaluation.matches import Match
 from pearl_marl.evaluation.run import Evaluation
 from pearl_marl.policies.loading import RANDOM, load_policy
@@ -217,13 +217,18 @@ def train(
                 seconds, best = float(saved["seconds"]), float(saved["best"])
                 trainer.load(saved["trainer"])
                 if not isinstance(trainer.done, int) or not 0 <= trainer.done <= settings.iterations:
-                    raise ValueError(f"it has done {trainer.done!r} iterations of {settings.iterations}")
+                    raise ValueError(f"it has done {shown(trainer.done)} iterations of {settings.iterations}")
+                if not math.isfinite(seconds) or math.isnan(best):
+                    raise ValueError(f"it took {seconds} s, and its best return is {best}")
             except _UNUSABLE as error:
-                if isinstance(error, _NOT_ITS_FAULT) and not isinstance(error, SavedStateError):
+                if isinstance(error, _NOT_ITS_FAULT) and not isinstance(
+                    error, (ArgumentError, SavedStateError)
+                ):
                     raise
                 why = " ".join(str(error).split()) or type(error).__name__
                 raise run.damaged(f"and cannot be gone on from ({why})") from error
             run.write_metrics()  # a kill may have left those of an earlier moment
+        run.write_config()
         began, kept = time.perf_counter() - seconds, time.perf_counter()
         finished = goal is not None and best >= goal
         curve = f"{spec.name}: {algorithm}, {settings.n_agents:,} agents"

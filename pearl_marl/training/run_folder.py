@@ -14,6 +14,8 @@ import fcntl
 import io
 import json
 import os
+import pickletools
+import re
 import zipfile
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -23,14 +25,15 @@ import torch
 from torch.utils.tensorboard import SummaryWriter
 
 from pearl_marl.benchmark.machine import machine
-from pearl_marl.errors import ArgumentError
-from pearl_marl.files import check_files, replace_file
+from pearl_marl.errors import ArgumentError, shown
+from pearl_marl.files import check_files, check_uncompressed, replace_file
 from pearl_marl.rendering import new_figure, save_figure
+from pearl_marl.spec import is_number
 
 CHECKPOINT, PREVIOUS = "checkpoint.pt", "checkpoint.previous.pt"
 CONFIG, METRICS, POLICY, CURVE = "config.json", "metrics.csv", "policy.safetensors", "learning_curve.png"
 
-FORMAT = 4
+FORMAT = 5
 """Of checkpoints; another number for every change of what trainers keep in them."""
 
 
@@ -43,43 +46,30 @@ class RunFolder:
         The folder.
     settings
         What the run depends on, by name; JSON.
-
-    Raises
-    ------
-    ArgumentError
-        The folder holds a run of other settings, or cannot be written.
     """
 
     def __init__(self, path: Path, settings: dict[str, Any]) -> None:
         self.path = path
         self.rows: list[dict[str, Any]] = []
+        self._settings = json.loads(json.dumps(settings))
         self._board: SummaryWriter | None = None
         self._resumed = path / CHECKPOINT
-        config = path / CONFIG
-        settings = json.loads(json.dumps(settings))
-        check_files(path, CONFIG, METRICS, POLICY, CURVE, CHECKPOINT, PREVIOUS)
-        try:
-            path.mkdir(parents=True, exist_ok=True)
-            theirs = _settings(config) if config.exists() else None
-        except OSError as error:
-            raise ArgumentError(f"--out {path} is no folder that can be written: {error.strerror}") from None
-        if theirs is None:
-            about = {"settings": settings, "machine": machine()}
-            replace_file(config, json.dumps(about, indent=2).encode())
-            return
-        before, now = _flat(theirs), _flat(settings)
-        # Where nobody gives evaluate_every, it follows from the iterations.
-        for name in sorted({**before, **now}, key="evaluate_every".__eq__):
-            if before.get(name) != now.get(name):
-                raise ArgumentError(
-                    f"{path} holds a run with {name} {before.get(name)!r}, not {now.get(name)!r}: "
-                    "give the same settings to go on with it, or another --out"
-                )
 
     @contextlib.contextmanager
     def claimed(self) -> Iterator[None]:
-        """Write the folder in the block, alone; or raise ArgumentError."""
-        folder = os.open(self.path, os.O_RDONLY)
+        """Write the folder in the block, alone; it is made if need be.
+
+        Raises
+        ------
+        ArgumentError
+            Another process has it, it holds a run of other settings, or cannot be written.
+        """
+        check_files(self.path, CONFIG, METRICS, POLICY, CURVE, CHECKPOINT, PREVIOUS)
+        try:
+            self.path.mkdir(parents=True, exist_ok=True)
+            folder = os.open(self.path, os.O_RDONLY)
+        except OSError as error:
+            raise self._unwritable(error) from None
         try:
             try:
                 fcntl.flock(folder, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -89,9 +79,38 @@ class RunFolder:
                 ) from None
             except OSError:  # some networks' file systems have no locks of folders
                 pass
+            config = self.path / CONFIG
+            try:
+                theirs = _settings(config) if config.exists() else None
+            except OSError as error:
+                raise self._unwritable(error) from None
+            if theirs is not None:
+                self._check(theirs, f"{self.path} holds")
             yield
         finally:
             os.close(folder)
+
+    def write_config(self) -> None:
+        """Write config.json, unless it is there."""
+        config = self.path / CONFIG
+        if not config.exists():
+            about = {"settings": self._settings, "machine": machine()}
+            replace_file(config, json.dumps(about, indent=2).encode())
+
+    def _unwritable(self, error: OSError) -> ArgumentError:
+        return ArgumentError(f"--out {self.path} is no folder that can be written: {error.strerror}")
+
+    def _check(self, theirs: dict[str, Any], what_is: str) -> None:
+        """Refuse settings that are not this run's."""
+        before, now = _flat(theirs), _flat(self._settings)
+        # Where nobody gives evaluate_every, it follows from the iterations.
+        for name in sorted({**before, **now}, key="evaluate_every".__eq__):
+            # As text: True is 1 in Python.
+            if name not in before or json.dumps(before[name]) != json.dumps(now.get(name)):
+                raise ArgumentError(
+                    f"{what_is} a run with {name} {shown(before.get(name))}, not {now.get(name)!r}: "
+                    "give the same settings to go on with it, or another --out"
+                )
 
     def resume(self) -> dict[str, Any] | None:
         """Return the last checkpoint, and take up its metrics; ``None`` where there is none.
@@ -109,10 +128,15 @@ class RunFolder:
         checkpoint = self._read()
         if checkpoint.get("format") != FORMAT:
             raise ArgumentError(f"{self._resumed} is of another version of this package: give another --out")
-        rows = checkpoint.pop("rows", None)
-        if not isinstance(rows, list) or not all(
-            isinstance(row, dict) and isinstance(row.get("agent_steps"), int) for row in rows
-        ):
+        settings, rows = checkpoint.pop("settings", None), checkpoint.pop("rows", None)
+        try:
+            settings = json.loads(settings)
+        except (TypeError, ValueError, RecursionError):
+            settings = None
+        if not isinstance(settings, dict):
+            raise self.damaged("and does not say what settings its run has")
+        self._check(settings, f"{self._resumed} is of")
+        if not isinstance(rows, list) or not all(map(_is_row, rows)):
             raise self.damaged("and has no metrics")
         self.rows = rows
         return checkpoint
@@ -122,10 +146,13 @@ class RunFolder:
         why = "and is no archive of PyTorch"
         try:
             with zipfile.ZipFile(self._resumed) as archive:
-                wrong = archive.testzip()
-            why = f"and the checksum of {wrong} in it is wrong"
-            if wrong is None:
                 why = "and holds more than tensors and plain data"  # which is refused, and not run
+                check_uncompressed(archive, self._resumed.stat().st_size)
+                wrong = archive.testzip()
+                plain = wrong is None and _is_plain(archive)
+            if wrong is not None:
+                why = f"and the checksum of {shown(wrong)} in it is wrong"
+            if plain:
                 checkpoint = torch.load(self._resumed, map_location="cpu", weights_only=True)
                 why = "and holds no state of a training"
                 if isinstance(checkpoint, dict):
@@ -159,7 +186,8 @@ class RunFolder:
     def checkpoint(self, state: dict[str, Any]) -> None:
         """Keep what the continuation depends on, and the metrics."""
         buffer = io.BytesIO()
-        torch.save({**state, "rows": self.rows, "format": FORMAT}, buffer)
+        kept = {**state, "rows": self.rows, "format": FORMAT, "settings": json.dumps(self._settings)}
+        torch.save(kept, buffer)
         replace_file(self.path / CHECKPOINT, buffer.getvalue(), keep=self.path / PREVIOUS)
         self.write_metrics()
 
@@ -209,6 +237,40 @@ def _settings(config: Path) -> dict[str, Any]:
             f"{config} is damaged, and does not say what settings the run has: choose another --out"
         )
     return settings
+
+
+_GLOBALS = re.compile(
+    r"collections OrderedDict|torch._utils _rebuild_tensor_v2|torch [A-Z][A-Za-z0-9]+Storage"
+)
+"""What the pickle of tensors and plain data names."""
+
+
+def _is_plain(archive: zipfile.ZipFile) -> bool:
+    """Return whether the pickle in a checkpoint names nothing but tensors.
+
+    PyTorch runs no code either, but makes arrays of bytes as long as the pickle says.
+    """
+    pickles = [name for name in archive.namelist() if name.endswith(".pkl")]
+    return len(pickles) == 1 and all(
+        _GLOBALS.fullmatch(value or "") if operation.name == "GLOBAL" else operation.name not in _NAMING
+        for operation, value, _ in pickletools.genops(archive.read(pickles[0]))
+    )
+
+
+_NAMING = "STACK_GLOBAL", "INST", "OBJ", "EXT1", "EXT2", "EXT4"
+"""Other ways to name something, which PyTorch does not write."""
+
+
+def _is_row(row: Any) -> bool:
+    """Return whether a row of metrics is one that :meth:`RunFolder.report` notes."""
+    return (
+        isinstance(row, dict)
+        and all(isinstance(name, str) and name.isidentifier() for name in row)
+        and type(row.get("agent_steps")) is int
+        and all(value is None or is_number(value) for value in row.values())
+        and is_number(row.get("eval_return"))
+        and is_number(row.get("seconds"))
+    )
 
 
 def _flat(settings: dict[str, Any]) -> dict[str, Any]:

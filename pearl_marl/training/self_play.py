@@ -16,11 +16,12 @@ from torch import Tensor
 from torch.func import functional_call
 
 from pearl_marl.errors import ArgumentError
-from pearl_marl.policies.network import MASKED, masked
+from pearl_marl.policies.network import MASKED, check_weights, masked
 from pearl_marl.policies.trained import NetworkPolicy
 from pearl_marl.spec import EnvSpec
 from pearl_marl.training import ppo
 from pearl_marl.training.actor_critic import View
+from pearl_marl.training.restoring import whole
 from pearl_marl.training.rollout import Experience, RolloutWorker, seed_of
 from pearl_marl.training.settings import count, number
 
@@ -127,5 +128,10 @@ class SelfPlay(ppo.PPO):
         """Go on from what :meth:`state` returned."""
         super().load(state)
         self.league.clear()
+        if not state["league"]:
+            raise ArgumentError("its league has no members")
         for done, weights in state["league"].items():
+            if whole("number of iterations of a member of the league", done) > self.done:
+                raise ArgumentError(f"its league has a member of iteration {done}, and {self.done} are done")
+            check_weights(self.policy, weights, f"{self.policy.spec.name}'s member {done} of the league")
             self.league[done] = {name: tensor.to(self.where) for name, tensor in weights.items()}

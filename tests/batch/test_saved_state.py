@@ -143,6 +143,11 @@ WORDS = [
     ("CliffWalking", {}, "elapsed", 100, ""),  # of a time limit that was lowered
     ("CliffWalking", {}, "elapsed", 2**32 - 1, "elapsed = 4294967295"),
     ("CliffWalking", {"max_cycles": 0}, "elapsed", 1, "elapsed = 1, and possible are 0 to 0"),
+    ("CartPole", {}, "position", 4 << 27, ""),
+    ("CartPole", {}, "position", 5 << 27, "shows an agent the position 5.0; CartPole has -4.8.* to 4.8"),
+    ("CartPole", {"autoreset": False}, "angle", -(1 << 27), "shows an agent the angle -1.0; CartPole has"),
+    ("MountainCar", {}, "position", -(1 << 30), ""),
+    ("MountainCar", {}, "velocity", 1 << 27, "shows an agent the velocity .*; MountainCar has -0.0"),
     ("CliffWalking", {}, "ended", 1, "ended = 1, and possible are 0 to 0"),
 ]
 

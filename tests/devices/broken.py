@@ -27,10 +27,9 @@ class Flips(Native):
         self.flip, self.lasting, self.flips = (field, tick, slot, column), lasting, 0
 
     def _step(self, actions: Array) -> BatchStep:
-        now = self.tick
         results = super()._step(actions)
         field, tick, slot, column = self.flip
-        if now == tick and (self.lasting or not self.flips):
+        if self.tick == tick and (self.lasting or not self.flips):
             self.flips += 1
             if field in BatchStep._fields:
                 flip_bit(getattr(results, field), slot, column)

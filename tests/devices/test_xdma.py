@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import copy
 import fcntl
 import itertools
@@ -9,6 +10,7 @@ import os
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, ClassVar
@@ -18,6 +20,7 @@ import pytest
 
 from pearl_marl import get_spec
 from pearl_marl.devices import BatchConfig, Device, Native, Rtl, Xdma, discovery, make_device, xdma_transport
+from pearl_marl.devices import served as served_board
 from pearl_marl.devices.served import ServedBoard
 from pearl_marl.devices.simulator.model_build import library
 from pearl_marl.devices.simulator.simulation import Simulation
@@ -497,3 +500,130 @@ def test_43008_agents_alike_on_every_device() -> None:
         device.close()
     for run in runs[1:]:
         assert_same_trajectory(run, runs[0])
+
+
+SERVE = """
+import sys
+from pearl_marl.cli import main
+sys.argv = ["pearl", "serve", "CliffWalking", "--n-agents", "8", "--at", sys.argv[1]]
+main()
+"""
+
+
+@contextlib.contextmanager
+def pearl_serve(folder: Path) -> Iterator[subprocess.Popen[str]]:
+    """Run `pearl serve` as a process of its own, until its files are there."""
+    command = [sys.executable, "-c", SERVE, folder]
+    server = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    try:
+        while not (folder / "xdma0_h2c_0").exists() and server.poll() is None:
+            time.sleep(0.01)
+        yield server
+    finally:
+        server.kill()
+        server.communicate()
+
+
+@pytest.mark.parametrize("size", [0, 100])
+def test_a_server_whose_file_is_cut_says_so(size: int, tmp_path: Path) -> None:
+    """It was killed by SIGBUS, without a word."""
+    library(Build.of(SPEC, 8))  # of whose making it would tell
+    with pearl_serve(tmp_path) as server:
+        os.truncate(tmp_path / "xdma0_c2h_0", size)
+        _, err = server.communicate(timeout=60)
+        assert server.returncode == 2, err
+        assert err.startswith(f"pearl: somebody has cut {tmp_path}/xdma0_c2h_0 to {size} of ")
+        assert len(err.splitlines()) == 1
+        assert sorted(tmp_path.iterdir()) == [tmp_path / SERVER_LOCK]
+
+
+def test_a_device_whose_file_is_cut_says_so(tmp_path: Path) -> None:
+    server = ServedBoard(tmp_path, SPEC, 8)  # which nobody lets serve yet
+    link = XdmaTransport(str(tmp_path), None, 1.0)
+    os.truncate(tmp_path / "xdma0_c2h_0", 100)
+    with pytest.raises(DeviceError, match="its file was cut: start `pearl serve` there again"):
+        link.read(0, np.empty(200, np.uint8))
+    with pytest.raises(DeviceError, match="somebody has cut"):
+        server.serve()
+    link.close()
+    server.close()
+
+
+def test_space_for_a_board_is_there_from_the_beginning(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """On a full tmpfs a page that is written to for the first time is no more, and the process neither."""
+    server = ServedBoard(tmp_path, SPEC, 8)
+    found = (tmp_path / "xdma0_c2h_0").stat()
+    assert found.st_size == server.layout.end("status")
+    assert 512 * found.st_blocks >= found.st_size
+    server.close()
+
+    def full(*_: Any) -> None:
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(served_board.os, "posix_fallocate", full)
+        with pytest.raises(DeviceError, match=r"no board can be served at .*No space left on device"):
+            ServedBoard(tmp_path, SPEC, 8)
+    assert sorted(tmp_path.iterdir()) == [tmp_path / SERVER_LOCK]
+    server = ServedBoard(tmp_path, SPEC, 8)
+    device = Xdma(tmp_path).open(BatchConfig(spec=SPEC, n_envs=8))
+    device.reset(seed=0)
+    monkeypatch.setattr(served_board.os, "pwrite", full)
+
+    def step() -> None:
+        with contextlib.suppress(DeviceError):
+            device.step(ACTIONS[0, :8])
+
+    thread = threading.Thread(target=step, daemon=True)
+    thread.start()
+    with pytest.raises(DeviceError, match=r"cannot be served any more: No space left on device; start"):
+        server.serve()
+    server.close()
+    thread.join()
+    device.close()
+
+
+@pytest.mark.parametrize("make", [os.symlink, os.link], ids=["symbolic", "hard"])
+@pytest.mark.parametrize("name", [SERVER_LOCK, "xdma0_c2h_0", "xdma0_h2c_0", "xdma0_events_0"])
+def test_links_in_a_servers_folder_are_not_followed(name: str, make: Any, tmp_path: Path) -> None:
+    dear, folder = tmp_path / "dear", tmp_path / "board"
+    dear.write_text("dear")
+    folder.mkdir()
+    make(dear, folder / name)
+    if name == SERVER_LOCK:
+        with pytest.raises(DeviceError, match=r"no board can be served at .* it is a link, or no file"):
+            ServedBoard(folder, SPEC, 8)
+    else:
+        with served(folder, SPEC, 8):
+            device = Xdma(folder).open(BatchConfig(spec=SPEC, n_envs=8))
+            device.reset(seed=0)
+            device.step(ACTIONS[0, :8])
+            device.close()
+    assert dear.read_text() == "dear"
+
+
+@pytest.mark.parametrize("name", ["xdma0_h2c_0", "xdma0_c2h_0"])
+def test_a_device_follows_no_links(name: str, tmp_path: Path) -> None:
+    dear = tmp_path / "dear"
+    dear.write_bytes(bytes(1 << 16))
+    folder = tmp_path / "board"
+    with served(folder, SPEC, 8):
+        (folder / name).unlink()
+        (folder / name).symlink_to(dear)
+        with pytest.raises(DeviceError, match="it is a symbolic link, which `pearl serve` makes none of"):
+            Xdma(folder).open(BatchConfig(spec=SPEC, n_envs=8))
+    assert not any(dear.read_bytes())
+
+
+def test_a_lock_of_strange_content(tmp_path: Path) -> None:
+    with (tmp_path / SERVER_LOCK).open("wb") as lock:
+        lock.write(b"\xff\n\nsomething else")
+        lock.flush()
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        with pytest.raises(DeviceError, match="another process serves a board at") as caught:
+            ServedBoard(tmp_path, SPEC, 8)
+        assert len(str(caught.value).splitlines()) == 1
+    assert (tmp_path / SERVER_LOCK).read_bytes() == b"\xff\n\nsomething else"
+    ServedBoard(tmp_path, SPEC, 8).close()

@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode
-from pearl_marl.wrappers import black_death_v3, clip_reward_v0, frame_stack_v1
+from pearl_marl.wrappers import black_death_v3, clip_reward_v0, frame_skip_v0, frame_stack_v1
 
 import pearl_marl
-from pearl_marl.errors import ActionError, OrderError
+from pearl_marl.errors import ActionError, ArgumentError, OrderError
 from pearl_marl.interfaces.batch import Batch
 
 pytestmark = pytest.mark.usefixtures("toys")
@@ -129,3 +129,117 @@ class TestActionsOfThoseWhoLeft:
         assert filled.dtype == np.uint8
         assert not filled.any()
         assert actions[gone] == 200, "what was given is not written into"
+
+
+class TestResettingSome:
+    """A world that is reset is there again, whoever had left it."""
+
+    @staticmethod
+    def played(k: int, wrap: Any) -> tuple[Any, Any]:
+        """An environment of strict lifetimes in whose first and last world everybody has left, and a twin."""
+        name = "CoinGame" if k == 2 else "MountainCar"
+        limit = {"num_inner_steps": 1, "num_outer_steps": 3} if k == 2 else {"max_cycles": 3}
+        envs = [wrap(pearl_marl.parallel_env(name, 3 * k, autoreset=auto, **limit)) for auto in (False, True)]
+        for env in envs:
+            env.reset(seed=1)
+            env.step(np.zeros(3 * k, np.int64))
+            env.reset_slots(np.array([False, True, False]))
+            for _ in range(2):
+                env.step(np.zeros(3 * k, np.int64))
+        assert envs[0].agents == [f"agent_{i}" for i in range(k, 2 * k)]
+        return tuple(envs)  # type: ignore[return-value]
+
+    @pytest.mark.parametrize("wrap", [lambda env: env, lambda env: frame_stack_v1(clip_reward_v0(env), 2)])
+    @pytest.mark.parametrize("k", [1, 2])
+    def test_agents_that_left_are_back(self, k: int, wrap: Any) -> None:
+        env, twin = self.played(k, wrap)
+        before = env.live
+        first = np.array([True, False, False])
+        obs = env.reset_slots(first)
+        assert before.tolist() == [False] * k + [True] * k + [False] * k
+        assert env.agents == [f"agent_{i}" for i in range(2 * k)]
+        np.testing.assert_array_equal(obs[: 2 * k], twin.reset_slots(first)[: 2 * k])
+        ended = []
+        for _ in range(3):
+            actions = dict.fromkeys(env.agents, 0)
+            observations, rewards, terminations, truncations, _ = env.step(actions)
+            step = twin.step_batch(np.zeros(3 * k, np.int64))
+            here = [env.slots[agent] for agent in actions]
+            assert list(observations) == list(actions)
+            np.testing.assert_array_equal(observations.array, step.arrivals()[here])
+            np.testing.assert_array_equal(rewards.array, step.rewards[here])
+            np.testing.assert_array_equal(truncations.array, step.truncations[here])
+            ended += [agent for agent in actions if truncations[agent] or terminations[agent]]
+        assert sorted(ended) == [f"agent_{i}" for i in range(2 * k)]
+        assert env.agents == []
+
+    def test_after_everybody_has_left(self) -> None:
+        env = parallel(autoreset=False, max_cycles=2)
+        env.reset(seed=1)
+        for _ in range(2):
+            env.step([2] * N)
+        assert env.agents == []
+        env.reset_slots(np.arange(N) == 4)
+        assert env.agents == ["agent_4"]
+        assert list(env.step({"agent_4": 2})[0]) == ["agent_4"]
+        saved = env.save_state()
+        other = parallel(autoreset=False, max_cycles=2)
+        other.load_state(saved)
+        assert other.agents == ["agent_4"]
+
+    def test_a_refused_mask_brings_nobody_back(self) -> None:
+        env = parallel(autoreset=False, max_cycles=1)
+        env.reset(seed=1)
+        env.step([2] * N)
+        for mask in (None, [True], np.ones(N)):
+            with pytest.raises(ArgumentError):
+                env.reset_slots(mask)
+        assert env.agents == []
+
+    def test_black_death_forgets_the_ends_of_those_alone(self) -> None:
+        env = black_death_v3(parallel(autoreset=False, max_cycles=3))
+        env.reset(seed=1)
+        env.step([2] * N)
+        env.reset_slots(np.arange(N) == 0)
+        for _ in range(2):
+            env.step([2] * N)  # which ends all but the first
+        env.reset_slots(np.arange(N) == 1)
+        _, _, _, truncations, _ = env.step([2] * N)
+        assert not any(truncations.values())
+        for _ in range(2):
+            _, _, _, truncations, _ = env.step([2] * N)
+        assert all(truncations.values())
+
+    def test_skipping_frames_brings_nobody_back(self) -> None:
+        env = frame_skip_v0(parallel(autoreset=False, max_cycles=3), 2)
+        env.reset(seed=1)
+        env.reset_slots(np.arange(N) < 0)
+        inside = env.env
+        inside.step([2] * N)
+        inside.reset_slots(np.arange(N) == 0)
+        env.step([2] * N)
+        assert inside.agents == env.agents == ["agent_0"]
+
+    @pytest.mark.parametrize("wrap", [lambda env: env, clip_reward_v0])
+    @pytest.mark.parametrize("call", ["reset_slots", "reset_batch", "reset"])
+    def test_who_was_reset_waits_no_more(self, call: str, wrap: Any) -> None:
+        """In DISABLED mode, whichever call it was."""
+        env, twin = (
+            wrap(pearl_marl.make_vec("Drift", N, autoreset_mode="Disabled", max_cycles=2)) for _ in "ab"
+        )
+        for one in (env, twin):
+            one.reset(seed=1)
+            one.step([2] * N)
+            one.step([2] * N)
+        some = np.arange(N) == 1
+        for mask in (some, ~some):
+            with pytest.raises(OrderError, match="has ended and was not reset"):
+                env.step([2] * N)
+            shown, _ = twin.reset(options={"reset_mask": mask})
+            if call == "reset":
+                np.testing.assert_array_equal(env.reset(options={"reset_mask": mask})[0], shown)
+            elif call == "reset_batch":
+                np.testing.assert_array_equal(env.reset_batch(mask=mask)[mask], shown[mask])
+            else:
+                np.testing.assert_array_equal(env.reset_slots(mask)[mask], shown[mask])
+        np.testing.assert_array_equal(env.step([2] * N)[0], twin.step([2] * N)[0])

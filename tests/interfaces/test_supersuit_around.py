@@ -90,6 +90,8 @@ def test_concatenated_vec_envs(name: str, n_actions: int) -> None:
         pytest.param(lambda env: supersuit.frame_stack_v1(env, 3), True, id="frame_stack, autoreset"),
         pytest.param(lambda env: supersuit.frame_stack_v2(env, 3), True, id="frame_stack_v2, autoreset"),
         pytest.param(lambda env: supersuit.frame_skip_v0(env, (1, 4)), True, id="frame_skip, autoreset"),
+        # It gives an action for agents that left on the way.
+        pytest.param(lambda env: supersuit.frame_skip_v0(env, 4), False, id="frame_skip"),
         pytest.param(lambda env: supersuit.delay_observations_v0(env, 2), False, id="delay_observations"),
         pytest.param(lambda env: supersuit.max_observation_v0(env, 2), False, id="max_observation"),
         # These go through the AEC form, which has to have strict lifetimes.

@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode
 from gymnasium.wrappers import vector as wrappers
-from pearl_marl.wrappers import clip_reward_v0
+from pearl_marl.wrappers import clip_reward_v0, frame_stack_v1, sticky_actions_v0
 
 import pearl_marl
-from pearl_marl.errors import ArgumentError, OrderError
+from pearl_marl import devices
+from pearl_marl.errors import ActionError, ArgumentError, OrderError
 
 
 def test_gymnasium_chooses_the_vector_entry_point_by_itself() -> None:
@@ -265,3 +266,114 @@ def test_random_numbers_are_those_of_gymnasium(wrap: Any) -> None:
     before = env.np_random
     env.reset()
     assert env.np_random is before
+
+
+class TestTimeLimit:
+    @pytest.mark.parametrize("wrap", [lambda env: env, lambda env: frame_stack_v1(clip_reward_v0(env), 2)])
+    @pytest.mark.parametrize("mode", AutoresetMode)
+    def test_assigning_it(self, wrap: Any, mode: AutoresetMode) -> None:
+        env = wrap(pearl_marl.make_vec("MountainCar", 2, autoreset_mode=mode))
+        assert env.max_cycles == env.unwrapped.max_cycles == 200
+        env.reset(seed=0)
+        env.max_cycles = 2
+        assert env.max_cycles == env.unwrapped.device.config.limit == 2
+        assert [env.step([1, 1])[3].tolist() for _ in range(2)] == [[False] * 2, [True] * 2]
+        env.max_cycles = None
+        assert env.max_cycles == 200
+        for bad in (-1, 0.5, "3", True):
+            with pytest.raises(ArgumentError, match="max_cycles"):
+                env.max_cycles = bad
+        assert env.max_cycles == 200
+
+    @pytest.mark.parametrize(
+        ("before", "after", "ends"),
+        [
+            # Episodes under way count from their beginning, and one that is too long ends at once.
+            (10, 4, [4, 8]),
+            (10, 2, [4, 6, 8]),
+            # Nobody has counted where there was no limit.
+            (0, 4, [7]),
+            (10, 0, []),
+        ],
+    )
+    @pytest.mark.parametrize("device", ["native", "reference"])
+    def test_what_it_counts_from(self, device: str, before: int, after: int, ends: list[int]) -> None:
+        for make in (pearl_marl.make_vec, pearl_marl.parallel_env):
+            env: Any = make("MountainCar", 1, max_cycles=before, device=device)
+            env.reset(seed=0)
+            seen = []
+            for step in range(1, 9):
+                if step == 4:
+                    env.max_cycles = after
+                if env.step_batch([1]).truncations[0]:
+                    seen.append(step)
+            assert seen == ends
+
+    @pytest.mark.parametrize("name", ["max_episode_steps", "max_steps", "time_limit"])
+    @pytest.mark.parametrize("make", [pearl_marl.make_vec, pearl_marl.parallel_env, pearl_marl.raw_env])
+    def test_other_names_for_it(self, make: Any, name: str) -> None:
+        with pytest.raises(ArgumentError, match=f"unknown argument '{name}', did you mean 'max_cycles'"):
+            make("Taxi", **{name: 5})
+        if make is pearl_marl.make_vec:
+            with pytest.raises(ArgumentError, match="did you mean 'max_cycles'"):
+                gymnasium.make_vec("Pearl/Taxi-v0", num_envs=2, **{name: 5})
+
+
+DEVICES: dict[str, Any] = {
+    "native": devices.Native,
+    "two threads": lambda: devices.Native(2),
+    "reference": devices.Reference,
+    "sharded": lambda: devices.Sharded(["native", "native"]),
+    "lockstep": lambda: devices.Lockstep("native"),
+}
+
+
+class TestActionsOfSlotsThatReset:
+    """In NEXT_STEP mode they are ignored, as Gymnasium's own environments do."""
+
+    @pytest.mark.parametrize("wrap", [lambda env: env, lambda env: sticky_actions_v0(env, 0.5)])
+    @pytest.mark.parametrize("device", DEVICES.values(), ids=DEVICES)
+    @pytest.mark.parametrize(
+        ("name", "good", "bad"),
+        [("CartPole", 1, 9), ("CartPole", 1, -1), ("Pendulum", [0.5], [99.0]), ("Pendulum", [0.5], [np.nan])],
+    )
+    def test_they_may_be_anything(self, name: str, good: Any, bad: Any, device: Any, wrap: Any) -> None:
+        env, twin = (
+            wrap(pearl_marl.make_vec(name, 4, autoreset_mode="NextStep", device=device())) for _ in range(2)
+        )
+        for one in (env, twin):
+            one.reset(seed=0)
+            one.max_cycles = 2
+            one.step(np.array([good] * 4))
+            one.reset_slots(np.array([False, True, False, True]))
+            one.step(np.array([good] * 4))  # the last of slots 0 and 2
+        given = np.array([bad, good, bad, good])
+        before = given.copy()
+        for mine, other in zip(env.step(given)[:4], twin.step(np.array([good] * 4))[:4], strict=True):
+            np.testing.assert_array_equal(mine, other)
+        np.testing.assert_array_equal(given, before)
+        with pytest.raises(ActionError, match=r"agent_0: action .* is out of range"):
+            env.step(given)  # they have begun, and act
+
+    def test_what_is_no_action_at_all(self) -> None:
+        env = pearl_marl.make_vec("CartPole", 2, autoreset_mode="NextStep", max_cycles=1)
+        env.reset(seed=0)
+        env.step([0, 0])
+        env.send([7, 7])
+        assert env.recv()[1].tolist() == [0, 0]
+        env.step([0, 0])
+        for given in (3, [0], None, "ab", {"agent_0": 0}, [0.5, 0.5, 0.5], np.zeros((2, 2))):
+            with pytest.raises(ActionError):
+                env.step(given)
+        assert env.step([None, "?"])[1].tolist() == [0, 0]
+
+    def test_the_others_are_checked(self) -> None:
+        env = pearl_marl.make_vec("CartPole", 3, autoreset_mode="NextStep", max_cycles=2)
+        env.reset(seed=0)
+        env.step([0] * 3)
+        env.reset_slots(np.array([False, True, False]))
+        env.step([0] * 3)
+        state = env.device.state()
+        with pytest.raises(ActionError, match="agent_1: action 5 is out of range"):
+            env.step([8, 5, 8])
+        np.testing.assert_array_equal(env.device.state(), state)

@@ -162,14 +162,18 @@ class TestWhoIsDead:
             getattr(env, name)(actions)
         np.testing.assert_array_equal(env.state(), before)
 
-    def test_its_action_is_refused_in_dicts(self) -> None:
-        env, dead, _ = self.dying(autoreset=False)
-        actions = dict.fromkeys(env.agents, 0)
-        with pytest.raises(ActionError) as error:
-            env.step({**actions, f"agent_{dead}": 0})
-        assert str(error.value) == (
-            f"an action for 'agent_{dead}', but its episode has ended; only agents in env.agents act"
-        )
+    @pytest.mark.parametrize("autoreset", [True, False])
+    @pytest.mark.parametrize("odd", [1, 99, None, 0.5, [1, 2]])
+    def test_its_action_is_ignored_in_dicts(self, odd: Any, autoreset: bool) -> None:
+        (env, dead, here), (twin, *_) = (self.dying(autoreset=autoreset) for _ in range(2))
+        actions = dict.fromkeys(env.possible_agents, 0)
+        twin.step(np.zeros(12, np.int64))
+        env.step({**actions, f"agent_{dead}": odd})
+        assert env.save_state() == twin.save_state()
+        for bad, name in ((9, f"agent_{here}"), (0, "agent_12"), (0, "agent_x")):
+            with pytest.raises(ActionError, match=name):
+                env.step({**actions, name: bad})
+        assert env.save_state() == twin.save_state()
 
     def test_its_last_observation(self) -> None:
         """In strict lifetimes in place of the zeros, and beside them where worlds start over."""

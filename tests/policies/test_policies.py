@@ -91,8 +91,8 @@ def test_files_that_are_no_tables(tmp_path: Path) -> None:
         ("text.npy", "no readable table: it does not begin as one that NumPy writes"),
         ("text.npz", "no readable table: it does not begin as one that NumPy writes"),
         ("missing.npy", "there is no file"),
-        ("zip.npz", "no readable table: File is not a zip file"),
-        ("header.npy", "no readable table: it is damaged, or larger than memory"),
+        ("zip.npz", "no readable table: it is a damaged archive"),
+        ("header.npy", r"the table has shape \(1000000000000, 1000000\)"),
     ):
         with pytest.raises(ArgumentError, match=says):
             load_policy(str(tmp_path / name), CLIFF)

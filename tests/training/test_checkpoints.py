@@ -4,14 +4,19 @@ from __future__ import annotations
 
 import csv
 import importlib
+import io
 import json
 import os
 import pickle
 import re
+import resource
+import shutil
+import threading
 import zipfile
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from pearl_marl import files
@@ -25,8 +30,8 @@ rollout = importlib.import_module("pearl_marl.training.rollout")
 GIVEN = {"n_agents": 64, "iterations": 6}
 
 
-def run(folder: Path) -> Any:
-    settings = training.settings_for("q-learning", "CliffWalking", GIVEN)
+def run(folder: Path, **given: Any) -> Any:
+    settings = training.settings_for("q-learning", "CliffWalking", {**GIVEN, **given})
     return training.train(
         "CliffWalking",
         {},
@@ -40,17 +45,24 @@ def run(folder: Path) -> Any:
     )
 
 
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("finished")
+    run(folder)
+    return folder
+
+
 @pytest.fixture
-def folder(tmp_path: Path) -> Path:
+def folder(finished: Path, tmp_path: Path) -> Path:
     """Of a run that is done, with its last two checkpoints."""
-    run(tmp_path)
+    shutil.copytree(finished, tmp_path, dirs_exist_ok=True)
     return tmp_path
 
 
-def refused(folder: Path, words: str) -> None:
+def refused(folder: Path, words: str, **given: Any) -> None:
     before = {path: path.read_bytes() for path in folder.iterdir()}
     with pytest.raises(ArgumentError, match=words) as caught:
-        run(folder)
+        run(folder, **given)
     assert "\n" not in str(caught.value)
     assert {path: path.read_bytes() for path in folder.iterdir()} == before
 
@@ -151,6 +163,9 @@ def test_a_state_of_other_agents_is_refused(folder: Path) -> None:
     checkpoint["trainer"]["agents"] = checkpoint["trainer"]["agents"][:-1].clone()
     torch.save(checkpoint, file)
     refused(folder, r"checkpoint\.pt is damaged.*checksum")
+    checkpoint["trainer"]["agents"] = torch.zeros(1, dtype=torch.uint8).expand(10**12)
+    torch.save(checkpoint, file)
+    refused(folder, r"checkpoint\.pt is damaged.*no row of bytes")
 
 
 def test_a_device_that_fails_is_not_the_checkpoints_fault(
@@ -228,14 +243,15 @@ def test_a_file_is_on_the_disk_before_it_has_its_name(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     done: list[str] = []
-    fsync, replace = os.fsync, os.replace
+    fsync, replace, scratch = os.fsync, os.replace, r"^\.pearl-[0-9a-f]{8}\.tmp$"
 
     def synced(descriptor: int) -> None:
-        done.append(f"sync {Path(os.readlink(f'/proc/self/fd/{descriptor}')).name}")
+        name = Path(os.readlink(f"/proc/self/fd/{descriptor}")).name
+        done.append(f"sync {re.sub(scratch, 'scratch', name)}")
         fsync(descriptor)
 
     def replaced(old: Path, new: Path) -> None:
-        done.append(f"{old.name} -> {new.name}")
+        done.append(f"{re.sub(scratch, 'scratch', old.name)} -> {new.name}")
         replace(old, new)
 
     monkeypatch.setattr(files.os, "fsync", synced)
@@ -245,9 +261,9 @@ def test_a_file_is_on_the_disk_before_it_has_its_name(
         done.clear()
         folder.checkpoint({"number": number})
     assert done[:4] == [
-        "sync checkpoint.pt.tmp",
+        "sync scratch",
         "checkpoint.pt -> checkpoint.previous.pt",
-        "checkpoint.pt.tmp -> checkpoint.pt",
+        "scratch -> checkpoint.pt",
         f"sync {tmp_path.name}",
     ]
     numbers = [
@@ -303,3 +319,182 @@ def test_a_folder_is_of_one_process(folder: Path) -> None:
     with run_folder.RunFolder(folder, settings).claimed(), pytest.raises(ArgumentError, match="another proc"):
         run(folder)
     run(folder)
+
+
+def test_a_folder_is_claimed_before_anything_is_written_there(tmp_path: Path) -> None:
+    """The one who comes second leaves no config.json behind."""
+    settings = {"seed": 1}
+    with run_folder.RunFolder(tmp_path, settings).claimed():
+        refused(tmp_path, "another process trains in")
+        assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("round_", range(3))
+def test_of_several_the_one_who_trains_has_its_settings_there(round_: int, tmp_path: Path) -> None:
+    started, winners, refusals = threading.Barrier(6), [], []
+
+    def one(seed: int) -> None:
+        folder = run_folder.RunFolder(tmp_path / "run", {"seed": seed})
+        started.wait()
+        try:
+            with folder.claimed():
+                folder.write_config()
+                winners.append(seed)
+                ended.wait(10)
+        except ArgumentError as error:
+            refusals.append(str(error))
+        if len(refusals) == 5:
+            ended.set()
+
+    ended = threading.Event()
+    threads = [threading.Thread(target=one, args=(seed,)) for seed in range(6)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert len(winners) == 1
+    assert all("another process trains in" in refusal for refusal in refusals)
+    assert json.loads((tmp_path / "run" / "config.json").read_text())["settings"]["seed"] == winners[0]
+
+
+@pytest.mark.parametrize(
+    ("given", "says"),
+    [
+        ({"seed": 1}, r"checkpoint\.pt is of a run with seed 0, not 1: give the same settings"),
+        ({"rate": 0.25}, r"checkpoint\.pt is of a run with rate .*, not 0\.25: give the same settings"),
+    ],
+)
+@pytest.mark.parametrize("config", ["none", "its own"])
+def test_a_checkpoint_of_another_run_is_refused(
+    given: dict[str, Any], says: str, config: str, folder: Path, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    other = tmp_path_factory.mktemp("other")
+    if config == "its own":
+        run(other, **given)
+    else:
+        (other / "checkpoint.previous.pt").write_bytes((folder / "checkpoint.pt").read_bytes())
+        refused(other, says.replace("checkpoint", "checkpoint.previous"), **given)
+        return
+    (other / "checkpoint.pt").write_bytes((folder / "checkpoint.pt").read_bytes())
+    refused(other, says, **given)
+
+
+def repacked(content: bytes, how: int, replace: dict[str, bytes] | None = None) -> bytes:
+    """Return an archive with its members compressed, and some of other content, and right checksums."""
+    file = io.BytesIO()
+    with zipfile.ZipFile(io.BytesIO(content)) as old, zipfile.ZipFile(file, "w", how) as new:
+        for name in old.namelist():
+            new.writestr(name, (replace or {}).get(name.partition("/")[2], old.read(name)))
+    return file.getvalue()
+
+
+def test_a_checkpoint_is_refused_before_it_is_unpacked(folder: Path) -> None:
+    """64 MiB in 64 KiB, and a pickle that says how long an array of bytes is to be."""
+    file = folder / "checkpoint.pt"
+    content = file.read_bytes()
+    reduced = b"\x80\x02cbuiltins\nbytearray\nJ\x00\x00\x00\x40\x85R."  # 1 GiB
+    for damaged in (
+        repacked(content, zipfile.ZIP_DEFLATED, {"data/0": bytes(1 << 26)}),
+        repacked(content, zipfile.ZIP_BZIP2),
+        repacked(content, zipfile.ZIP_STORED, {"data.pkl": reduced}),
+        repacked(
+            content, zipfile.ZIP_STORED, {"data.pkl": b"\x80\x04\x8c\x08builtins\x8c\x09bytearray\x93."}
+        ),
+    ):
+        file.write_bytes(damaged)
+        before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+        refused(folder, r"checkpoint\.pt is damaged.*holds more than tensors and plain data")
+        assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 50_000  # kB
+
+
+def changed(*path: Any, to: Any) -> Any:
+    def change(checkpoint: Any) -> None:
+        for key in path[:-1]:
+            checkpoint = checkpoint[key]
+        checkpoint[path[-1]] = to(checkpoint[path[-1]]) if callable(to) else to
+
+    return change
+
+
+CHANGES = {
+    "one number for a table": changed("trainer", "values", to=torch.zeros(1)),
+    "a table of doubles": changed("trainer", "values", to=lambda table: table.double()),
+    "NaN": changed("trainer", "values", to=lambda table: table * np.nan),
+    "updates below 0": changed("trainer", "updates", to=lambda updates: updates - 1),
+    "iterations": changed("trainer", "done", to=-1),
+    "more iterations": changed("trainer", "done", to=10**30),
+    "a flag for iterations": changed("trainer", "done", to=True),
+    "seconds": changed("seconds", to=float("nan")),
+    "a best return": changed("best", to=float("nan")),
+    "settings": changed("settings", to="["),
+    "no settings": changed("settings", to=None),
+    "a list of settings": changed("settings", to="[]"),
+    "a name of a metric": changed("rows", 0, to=lambda row: {**row, 3: 1}),
+    "a line of a metric": changed("rows", 0, to=lambda row: {**row, "a\nb": 1}),
+    "a word for a metric": changed("rows", 0, "eval_return", to="high"),
+    "no return": changed("rows", 0, to={"agent_steps": 3}),
+    "random numbers": changed("trainer", "random", to=lambda state: state * 0),
+    "few random numbers": changed("trainer", "random", to=lambda state: state[:9]),
+    "sums of episodes": changed("trainer", "episodes", to=(torch.zeros(1), torch.zeros(1))),
+    "one sum of episodes": changed("trainer", "episodes", to=lambda sums: sums[:1]),
+}
+
+
+@pytest.mark.parametrize("change", CHANGES.values(), ids=CHANGES)
+def test_what_no_training_keeps_is_refused(change: Any, folder: Path) -> None:
+    file = folder / "checkpoint.pt"
+    checkpoint = torch.load(file, weights_only=True)
+    change(checkpoint)
+    torch.save(checkpoint, file)
+    refused(folder, r"checkpoint\.pt is (damaged|of a run with)")
+
+
+OTHERS: dict[tuple[str, str], dict[str, dict[str, Any]]] = {
+    ("dqn", "CliffWalking"): {
+        "memory of actions": {"memory": {"actions": lambda rows: rows + 4}},
+        "memory of observations": {"memory": {"obs": lambda rows: rows + 200}},
+        "memory of flags": {"memory": {"over": lambda rows: rows[:, :1]}},
+        "offsets": {"policy": {"network.encoder.offsets": lambda rows: rows + 10**9}},
+        "weights": {"target": {"network.output.bias": lambda bias: bias / 0}},
+        "steps": {"optimiser": {"steps": lambda steps: -1}},
+        "squares": {"optimiser": {"square": lambda squares: squares - 1}},
+    },
+    ("self-play", "ConnectFour"): {
+        "no model": {"model": lambda model: {}},
+        "no league": {"league": lambda league: {}},
+        "a path for a number": {"league": lambda league: {"../x": league[0]}},
+        "a member to come": {"league": lambda league: {99: league[0]}},
+        "another member": {"league": lambda league: {0: {}}},
+    },
+}
+
+
+@pytest.mark.parametrize(("algorithm", "env_id"), OTHERS)
+def test_what_no_trainer_keeps_is_refused(algorithm: str, env_id: str, tmp_path: Path) -> None:
+    """Compiled loops would read beside their tables, and a policy be written beside its folder."""
+    small = {"n_agents": 4, "iterations": 2, "width": 16, "seed": 0, "minibatch": 8}
+    small |= {"memory": 8, "warm_up": 0} if algorithm == "dqn" else {"depth": 8}
+    settings = training.settings_for(algorithm, env_id, small)
+
+    def train() -> None:
+        training.train(env_id, {}, algorithm, settings, "native", tmp_path, evaluate_every=1, evaluated=2)
+
+    train()
+    file = tmp_path / "checkpoint.pt"
+    checkpoint = torch.load(file, weights_only=True)
+    before = sorted(tmp_path.rglob("*"))
+
+    def applied(value: Any, change: Any) -> Any:
+        if callable(change):
+            return change(value)
+        return {**value, **{name: applied(value[name], part) for name, part in change.items()}}
+
+    for name, change in OTHERS[algorithm, env_id].items():
+        torch.save({**checkpoint, "trainer": applied(checkpoint["trainer"], change)}, file)
+        says = r"checkpoint\.pt is damaged.*cannot be gone on from"
+        with pytest.raises(ArgumentError, match=says) as caught:
+            train()
+        assert len(str(caught.value).splitlines()) == 1, name
+        assert sorted(tmp_path.rglob("*")) == before, name
+    torch.save(checkpoint, file)
+    train()

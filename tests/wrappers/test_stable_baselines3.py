@@ -14,7 +14,7 @@ import gymnasium
 import numpy as np
 import pytest
 from gymnasium.spaces import Box, Discrete, MultiDiscrete, Tuple
-from pearl_marl.wrappers import flatten_v0, frame_stack_v1, observation_lambda_v0, sb3_vec_env
+from pearl_marl.wrappers import clip_reward_v0, flatten_v0, frame_stack_v1, observation_lambda_v0, sb3_vec_env
 
 import pearl_marl
 from pearl_marl.devices import BatchConfig, Native
@@ -344,6 +344,12 @@ def test_attributes_and_methods() -> None:
     assert not env.has_attr("nonsense")
     env.set_attr("max_cycles", 2)
     assert env.env.max_cycles == 2
+    over = sb3_vec_env(clip_reward_v0(pearl_marl.make_vec("CliffWalking", 3)))
+    over.set_attr("max_cycles", 2)
+    assert over.get_attr("max_cycles") == [2] * 3
+    for one in (env, over):
+        one.reset()
+        assert [one.step(np.zeros(3, np.int64))[2].any() for _ in range(4)] == [False, True, False, True]
     states = env.env_method("state")
     assert len(states) == 3
     assert states[0].shape[0] == 3

@@ -406,3 +406,15 @@ def test_spaces_that_do_not_begin_at_zero() -> None:
     pair = _spec(Tuple([Discrete(3, start=5), Discrete(2)]), (2,))
     assert pair.contains(torch.tensor([[5, 0], [7, 1]]))
     assert not pair.contains(torch.tensor([[5, 0], [7, 2]]))
+
+
+def test_another_time_limit() -> None:
+    env = to_torchrl(made("CartPole", 2))
+    assert env.max_cycles == 500
+    env.max_cycles = 3
+    done = env.rollout(7, break_when_any_done=False)["next", "truncated"][0, :, 0]
+    assert done.tolist() == [False, False, True] * 2 + [False]
+    with pytest.raises(ArgumentError, match="max_cycles is -1"):
+        env.max_cycles = -1
+    env.max_cycles = None
+    assert env.max_cycles == 500

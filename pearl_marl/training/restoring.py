@@ -1,0 +1,64 @@
+"""What a trainer takes from a checkpoint, which others may have written: as its own is, or refused.
+
+Tensors are copied into those that are there, and PyTorch would stretch smaller ones to fit. Compiled loops
+trust numbers of rows and of actions.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from gymnasium.spaces import Discrete, Tuple
+from torch import Tensor
+
+from pearl_marl.errors import ArgumentError, shown
+from pearl_marl.spec import EnvSpec
+
+
+def whole(name: str, value: Any) -> int:
+    """Return a number of things."""
+    if type(value) is not int or not 0 <= value < 1 << 63:
+        raise ArgumentError(f"its {name} is {shown(value)}; it must be a whole number from 0")
+    return value
+
+
+def copied(name: str, mine: Tensor, kept: Any, least: float | None = None, most: float | None = None) -> None:
+    """Copy a tensor from a checkpoint into the trainer's own, of finite numbers between two bounds."""
+    what = f"{kept.dtype} of shape {tuple(kept.shape)}" if isinstance(kept, Tensor) else type(kept).__name__
+    if what != f"{mine.dtype} of shape {tuple(mine.shape)}":
+        raise ArgumentError(f"its {name} is {what}, not {mine.dtype} of shape {tuple(mine.shape)}")
+    if kept.dtype == torch.bool:
+        right = bool((kept.contiguous().view(torch.uint8) <= 1).all())
+    else:
+        right = bool(kept.isfinite().all()) and (
+            not kept.numel()
+            or ((least is None or kept.min() >= least) and (most is None or kept.max() <= most))
+        )
+    if not right:
+        raise ArgumentError(f"its {name} has numbers that no training leaves")
+    mine.copy_(kept)
+
+
+def observed(name: str, mine: Tensor, kept: Any, filled: int, spec: EnvSpec) -> None:
+    """Do so with observations of each agent, of which the first rows are ``filled``, if they are so many."""
+    space = spec.observation_space
+    parts: Any = space.spaces if isinstance(space, Tuple) else [space]
+    copied(name, mine, kept)
+    if not all(isinstance(part, Discrete) for part in parts):
+        return
+    for part, column in zip(parts, mine[:filled].reshape(-1, len(parts)).unbind(1), strict=True):
+        if len(column) and (column.min() < part.start or column.max() >= part.start + part.n):
+            raise ArgumentError(f"its {name} has numbers that {spec.name} does not show")
+
+
+def saved_bytes(name: str, kept: Any) -> bytes:
+    """Return bytes that a checkpoint keeps as a tensor, as long as that is in the file."""
+    if (
+        not isinstance(kept, Tensor)
+        or kept.dtype != torch.uint8
+        or kept.ndim != 1
+        or not kept.is_contiguous()
+    ):
+        raise ArgumentError(f"its {name} is no row of bytes")
+    return kept.numpy().tobytes()

@@ -1,0 +1,1 @@
+"""Damaged and crafted files of every kind that the package reads."""
