@@ -2,7 +2,7 @@
 
 ``python experiments/predictions.py`` prints the tables of docs/hardware.md ("Sizes by default") and of
 docs/latency.md: the paper's loops, bursts, what ``pearl plan`` chooses, the prediction for the paper's link.
-Cycles are counted, host times measured on this machine; the clock is that of our design for the paper's board.
+Cycles are counted, host times measured on this machine; the clock is that of our design for its board.
 ``latency_model.py`` has the model beside simulation, ``pipeline.py`` with the pipeline and without.
 """
 
