@@ -1,8 +1,8 @@
 """What the latency model says of builds at real sizes.
 
 ``python experiments/predictions.py`` prints the tables of docs/hardware.md ("Sizes by default") and of
-docs/latency.md: the paper's loops, what ``pearl plan`` chooses, the prediction for the paper's link. Cycles
-are counted, host times measured on this machine; the clock is that of our design for the paper's board.
+docs/latency.md: the paper's loops, bursts, what ``pearl plan`` chooses, the prediction for the paper's link.
+Cycles are counted, host times measured on this machine; the clock is that of our design for its board.
 ``latency_model.py`` has the model beside simulation, ``pipeline.py`` with the pipeline and without.
 """
 
@@ -17,8 +17,8 @@ from pearl_marl.experiments.equations import LOOPS
 from pearl_marl.benchmark.measure import duration, rate
 from pearl_marl.hardware import elaboration
 from pearl_marl.hardware.fitting import PARTS, modelled_bram36
-from pearl_marl.latency import loop_cycles, step_cycles
-from pearl_marl.latency.cycles import RESULTS
+from pearl_marl.latency import HostTimes, loop_cycles, predict, step_cycles
+from pearl_marl.latency.cycles import RESULTS, read_cycles, write_cycles
 from pearl_marl.latency.prediction import Overlap
 from pearl_marl.memory_map import default_map, memory_map
 from pearl_marl.plan import plan
@@ -33,11 +33,13 @@ def main() -> None:
     """Print every table in Markdown."""
     _print("Sizes by default (docs/hardware.md)", _HEADINGS_DEFAULT, _defaults())
     _print("The paper's loops (docs/latency.md)", "pe_num | word | Eq. 2 | Eq. 3 | this design", _loops())
+    _print("Bursts (docs/latency.md)", _HEADINGS_BURSTS, _bursts())
     _print("What pearl plan chooses (docs/latency.md)", _HEADINGS_PLANS, _plans())
     _print("Prediction for the paper's link (docs/latency.md)", _HEADINGS_LINK, _papers_link())
 
 
 _HEADINGS_DEFAULT = "environment | latency | pe_num | data_wl | bound | cycles | over bound + latency"
+_HEADINGS_BURSTS = "bursts | beats | write | read | of the bus | T2 | T6"
 _HEADINGS_PLANS = (
     "environment | slots | PEs | word | BRAM36 | DSP | computing | link | steps/s | halves | by speed alone"
 )
@@ -64,6 +66,23 @@ def _loops() -> Iterable[tuple[str, ...]]:
     spec = get_spec("CliffWalking")
     for loop in LOOPS:
         yield tuple(f"{figure:,}" for figure in (*loop[1:], *loop_cycles(spec, memory_map(spec, *loop))))
+
+
+def _bursts() -> Iterable[tuple[str, ...]]:
+    """Behind the paper's link: of any length, if they are queued, and else of so many bytes at most."""
+    spec, (pe_num, data_wl) = get_spec("CliffWalking"), PAPERS_LINK
+    layout, nothing = memory_map(spec, SLOTS, pe_num, data_wl), HostTimes(0, 0)
+    words = layout.step_read[1] * 8 // data_wl
+    for burst in (None, 4096, 512, 256, 128, 64):
+        cycles = write_cycles(layout, burst), read_cycles(layout, burst)
+        step = predict(spec, layout, pipeline.LINK, nothing, pipeline.CLOCK, burst=burst)
+        yield (
+            "queued" if burst is None else f"{burst:,} bytes",
+            "any" if burst is None else f"{burst * 8 // data_wl:,}",
+            *(f"{figure:,}" for figure in cycles),
+            f"{words / cycles[1]:.0%}",
+            *(duration(seconds) for seconds in (step.write, step.read)),
+        )
 
 
 def _plans() -> Iterable[tuple[str, ...]]:

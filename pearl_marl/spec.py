@@ -8,7 +8,7 @@ import inspect
 import math
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from numbers import Real
 from pathlib import Path
@@ -459,6 +459,10 @@ class EnvSpec:
 
     def __reduce_ex__(self, protocol: Any) -> Any:
         return reduced(self) or super().__reduce_ex__(protocol)
+
+    def __getstate__(self) -> dict[str, Any]:
+        # Not what is derived, such as `behaviour`: the functions may do something else where it is read.
+        return {f.name: getattr(self, f.name) for f in fields(self)}
 
     def with_options(self, also: Iterable[str] = (), /, **options: Any) -> EnvSpec:
         """Return the spec of this environment under the given keyword arguments.

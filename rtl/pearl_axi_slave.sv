@@ -8,7 +8,7 @@
 // answers, whatever their IDs: K queued bursts of N whole words take K * N + PORT_LATENCY + 4 cycles from the
 // first address to the last answer, both included, and about twice as long with as many of the other kind.
 // Between a read and a write, order is as AXI has it: what is asked for after the other's answer comes after it.
-// No output depends on an input of the same cycle.
+// No output depends on an input from the bus in the same cycle.
 //
 // A beat that writes part of a word reads the word first, and reads wait for those PORT_LATENCY + 1 cycles. The
 // first of the two requests is marked as a fetch, so that the port can refuse it as it would the write.

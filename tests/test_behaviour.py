@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import pickle
 import struct
 import subprocess
 import sys
@@ -214,6 +215,17 @@ def test_an_environment_is_made_without_it() -> None:
     spec = replace(get_spec("Taxi"))
     Native().open(BatchConfig(spec=spec, n_envs=2)).close()
     assert "behaviour" not in vars(spec)
+
+
+def test_it_is_not_pickled(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Pickled field by field, a spec takes its functions by name, and these may have changed meanwhile."""
+    spec = shift()
+    before = spec.behaviour
+    content = pickle.dumps(spec)
+    changed = written("moved > 12", "moved > 11")
+    changed.__module__ = __name__
+    monkeypatch.setattr(sys.modules[__name__], "step", changed)
+    assert pickle.loads(content).behaviour == shift(changed).behaviour != before
 
 
 OLD, NEW, N = shift(), shift(written("x + action", "x + 2 * action")), 7

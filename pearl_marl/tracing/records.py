@@ -24,11 +24,12 @@ _ANY_ORDER = frozenset(
 """Operations, under NumPy's names, whose two arguments may change places."""
 
 
-def record(function: types.FunctionType, inputs: Iterable[str], *agent: int) -> list[str]:
+def record(function: Callable[..., Any], inputs: Iterable[str], *agent: int) -> list[str]:
     """Return a record of each result of a golden function, given names for its words, and an agent's number.
 
     The function is one that can be traced: it refuses nothing.
     """
+    assert isinstance(function, types.FunctionType)  # specs refuse others
     words = [_Record("input", name) for name in inputs]
     result = remade(function, Vocabulary(_cast, _table).meaning)(*words, *agent)
     return [_text(value) for value in (result if isinstance(result, tuple) else (result,))]

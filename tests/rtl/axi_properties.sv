@@ -2,12 +2,15 @@
 // What AXI4 (IHI 0022) demands of a slave that answers bursts in their order, and of its master. What the
 // slave owes is asserted. What the master owes is assumed: a proof takes it for granted, a simulation
 // checks it as well.
-module axi_properties #(
+module axi_properties
+  import pearl_pkg::*;
+#(
     parameter int unsigned DATA_WL = 32,
     parameter int unsigned ADDR_BITS = 16,
     parameter int unsigned ID_BITS = 4,
-    // Bursts of either kind that the slave accepts before it ends the first of them.
-    parameter int unsigned OUTSTANDING = 20,
+    // Bursts of either kind that the slave accepts before it ends the first of them: on the address channel, and
+    // those of one beat whose answers have places.
+    parameter int unsigned OUTSTANDING = 4 + 2 ** $clog2(PORT_LATENCY + 2),
     localparam int unsigned STRB_BITS = DATA_WL / 8
 ) (
     input logic                 clk_i,

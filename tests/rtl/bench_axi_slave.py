@@ -11,7 +11,7 @@ from cocotb.triggers import ClockCycles, Combine, FallingEdge, RisingEdge, with_
 from cocotbext.axi import AxiMaster
 from cocotbext.axi.constants import AxiResp
 
-from pearl_marl.latency.cycles import TRANSFER_WAIT
+from pearl_marl.latency.cycles import TRANSFER_WAIT, transfer_cycles
 
 IDLES = (0.0, 0.4)
 WORDS, READ_ONLY = 64, 8
@@ -154,6 +154,13 @@ async def queued_bursts_follow_without_a_gap(dut: Any, given: Any, beats: int) -
     counting = cocotb.start_soon(span(dut, "ar", "r", words))
     await with_timeout(axi.read(0, words * width), 1, "ms")
     assert await counting == words + TRANSFER_WAIT
+    # One at a time, each of them takes as long as that.
+    alone = 0
+    for begin in range(0, words * width, beats * width):
+        counting = cocotb.start_soon(span(dut, "ar", "r", beats))
+        await with_timeout(axi.read(begin, beats * width), 1, "ms")
+        alone += await counting
+    assert alone == transfer_cycles(0, words * width, width, beats * width)
 
 
 @each_variant()
