@@ -27,6 +27,7 @@ ROOMS = (
         "version",
         "remaking",
         "integers",
+        "machine_code",
         "golden",
         "tracing",
         "rng",
