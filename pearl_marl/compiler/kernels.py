@@ -19,7 +19,7 @@ import numba
 import numpy as np
 
 from pearl_marl import remaking, rng
-from pearl_marl.compiler import llvm_functions, llvm_planes, llvm_words
+from pearl_marl.compiler import llvm_functions, llvm_loops, llvm_planes, llvm_words
 from pearl_marl.compiler.kernel_source import kernel_source
 from pearl_marl.compiler.loading import fingerprint, load, with_callees
 from pearl_marl.golden import GoldenFunction
@@ -89,6 +89,7 @@ def compile_kernels(spec: EnvSpec, counter: np.dtype[Any] | None = None) -> Kern
         f"{_FORCE_INLINE=}",
         inspect.getsource(llvm_words),
         inspect.getsource(llvm_functions),
+        inspect.getsource(llvm_loops),
         inspect.getsource(llvm_planes),
         inspect.getsource(remaking),
     )
