@@ -21,6 +21,8 @@ from pathlib import Path
 
 import platformdirs
 
+from pearl_marl.errors import DeviceError
+
 _TEMPORARY = "pearl_marl_"
 """With what the name of a folder begins that stands in for one that cannot be written."""
 
@@ -30,7 +32,13 @@ ROOM = 4 << 20
 
 @functools.cache
 def cache_folder(name: str, room: int = ROOM) -> Path:
-    """Return the folder of that name in the cache; if that is full or cannot be written, a temporary one."""
+    """Return the folder of that name in the cache; if that is full or cannot be written, a temporary one.
+
+    Raises
+    ------
+    DeviceError
+        There is no temporary one either.
+    """
     try:
         folder = Path(os.environ.get("PEARL_CACHE_DIR") or platformdirs.user_cache_dir("pearl_marl")) / name
         folder = folder.expanduser().resolve()  # a RuntimeError where nobody knows the user's home
@@ -39,7 +47,13 @@ def cache_folder(name: str, room: int = ROOM) -> Path:
             os.posix_fallocate(file.fileno(), 0, room)
             return folder
     except (OSError, RuntimeError):  # what is made is made again in every process, and no harm done
-        temporary = Path(tempfile.mkdtemp(prefix=f"{_TEMPORARY}{name}_"))
+        try:
+            temporary = Path(tempfile.mkdtemp(prefix=f"{_TEMPORARY}{name}_"))
+        except OSError as error:
+            raise DeviceError(
+                f"neither the cache nor a temporary folder can be written ({error.strerror}): set "
+                "PEARL_CACHE_DIR or TMPDIR to a folder that can"
+            ) from error
         atexit.register(_remove, temporary, os.getpid())
         return temporary
 

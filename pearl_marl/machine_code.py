@@ -20,6 +20,12 @@ from numba.core.caching import CompileResultCacheImpl
 from numba.core.serialize import dumps
 
 from pearl_marl.cache import cache_folder, keep, kept, locked
+from pearl_marl.errors import DeviceError
+
+SETTINGS = (
+    *("OPT", "LOOP_VECTORIZE", "SLP_VECTORIZE", "BOUNDSCHECK", "DEBUGINFO_DEFAULT", "DISABLE_INTEL_SVML"),
+    *("ENABLE_AVX", "ENABLE_PROFILING", "LLVM_REFPRUNE_PASS"),
+)
 
 IMPLEMENTATION: Any = CompileResultCacheImpl
 """Numba's, of what its cache would write. Its methods use nothing of their object."""
@@ -37,7 +43,9 @@ class Entries:
 
     def _path(self, key: Any) -> Path:
         versions = sys.implementation.cache_tag, numba.__version__, np.__version__
-        digest = hashlib.sha256(repr((key, versions)).encode()).hexdigest()[:16]
+        # What of Numba's own variables is in the code.
+        settings = [getattr(numba.config, name, None) for name in SETTINGS]
+        digest = hashlib.sha256(repr((key, versions, settings)).encode()).hexdigest()[:16]
         return cache_folder("kernels") / f"{self._name}-{digest}.code"
 
     def load(self, key: Any) -> Any:
@@ -84,7 +92,17 @@ def kept_code(dispatcher: Any, name: str) -> Any:
     """Have what Numba compiles for a function kept under a name, which says all that it depends on.
 
     Processes that need it at the same time, as shards do, wait for the first one and then find it there.
+
+    Raises
+    ------
+    DeviceError
+        Numba's compiler is turned off.
     """
+    if numba.config.DISABLE_JIT:
+        raise DeviceError(
+            "NUMBA_DISABLE_JIT turns off the compiler that kernels need: unset this variable, or choose the "
+            "device 'reference', which compiles nothing"
+        )
     compile_ = dispatcher.compile
     # As enable_caching() does, with what Numba has for it.
     vars(dispatcher).update(_cache=MachineCode(Entries(name)))
@@ -102,6 +120,8 @@ def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
 
     It depends on its module and on the numbers around it, and calls nothing of other modules.
     """
+    if numba.config.DISABLE_JIT:  # it takes longer, and gives the same
+        return function
     module = sys.modules[function.__module__]
     around = [cell.cell_contents for cell in function.__closure__ or ()]
     parts = repr((inspect.getsource(module), function.__qualname__, around))
