@@ -28,6 +28,7 @@ ROOMS = (
         "version",
         "remaking",
         "integers",
+        "machine_code",
         "golden",
         "tracing",
         "rng",
