@@ -98,7 +98,7 @@ def kept_code(dispatcher: Any, name: str) -> Any:
     DeviceError
         Numba's compiler is turned off.
     """
-    if numba.config.DISABLE_JIT:
+    if numba.config.DISABLE_JIT:  # type: ignore[attr-defined]
         raise DeviceError(
             "NUMBA_DISABLE_JIT turns off the compiler that kernels need: unset this variable, or choose the "
             "device 'reference', which compiles nothing"
@@ -120,7 +120,7 @@ def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
 
     It depends on its module and on the numbers around it, and calls nothing of other modules.
     """
-    if numba.config.DISABLE_JIT:  # it takes longer, and gives the same
+    if numba.config.DISABLE_JIT:  # type: ignore[attr-defined]  # it takes longer, and gives the same
         return function
     module = sys.modules[function.__module__]
     around = [cell.cell_contents for cell in function.__closure__ or ()]

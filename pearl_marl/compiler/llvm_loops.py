@@ -25,7 +25,7 @@ SLOTS = 64
 INDEX = ir.IntType(64)
 
 
-class Writer(ir.IRBuilder):
+class Writer(ir.IRBuilder):  # type: ignore[misc]  # llvmlite has no types
     """Writes instructions from where another builder is, and knows in which loops it is.
 
     ``memory`` has ``allocate`` and ``free``, as Numba's contexts have them.
