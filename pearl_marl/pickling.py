@@ -2,7 +2,8 @@
 
 Pickle writes a function as its module and its name there. Golden functions that are made inside others, for
 options, have none. So an :class:`~pearl_marl.spec.EnvSpec` is written as the name that it has itself in the
-module of its functions, such as ``SPEC``, or else as ``configure(**options)`` and what differs from that.
+module of its functions, such as ``SPEC``; or else as ``configure(**options)`` and what differs from that; or
+as the id that it is registered by.
 """
 
 from __future__ import annotations
@@ -17,20 +18,48 @@ from typing import Any
 import numpy as np
 from gymnasium.spaces import Box
 
+from pearl_marl.errors import ArgumentError
+
 
 def reduced(spec: Any) -> tuple[Any, ...] | None:
     """Return how a spec comes back, as ``__reduce__`` does; ``None`` where only field by field."""
     configure, values = spec.configure, {f.name: getattr(spec, f.name) for f in fields(spec)}
+    functions = list(_functions(tuple(values.values())))
     # Not in the module of a program, which other processes may not have.
-    for module in {function.__module__ for function in _functions(tuple(values.values()))} - {"__main__"}:
+    modules = sorted({function.__module__ for function in functions} - {"__main__"})
+    for module in modules:
         for name, held in list(vars(sys.modules.get(module, types)).items()):
             if held is spec:
                 return _held, (module, name)
-    if configure is None or not _has_a_name(configure):
-        return None
-    made = configure(**spec.options)
-    changed = {name: value for name, value in values.items() if not _alike(value, getattr(made, name))}
-    return _configured, (configure, dict(spec.options), changed)
+    if configure is not None and _has_a_name(configure):
+        made = configure(**spec.options)
+        changed = {name: value for name, value in values.items() if not _alike(value, getattr(made, name))}
+        return _configured, (configure, dict(spec.options), changed)
+    if not all(map(_has_a_name, functions)) and _is_registered(spec):
+        return _registered, (modules, _finders[spec.id], spec.id)
+    return None
+
+
+_finders: dict[str, Callable[[str], Any]] = {}
+"""What returns a registered spec by its id."""
+
+
+def found_by(spec_id: str, find: Callable[[str], Any]) -> None:
+    """Have the spec of that id, which ``find`` returns, come back by it."""
+    _finders[spec_id] = find
+
+
+def _is_registered(spec: Any) -> bool:
+    try:
+        return spec.id in _finders and _finders[spec.id](spec.id) is spec
+    except ArgumentError:  # another one has taken its name
+        return False
+
+
+def _registered(modules: list[str], find: Callable[[str], Any], spec_id: str) -> Any:
+    for module in modules:  # which register it
+        import_module(module)
+    return find(spec_id)
 
 
 def _held(module: str, name: str) -> Any:

@@ -117,6 +117,7 @@ def _import(module: str, name: str) -> None:
 
 def register(spec: EnvSpec) -> None:
     """Add an environment under its ``spec.name``; one of the same name is replaced, with a warning."""
+    from pearl_marl.pickling import found_by
     from pearl_marl.spec import EnvSpec
 
     if not isinstance(spec, EnvSpec):
@@ -124,3 +125,4 @@ def register(spec: EnvSpec) -> None:
     if _key(spec.name) in {**_folders(), **_specs}:
         warnings.warn(f"environment {spec.name!r} was registered before and is replaced", stacklevel=3)
     _specs[_key(spec.name)] = spec
+    found_by(spec.id, registered_spec)

@@ -334,6 +334,8 @@ PLAIN = plain("Plain", plain_step)
 HELD = plain("Held", make_step(3))
 for spec in (CONFIGURED, PLAIN, HELD):
     pearl_marl.register(spec)
+del spec
+pearl_marl.register(plain("Registered", make_step(2)))
 """
 
 
@@ -354,7 +356,7 @@ def steps(env: Any) -> list[Any]:
 
 
 def test_environments_of_users_go_on(users: str) -> None:
-    for name in ("Configured", "Plain", "Held"):
+    for name in ("Configured", "Plain", "Held", "Registered"):
         env = pearl_marl.parallel_env(f"{users}:{name}", 2, device="reference")
         env.reset()
         other = pickled(env)
@@ -376,7 +378,8 @@ def test_another_process_goes_on(users: str) -> None:
     """As with multiprocessing's spawn, which knows nothing but the pickles."""
     environments = [parallel(name) for name in pearl_marl.envs() if name not in ("Pendulum", "ConnectFour")]
     environments += [
-        pearl_marl.parallel_env(f"{users}:{name}", 2, device="reference") for name in ("Configured", "Held")
+        pearl_marl.parallel_env(f"{users}:{name}", 2, device="reference")
+        for name in ("Configured", "Held", "Registered")
     ]
     for env in environments:
         env.reset(seed=4)
