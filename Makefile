@@ -8,13 +8,14 @@ VENV := .venv
 RLLIB := .venv-rllib
 TORCHRL := .venv-torchrl
 PEERS := .venv-peers
+CLIENTS := .venv-clients
 BIN := $(VENV)/bin
 OUT ?= out
 CORES := $(shell nproc 2>/dev/null || echo 2)
 PACKAGE := pyproject.toml constraints.txt
 PIP = $(BIN)/python -W ignore -m pip install --quiet --disable-pip-version-check --no-compile -c constraints.txt
 
-.PHONY: demo test test-exhaustive test-rllib test-torchrl test-peers test-cuda test-docs lint format bench bench-peers figures ulx3s docs dist clean
+.PHONY: demo test test-exhaustive test-rllib test-torchrl test-peers test-clients test-cuda test-docs lint format bench bench-peers figures ulx3s docs dist clean
 .DELETE_ON_ERROR:
 
 # Compiled modules are kept even where the environment says not to: the tests start hundreds of processes, and each
@@ -44,6 +45,10 @@ test-torchrl: $(TORCHRL)/.torchrl
 # environment of their own.
 test-peers: $(PEERS)/.peers
 	$(PEERS)/bin/python -m pytest --slow tests/training_benchmark
+
+# Packages that nobody here wrote, on environments as they are; `make test` runs those that the other environment has.
+test-clients: $(CLIENTS)/.clients
+	$(CLIENTS)/bin/python -m pytest --slow tests/clients
 
 # The contract over every environment on a GPU, or a simulated one: that takes 20 minutes of a core.
 test-cuda: $(VENV)/.dev
@@ -88,7 +93,7 @@ dist: $(VENV)/.dev
 	.ci/dist $(BIN)/python
 
 clean:
-	rm -rf $(VENV) $(RLLIB) $(TORCHRL) $(PEERS) $(OUT) build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis .benchmarks
+	rm -rf $(VENV) $(RLLIB) $(TORCHRL) $(PEERS) $(CLIENTS) $(OUT) build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis .benchmarks
 
 # One stamp for each set of extras; asking for more adds to the same environment. Python compiles what is imported, when
 # it is; to compile all that is installed would take most of a minute. uv installs several packages at a time, and knows
@@ -129,6 +134,16 @@ $(PEERS)/.peers: $(PACKAGE)
 	@sed 's/^gymnasium==.*/gymnasium==1.3.0/' constraints.txt > $(PEERS)/constraints.txt
 	@$(PEERS)/bin/python -W ignore -m pip install --quiet --disable-pip-version-check \
 		-c $(PEERS)/constraints.txt -e '.[peers,testing]' pytest-benchmark
+	@touch $@
+
+$(CLIENTS)/.clients: $(PACKAGE) tests/clients/requirements.txt
+	@echo "Installing pearl-marl[train,marl] with what trains on it into $(CLIENTS) ..."
+	@$(PYTHON) -m venv $(CLIENTS)
+	@$(CLIENTS)/bin/python -W ignore -m pip install --quiet --disable-pip-version-check --no-compile -c constraints.txt \
+		-e '.[train,marl,testing]' pytest-benchmark supersuit pandas scipy
+	@$(CLIENTS)/bin/python -W ignore -m pip install --quiet --disable-pip-version-check --no-compile --no-deps \
+		-r tests/clients/requirements.txt
+	@$(CLIENTS)/bin/python -W ignore -c 'import imitation, joblib, skrl, supersuit, tianshou'
 	@touch $@
 
 $(BIN)/python:

@@ -7,6 +7,7 @@
 
 from __future__ import annotations
 
+import os
 from typing import TYPE_CHECKING
 
 import pearl_marl.clone
@@ -16,6 +17,12 @@ from pearl_marl.interfaces.registration import announce_all, register
 from pearl_marl.registry import get_spec
 from pearl_marl.registry import names as envs
 from pearl_marl.version import __version__
+
+_threads = os.environ.get("NUMBA_NUM_THREADS", "").strip()
+if _threads.lstrip("-").isdecimal() and int(_threads) < 1:
+    raise errors.ArgumentError(
+        f"the environment variable NUMBA_NUM_THREADS is {_threads}, and Numba takes 1 or more: unset it"
+    )
 
 if TYPE_CHECKING:
     import pearl_marl.wrappers as wrappers

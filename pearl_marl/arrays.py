@@ -21,7 +21,7 @@ from typing import IO, Any
 import numpy as np
 import numpy.typing as npt
 
-from pearl_marl.errors import ArgumentError, PearlError, shown
+from pearl_marl.errors import ArgumentError, PearlError, shown, told
 from pearl_marl.files import check_readable, check_uncompressed
 
 Array = npt.NDArray[Any]
@@ -62,7 +62,7 @@ def load_array(path: Path, what: str, check: Check, name: str = "") -> Array:
         raise
     except (OSError, ValueError) as error:
         why = error.strerror if isinstance(error, OSError) and error.strerror else error
-        raise ArgumentError(f"{path} is no readable {what}: {why}") from None
+        raise ArgumentError(f"{path} is no readable {what}: {told(why)}") from None
 
 
 def unpacked_arrays(body: bytes, checks: dict[str, Check]) -> dict[str, Array]:

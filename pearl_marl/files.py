@@ -82,6 +82,33 @@ def _remove_leftovers(folder: Path) -> None:
                 os.close(file)
 
 
+@contextlib.contextmanager
+def claimed(folder: Path, does: str) -> Iterator[None]:
+    """Write into a folder in the block, alone; it is made if need be.
+
+    Raises
+    ------
+    ArgumentError
+        Another process ``does`` so, or the folder cannot be written.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        claim = os.open(folder, os.O_RDONLY)
+    except OSError as error:
+        raise ArgumentError(f"--out {folder} is no folder that can be written: {error.strerror}") from None
+    try:
+        with contextlib.suppress(OSError):  # some networks' file systems have no locks of folders
+            try:
+                fcntl.flock(claim, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                raise ArgumentError(
+                    f"another process {does} in {folder}: wait for its end, or give another --out"
+                ) from None
+        yield
+    finally:
+        os.close(claim)
+
+
 def open_lock(path: Path) -> int:
     """Open a file that serves as a lock, and make it if need be; or raise OSError.
 

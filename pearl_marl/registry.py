@@ -14,7 +14,7 @@ import pkgutil
 import warnings
 from typing import TYPE_CHECKING
 
-from pearl_marl.errors import ArgumentError
+from pearl_marl.errors import ArgumentError, shown
 
 if TYPE_CHECKING:
     from pearl_marl.spec import EnvSpec
@@ -77,7 +77,7 @@ def registered_spec(name: str) -> EnvSpec:
 
     Names that stand in a file are looked up here: others may have written them.
     """
-    return _spec(name, f"there is no environment {name!r}")
+    return _spec(name, f"there is no environment {shown(name)}")
 
 
 def _spec(name: str, missing: str) -> EnvSpec:

@@ -16,6 +16,9 @@ from . import kernels
 from .base import box, wrap
 from .transform import Slots, Transform
 
+_FARTHEST = 1e100
+"""Statistics of no environment go so far; of a saved state that says so, their squares would be infinite."""
+
 
 class _Normalised(Transform):
     """Keeps mean, variance and count of all that it saw, joined by Chan, Golub and LeVeque's formula."""
@@ -34,8 +37,8 @@ class _Normalised(Transform):
         self.memory = dict(self._statistics)
 
     def is_possible(self, name: str, saved: dict[str, Array]) -> bool:
-        least = {"variance": 0.0, "count": np.finfo(np.float64).tiny}.get(name, -np.inf)
-        return super().is_possible(name, saved) and bool((saved[name] >= least).all())
+        least = {"variance": 0.0, "count": np.finfo(np.float64).tiny}.get(name, -_FARTHEST)
+        return bool(((saved[name] >= least) & (saved[name] <= _FARTHEST)).all())
 
     def deviation(self) -> Array:
         """Return what to divide by."""

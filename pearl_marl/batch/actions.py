@@ -10,9 +10,9 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium.spaces import Box, Discrete
 
-from pearl_marl.cache import compiled
 from pearl_marl.errors import ActionError
 from pearl_marl.golden import uniform_below
+from pearl_marl.machine_code import compiled
 from pearl_marl.spec import EnvSpec
 
 

@@ -11,6 +11,7 @@ from rich.table import Table
 
 from pearl_marl.cli import common
 from pearl_marl.cli.common import console
+from pearl_marl.files import claimed
 from pearl_marl.hardware import boards
 from pearl_marl.hardware.boards import BOARDS, Board, Placed
 
@@ -46,13 +47,14 @@ def command(
     """
     board, spec = boards.find(board_name), common.spec_of(env_id, option)
     build = boards.board_build(board, spec, n_envs, pe_num)
-    files = boards.write(board, build, out)
     placed: Placed | None = None
-    if board.flow:
-        stages = boards.make_bitstream(board, board.flow, out)
-        for _ in common.progress(stages, boards.STAGES, f"{spec.name} on {board.name}, {n_envs:,} slots"):
-            pass
-        placed = boards.placed(board.flow, out)
+    with claimed(out, "makes a bitstream"):
+        files = boards.write(board, build, out)
+        if board.flow:
+            stages = boards.make_bitstream(board, board.flow, out)
+            for _ in common.progress(stages, boards.STAGES, f"{spec.name} on {board.name}, {n_envs:,} slots"):
+                pass
+            placed = boards.placed(board.flow, out)
     if as_json:
         made = None if placed is None else asdict(placed)
         common.print_json({**boards.facts(board, build), "placed": made, "files": files})

@@ -8,7 +8,6 @@ import platform
 import shutil
 import sys
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 from rich.markup import escape
@@ -42,7 +41,9 @@ def command(as_json: AsJson = False) -> None:
     # One wide column, so that paths and commands stay on one line.
     table.add_column("found, and what to do", overflow="fold")
     for name, (ok, found, fix) in results.items():
-        lines = escape(found.replace(str(Path.home()), "~")) + ("" if ok else f"\n[bold]{escape(fix)}[/]")
+        # Of a user whom the machine does not know, that is ~ itself.
+        short = found.replace(os.path.expanduser("~"), "~")
+        lines = escape(short) + ("" if ok else f"\n[bold]{escape(fix)}[/]")
         table.add_row("[green]yes[/]" if ok else "[yellow]no[/]", name, lines)
     console.print(table)
 

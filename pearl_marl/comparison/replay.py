@@ -24,8 +24,8 @@ from pearl_marl.batch.config import GOLDEN, BatchConfig, worlds_of
 from pearl_marl.batch.results import check_memory
 from pearl_marl.batch.saved_state import SavedState
 from pearl_marl.batch.slot_memory import size
-from pearl_marl.comparison.divergence import Difference, Divergence
-from pearl_marl.errors import ArgumentError, PearlError, shown
+from pearl_marl.comparison.divergence import Divergence
+from pearl_marl.errors import ArgumentError, PearlError, shown, told
 from pearl_marl.files import check_readable, replace_file
 from pearl_marl.registry import registered_spec
 from pearl_marl.rng import checked_seed
@@ -95,7 +95,7 @@ class Replay:
         try:
             return cls._from_json(value)
         except PearlError as error:
-            raise ArgumentError(f"{path}: {error}") from None
+            raise ArgumentError(f"{path}: {told(error)}") from None
         except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError, zlib.error) as error:
             raise ArgumentError(f"{path} is damaged: {type(error).__name__}: {_why(error)}") from None
 
@@ -164,6 +164,9 @@ _KINDS: dict[str, type] = {
 """What a divergence is told by."""
 
 
+_DIFFERENCE = {"field", "device_value", "reference_value"}
+
+
 def _check_divergence(told: dict[str, Any], config: BatchConfig) -> None:
     """Refuse what is told of a divergence that cannot have been."""
     for name, kind in _KINDS.items():
@@ -179,7 +182,7 @@ def _check_divergence(told: dict[str, Any], config: BatchConfig) -> None:
     if not told["differences"]:
         raise ArgumentError("it has no differences")
     for difference in told["differences"]:
-        if difference.keys() != set(Difference._fields) or not all(map(_is_word, difference.values())):
+        if difference.keys() != _DIFFERENCE or not all(map(_is_word, difference.values())):
             raise ArgumentError(f"one of its differences is {shown(difference)}")
     actions = told["action"] if isinstance(told["action"], list) else [told["action"]]
     if not all(action is None or (_is_word(action) and not isinstance(action, str)) for action in actions):
@@ -203,8 +206,7 @@ def checksum(value: dict[str, Any]) -> str:
 
 
 def _why(error: Exception) -> str:
-    why = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
-    return " ".join(why.split())[:200]
+    return told(error.strerror if isinstance(error, OSError) and error.strerror else error)
 
 
 def _packed(data: bytes) -> str:

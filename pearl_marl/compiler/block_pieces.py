@@ -24,6 +24,9 @@ BLOCK = 1024
 """Slots of a block: what its loops touch then fits a 32 KiB L1 cache. A multiple of 64, and at most 2040: the
 template counts flags in bytes."""
 
+LARGE = 64
+"""Elements above which an observation is large."""
+
 KNOWN = re.compile(
     r"np|u32|range|draw|key|initial|golden_step|observe|observe_\d+|u?int\d+_[a-z_]+|float\d+_[a-z_]+|[A-Z]+_\w+"
 )
@@ -66,7 +69,11 @@ class BlockPieces(Pieces):
         self.flat = spec.unpack is None
         kept = each("F" + element[1:], range(len(spec.observation)))
         self.copy_one = assign(kept, each(element, range(len(spec.observation))))
-        if not self.flat or agents > 1:
+        # From about so many on, fewer where a start takes draws, SIMD code for all slots is faster. Not with
+        # large observations, of which all would be made anew, nor those of agents that have ended.
+        self.listed = not self.flat or agents > 1 or self.whole > LARGE
+        self.few = self.size // (16 + 3 * spec.reset_draws)
+        if self.listed:
             self.copy_one = [f"{self.dtype}_copy(F, O, {self.whole} * i, {self.whole})"]
         *self.fields, _, self.ended = slot_memory.columns(spec)
         self.counter = counter
@@ -76,10 +83,6 @@ class BlockPieces(Pieces):
         if agents > 1:
             self.forget_one.append(f"N[i] = np.{self.ended.dtype}(0)")
             self.forget.append(f"N[i] = {self.ended.dtype}_choose(flag[i], 0, N[i])")
-        # From about so many on, fewer where a start takes draws, SIMD code for all slots is faster. Not with
-        # large observations, of which all would be made anew, nor those of agents that have ended.
-        self.listed = not self.flat or agents > 1
-        self.few = self.size // (16 + 3 * spec.reset_draws)
         self.block = each("block_{}[i]", self.state)
         self.take = assign(self.new, each("stored_{}[i]", self.state))
         self.functions: dict[str, list[str]] = {}

@@ -15,6 +15,9 @@ from pearl_marl.compiler.verilog import system_verilog
 from pearl_marl.spec import EnvSpec, snake_case
 from pearl_marl.tracing.nodes import in_order
 
+BACKBONE = "pearl"
+"""The first word of the name of every module and package around a core."""
+
 
 class Core(NamedTuple):
     """A generated core: its SystemVerilog, and what it takes."""
@@ -38,7 +41,7 @@ def generated_core(spec: EnvSpec, target: Target, name: str | None = None) -> Co
     spec, target
         What it is to do, and for which hardware at which clock.
     name
-        Its module is ``<name>_pe`` and its package ``<name>_pkg``; by default the environment's name.
+        Its module is ``<name>_pe`` and its package ``<name>_pkg``; :func:`core_name` by default.
 
     Raises
     ------
@@ -48,15 +51,25 @@ def generated_core(spec: EnvSpec, target: Target, name: str | None = None) -> Co
     outputs = _operations(spec, target)
     schedule = scheduled(outputs, target)
     options = ", ".join(f"{option}={value!r}" for option, value in spec.options.items())
+    options = " ".join(options.encode("ascii", "backslashreplace").decode().split())  # it is a line's remark
     about = [f"{spec.id}({options}), for {target.name} at {target.mhz:g} MHz."]
     return Core(
-        text=system_verilog(spec, name or snake_case(spec.name), outputs, schedule, about),
+        text=system_verilog(spec, name or core_name(spec), outputs, schedule, about),
         picture=partial(drawing, f"{spec.name}, {target.name} at {target.mhz:g} MHz", outputs, schedule),
         latency=schedule.latency,
         register_bits=schedule.register_bits,
         multipliers=sum(node.op == "mul" for node in schedule.order),
         levels=schedule.longest / target.family.level,
     )
+
+
+def core_name(spec: EnvSpec) -> str:
+    """Return what the names of an environment's module and package begin with.
+
+    It is the environment's name, unless that begins as the names of the backbone do.
+    """
+    name = snake_case(spec.name)
+    return f"env_{name}" if name.partition("_")[0] == BACKBONE else name
 
 
 def multipliers(spec: EnvSpec, target: Target) -> int:

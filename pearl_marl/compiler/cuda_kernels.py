@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import inspect
 import types
+from collections.abc import Callable
 from functools import partial
 from importlib import import_module, metadata
 from pathlib import Path
@@ -21,6 +22,7 @@ from pearl_marl.compiler.cuda_source import cuda_source
 from pearl_marl.compiler.kernels import functions, kernel_name
 from pearl_marl.compiler.loading import load, with_callees
 from pearl_marl.golden import GoldenFunction
+from pearl_marl.machine_code import Entries
 from pearl_marl.spec import EnvSpec
 
 THREADS = 128
@@ -71,7 +73,7 @@ def compile_cuda_kernels(spec: EnvSpec) -> CudaKernels:
             kernel, inlined = cuda.jit, _wrapping
             called = {name: _wrapping(f) for name, f in called.items()}
         else:
-            kernel, inlined = cuda.jit(cache=True), partial(cuda.jit, device=True, forceinline=True)
+            kernel, inlined = partial(_kernel, cuda, name), partial(cuda.jit, device=True, forceinline=True)
             done: dict[types.FunctionType, Any] = {}
             called = {name: with_callees(f, done, inlined) for name, f in called.items()}
         module, path = load(name, source, kernel=kernel, inlined=inlined, cuda=cuda, **called)
@@ -80,6 +82,22 @@ def compile_cuda_kernels(spec: EnvSpec) -> CudaKernels:
 
 
 _loaded: dict[tuple[str, bool], CudaKernels] = {}
+
+
+def _kernel(cuda: Any, name: str, function: Callable[..., Any]) -> Any:
+    """Have numba-cuda compile a function of the kernels of that name, and keep the result with a checksum."""
+    entries = Entries(f"{name}-{function.__name__}", import_module("numba.cuda.serialize").dumps)
+
+    class Checked(import_module("numba.cuda.dispatcher").CUDACache):  # type: ignore[misc]
+        """Its cache, over our entries."""
+
+        def __init__(self) -> None:
+            super().__init__(function)
+            self._cache_file = entries
+
+    made = cuda.jit(function)
+    vars(made).update(_cache=Checked())  # as its enable_caching() does
+    return made
 
 
 def simulated() -> bool:

@@ -1,6 +1,9 @@
 """Operations as SystemVerilog expressions: each of what its arguments are in its stage.
 
 Signals have the author's names, and in later stages the number of the stage (``row_q2``).
+
+Every expression here is unsigned and exactly as wide as its word, whatever the integer is. A signed one would
+read a table below its start, or make others around it signed; only the operators that need a sign get one.
 """
 
 from __future__ import annotations
@@ -16,28 +19,40 @@ from pearl_marl.compiler.widths import WIRES, width
 from pearl_marl.tracing.nodes import Node
 from pearl_marl.tracing.operations import VALUES
 
-RESERVED = frozenset(
+KEYWORDS = frozenset(
     """
-    accept_on alias always and assert assign assume automatic before begin bind bins bit break buf byte
-    case cell chandle checker class clocking config const constraint context continue cover default
-    design disable dist do edge else end enum event expect export extern final first_match for force
-    forever fork function generate genvar global if iff implies import incdir include initial inout
-    input inside instance int interface intersect join large let liblist library local logic longint
-    macromodule matches medium modport module nand negedge new nor not null or output package packed
-    posedge primitive priority program property protected pull0 pull1 pulldown pullup pure rand randc
-    randcase real ref reg release repeat restrict return rule scalared sequence shortint signed small
-    solve specify static string strong struct super supply0 supply1 table tagged task this throughout
-    time timeprecision timeunit tran tri type typedef union unique unsigned until untyped use uwire var
-    vectored virtual void wait wand weak while wildcard wire with within wor xnor xor
+    accept_on alias always always_comb always_ff always_latch and assert assign assume automatic before
+    begin bind bins binsof bit break buf bufif0 bufif1 byte case casex casez cell chandle checker class
+    clocking cmos config const constraint context continue cover covergroup coverpoint cross deassign
+    default defparam design disable dist do edge else end endcase endchecker endclass endclocking
+    endconfig endfunction endgenerate endgroup endinterface endmodule endpackage endprimitive endprogram
+    endproperty endsequence endspecify endtable endtask enum event eventually expect export extends
+    extern final first_match for force foreach forever fork forkjoin function generate genvar global
+    highz0 highz1 if iff ifnone ignore_bins illegal_bins implements implies import incdir include
+    initial inout input inside instance int integer interconnect interface intersect join join_any
+    join_none large let liblist library local localparam logic longint macromodule matches medium
+    modport module nand negedge nettype new nexttime nmos nor noshowcancelled not notif0 notif1 null or
+    output package packed parameter pmos posedge primitive priority program property protected pull0
+    pull1 pulldown pullup pulsestyle_ondetect pulsestyle_onevent pure rand randc randcase randsequence
+    rcmos real realtime ref reg reject_on release repeat restrict return rnmos rpmos rtran rtranif0
+    rtranif1 s_always s_eventually s_nexttime s_until s_until_with scalared sequence shortint shortreal
+    showcancelled signed small soft solve specify specparam static string strong strong0 strong1 struct
+    super supply0 supply1 sync_accept_on sync_reject_on table tagged task this throughout time
+    timeprecision timeunit tran tranif0 tranif1 tri tri0 tri1 triand trior trireg type typedef union
+    unique unique0 unsigned until until_with untyped use uwire var vectored virtual void wait wait_order
+    wand weak weak0 weak1 while wildcard wire with within wor xnor xor
     """.split()  # noqa: SIM905
 )
+"""All of IEEE 1800-2017, to which the edition of 2023 adds none."""
 
-TAKEN = RESERVED | {
-    *("clk_i", "rst_ni", "valid_i", "first_i", "hold_i", "state_i", "action_i", "rng_i"),
-    *("valid_o", "state_o", "obs_o", "reward_o", "terminated_o", "valid_q", "state_t", "unused"),
-    *("LATENCY", "II", "STATE_BITS", "ACTION_BITS", "OBS_BITS", "REWARD_BITS"),
-    *(f"TABLE_{i}" for i in range(1000)),
-}
+TAKEN = frozenset(
+    """
+    clk_i rst_ni valid_i first_i hold_i state_i action_i rng_i valid_o state_o obs_o reward_o terminated_o
+    valid_q state_t unused LATENCY II STATE_BITS ACTION_BITS OBS_BITS REWARD_BITS
+    """.split()  # noqa: SIM905
+)
+"""Names that every core has."""
+
 UNNAMED = {
     "sum": "sum", "mul": "product", "choose": "chosen", "and": "both", "or": "either", "xor": "differs",
     "equal": "same", "less": "less", "table": "entry", "left_by": "raised", "right_by": "lowered",
@@ -47,8 +62,8 @@ SIGNS = {"and": "&", "or": "|", "xor": "^"}
 
 
 def identifier(name: str) -> str:
-    """Return a name that is no keyword."""
-    return f"{name}_" if name in RESERVED else name
+    """Return a name that is no keyword, and that of no other name."""
+    return f"{name}_" if name.rstrip("_") in KEYWORDS else name
 
 
 def literal(value: int, bits: int) -> str:
@@ -67,6 +82,11 @@ def bare(expression: str) -> str:
         if depth == 0:
             return expression[1:-1] if i == len(expression) - 1 else expression
     raise AssertionError(expression)
+
+
+def _inverted(sign: str, expression: str) -> str:
+    """Return an expression behind a sign; the language has no two signs in a row."""
+    return f"{sign}({expression})" if expression[0] in "!~" else f"{sign}{expression}"
 
 
 class Expressions:
@@ -175,14 +195,14 @@ class Expressions:
             case "not":
                 if low:
                     return literal(0, bits)
-                return self._extended(f"!{self.part(args[0], 0, 1, stage)}", 1, bits, signed=False)
+                return self._extended(_inverted("!", self.part(args[0], 0, 1, stage)), 1, bits, signed=False)
             case "invert":
-                return f"~{self.part(args[0], low, bits, stage)}"
+                return _inverted("~", self.part(args[0], low, bits, stage))
         if node in self.inlined:
             assert (low, stage) == (0, self.stage[node])
             value, have = self.expression(node), self.width(node)
             if bits < have:
-                return f"{bits}'{value if value.startswith('(') else f'({value})'}"
+                return f"{bits}'({bare(value)})"
             return self._extended(value, have, bits, node.low < 0 and have == node.bits)
         return self._named(node, low, bits, stage)
 
@@ -225,8 +245,8 @@ class Expressions:
     def _extended(self, piece: str, have: int, bits: int, signed: bool) -> str:
         if have == bits:
             return piece
-        if signed:
-            return f"{bits}'(signed'({bare(piece)}))"
+        if signed:  # a size cast keeps the sign
+            return f"unsigned'({bits}'(signed'({bare(piece)})))"
         return f"{{{literal(0, bits - have)}, {bare(piece)}}}"
 
     def expression(self, node: Node) -> str:
@@ -256,9 +276,10 @@ class Expressions:
             case "right_by":
                 value, by = word(args[0], args[0].bits), word(args[1], args[1].bits)
                 # In a cast, since beside an unsigned word it would not be shifted as a signed one.
-                if args[0].low < 0:
-                    return f"{bits}'(signed'({bare(value)}) >>> {by})"
-                return f"({value} >> {by})" if bits == args[0].bits else f"{bits}'({value} >> {by})"
+                shifted = (
+                    f"unsigned'(signed'({bare(value)}) >>> {by})" if args[0].low < 0 else f"({value} >> {by})"
+                )
+                return shifted if bits == args[0].bits else f"{bits}'({bare(shifted)})"
             case "word":
                 return word(args[0])
             case "table":
@@ -282,8 +303,6 @@ class Expressions:
             return self._entered(node, wide)
         if signed:
             return f"(signed'({bare(a)}) < signed'({bare(b)}))"
-        # A size cast keeps a sign, and two signed words would be compared as such.
-        a, b = (f"unsigned'({bare(x)})" if "signed'(" in x else x for x in (a, b))
         return f"({a} < {b})"
 
     def _entered(self, node: Node, wide: int) -> str:
@@ -318,6 +337,8 @@ class Expressions:
                 constant = constant if sign > 0 else 0
             else:
                 text += f" {'+' if sign > 0 else '-'} {value}"
+        if not text:  # all that is added is above the bits that somebody uses
+            return literal(constant, bits)
         up, down = constant & ((1 << bits) - 1), -constant & ((1 << bits) - 1)
         if up:
             text += f" - {literal(down, bits)}" if down < up else f" + {literal(up, bits)}"
@@ -343,4 +364,6 @@ class Expressions:
 
     def _table_name(self, entries: Sequence[int], bits: int) -> str:
         key = tuple(e & ((1 << bits) - 1) for e in entries), bits
-        return self.tables.setdefault(key, f"TABLE_{len(self.tables)}")
+        if key not in self.tables:
+            self.tables[key] = self._free(f"TABLE_{len(self.tables)}")
+        return self.tables[key]

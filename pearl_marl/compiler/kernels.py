@@ -19,10 +19,11 @@ import numba
 import numpy as np
 
 from pearl_marl import remaking, rng
-from pearl_marl.compiler import llvm_functions, llvm_planes, llvm_words
+from pearl_marl.compiler import llvm_functions, llvm_loops, llvm_planes, llvm_words
 from pearl_marl.compiler.kernel_source import kernel_source
-from pearl_marl.compiler.loading import fingerprint, load, one_at_a_time, with_callees
+from pearl_marl.compiler.loading import fingerprint, load, with_callees
 from pearl_marl.golden import GoldenFunction
+from pearl_marl.machine_code import kept_code
 from pearl_marl.spec import EnvSpec
 
 # LLVM turns no loop that still has a call in it into SIMD code, and left to itself it keeps a long
@@ -88,6 +89,7 @@ def compile_kernels(spec: EnvSpec, counter: np.dtype[Any] | None = None) -> Kern
         f"{_FORCE_INLINE=}",
         inspect.getsource(llvm_words),
         inspect.getsource(llvm_functions),
+        inspect.getsource(llvm_loops),
         inspect.getsource(llvm_planes),
         inspect.getsource(remaking),
     )
@@ -119,13 +121,9 @@ _loaded: dict[str, Kernels] = {}
 
 
 def _kernel(name: str, function: Callable[..., None]) -> Any:
-    """Have Numba compile a function of the kernels of that name, in one process at a time.
-
-    Processes that need it at the same time, as shards do, find it in the cache once the first has made it.
-    """
-    return one_at_a_time(
-        name, numba.njit(nogil=True, cache=True, error_model="numpy", **_NOT_FOR_C)(function)
-    )
+    """Have Numba compile a function of the kernels of that name."""
+    jit = numba.njit(nogil=True, error_model="numpy", **_NOT_FOR_C)
+    return kept_code(jit(function), f"{name}-{function.__name__}")
 
 
 def functions(spec: EnvSpec) -> dict[str, GoldenFunction]:

@@ -20,6 +20,7 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
+from pearl_marl.compiler.llvm_loops import Writer
 from pearl_marl.compiler.llvm_words import (
     ARITHMETIC,
     BYTES,
@@ -39,28 +40,78 @@ _Tuple: Any = types.Tuple
 
 
 class Word:
-    """A word of a function that is being written: LLVM's value, and Numba's type."""
+    """A word of a function that is being written: LLVM's value, and Numba's type.
 
-    def __init__(self, builder: Any, value: Any, type_: Any) -> None:
-        self.builder, self.value, self.type = builder, value, type_
+    ``again`` makes the value again where a loop has been cut; it returns None if that is not possible. Where
+    there is none, the value is kept. What ``loads`` is counted when somebody uses it.
+    """
+
+    def __init__(
+        self,
+        builder: Writer,
+        value: Any,
+        type_: Any,
+        again: Callable[[], Any] | None = None,
+        loads: bool = False,
+    ) -> None:
+        self.builder, self.type = builder, type_
+        self._value, self._again, self._uncounted = value, again, loads
+        self._loop = builder.loops[-1] if builder.loops else None
+        self._part = self._loop.part if self._loop else 0
+        self._kept: int | None = None
+        self.counts = False
+        """Whether it is a loop's index itself."""
+
+    @property
+    def value(self) -> Any:
+        """LLVM's value, in the part of a loop that is being written."""
+        value = self.uncounted()
+        if self._uncounted and self._loop is not None:
+            self._loop.accesses += 1
+            self._uncounted = False
+        return value
+
+    def uncounted(self) -> Any:
+        """Return the value for a cast, which does not count what it loads."""
+        loop = self._loop
+        if loop is not None and self._part < loop.part and not isinstance(self._value, ir.Constant):
+            value = None if self._again is None else self._again()
+            if value is None:
+                if self._kept is None:
+                    self._kept = loop.keep(self._value, self._part)
+                value = loop.kept(self._kept, self._value.type)
+            if loop is not self.builder.loops[-1]:  # within another loop: that value is not there behind it
+                return value
+            self._value, self._part = value, loop.part
+        return self._value
 
     def __bool__(self) -> bool:
         raise TypeError("there are no branches in functions that are inlined")
 
     def to(self, type_: Any) -> Word:
         """Return the word in another type."""
-        own, value = self.type, self.value
-        if type_ != own:
-            bits, to = type_.bitwidth, _llvm(type_)
-            if type_ in FLOATS:
-                value = (self.builder.sitofp if own.signed else self.builder.uitofp)(value, to)
-            elif bits < own.bitwidth:
-                value = self.builder.trunc(value, to)
-            elif bits > own.bitwidth:
-                value = (self.builder.sext if own.signed else self.builder.zext)(value, to)
-        return Word(self.builder, value, type_)
+        if type_ == self.type:
+            return self
+        if self._again is None:
+            return Word(self.builder, self._as(type_, self.value), type_)
+
+        def again() -> Any:
+            return self._as(type_, self.value)
+
+        return Word(self.builder, self._as(type_, self.uncounted()), type_, again, self._uncounted)
+
+    def _as(self, type_: Any, value: Any) -> Any:
+        own, bits, to = self.type, type_.bitwidth, _llvm(type_)
+        if type_ in FLOATS:
+            return (self.builder.sitofp if own.signed else self.builder.uitofp)(value, to)
+        if bits < own.bitwidth:
+            return self.builder.trunc(value, to)
+        if bits > own.bitwidth:
+            return (self.builder.sext if own.signed else self.builder.zext)(value, to)
+        return value
 
     def _with(self, name: str, other: Word | int) -> Word:
+        self.builder.count(operations=1)
         if isinstance(other, int):
             other = Word(self.builder, _llvm(self.type)(other), self.type)
         assert self.type == other.type, "whoever uses operators casts both words"
@@ -99,6 +150,7 @@ class Column:
 
     def __init__(self, builder: Any, first: Any, type_: Any) -> None:
         self.builder, self.first, self.type = builder, first, type_
+        self._stores = 0
 
     @classmethod
     def of(cls, builder: Any, table: Any) -> Column:
@@ -111,11 +163,24 @@ class Column:
         return cls(builder, builder.bitcast(place, word.as_pointer()), type_)
 
     def __getitem__(self, index: Word | int) -> Word:
-        return Word(self.builder, self.builder.load(self.at(index)), self.type)
+        stores = self._stores
+
+        def again() -> Any:
+            return self.builder.load(self.at(index)) if stores == self._stores else None
+
+        return Word(self.builder, self.builder.load(self.at(index)), self.type, again, loads=True)
 
     def __setitem__(self, index: Word | int, word: Word | int) -> None:
+        place = self.written(index)
         value = word.to(self.type).value if isinstance(word, Word) else _llvm(self.type)(word)
-        self.builder.store(value, self.at(index))
+        self.builder.store(value, place)
+
+    def written(self, index: Word | int) -> Any:
+        """Return the address of words that are written next."""
+        scattered = isinstance(index, Word) and not index.counts
+        self.builder.count(accesses=1, scattered=scattered)
+        self._stores += 1
+        return self.at(index)
 
     def at(self, index: Word | int) -> Any:
         """Return the address of a word."""
@@ -138,17 +203,19 @@ def _number(word: Word | int) -> Any:
     return word.to(types.int64).value if isinstance(word, Word) else ir.IntType(64)(word)
 
 
-def _vocabulary(builder: Any) -> dict[str, Any]:
+def _vocabulary(builder: Writer) -> dict[str, Any]:
     """Return what the names of types and operations stand for in a function that is being written."""
 
     def cast(type_: Any, word: Word | float) -> Word:
         return word.to(type_) if isinstance(word, Word) else Word(builder, _llvm(type_)(word), type_)
 
     def operation(make: Maker, type_: Any, result: Any, a: Word | int, b: Word | int) -> Word:
+        builder.count(operations=1)
         value = make(builder, type_.signed, cast(type_, a).value, cast(type_, b).value)
         return Word(builder, value, result)
 
     def choose(type_: Any, flag: Word, a: Word | int, b: Word | int) -> Word:
+        builder.count(operations=1)
         chosen = builder.trunc(flag.value, ir.IntType(1))
         return Word(builder, builder.select(chosen, cast(type_, a).value, cast(type_, b).value), type_)
 
@@ -156,6 +223,7 @@ def _vocabulary(builder: Any) -> dict[str, Any]:
         return of.from_byte(type_, start, index)
 
     def flags(type_: Any, to: Column, index: Word | int, word: Word, count: int) -> None:
+        place = to.written(index)
         # As a vector: LLVM does not find out by itself that a bit each of a word are numbers side by side.
         value = builder.trunc(word.value, ir.IntType(count)) if count < word.type.bitwidth else word.value
         numbers = ir.VectorType(_llvm(type_), count)
@@ -164,12 +232,12 @@ def _vocabulary(builder: Any) -> dict[str, Any]:
             ir.Constant(numbers, [1] * count),
             ir.Constant(numbers, [0] * count),
         )
-        builder.store(chosen, builder.bitcast(to.at(index), numbers.as_pointer()), type_.bitwidth // 8)
+        builder.store(chosen, builder.bitcast(place, numbers.as_pointer()), type_.bitwidth // 8)
 
     def copy(type_: Any, to: Column, of: Column, index: Word, count: int) -> None:
         # Of a constant length: LLVM makes moves of it as wide as they come, where a loop has a scalar tail.
         copied: Any = cgutils.raw_memcpy
-        copied(builder, to.at(index), of.at(index), ir.IntType(64)(count), type_.bitwidth // 8)
+        copied(builder, to.written(index), of.at(index), ir.IntType(64)(count), type_.bitwidth // 8)
 
     def prefetch(type_: Any, to: Column, index: Word, count: int) -> None:
         # Words that will be written, of all slots before the first is: so the cache misses overlap.
@@ -182,12 +250,15 @@ def _vocabulary(builder: Any) -> dict[str, Any]:
             builder.call(request, [address, i32(1), i32(3), i32(1)])  # to write, to keep, data
 
     def turns(*bounds: Word | int) -> Iterator[Word]:
-        *start, stop = map(_number, bounds)
+        start, stop = map(_number, bounds if len(bounds) == 2 else (0, *bounds))
         if isinstance(bounds[-1], int):
             # LLVM would write out every turn of a loop around others; so it is not told how many there are.
             stop = builder.asm(ir.FunctionType(stop.type, [stop.type]), "", "=r,0", [stop], False)
-        with cgutils.for_range(builder, stop, *start) as loop:
-            yield Word(builder, loop.index, types.int64)
+        loop = builder.loop(start, stop)
+        index = Word(builder, loop.index, types.int64, lambda: loop.index)
+        index.counts = True
+        yield index
+        loop.close()
 
     named: dict[str, Any] = {str(t): partial(cast, t) for t in NUMBERS}
     named |= {"numpy": SimpleNamespace(**named), "range": turns}
@@ -206,7 +277,7 @@ def _vocabulary(builder: Any) -> dict[str, Any]:
     return named
 
 
-def _given(builder: Any, value: Any, type_: Any) -> Word | Column:
+def _given(builder: Writer, value: Any, type_: Any) -> Word | Column:
     """Return what an argument is in a function that is being written: of an array, its words."""
     if isinstance(type_, (types.CPointer, types.Array)):
         assert getattr(type_, "layout", "C") == "C", "words are side by side"
@@ -216,7 +287,7 @@ def _given(builder: Any, value: Any, type_: Any) -> Word | Column:
     return Word(builder, value, type_)
 
 
-def _written(function: Any, builder: Any, arguments: Iterable[Word | Column]) -> tuple[Word, ...]:
+def _written(function: Any, builder: Writer, arguments: Iterable[Word | Column]) -> tuple[Word, ...]:
     """Write a function's instructions, and return its results."""
     vocabulary = _vocabulary(builder)
 
@@ -233,6 +304,19 @@ def _written(function: Any, builder: Any, arguments: Iterable[Word | Column]) ->
     return results if isinstance(results, tuple) else () if results is None else (results,)
 
 
+class _Nowhere:
+    """Memory of what is written nowhere."""
+
+    @staticmethod
+    def allocate(builder: Writer, size: Any) -> Any:
+        """Return room for so many bytes."""
+        return builder.alloca(ir.IntType(8), size)
+
+    @staticmethod
+    def free(builder: Writer, room: Any) -> None:
+        """Give it back."""
+
+
 def inlined(function: Callable[..., Any]) -> Any:
     """Return a function for kernels to call, and for other functions that are inlined."""
 
@@ -240,11 +324,12 @@ def inlined(function: Callable[..., Any]) -> Any:
         # Written nowhere first, to find out the types of its results.
         plain = [_llvm(t.dtype).as_pointer() if hasattr(t, "dtype") else _llvm(t) for t in given]
         nowhere = ir.Function(ir.Module(), ir.FunctionType(ir.VoidType(), plain), "nowhere")
-        builder = ir.IRBuilder(nowhere.append_basic_block())
+        builder = Writer(ir.IRBuilder(nowhere.append_basic_block()), _Nowhere)
         results = _written(function, builder, map(partial(_given, builder), nowhere.args, given))
         returned = [word.type for word in results]
 
-        def generate(context: Any, builder: Any, signature: Any, operands: Any) -> Any:
+        def generate(context: Any, outside: Any, signature: Any, operands: Any) -> Any:
+            builder = Writer(outside, context.nrt)
             arguments = []
             for value, type_ in zip(operands, signature.args, strict=True):
                 if isinstance(type_, types.Array):
@@ -253,11 +338,12 @@ def inlined(function: Callable[..., Any]) -> Any:
                 else:
                     arguments.append(_given(builder, value, type_))
             values = [word.value for word in _written(function, builder, arguments)]
+            outside.position_at_end(builder.block)
             if len(values) == 1:
                 return values[0]
             if not values:
                 return context.get_dummy_value()
-            return context.make_tuple(builder, signature.return_type, values)
+            return context.make_tuple(outside, signature.return_type, values)
 
         if not returned:
             return types.none(*given), generate

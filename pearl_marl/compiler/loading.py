@@ -1,16 +1,15 @@
 """Loading kernels: their source from the user's cache folder, golden functions compiled, and their hash.
 
-The source can be read there; Numba keeps the machine code beside it. ``PEARL_CACHE_DIR`` moves the folder.
+The source can be read there; the machine code is kept beside it. ``PEARL_CACHE_DIR`` moves the folder.
 """
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import hashlib
 import inspect
-import os
 import sys
-import tempfile
 import types
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -19,22 +18,23 @@ from typing import Any
 import numba
 import numpy as np
 
-from pearl_marl.cache import cache_folder, locked
+from pearl_marl.cache import cache_folder, replace
 from pearl_marl.golden import GoldenFunction
+from pearl_marl.machine_code import kept_code
 
 
 def load(name: str, source: str, **names: Any) -> tuple[Any, Path]:
     """Return the module of a kernel's source, in which ``names`` are known, and its file in the cache."""
     path = cache_folder("kernels") / f"{name}.py"
-    if not path.exists():
-        # Written beside and renamed, so that another process never reads half a file.
-        with tempfile.NamedTemporaryFile("w", dir=path.parent, suffix=".tmp", delete=False) as file:
-            file.write(source)
-        os.replace(file.name, path)
+    content, known = source.encode(), path.exists()
+    with contextlib.suppress(OSError):  # people read that file, and nothing else does
+        if not known or path.read_bytes() != content:
+            replace(path, content)
+    if not known:
         # It takes seconds: nobody should wonder whether it hangs.
         text = f"pearl: compiling {name} at its first calls; kept in {path.parent}"
         print(text, file=sys.stderr, flush=True)
-    # Numba's cache finds a function again by its module's name, so the module has to be a real one.
+    # Machine code names the module that it comes from, so the module has to be a real one.
     module = types.ModuleType(f"pearl_marl_kernel_{name}")
     module.__file__ = str(path)
     sys.modules[module.__name__] = module
@@ -43,23 +43,10 @@ def load(name: str, source: str, **names: Any) -> tuple[Any, Path]:
     return module, path
 
 
-def one_at_a_time(name: str, kernel: Any) -> Any:
-    """Have one process at a time compile what Numba was given: others find it in the cache."""
-    compile_, lock = kernel.compile, cache_folder("kernels") / f"{name}.lock"
-
-    def compile_alone(signature: Any) -> Any:
-        with locked(lock):
-            return compile_(signature)
-
-    kernel.compile = compile_alone
-    return kernel
-
-
 def loop(function: Callable[..., Any], *uses: types.ModuleType) -> Callable[..., Any]:
     """Compile a function of this package at its first call, and keep it as kernels are kept.
 
-    By itself, Numba asks whether the function's own file has changed; this asks for the modules, too, that it
-    ``uses``, of which it calls functions.
+    It depends on its own module, and on those that it ``uses``, of which it calls functions.
     """
 
     @functools.cache
@@ -70,8 +57,8 @@ def loop(function: Callable[..., Any], *uses: types.ModuleType) -> Callable[...,
         name = f"{module.__name__.rpartition('.')[2]}{function.__name__}_{digest[:16]}"
         known = {key: value for key, value in vars(module).items() if not key.startswith("__")}
         loaded, _ = load(name, inspect.getsource(function), **known)
-        jit = numba.njit(nogil=True, cache=True, error_model="numpy", fastmath={"contract"})
-        return one_at_a_time(name, jit(getattr(loaded, function.__name__)))
+        jit = numba.njit(nogil=True, error_model="numpy", fastmath={"contract"})
+        return kept_code(jit(getattr(loaded, function.__name__)), name)
 
     @functools.wraps(function)
     def call(*given: Any) -> Any:

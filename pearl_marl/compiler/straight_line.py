@@ -155,6 +155,8 @@ class _Writer:
         self.types = dict(words)
         self._function = function
         self._taken = set(_RESERVED)
+        self._numbers: dict[str, int] = defaultdict(lambda: 1)
+        """The last number that a name has got: to count from 1 takes long for many words of one name."""
         self.names = {word: self._fresh(word.imm.split()[1]) for word in words}
         # As the author has it: LLVM keeps the order, and sums right behind their flags are slower.
         order = sorted(in_order(node for node, _ in results), key=lambda node: node.number)
@@ -173,10 +175,10 @@ class _Writer:
         return name
 
     def _fresh(self, name: str) -> str:
-        number, fresh = 1, name
+        fresh = name
         while fresh in self._taken:
-            number += 1
-            fresh = f"{name}_{number}"
+            self._numbers[name] += 1
+            fresh = f"{name}_{self._numbers[name]}"
         self._taken.add(fresh)
         return fresh
 

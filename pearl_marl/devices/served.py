@@ -215,7 +215,7 @@ class ServedBoard:
         part = self._memory[begin:end]
         done = 0
         while done < len(part):
-            moved = os.preadv(self._file, [memoryview(part)[done:]], begin + done)
+            moved = os.preadv(self._file, [part.data[done:]], begin + done)
             self._check_size()
             done += moved
         return part
@@ -225,7 +225,7 @@ class ServedBoard:
         self._check_size()  # or it would grow again, with zeros where there was something
         done = 0
         while done < len(part):
-            done += os.pwrite(self._file, memoryview(part)[done:], begin + done)
+            done += os.pwrite(self._file, part.data[done:], begin + done)
 
     def _check_size(self) -> None:
         size, whole = os.fstat(self._file).st_size, self.layout.end("status")

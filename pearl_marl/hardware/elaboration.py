@@ -7,19 +7,17 @@ from __future__ import annotations
 
 import hashlib
 import operator
-import os
 import re
-import tempfile
 import zlib
 from importlib import resources
 from pathlib import Path
 from typing import NamedTuple
 
-from pearl_marl.cache import cache_folder
-from pearl_marl.compiler.cores import generated_core
+from pearl_marl.cache import cache_folder, replace
+from pearl_marl.compiler.cores import core_name, generated_core
 from pearl_marl.compiler.loading import fingerprint
 from pearl_marl.compiler.targets import Target
-from pearl_marl.errors import ArgumentError
+from pearl_marl.errors import ArgumentError, DeviceError
 from pearl_marl.hardware.build import Build
 from pearl_marl.memory_map import MemoryMap, stream_bits
 from pearl_marl.spec import EnvSpec, snake_case, word_bits
@@ -57,6 +55,11 @@ def core_path(spec: EnvSpec, target: Target = TARGET) -> Path:
     path = Path(spec.core)
     if not path.is_file():
         raise ArgumentError(f"{spec.id}: its core is to be {path}, and there is no such file")
+    if core_name(spec) != snake_case(spec.name):
+        raise ArgumentError(
+            f"{spec.id}: its own core would be the module {snake_case(spec.name)}_pe, and names that begin "
+            "with pearl are for the modules around cores; give the environment another name"
+        )
     _timing(path)
     return path
 
@@ -66,25 +69,27 @@ def _generated_core(spec: EnvSpec, target: Target) -> Path:
     functions = [fingerprint(function) for function in spec.functions]
     key = repr((spec.id, spec.options, words, functions, target))
     if key not in _generated:
-        _generated[key] = _kept(generated_core(spec, target).text, f"{snake_case(spec.name)}_pe.sv")
-    return _generated[key]
+        _generated[key] = generated_core(spec, target).text
+    return _kept(_generated[key], f"{core_name(spec)}_pe.sv")
 
 
 def _kept(text: str, name: str) -> Path:
     """Return a file of that name and text in the cache."""
     digest = hashlib.sha256(text.encode()).hexdigest()[:16]
     path = cache_folder("cores") / digest / name
-    if not path.exists():
-        path.parent.mkdir(exist_ok=True)
-        # Written beside and renamed, so that another process never reads half a file.
-        with tempfile.NamedTemporaryFile("w", dir=cache_folder("cores"), delete=False) as file:
-            file.write(text)
-        os.replace(file.name, path)
+    try:
+        if not path.exists() or path.read_bytes() != text.encode():
+            replace(path, text.encode())
+    except OSError as error:
+        raise DeviceError(
+            f"the core could not be written to {path}: {error.strerror}; make room there, or set "
+            "PEARL_CACHE_DIR to another folder"
+        ) from error
     return path
 
 
-_generated: dict[str, Path] = {}
-"""Files by all that they depend on."""
+_generated: dict[str, str] = {}
+"""Their texts, by all that they depend on."""
 
 
 WRAPPER = "pearl_core.sv"
@@ -101,7 +106,7 @@ def core_wrapper(spec: EnvSpec) -> str:
     ArgumentError
         An option, which is a parameter of the core, is not an integer.
     """
-    core, bits = snake_case(spec.name), stream_bits(spec)
+    core, bits = core_name(spec), stream_bits(spec)
     assigned = ", ".join(f".{name}({literal})" for name, literal in core_parameters(spec).items())
     template = resources.files("pearl_marl.rtl") / f"{WRAPPER}.in"
     return template.read_text("utf-8").format(

@@ -10,7 +10,6 @@ from __future__ import annotations
 import hashlib
 import itertools
 import json
-import os
 import re
 import tempfile
 from collections.abc import Iterable, Mapping
@@ -20,7 +19,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from pearl_marl.cache import cache_folder, locked
+from pearl_marl.cache import cache_folder, keep, kept, locked
 from pearl_marl.compiler.targets import Target
 from pearl_marl.errors import ArgumentError, DeviceError
 from pearl_marl.hardware import elaboration, toolchain
@@ -212,10 +211,7 @@ def synthesise(build: Build, family: Family = Family.XC7, *, fmax: bool = False)
         found = _read(job.path)
         if found is None:
             found = _run(job, CELLS[family], placement)
-            # Written beside and renamed, so that `synthesised` never reads half a file.
-            with tempfile.NamedTemporaryFile("w", dir=job.path.parent, suffix=".tmp", delete=False) as file:
-                json.dump(found, file)
-            os.replace(file.name, job.path)
+            keep(job.path, json.dumps(found).encode())
     return _usage(build.layout, found, job.tools)
 
 
@@ -256,10 +252,8 @@ def _usage(layout: MemoryMap, found: dict[str, Any], tools: Mapping[str, str]) -
 
 
 def _read(path: Path) -> dict[str, Any] | None:
-    try:
-        return dict(json.loads(path.read_text("utf-8")))
-    except (OSError, ValueError):  # not there, or damaged: made again
-        return None
+    content = kept(path)
+    return None if content is None else dict(json.loads(content))
 
 
 def read_design(build: Build, files: Iterable[str]) -> str:

@@ -201,7 +201,8 @@ class PearlAECEnv(AECEnv):  # type: ignore[misc]  # pettingzoo has no types
         self.rewards, self.terminations, self.truncations, self.infos = (
             {agent: values[agent] for agent in self.agents} for values in results
         )
-        self._accumulate_rewards()
+        for agent, reward in self.rewards.items():
+            self._cumulative_rewards[agent] += reward
         # They leave first, as in PettingZoo: from the one on that would have been on turn.
         slots = [self.env.slots[agent] for agent in self.agents]
         gone = [slot for slot in slots if not self.env.live[slot]]

@@ -21,7 +21,7 @@ from gymnasium.spaces import Discrete, MultiDiscrete, Tuple
 
 from pearl_marl.arrays import load_array
 from pearl_marl.batch.actions import random_actions
-from pearl_marl.errors import ArgumentError
+from pearl_marl.errors import ArgumentError, told
 from pearl_marl.files import check_uncompressed
 from pearl_marl.rng import checked_seed
 from pearl_marl.spec import EnvSpec, check_spec
@@ -199,8 +199,8 @@ def _stable_baselines3(path: Path, spec: EnvSpec, _: int) -> Policy:
     except MemoryError:
         raise
     except Exception as error:  # it may hold any objects of Python, and damaged ones
-        why = " ".join(str(error).split()) or type(error).__name__
-        raise ArgumentError(f"{path} is no model of stable-baselines3: {why[:200]}") from error
+        why = told(error) or type(error).__name__
+        raise ArgumentError(f"{path} is no model of stable-baselines3: {why}") from error
     observations: Any = spec.observation_space
     if isinstance(observations, Tuple):  # as wrappers.sb3_vec_env shows it
         observations = MultiDiscrete([part.n for part in observations.spaces])  # type: ignore[attr-defined]

@@ -13,7 +13,7 @@ import torch
 from gymnasium.spaces import Box, Discrete, Tuple
 from torch import Tensor, nn
 
-from pearl_marl.errors import ArgumentError, shown
+from pearl_marl.errors import ArgumentError, shown, told
 from pearl_marl.policies import policy_file
 from pearl_marl.policies.network import SHARING, Array, check_weights, masked, networks
 from pearl_marl.registry import registered_spec
@@ -200,7 +200,7 @@ def load(path: Path) -> NetworkPolicy | Table:
             policy = _described(about, tensors)
         check_weights(policy, tensors, policy.spec.name)
     except ArgumentError as error:
-        raise ArgumentError(f"{file} is damaged, or of another version: {error}") from None
+        raise ArgumentError(f"{file} is damaged, or of another version: {told(error)}") from None
     policy.load_state_dict(tensors, assign=True)
     return policy
 

@@ -16,7 +16,7 @@ import numpy as np
 import torch
 
 from pearl_marl.batch.config import worlds_of
-from pearl_marl.errors import ArgumentError, PearlError, SavedStateError, shown
+from pearl_marl.errors import ArgumentError, PearlError, SavedStateError, shown, told
 from pearl_marl.evaluation.matches import Match
 from pearl_marl.evaluation.run import Evaluation
 from pearl_marl.policies.loading import RANDOM, load_policy
@@ -225,7 +225,7 @@ def train(
                     error, (ArgumentError, SavedStateError)
                 ):
                     raise
-                why = " ".join(str(error).split()) or type(error).__name__
+                why = told(error) or type(error).__name__
                 raise run.damaged(f"and cannot be gone on from ({why})") from error
             run.write_metrics()  # a kill may have left those of an earlier moment
         run.write_config()

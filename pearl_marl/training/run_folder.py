@@ -10,10 +10,8 @@ from __future__ import annotations
 import contextlib
 import csv
 import errno
-import fcntl
 import io
 import json
-import os
 import pickletools
 import re
 import zipfile
@@ -25,8 +23,8 @@ import torch
 from torch.utils.tensorboard import SummaryWriter
 
 from pearl_marl.benchmark.machine import machine
-from pearl_marl.errors import ArgumentError, shown
-from pearl_marl.files import check_files, check_uncompressed, replace_file
+from pearl_marl.errors import ArgumentError, shown, told
+from pearl_marl.files import check_files, check_uncompressed, claimed, replace_file
 from pearl_marl.rendering import new_figure, save_figure
 from pearl_marl.spec import is_number
 
@@ -65,30 +63,11 @@ class RunFolder:
             Another process has it, it holds a run of other settings, or cannot be written.
         """
         check_files(self.path, CONFIG, METRICS, POLICY, CURVE, CHECKPOINT, PREVIOUS)
-        try:
-            self.path.mkdir(parents=True, exist_ok=True)
-            folder = os.open(self.path, os.O_RDONLY)
-        except OSError as error:
-            raise self._unwritable(error) from None
-        try:
-            try:
-                fcntl.flock(folder, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
-                raise ArgumentError(
-                    f"another process trains in {self.path}: wait for its end, or give another --out"
-                ) from None
-            except OSError:  # some networks' file systems have no locks of folders
-                pass
+        with claimed(self.path, "trains"):
             config = self.path / CONFIG
-            try:
-                theirs = _settings(config) if config.exists() else None
-            except OSError as error:
-                raise self._unwritable(error) from None
-            if theirs is not None:
-                self._check(theirs, f"{self.path} holds")
+            if config.exists():
+                self._check(_settings(config), f"{self.path} holds")
             yield
-        finally:
-            os.close(folder)
 
     def write_config(self) -> None:
         """Write config.json, unless it is there."""
@@ -96,9 +75,6 @@ class RunFolder:
         if not config.exists():
             about = {"settings": self._settings, "machine": machine()}
             replace_file(config, json.dumps(about, indent=2).encode())
-
-    def _unwritable(self, error: OSError) -> ArgumentError:
-        return ArgumentError(f"--out {self.path} is no folder that can be written: {error.strerror}")
 
     def _check(self, theirs: dict[str, Any], what_is: str) -> None:
         """Refuse settings that are not this run's."""
@@ -108,7 +84,7 @@ class RunFolder:
             # As text: True is 1 in Python.
             if name not in before or json.dumps(before[name]) != json.dumps(now.get(name)):
                 raise ArgumentError(
-                    f"{what_is} a run with {name} {shown(before.get(name))}, not {now.get(name)!r}: "
+                    f"{what_is} a run with {told(name)} {shown(before.get(name))}, not {now.get(name)!r}: "
                     "give the same settings to go on with it, or another --out"
                 )
 
@@ -196,7 +172,6 @@ class RunFolder:
         for done, policy in past.items():
             path = self.path / "past" / f"{done:06}.safetensors"
             if not path.exists():
-                path.parent.mkdir(exist_ok=True)
                 policy.save(path)
 
     def write_metrics(self) -> None:
@@ -230,7 +205,7 @@ def _settings(config: Path) -> dict[str, Any]:
     """Return the settings in a run's config.json."""
     try:
         settings = json.loads(config.read_bytes())["settings"]
-    except (ValueError, TypeError, KeyError, RecursionError):
+    except (OSError, ValueError, TypeError, KeyError, RecursionError):
         settings = None
     if not isinstance(settings, dict):
         raise ArgumentError(

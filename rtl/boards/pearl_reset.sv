@@ -12,10 +12,12 @@ module pearl_reset (
   // Cleared without a clock, perhaps just beside an edge: that ends in the next two.
   (* ASYNC_REG = "TRUE" *) logic [1:0] ready_q;
   (* ASYNC_REG = "TRUE" *) logic [1:0] steady_q;
-  logic rst_nq;
 
-  // What an FPGA's flip-flops start with: its design begins in reset.
-  initial rst_nq = 1'b0;
+  // What an FPGA's flip-flops start with: its design begins in reset, which no other reset could say. It
+  // stands here because no `initial` may write what an always_ff does.
+  // verilator lint_off PROCASSINIT
+  logic rst_nq = 1'b0;
+  // verilator lint_on PROCASSINIT
 
   always_ff @(posedge clk_i or negedge ready_i) begin
     if (!ready_i) ready_q <= '0;

@@ -20,6 +20,8 @@ from pearl_marl.registry import get_spec, names
 from pearl_marl.spec import EnvSpec, Field, Golden
 
 from ..rtl.random_steps import random_spec
+from ..rtl.wide_steps import FIXED, wide_spec
+from ..sampling import sampled
 
 CASES = 25
 
@@ -107,6 +109,20 @@ def test_environments_in_llvm(env: str) -> None:
 @pytest.mark.parametrize("seed", range(15))
 def test_random_golden_functions_in_llvm(seed: int) -> None:
     assert_means_the_golden_functions(random_spec(seed), random.Random(seed), compiled)
+
+
+WIDE = range(528)
+"""Whose cores and netlists are compared with the golden functions in ``tests/rtl/test_wide_steps.py``."""
+
+
+@pytest.mark.parametrize("number", sampled(WIDE, WIDE[: len(FIXED) + 20]))
+def test_wide_words(number: int) -> None:
+    assert_means_the_golden_functions(wide_spec(number), random.Random(number))
+
+
+@pytest.mark.parametrize("number", sampled(WIDE, WIDE[4:7]))
+def test_wide_words_in_llvm(number: int) -> None:
+    assert_means_the_golden_functions(wide_spec(number), random.Random(number), compiled)
 
 
 def test_divisions_and_tables_in_llvm() -> None:

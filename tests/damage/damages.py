@@ -58,12 +58,12 @@ def mutated(value: Any, rng: np.random.Generator) -> Any:
     for _ in range(int(rng.integers(1, 4))):
         places = list(_places(value))
         holder, key = places[int(rng.integers(len(places)))]
-        insane = INSANE[int(rng.integers(len(INSANE)))]
+        insane = copy.deepcopy(INSANE[int(rng.integers(len(INSANE)))])
         match int(rng.integers(6)):
             case 0:
                 del holder[key]
             case 1 if isinstance(holder, dict):
-                holder[f"{key}_"] = insane
+                holder[str(rng.choice([f"{key}_", "\n\n", "x" * 5000, "self", TRAP]))] = insane
             case 1:
                 holder.append(insane)
             case 2 if type(holder[key]) is int:

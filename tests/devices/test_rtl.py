@@ -325,6 +325,41 @@ def test_a_damaged_entry_is_built_again(damage: bytes, own_cache: Path, capfd: p
     assert "building" in capfd.readouterr().err
 
 
+def test_damage_to_what_builds_share_is_noticed(tmp_path: Path) -> None:
+    common, work = tmp_path / "common", tmp_path / "work"
+    work.mkdir()
+    (work / "verilated.o").write_bytes(b"object code")
+    model_build._keep(work, common)
+    (shared,) = common.iterdir()
+    (work / "verilated.o").unlink()
+    model_build._lend(common, work)
+    assert (work / "verilated.o").read_bytes() == b"object code"
+    (work / "verilated.o").unlink()
+    shared.write_bytes(shared.read_bytes()[:-1] + b"f")
+    model_build._lend(common, work)
+    assert list(work.iterdir()) == list(common.iterdir()) == [], "it is compiled again, and kept"
+
+
+@pytest.mark.parametrize("damaged", ["headers.h.gch", "headers.h.gch.checksum"])
+def test_damaged_headers_are_compiled_again(
+    damaged: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    runs = []
+
+    def run(command: list[str]) -> None:
+        runs.append(command)
+        (tmp_path / "headers.h.fast.gch").write_bytes(b"compiled headers")
+
+    monkeypatch.setattr(model_build.toolchain, "run", run)
+    for _ in range(2):
+        headers = model_build._compiled_headers(tmp_path / "common", tmp_path, ["make"], traced=False)
+    assert len(runs) == 1
+    (headers.parent / damaged).write_bytes(b"compiled heaters")
+    model_build._compiled_headers(tmp_path / "common", tmp_path, ["make"], traced=False)
+    assert len(runs) == 2
+    assert (headers.parent / "headers.h.gch").read_bytes() == b"compiled headers"
+
+
 def test_a_build_that_is_killed_leaves_nothing_behind(own_cache: Path) -> None:
     program = (
         "from pearl_marl import get_spec; from pearl_marl.devices.simulator import model_build; "

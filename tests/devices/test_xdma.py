@@ -524,7 +524,7 @@ def pearl_serve(folder: Path) -> Iterator[subprocess.Popen[str]]:
         server.communicate()
 
 
-@pytest.mark.parametrize("size", [0, 100])
+@pytest.mark.parametrize("size", [0, pytest.param(100, marks=pytest.mark.exhaustive)])
 def test_a_server_whose_file_is_cut_says_so(size: int, tmp_path: Path) -> None:
     """It was killed by SIGBUS, without a word."""
     library(Build.of(SPEC, 8))  # of whose making it would tell

@@ -14,6 +14,7 @@ from typer.testing import CliRunner
 
 from pearl_marl.cli import app
 from pearl_marl.errors import ArgumentError, DeviceError
+from pearl_marl.files import claimed
 from pearl_marl.hardware import boards, elaboration, toolchain
 from pearl_marl.hardware.boards import BOARDS, Board
 from pearl_marl.memory_map import MAGIC, Control, default_map
@@ -63,6 +64,17 @@ def test_a_vendors_board_gets_its_script(tmp_path: Path) -> None:
     assert {str(path.relative_to(tmp_path)) for path in tmp_path.rglob("*.sv")} == set(listed)
     assert (tmp_path / "build.tcl").is_file()
     assert (tmp_path / "vc707.xdc").is_file()
+
+
+def test_a_folder_is_of_one_process(tmp_path: Path) -> None:
+    """Two builds would read each other's netlists."""
+    arguments = "vc707", "CliffWalking", "--n-envs", 16, "--out", tmp_path
+    with claimed(tmp_path, "works"):
+        result = pearl(*arguments)
+        assert isinstance(result.exception, ArgumentError)
+        assert str(result.exception).startswith(f"another process makes a bitstream in {tmp_path}: wait")
+        assert not list(tmp_path.iterdir())
+    assert pearl(*arguments).exit_code == 0
 
 
 @pytest.mark.parametrize(

@@ -9,6 +9,7 @@ import re
 import pytest
 from typer.testing import CliRunner
 
+from pearl_marl.cache import keep
 from pearl_marl.cli import app
 from pearl_marl.errors import ArgumentError, DeviceError
 from pearl_marl.hardware import elaboration, fitting, synthesis, toolchain
@@ -220,6 +221,8 @@ def test_a_core_is_made_for_what_is_synthesised(family: Family) -> None:
 
 def test_a_damaged_cache_is_made_again(tmp_path) -> None:
     path = tmp_path / "half.json"
-    path.write_text('{"lut": 1')
-    assert synthesis._read(path) is None
+    keep(path, b'{"lut": 1}')
+    assert synthesis._read(path) == {"lut": 1}
+    path.write_bytes(path.read_bytes().replace(b"1}", b"7}"))
+    assert synthesis._read(path) is None, "another number in it"
     assert synthesis._read(tmp_path / "none.json") is None

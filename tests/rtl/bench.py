@@ -81,6 +81,10 @@ def spec_of(name: str, options: dict[str, Any]) -> Any:
         from random_steps import random_spec
 
         return random_spec(options["seed"])
+    if name == "Wide":
+        from wide_steps import wide_spec
+
+        return wide_spec(options["number"])
     from pearl_marl.registry import get_spec
 
     return get_spec(name).with_options(**options)

@@ -53,7 +53,8 @@ def golden(
     words = [np.ascontiguousarray(draws[:, d]) for d in range(spec.reset_draws + spec.step_draws)]
     drawn = call_reference(spec.golden.initial, words[: spec.reset_draws])
     origin = [
-        np.where(first, new, old).astype(field.dtype)
+        # Of one type, since NumPy makes floats of uint64 beside int64.
+        np.where(first, np.asarray(new).astype(field.dtype), old)
         for new, old, field in zip(drawn, split(states, spec.state), spec.state, strict=True)
     ]
     act = actions.astype(spec.action.dtype).T
@@ -61,7 +62,7 @@ def golden(
     moved, outcome = results[: len(spec.state)], results[len(spec.state) :]
     rewards, ends = outcome[: spec.agents], outcome[spec.agents :]
     after = [
-        np.where(hold, old, new).astype(field.dtype)
+        np.where(hold, old, np.asarray(new).astype(field.dtype))
         for old, new, field in zip(origin, moved, spec.state, strict=True)
     ]
     views = [(view, agent) for agent in spec.views for view in spec.functions[2:]]

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 from harness import HERE, Design, checked, run
+from linters import lint
 
 from pearl_marl.devices import BatchConfig, Lockstep, Native, Serial
 from pearl_marl.devices.serial import SerialTransport
@@ -52,9 +53,7 @@ def simulated(board: Board, build: Build, folder: Path) -> list[Path]:
 def test_lint_is_clean(name: str, env: str, size: tuple[int, int | None], tmp_path: Path) -> None:
     board = BOARDS[name]
     files = simulated(board, boards.board_build(board, get_spec(env), *size), tmp_path)
-    toolchain.run(
-        ["verilator", "--lint-only", "-Wall", "--assert", "--top-module", board.top, *map(str, files)]
-    )
+    lint(board.top, files)
 
 
 SIZE = (33, 4)

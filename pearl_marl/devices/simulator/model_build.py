@@ -1,7 +1,7 @@
 """Simulated devices, built once and kept: from a build to a compiled library.
 
 A build's name in the cache is a hash of everything that it depends on. An entry appears whole or not at all,
-and carries a checksum: one that a full disk or a crash has damaged is built again.
+and carries a checksum, as what builds share does: one that a full disk or a crash has damaged is built again.
 """
 
 from __future__ import annotations
@@ -12,13 +12,13 @@ import json
 import os
 import shutil
 import sys
-import tempfile
 import time
+import uuid
 from collections.abc import Sequence
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-from pearl_marl.cache import cache_folder, locked
+from pearl_marl.cache import cache_folder, checksum, keep, kept, locked, replace
 from pearl_marl.devices.simulator import pyverilator_mends
 from pearl_marl.errors import DeviceError
 from pearl_marl.hardware import elaboration, toolchain
@@ -52,6 +52,12 @@ _LIGHT_MAKE = (
     f"VK_USER_OBJS=V{pyverilator_mends.TOP}__ALL.o",
     "VK_OBJS=",
 )
+_CHECKSUM = "checksum"
+"""What the file beside a file is called that has its checksum."""
+
+ROOM = 64 << 20
+"""Bytes that a build takes while it is under way, or less."""
+
 _HEADERS = "#include <verilated.h>\n#include <verilated_dpi.h>\n#include <verilated_vcd_c.h>\n"
 
 
@@ -80,7 +86,7 @@ def library(build: Build, traced: bool = False, pipelined: bool = True) -> Path:
     code = _columns(layout) + _CODE.read_text("utf-8")
     texts = [code, *(path.read_text("utf-8") for path in (*sources, Path(pyverilator_mends.__file__)))]
     digest = _digest(_tools(), arguments, make, traced, texts)
-    folder = cache_folder("rtl")
+    folder = cache_folder("rtl", ROOM)
     title = f"{spec.name}-{layout.n_envs}-{layout.pe_num}-{layout.data_wl}{'' if pipelined else '-serial'}"
     entry = folder / f"{title}{'-traced' if traced else ''}-{digest}"
     with locked(folder / f"{entry.name}.lock"):
@@ -107,8 +113,9 @@ def _columns(layout: MemoryMap) -> str:
 
 
 def _build(entry: Path, arguments: list[str], code: str, traced: bool, light: bool) -> None:
-    scratch = Path(tempfile.mkdtemp(prefix=f"{entry.name}.", suffix=".tmp", dir=entry.parent))
+    scratch = entry.parent / f"{entry.name}.{uuid.uuid4().hex}.tmp"
     try:
+        scratch.mkdir(parents=True)
         work, result = scratch / "work", scratch / "result"
         work.mkdir()
         result.mkdir()
@@ -125,7 +132,7 @@ def _build(entry: Path, arguments: list[str], code: str, traced: bool, light: bo
             toolchain.run([*make, *_MAKE])
         _keep(work, common)
         built = (work / f"V{pyverilator_mends.TOP}").rename(result / "model.so")
-        (result / "checksum").write_text(hashlib.sha256(built.read_bytes()).hexdigest())
+        (result / _CHECKSUM).write_bytes(checksum(built.read_bytes()))
         result.rename(entry)
     except OSError as error:
         raise DeviceError(f"the simulated device could not be built in {entry.parent}: {error}") from error
@@ -135,21 +142,26 @@ def _build(entry: Path, arguments: list[str], code: str, traced: bool, light: bo
 
 def _lend(common: Path, work: Path) -> None:
     """Copy Verilator's own library there: it is most of a small build's work, and always the same."""
-    for built in common.glob("*.o"):
-        # Dated ahead, since make would otherwise find it older than this build's makefile.
-        os.utime(shutil.copy(built, work), times=(time.time() + 3600,) * 2)
+    for path in common.glob("*.o"):
+        content = kept(path)
+        if content is not None:
+            copy = work / path.name
+            copy.write_bytes(content)
+            # Dated ahead, since make would otherwise find it older than this build's makefile.
+            os.utime(copy, times=(time.time() + 3600,) * 2)
 
 
 def _compiled_headers(common: Path, work: Path, make: Sequence[str], traced: bool) -> Path:
     """Return a file of Verilator's headers that the compiler has read before, with these options."""
     headers = common / ("headers_of_traced.h" if traced else "headers.h")
     compiled = headers.with_suffix(".h.gch")
-    if not compiled.exists():
-        common.mkdir(exist_ok=True)
-        for folder in (common, work):
-            (folder / headers.name).write_text(_HEADERS)
+    beside = compiled.with_suffix(f".gch.{_CHECKSUM}")
+    if not _sound(compiled, beside):
+        (work / headers.name).write_text(_HEADERS)
         toolchain.run([*make, f"{headers.name}.fast.gch"])
-        os.replace(work / f"{headers.name}.fast.gch", compiled)
+        content = (work / f"{headers.name}.fast.gch").read_bytes()
+        for path, text in ((headers, _HEADERS.encode()), (compiled, content), (beside, checksum(content))):
+            replace(path, text)
     return headers
 
 
@@ -157,16 +169,17 @@ def _keep(work: Path, common: Path) -> None:
     """Keep Verilator's own library for the next build, unless another process was faster."""
     built = {path for path in work.glob("verilated*.o") if not (common / path.name).exists()}
     for path in built:
-        with tempfile.NamedTemporaryFile(dir=common.parent, suffix=".tmp", delete=False) as file:
-            file.write(path.read_bytes())
-        common.mkdir(exist_ok=True)
-        os.replace(file.name, common / path.name)
+        keep(common / path.name, path.read_bytes())
 
 
 def _whole(entry: Path) -> bool:
+    return _sound(entry / "model.so", entry / _CHECKSUM)
+
+
+def _sound(path: Path, beside: Path) -> bool:
+    """Return whether a file is as it was when its checksum was taken, which is the content of another one."""
     try:
-        checksum = hashlib.sha256((entry / "model.so").read_bytes()).hexdigest()
-        return (entry / "checksum").read_text("utf-8") == checksum
+        return beside.read_bytes() == checksum(path.read_bytes())
     except OSError:
         return False
 
