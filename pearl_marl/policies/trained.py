@@ -239,4 +239,4 @@ def _described(about: dict[str, Any], tensors: dict[str, Tensor]) -> NetworkPoli
     chance = about.get("chance", 0.0)
     if not is_number(chance) or chance < 0:
         raise ArgumentError(f"its policy has the chance {shown(chance)}; it must be a number from 0")
-    return NetworkPolicy(spec, about["kind"], width, sharing, chance)
+    return NetworkPolicy(spec, about["kind"], width, sharing, float(chance))

@@ -218,6 +218,8 @@ def train(
                 trainer.load(saved["trainer"])
                 if not isinstance(trainer.done, int) or not 0 <= trainer.done <= settings.iterations:
                     raise ValueError(f"it has done {shown(trainer.done)} iterations of {settings.iterations}")
+                if not run.rows and (trainer.done == settings.iterations or best > -math.inf):
+                    raise ValueError("it has no metrics of evaluations that were done")
                 if not math.isfinite(seconds) or math.isnan(best):
                     raise ValueError(f"it took {seconds} s, and its best return is {best}")
             except _UNUSABLE as error:

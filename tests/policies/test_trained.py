@@ -101,6 +101,8 @@ DAMAGED = {
     "a width that nobody has": ({"width": 10**12}, "width 1000000000000"),
     "a word for a width": ({"width": "wide"}, "width 'wide'"),
     "another kind": ({"kind": "rule"}, "kind 'rule'"),
+    "a chance below 0": ({"chance": -1}, "chance -1; it must be a number from 0"),
+    "a chance that no float holds": ({"chance": 10**400}, "it must be a number from 0"),
     "a list for a kind": ({"kind": []}, r"kind \[\]"),
     "a tensor too few": ({"drop": "network.output.bias"}, "network.output.bias"),
     "another environment's tensors": ({"environment": "Taxi", "options": {}}, "tensors"),
@@ -213,3 +215,9 @@ def test_what_is_no_policy_is_refused(content: bytes, saved: Path) -> None:
     saved.write_bytes(content)
     with pytest.raises(ArgumentError, match=re.escape("policy.safetensors cannot be read as a policy")):
         trained.load(saved.parent)
+
+
+def test_a_chance_may_be_any_number(saved: Path) -> None:
+    rewritten(saved, chance=2**64)
+    actions = load_policy(str(saved), get_spec("CartPole"))(np.zeros((9, 4), np.float32))
+    assert set(actions.tolist()) <= {0, 1}

@@ -432,6 +432,7 @@ CHANGES = {
     "a name of a metric": changed("rows", 0, to=lambda row: {**row, 3: 1}),
     "a line of a metric": changed("rows", 0, to=lambda row: {**row, "a\nb": 1}),
     "a word for a metric": changed("rows", 0, "eval_return", to="high"),
+    "no rows at the end": changed("rows", to=[]),
     "no return": changed("rows", 0, to={"agent_steps": 3}),
     "random numbers": changed("trainer", "random", to=lambda state: state * 0),
     "few random numbers": changed("trainer", "random", to=lambda state: state[:9]),
