@@ -209,7 +209,6 @@ def test_experiments_are_imported_by_the_report_alone() -> None:
 
 LIBRARIES = {
     "_asdict": "every NamedTuple's",
-    "_fields": "every NamedTuple's",
     "_replace": "every NamedTuple's",
     "_pytree": "of PyTorch, where every library registers its containers",
     "_reset_seeds": "Stable-Baselines3's, for who derives from it",

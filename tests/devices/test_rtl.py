@@ -20,10 +20,12 @@ from pearl_marl import cache, get_spec
 from pearl_marl.batch.actions import random_actions
 from pearl_marl.devices import BatchConfig, Lockstep, Native, Rtl, make_device
 from pearl_marl.devices.simulator import model_build, pyverilator_mends
+from pearl_marl.devices.simulator.simulation import Simulation
 from pearl_marl.errors import ArgumentError, DeviceError, LockstepError
 from pearl_marl.hardware import elaboration
 from pearl_marl.hardware.build import Build
 from pearl_marl.latency.cycles import draws_wait
+from pearl_marl.memory_map import MAGIC
 from pearl_marl.registry import names
 from pearl_marl.spec import EnvSpec, Field
 from pearl_marl.testing import Case, assert_same_step, assert_same_trajectory, trajectory
@@ -423,3 +425,19 @@ def test_the_hash_sees_what_matters(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     model_build.library(own)
     model_build.library(own._replace(spec=core(tmp_path, "// Nothing is", "// No term is")))
     assert len(set(entries)) == len(entries) == 8
+
+
+def test_a_refused_transfer_over_axi_leaves_nothing_behind() -> None:
+    """All beats of its bursts are taken, or the next transfer would get what is left of them."""
+    build = Build.of(SPEC, 7, 4, 32)
+    hardware, end = (
+        Simulation(model_build.library(build), build.layout, False, None),
+        build.layout.end("status"),
+    )
+    for length in (4, 64, 3000):
+        for move in (hardware.read, hardware.write):
+            with pytest.raises(DeviceError, match="there is nothing at an address"):
+                move(end, np.zeros(length, np.uint8))
+            found = np.empty(4, np.uint8)
+            hardware.read(0, found)
+            assert found.view("<u4") == MAGIC

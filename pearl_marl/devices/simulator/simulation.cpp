@@ -105,25 +105,15 @@ struct Host {
         }
     }
 
-    // Clock until `signal` was high at an edge; what else belongs to that handshake, `take` looks at.
-    template <typename Signal, typename Take>
-    void wait(const Signal& signal, Answer otherwise, Take take) {
+    void wait_for_end() {
         for (uint64_t i = 0; i < patience && answer == kOkay; i++) {
             settle();
-            const bool high = signal;
-            if (high) take();
+            const bool ended = top->irq_o;
             edge();
-            if (high) return;
+            if (ended) return;
         }
-        fail(otherwise);
+        fail(kNoInterrupt);
     }
-
-    template <typename Signal>
-    void wait(const Signal& signal, Answer otherwise) {
-        wait(signal, otherwise, [] {});
-    }
-
-    void wait_for_end() { wait(top->irq_o, kNoInterrupt); }
 
     // The first thing that goes wrong is what a call answers.
     void fail(int what) {
