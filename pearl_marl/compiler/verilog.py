@@ -21,6 +21,9 @@ TEMPLATE = """\
 {about}
 // Pipelined, a slot a cycle.
 
+// Names are the author's: some may mean something in C++, where Verilator gives them others.
+// verilator lint_off SYMRSVDWORD
+
 // The package of a core tells the backbone its timing and the widths of its words; the lint rule that a
 // package has a file of its own name is off for it.
 // verilator lint_off DECLFILENAME
@@ -77,6 +80,7 @@ module {name}_pe
 {body}
 endmodule
 // verilator lint_on UNUSEDSIGNAL
+// verilator lint_on SYMRSVDWORD
 """
 
 

@@ -122,3 +122,28 @@ def edge_draws(spec: EnvSpec) -> list[int]:
         firsts = (-(-(whole + threshold) // factor) for whole in range(0, factor << 32, 1 << 32))
         values |= {draw for first in firsts for draw in (first - 1, first) if 0 <= draw < 1 << 32}
     return sorted(values)
+
+
+PORTS = "state_i", "action_i", "first_i", "hold_i", "rng_i"
+
+
+def random_cases(spec: EnvSpec, limit: int) -> tuple[dict[str, list[int]], dict[str, list[int]]]:
+    """Return the inputs of a core, by port, and its outputs: as many cases as the limit allows."""
+    generator = np.random.default_rng(13)
+    states, actions, first, hold = all_cases(spec, limit, generator)
+    count = len(states)
+    draws = generator.integers(
+        1 << 32, size=(count, max(1, spec.reset_draws + spec.step_draws)), dtype=np.uint32
+    )
+    # In about half of the cases the last draw is an edge, in some the first.
+    edges = np.array(edge_draws(spec), np.uint32)
+    for column, share in ((-1, 0.5), (0, 0.2)):
+        chosen = generator.random(count) < share
+        draws[chosen, column] = generator.choice(edges, np.count_nonzero(chosen))
+    drawn = [sum(d << (32 * i) for i, d in enumerate(row)) for row in draws.tolist()]
+    acted = join(actions.T, (spec.action,) * spec.agents, count)
+    flags = [[int(flag) for flag in row] for row in (first, hold)]
+    return (
+        dict(zip(PORTS, (states, acted, *flags, drawn), strict=True)),
+        golden(spec, states, actions, first, hold, draws),
+    )

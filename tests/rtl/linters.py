@@ -14,12 +14,17 @@ OFF = "useless-cast", "shift-count-overflow", "case-redundant-default"
 
 
 def lint(
-    top: str, files: Sequence[Path], parameters: Mapping[str, int | str] = {}, macros: Mapping[str, str] = {}
+    top: str,
+    files: Sequence[Path],
+    parameters: Mapping[str, int | str] = {},
+    macros: Mapping[str, str] = {},
+    off: Sequence[str] = (),
 ) -> None:
-    """Refuse sources that one of the linters has a complaint about."""
+    """Refuse sources that one of the linters has a complaint about; Verilator has rules ``off``."""
     values = [f"-G{name}={value}" for name, value in parameters.items()]
     values += [f"-D{name}={value}" for name, value in macros.items()]
     command = ["verilator", "--lint-only", "-Wall", "--assert", "--top-module", top, *values]
+    command += [f"-Wno-{rule}" for rule in off]
     toolchain.run([*command, *map(str, files)])
     slang(top, files, values)
 
