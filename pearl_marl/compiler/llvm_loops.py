@@ -28,10 +28,8 @@ INDEX = ir.IntType(64)
 PARTS = 12
 """Parts of a loop that become SIMD code, which is longer than other code and takes longer to compile."""
 
-_Builder: Any = ir.IRBuilder
 
-
-class Writer(_Builder):
+class Writer(ir.IRBuilder):  # type: ignore[misc]
     """Writes instructions from where another builder is, and knows in which loops it is.
 
     ``memory`` has ``allocate`` and ``free``, as Numba's contexts have them.
