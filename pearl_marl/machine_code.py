@@ -22,6 +22,8 @@ from numba.core.serialize import dumps
 from pearl_marl.cache import cache_folder, keep, kept, locked
 from pearl_marl.errors import DeviceError
 
+CONFIG: Any = numba.config
+
 SETTINGS = (
     *("OPT", "LOOP_VECTORIZE", "SLP_VECTORIZE", "BOUNDSCHECK", "DEBUGINFO_DEFAULT", "DISABLE_INTEL_SVML"),
     *("ENABLE_AVX", "ENABLE_PROFILING", "LLVM_REFPRUNE_PASS"),
@@ -44,7 +46,7 @@ class Entries:
     def _path(self, key: Any) -> Path:
         versions = sys.implementation.cache_tag, numba.__version__, np.__version__
         # What of Numba's own variables is in the code.
-        settings = [getattr(numba.config, name, None) for name in SETTINGS]
+        settings = [getattr(CONFIG, name, None) for name in SETTINGS]
         digest = hashlib.sha256(repr((key, versions, settings)).encode()).hexdigest()[:16]
         return cache_folder("kernels") / f"{self._name}-{digest}.code"
 
@@ -98,7 +100,7 @@ def kept_code(dispatcher: Any, name: str) -> Any:
     DeviceError
         Numba's compiler is turned off.
     """
-    if numba.config.DISABLE_JIT:  # type: ignore[attr-defined]
+    if CONFIG.DISABLE_JIT:
         raise DeviceError(
             "NUMBA_DISABLE_JIT turns off the compiler that kernels need: unset this variable, or choose the "
             "device 'reference', which compiles nothing"
@@ -120,7 +122,7 @@ def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
 
     It depends on its module and on the numbers around it, and calls nothing of other modules.
     """
-    if numba.config.DISABLE_JIT:  # type: ignore[attr-defined]  # it takes longer, and gives the same
+    if CONFIG.DISABLE_JIT:  # it takes longer, and gives the same
         return function
     module = sys.modules[function.__module__]
     around = [cell.cell_contents for cell in function.__closure__ or ()]

@@ -23,6 +23,7 @@ $compiled
 
 @kernel
 def reset(memory, stored, mask, observations,$SHOWN seed_0, seed_1, tick, first_slot, use_stored, n, lo, hi):
+    use_stored = np.int64(use_stored)  # as step() has it, so that both call the same code
     $PADDED
     $allocate
     $gone_delivered

@@ -8,7 +8,9 @@ line, and has LLVM optimize it by itself before it does so where it is called.
 
 from __future__ import annotations
 
+import dis
 import inspect
+import itertools
 from collections.abc import Callable, Iterable, Iterator
 from functools import partial
 from types import SimpleNamespace
@@ -321,12 +323,12 @@ def inlined(function: Callable[..., Any]) -> Any:
     """Return a function for kernels to call, and for other functions that are inlined."""
 
     def define(_: Any, *given: Any) -> Any:
-        # Written nowhere first, to find out the types of its results.
+        # Written nowhere first, to find out the types of its results, if it has any.
         plain = [_llvm(t.dtype).as_pointer() if hasattr(t, "dtype") else _llvm(t) for t in given]
         nowhere = ir.Function(ir.Module(), ir.FunctionType(ir.VoidType(), plain), "nowhere")
         builder = Writer(ir.IRBuilder(nowhere.append_basic_block()), _Nowhere)
-        results = _written(function, builder, map(partial(_given, builder), nowhere.args, given))
-        returned = [word.type for word in results]
+        arguments = [_given(builder, *each) for each in zip(nowhere.args, given, strict=True)]
+        returned = [word.type for word in _written(function, builder, arguments)] if returns else []
 
         def generate(context: Any, outside: Any, signature: Any, operands: Any) -> Any:
             builder = Writer(outside, context.nrt)
@@ -349,6 +351,12 @@ def inlined(function: Callable[..., Any]) -> Any:
             return types.none(*given), generate
         return (returned[0] if len(returned) == 1 else _Tuple(returned))(*given), generate
 
+    code = list(dis.get_instructions(function))
+    returns = any(
+        (is_.opname == "RETURN_CONST" and is_.argval is not None)
+        or (is_.opname == "RETURN_VALUE" and (before.opname, before.argval) != ("LOAD_CONST", None))
+        for before, is_ in itertools.pairwise([code[0], *code])
+    )
     # Numba asks for the names of the arguments.
     own = inspect.signature(function).parameters.values()
     whole = [inspect.Parameter("_", inspect.Parameter.POSITIONAL_OR_KEYWORD), *own]

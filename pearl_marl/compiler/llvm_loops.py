@@ -25,7 +25,11 @@ SLOTS = 64
 INDEX = ir.IntType(64)
 
 
-class Writer(ir.IRBuilder):  # type: ignore[misc]  # llvmlite has no types
+PARTS = 12
+"""Parts of a loop that become SIMD code, which is longer than other code and takes longer to compile."""
+
+
+class Writer(ir.IRBuilder):  # type: ignore[misc]
     """Writes instructions from where another builder is, and knows in which loops it is.
 
     ``memory`` has ``allocate`` and ``free``, as Numba's contexts have them.
@@ -103,7 +107,8 @@ class Loop:
 
     def _end(self, last: bool = False) -> None:
         writer = self._writer
-        if (self.part or not last) and self.operations < WORK * self.scattered:
+        plain = self.operations < WORK * self.scattered or self.part >= PARTS
+        if plain and (self.part or not last):
             # It does nothing; but no loop with it in it becomes SIMD code.
             writer.asm(ir.FunctionType(ir.VoidType(), []), "", "", [], True)
         # LLVM is to know that the sign never changes.

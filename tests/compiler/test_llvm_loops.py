@@ -182,7 +182,7 @@ env.step_batch(np.zeros(16, np.uint8))
 
 @pytest.mark.exhaustive
 def test_the_first_step_of_a_world_of_sixteen(tmp_path: Path) -> None:
-    """It took 24 s of processor time where it takes 9 now; other work on the machine makes it more."""
+    """It took 24 s of processor time where it takes 11 now; other work on the machine makes it more."""
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     subprocess.run(
         [sys.executable, "-c", FIRST_STEP], env={**os.environ, "PEARL_CACHE_DIR": str(tmp_path)}, check=True
