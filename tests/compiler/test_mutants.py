@@ -18,6 +18,7 @@ from pearl_marl.errors import DeviceError
 from pearl_marl.registry import get_spec
 
 from ..rtl.random_steps import random_spec
+from ..rtl.wide_steps import wide_spec
 from .test_proofs import unproved_gating, unproved_lowering, unproved_text
 from .test_straight_line import assert_means_the_golden_functions, wide
 
@@ -59,7 +60,8 @@ def check_lowering(_: Path) -> None:
 
 
 def check_text(folder: Path) -> None:
-    for spec in (get_spec("Taxi"), *map(random_spec, (2, 3, 7, 11)), get_spec("MountainCar")):
+    random_specs = (*map(random_spec, (2, 3, 7, 11)), *map(wide_spec, range(2)))
+    for spec in (get_spec("Taxi"), *random_specs, get_spec("MountainCar")):
         assert next(unproved_text(spec, TARGETS[0], folder), None) is None
 
 
@@ -126,6 +128,12 @@ FAULTS: list[tuple[Callable[[Path], None], str, str, str]] = [
     ),
     (check_text, "expressions", "self.stage[user[node]] == self.stage[node]", "True"),
     (check_text, "expressions", "up, down = constant", "down, up = constant"),
+    (
+        check_text,
+        "expressions",
+        "unsigned'({bits}'(signed'({bare(piece)})))",
+        "{bits}'(signed'({bare(piece)}))",
+    ),
     (check_text, "expressions", "'(signed'({bare(value)}) >>> {by})", "'({bare(value)} >> {by})"),
     (check_kernels, "straight_line", "least = max(least, node.args[1].high + 1)", "least = max(least, 8)"),
     (

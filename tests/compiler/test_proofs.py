@@ -17,6 +17,7 @@ from pearl_marl.tracing.graph import Graph
 from pearl_marl.tracing.nodes import Node
 
 from ..rtl.random_steps import random_spec
+from ..rtl.wide_steps import FIXED, wide_spec
 from ..sampling import sampled
 from .proofs.passes import unequal, unequal_outputs
 from .proofs.texts import unproved_signals
@@ -97,3 +98,10 @@ def test_random_golden_functions(seed: int, tmp_path: Path) -> None:
     assert not unproved_gating(spec)
     assert not list(unproved_lowering(spec, TARGETS))
     assert not list(unproved_text(spec, TARGETS[seed % len(TARGETS)], tmp_path))
+
+
+@pytest.mark.parametrize("number", range(len(FIXED)))
+def test_texts_of_wide_words(number: int, tmp_path: Path) -> None:
+    """That tables are read within them, whatever the sign of a word, among others."""
+    for target in (Target("xc7", 187.5), Target("ecp5", 150)):
+        assert not list(unproved_text(wide_spec(number), target, tmp_path))

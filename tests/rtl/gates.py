@@ -24,8 +24,10 @@ chformal -remove
 synth -flatten -top {top} -run begin:fine
 memory_map
 maccmap -unmap
+opt -full
 techmap t:* t:$mul %d
 opt -full
+techmap t:* t:$mul %d
 dfflegalize -cell $_DFF_P_ x
 opt_expr -mux_undef
 clean -purge

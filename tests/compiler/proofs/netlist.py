@@ -37,6 +37,7 @@ class Netlist:
             f"hierarchy -top {top}",
             "proc -noopt",
             "bmuxmap",
+            "setundef -anyseq",  # what the text leaves unknown is anything, not 0
             "async2sync",
             "write_smt2 -wires core.smt2",
         ]

@@ -129,7 +129,7 @@ class _Proof:
                     made[n] = operation(n, [make(a) for a in n.args])
                     facts.extend(in_range(n, made[n]))
                     if n.op == "table":  # what is beyond its end nobody looks at
-                        facts.append(made[n.args[0]] < len(n.imm))
+                        facts.append(made[n.args[0]] <= len(n.imm) - 1)
             return made[n]
 
         result = make(node)
