@@ -19,6 +19,7 @@ import pytest
 
 import pearl_marl
 from pearl_marl import cli
+from pearl_marl.comparison.replay import checksum
 from pearl_marl.devices import BatchConfig, Lockstep
 from pearl_marl.errors import ArgumentError, LockstepError
 from pearl_marl.hardware import elaboration, toolchain
@@ -176,7 +177,8 @@ def test_a_replay_is_given_the_environments_package(
     caught.value.replay.write(file)
     forget(tmp_path)
     _specs.pop("tworooms")
-    file.write_text(json.dumps({**json.loads(file.read_text()), "module": "two_rooms.spec"}))
+    value = {**json.loads(file.read_text()), "module": "two_rooms.spec"}
+    file.write_text(json.dumps({**value, "checksum": checksum(value)}))
     for arguments in ((), ("--env", "CliffWalking")):
         status, out, err = pearl("verify", file, "--device", "native", *arguments)
         assert (status, out) == (2, "")
