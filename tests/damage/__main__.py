@@ -133,8 +133,8 @@ def main(folder: Path, count: int, only: str | None = None, number: int | None =
             failures.append(str(error))
             outcomes[name]["wrong"] += 1
     taken = memory("VmHWM") - before
-    # What the registry knows, and compiles, for which Numba imports parts of itself as it needs them; and codes
-    # of text, as JSON may be of any.
+    # What the registry knows, and compiles (Numba imports parts of itself for that); and codes of text, as
+    # JSON may be of any.
     ours = "pearl_marl.envs.", "pearl_marl_kernel_", "numba.", "encodings."
     imported = [name for name in set(sys.modules) - known if not name.startswith(ours)]
     if imported:
