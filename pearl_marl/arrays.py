@@ -41,10 +41,11 @@ class _UnreadableError(ValueError):
     """Why there is no array in a file."""
 
 
-def load_array(path: Path, what: str, check: Check, name: str = "") -> Array:
+def load_array(path: Path, what: str, check: Check, name: str = "", rows: int | None = None) -> Array:
     """Return the array of a .npy file, or the one of that name in a .npz file; or raise ArgumentError.
 
-    ``what`` says what the file is to be. The array cannot be written to.
+    ``what`` says what the file is to be. The array cannot be written to. Of a .npy file whose rows follow
+    each other, no more than the first ``rows`` are read.
     """
     try:
         check_readable(path)
@@ -54,7 +55,7 @@ def load_array(path: Path, what: str, check: Check, name: str = "") -> Array:
             if not first:
                 raise _UnreadableError("it is empty")
             if first == _MAGIC:
-                return _array(file, os.fstat(file.fileno()).st_size, check)
+                return _array(file, os.fstat(file.fileno()).st_size, check, rows)
             if not first.startswith((b"PK\x03\x04", b"PK\x05\x06")):
                 raise _UnreadableError("it does not begin as one that NumPy writes")
             return _named(file, check, name)
@@ -114,8 +115,8 @@ def _member(archive: zipfile.ZipFile, member: zipfile.ZipInfo, check: Check) -> 
         return _array(file, member.file_size, check)
 
 
-def _array(file: IO[bytes], size: int, check: Check) -> Array:
-    """Return the array of a .npy file of ``size`` bytes."""
+def _array(file: IO[bytes], size: int, check: Check, rows: int | None = None) -> Array:
+    """Return the array of a .npy file of ``size`` bytes, or its first ``rows``."""
     magic, version = file.read(len(_MAGIC)), file.read(2)
     if magic != _MAGIC or version not in _LENGTHS:
         raise _UnreadableError("it does not begin as one of version 1.0 or 2.0 that NumPy writes")
@@ -131,6 +132,9 @@ def _array(file: IO[bytes], size: int, check: Check) -> Array:
             f"it is damaged: an array of shape {shape} and dtype {dtype} has {needed:,} bytes, and in it are "
             f"{there:,}"
         )
+    if rows is not None and order == "C" and shape[0] > rows:
+        shape = (rows, *shape[1:])
+        needed = math.prod(shape) * dtype.itemsize
     content = file.read(needed)
     if len(content) != needed:
         raise _UnreadableError(f"it is damaged: it ends after {len(content):,} of {needed:,} bytes")

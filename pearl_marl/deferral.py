@@ -15,6 +15,8 @@ from __future__ import annotations
 # What `signal` is made of: its conversions to enums take 3 us a call.
 import _signal  # type: ignore[import-not-found]
 import functools
+import itertools
+import os
 import signal
 import threading
 import time
@@ -41,7 +43,8 @@ class _Signals:
     def __init__(self) -> None:
         # The handlers of those that are kept now, by number: empty outside of a call.
         self.handlers: dict[int, Any] = {}
-        self.came: list[int] = []
+        # Those that came, with what their handlers are given.
+        self.came: list[tuple[int, Any]] = []
         self._first = 0.0
 
     def keep(self) -> None:
@@ -53,8 +56,12 @@ class _Signals:
                 _signal.signal(number, self._note)
 
     def release(self) -> BaseException | None:
-        """Put the handlers back, and run those of the signals that came; return what the first raised."""
-        error: BaseException | None = None
+        """Put the handlers back, and run those of the signals that came; return what they raised.
+
+        Of several, the one that ends a program comes first, and has the others as its context.
+        """
+        handlers = dict(self.handlers)
+        raised: list[BaseException] = []
         while self.handlers:
             try:
                 number = next(iter(self.handlers))
@@ -62,26 +69,38 @@ class _Signals:
                 if here != self._note:  # the call itself put another one there
                     _signal.signal(number, here)
                 del self.handlers[number]
-            except BaseException as raised:  # by a signal that came right after its handler was back
-                error = error or raised
+            except BaseException as error:  # by a signal that came right after its handler was back
+                raised.append(error)
         while self.came:
+            number, frame = self.came.pop(0)
             try:
-                signal.raise_signal(self.came.pop(0))
-            except BaseException as raised:
-                error = error or raised
-        return error
+                # Not by raising the signal again: asyncio would hear of it twice.
+                handlers[number](number, frame)
+            except BaseException as error:
+                raised.append(error)
+        raised.sort(key=lambda error: isinstance(error, Exception))
+        for first, second in itertools.pairwise(raised):
+            first.__context__ = first.__context__ or second
+        return raised[0] if raised else None
+
+    def forget(self) -> None:
+        """Put the handlers back in a forked process: where another thread forked, no call is under way."""
+        while self.handlers:
+            _signal.signal(*self.handlers.popitem())
+        self.came.clear()
 
     def _note(self, number: int, frame: Any) -> None:
         now = time.monotonic()
         if self.came and now - self._first > PATIENCE:
-            self.came.clear()
             self.handlers[number](number, frame)
         else:
             self._first = self._first if self.came else now
-            self.came.append(number)
+            self.came.append((number, frame))
 
 
 _signals = _Signals()
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_signals.forget)
 
 
 def uninterrupted(call: Callable[P, R]) -> Callable[P, R]:

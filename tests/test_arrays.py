@@ -77,6 +77,16 @@ def test_what_numpy_writes_is_read(array: Any, kind: str, tmp_path: Path) -> Non
     assert found.dtype == array.dtype
 
 
+@pytest.mark.parametrize("rows", [0, 3, len(TABLE), 10**9])
+@pytest.mark.parametrize("order", ["C", "F"])
+def test_no_more_rows_are_read_than_are_needed(rows: int, order: Any, tmp_path: Path) -> None:
+    path = tmp_path / "array.npy"
+    np.save(path, np.asarray(TABLE, order=order))
+    np.testing.assert_array_equal(load_array(path, "table", anything, rows=rows)[:rows], TABLE[:rows])
+    if order == "C":
+        assert len(load_array(path, "table", anything, rows=rows)) == min(rows, len(TABLE))
+
+
 @pytest.mark.parametrize(
     "header",
     [

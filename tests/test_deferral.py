@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import os
 import signal
 import threading
@@ -16,6 +17,7 @@ import pearl_marl
 from pearl_marl import wrappers
 from pearl_marl.batch.actions import random_actions
 from pearl_marl.deferral import PATIENCE, uninterrupted
+from pearl_marl.devices.threads import Threads
 from tests.devices.boards import OwnBoard
 
 Env = Any
@@ -113,6 +115,95 @@ def test_a_second_one_is_not_kept_once_patience_is_over() -> None:
     with pytest.raises(KeyboardInterrupt):
         call()
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+@pytest.fixture
+def handled() -> Iterator[list[int]]:
+    """Handlers that only count, of two signals."""
+    came: list[int] = []
+    numbers = signal.SIGTERM, signal.SIGUSR1
+    before = [signal.signal(number, lambda number, _: came.append(number)) for number in numbers]
+    yield came
+    for number, handler in zip(numbers, before, strict=True):
+        signal.signal(number, handler)
+
+
+def test_no_signal_is_lost_where_a_second_one_ends_the_call(handled: list[int]) -> None:
+    @uninterrupted
+    def call() -> None:
+        signal.raise_signal(signal.SIGTERM)
+        time.sleep(1.2 * PATIENCE)
+        signal.raise_signal(signal.SIGINT)
+        pytest.fail("the second one was kept")
+
+    with pytest.raises(KeyboardInterrupt):
+        call()
+    assert handled == [signal.SIGTERM]
+
+
+def test_ctrl_c_comes_before_a_timeout() -> None:
+    """A program that catches its own timeout would go on."""
+
+    def late(*_: Any) -> None:
+        raise TimeoutError
+
+    before = signal.signal(signal.SIGALRM, late)
+
+    @uninterrupted
+    def call() -> None:
+        signal.raise_signal(signal.SIGALRM)
+        signal.raise_signal(signal.SIGINT)
+
+    try:
+        with pytest.raises(KeyboardInterrupt) as caught:
+            call()
+    finally:
+        signal.signal(signal.SIGALRM, before)
+    assert isinstance(caught.value.__context__, TimeoutError)
+
+
+def test_asyncio_hears_of_a_signal_once() -> None:
+    async def main() -> int:
+        came: list[int] = []
+        loop = asyncio.get_running_loop()
+        loop.add_signal_handler(signal.SIGUSR2, came.append, 1)
+        uninterrupted(lambda: os.kill(os.getpid(), signal.SIGUSR2))()
+        await asyncio.sleep(0.05)
+        loop.remove_signal_handler(signal.SIGUSR2)
+        return len(came)
+
+    assert asyncio.run(main()) == 1
+
+
+@pytest.mark.filterwarnings("ignore:This process:DeprecationWarning")
+def test_a_process_forked_by_another_thread_has_its_handlers_back() -> None:
+    ended = []
+
+    def fork() -> None:
+        child = os.fork()
+        if child == 0:
+            os._exit(signal.getsignal(signal.SIGINT) is not signal.default_int_handler)
+        ended.append(os.waitpid(child, 0)[1])
+
+    @uninterrupted
+    def call() -> None:
+        thread = threading.Thread(target=fork)
+        thread.start()
+        thread.join()
+
+    call()
+    assert ended == [0]
+
+
+@pytest.mark.filterwarnings("ignore:This process:DeprecationWarning")
+def test_a_fork_by_a_devices_own_thread_does_not_wait_for_itself() -> None:
+    def fork() -> int:
+        child = os.fork()
+        if child == 0:
+            os._exit(0)
+        return os.waitpid(child, 0)[1]
+
+    assert Threads(1, "pearl-test").submit(fork).result(20) == 0
 
 
 def test_a_handler_that_the_call_sets_stays() -> None:

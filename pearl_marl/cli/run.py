@@ -151,7 +151,7 @@ def _given(path: Path, spec: EnvSpec, n: int, steps: int) -> Iterator[npt.NDArra
                 f"--actions {path} has the shape {shape}; {steps} steps of {n} agents need {needed}"
             )
 
-    return iter(load_array(path, ".npy file of actions", check)[:steps])
+    return iter(load_array(path, ".npy file of actions", check, rows=steps)[:steps])
 
 
 def _table(result: dict[str, Any]) -> Table:

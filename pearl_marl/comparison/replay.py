@@ -82,6 +82,7 @@ class Replay:
         try:
             check_readable(path)
             value = json.loads(path.read_bytes())
+            right = checksum(value) if isinstance(value, dict) else ""
         except (OSError, ValueError, RecursionError) as error:
             raise ArgumentError(f"{path} cannot be read as a replay file: {_why(error)}") from None
         if not isinstance(value, dict) or value.get("format") != _FORMAT:
@@ -90,7 +91,7 @@ class Replay:
             raise ArgumentError(
                 f"{path} has version {shown(value.get('version'))}; this program reads version {_VERSION}"
             )
-        if value.pop("checksum", None) != checksum(value):
+        if value.pop("checksum", None) != right:
             raise ArgumentError(f"{path} is damaged: its checksum is wrong")
         try:
             return cls._from_json(value)

@@ -254,10 +254,15 @@ class Device(ABC):
     def _without_resetting(self, actions: Any) -> list[Any] | None:
         """Return actions with possible ones for slots that spend the step resetting; ``None`` if none do."""
         spec, n = self.config.spec, self.config.n_agents
+        if not isinstance(actions, (list, tuple)):
+            try:
+                actions = np.asarray(actions.cpu() if hasattr(actions, "cpu") else actions)
+            except (TypeError, ValueError):
+                return None
         if isinstance(actions, np.ndarray):
             fits = actions.shape == (n, *(spec.action_space.shape or ()))
         else:
-            fits = isinstance(actions, (list, tuple)) and len(actions) == n
+            fits = len(actions) == n
         if self.config.autoreset_mode is not AutoresetMode.NEXT_STEP or not fits:
             return None
         ended = SlotMemory(spec, self.config.n_envs, self._read()[0]).ended

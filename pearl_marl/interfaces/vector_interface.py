@@ -107,7 +107,8 @@ class VectorInterface(VectorEnv[Any, Any, Any], Batch):
             else:
                 others = ~np.asarray(mask)
                 self._waiting = self._waiting & others
-                seen[others] = self._seen[others]
+                if len(self._seen):  # or the device was restored, and nobody has seen anything here yet
+                    seen[others] = self._seen[others]
             self._seen = seen
         return obs
 

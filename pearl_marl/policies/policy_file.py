@@ -15,7 +15,7 @@ from typing import Any
 from safetensors.torch import load, save
 from torch import Tensor
 
-from pearl_marl.errors import ArgumentError
+from pearl_marl.errors import ArgumentError, shown
 from pearl_marl.files import check_readable, replace_file
 
 FORMAT = "pearl-policy-2"
@@ -40,6 +40,7 @@ def read(path: Path) -> tuple[Any, dict[str, Tensor]]:
         raise ArgumentError(f"{path} cannot be read as a policy: {why}") from None
     try:
         header, body = _parts(content)
+        checksum = _checksum(header, body)
     except (ValueError, RecursionError):
         raise ArgumentError(f"{path} cannot be read as a policy: its header is damaged") from None
     metadata = header["__metadata__"]
@@ -49,8 +50,10 @@ def read(path: Path) -> tuple[Any, dict[str, Tensor]]:
             "it again, or use that version"
         )
     if metadata.get("format") != FORMAT:
-        raise ArgumentError(f"{path} is no policy of `pearl train`: its format is {metadata.get('format')!r}")
-    if metadata.get("checksum") != _checksum(header, body):
+        raise ArgumentError(
+            f"{path} is no policy of `pearl train`: its format is {shown(metadata.get('format'))}"
+        )
+    if metadata.get("checksum") != checksum:
         raise ArgumentError(f"{path} is damaged: its checksum is wrong")
     try:
         return json.loads(metadata["policy"]), load(content)

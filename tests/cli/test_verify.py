@@ -215,12 +215,12 @@ def sealed(text):
     """Return a file's text with the right checksum, if it has one."""
     try:
         value = json.loads(text)
+        if not isinstance(value, dict):
+            return text
+        value["checksum"] = replaying.checksum(value)
+        return json.dumps(value)
     except (ValueError, RecursionError):
         return text
-    if not isinstance(value, dict):
-        return text
-    value["checksum"] = replaying.checksum(value)
-    return json.dumps(value)
 
 
 FOREIGN = {
@@ -268,6 +268,7 @@ FOREIGN = {
         lambda text: edited(text, "divergence", device="xdma:/tmp"),
         "it was recorded on xdma:/tmp: give --device xdma:/tmp",
     ),
+    "deep": (lambda text: text[:-1] + ', "x": ' + "[" * 993 + "]" * 993 + "}", ""),
     "brackets": (lambda text: "[" * 100_000, "cannot be read as a replay file"),
     "no base64": (lambda text: text.replace('"before": "eN', '"before": "%%'), "damaged"),
 }

@@ -7,6 +7,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
+import torch
 from gymnasium.vector import AutoresetMode
 from gymnasium.wrappers import vector as wrappers
 from pearl_marl.wrappers import clip_reward_v0, frame_stack_v1, sticky_actions_v0
@@ -354,6 +355,15 @@ class TestActionsOfSlotsThatReset:
         np.testing.assert_array_equal(given, before)
         with pytest.raises(ActionError, match=r"agent_0: action .* is out of range"):
             env.step(given)  # they have begun, and act
+
+    @pytest.mark.parametrize("kind", [list, tuple, torch.as_tensor])
+    def test_in_any_container(self, kind: Any) -> None:
+        env = pearl_marl.make_vec("CartPole", 3, autoreset_mode="NextStep", max_cycles=1)
+        env.reset(seed=0)
+        env.step([0, 0, 0])
+        env.step(kind(np.array([9, 9, 9])))
+        with pytest.raises(ActionError, match="agent_0"):
+            env.step(kind(np.array([9, 9, 9])))
 
     def test_what_is_no_action_at_all(self) -> None:
         env = pearl_marl.make_vec("CartPole", 2, autoreset_mode="NextStep", max_cycles=1)

@@ -217,6 +217,18 @@ def test_what_is_no_policy_is_refused(content: bytes, saved: Path) -> None:
         trained.load(saved.parent)
 
 
+def test_headers_that_are_deep_or_long(saved: Path) -> None:
+    for policy in ("[" * depth + "]" * depth for depth in range(960, 1000)):
+        text = f'{{"__metadata__":{{"format":"pearl-policy-2","policy":{policy}}}}}'.encode()
+        saved.write_bytes(len(text).to_bytes(8, "little") + text)
+        with pytest.raises(ArgumentError, match=re.escape("policy.safetensors")):
+            trained.load(saved.parent)
+    saved.write_bytes(safetensors.save({}, {"format": "x" * 100_000}))
+    with pytest.raises(ArgumentError, match="its format is") as caught:
+        trained.load(saved.parent)
+    assert len(str(caught.value)) < 1000
+
+
 def test_a_chance_may_be_any_number(saved: Path) -> None:
     rewritten(saved, chance=2**64)
     actions = load_policy(str(saved), get_spec("CartPole"))(np.zeros((9, 4), np.float32))
