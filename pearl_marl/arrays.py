@@ -2,7 +2,7 @@
 
 NumPy's own reader evaluates a header as Python, and takes the memory that it names before it looks for the
 bytes. Here a header is what :func:`numpy.save` writes of numbers, its array as long as the bytes that follow,
-and whoever wants the array has agreed to its shape and dtype before there is any memory for it.
+and the caller has agreed to its shape and dtype before there is any memory for it.
 """
 
 from __future__ import annotations

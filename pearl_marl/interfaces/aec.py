@@ -45,7 +45,7 @@ class PearlAECEnv(AECEnv):  # type: ignore[misc]  # pettingzoo has no types
     """The agents of a :class:`pearl_marl.PearlParallelEnv`, ``env``, one after the other.
 
     As in PettingZoo's own games, who has ended is what ``terminations`` and ``truncations`` say. Wrappers may
-    assign those, as ``TerminateIllegalWrapper`` does. Whoever has ended leaves before anybody else acts.
+    assign those, as ``TerminateIllegalWrapper`` does. Agents that have ended leave before the others act.
     """
 
     def __init__(self, parallel: PearlParallelEnv) -> None:

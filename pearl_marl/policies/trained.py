@@ -195,7 +195,7 @@ def load(path: Path) -> NetworkPolicy | Table:
     about, tensors = policy_file.read(file)
     try:
         _check_description(about)
-        # On torch's device of no memory, as whoever wrote the file may have named any size.
+        # On torch's device of no memory: the file may name any size.
         with torch.device("meta"):
             policy = _described(about, tensors)
         check_weights(policy, tensors, policy.spec.name)

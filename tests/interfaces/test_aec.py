@@ -144,7 +144,7 @@ def test_who_is_ended_by_somebody_else_leaves_before_anybody_acts() -> None:
 
 @pytest.mark.parametrize("names", [("agent_0",), ("agent_1",), ("agent_0", "agent_1")])
 def test_a_game_without_those_that_were_ended(names: tuple[str, ...]) -> None:
-    """Whoever is left is on turn in all of it, until its own end."""
+    """The agents that are left are on turn in all of it, until their own end."""
     env = pearl_marl.raw_env("ConnectFour")
     env.reset(seed=0)
     for name in names:

@@ -132,7 +132,7 @@ class TestActionsOfThoseWhoLeft:
 
 
 class TestResettingSome:
-    """A world that is reset is there again, whoever had left it."""
+    """A world that is reset is there again, though some had left it."""
 
     @staticmethod
     def played(k: int, wrap: Any) -> tuple[Any, Any]:
