@@ -76,7 +76,7 @@ def test_wrappers_that_only_look(name: str, wrap: Any) -> None:
 
 @pytest.mark.parametrize("name", NAMES)
 def test_what_a_seed_makes(name: str) -> None:
-    """Also of the random numbers that wrappers draw: SuperSuit takes ``unwrapped.np_random``."""
+    """The wrappers' random numbers too, which SuperSuit draws from ``unwrapped.np_random``."""
     env = pearl_marl.env(name)
     env.reset(seed=7)
     drawn = env.unwrapped.np_random.integers(1 << 30)
