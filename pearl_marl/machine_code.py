@@ -19,6 +19,7 @@ import numpy as np
 from numba.core.caching import CompileResultCacheImpl
 from numba.core.serialize import dumps
 
+from pearl_marl import object_code
 from pearl_marl.cache import cache_folder, keep, kept, locked
 from pearl_marl.errors import DeviceError
 
@@ -81,13 +82,18 @@ class MachineCode:
         """Return the machine code for a signature, or None where there is none."""
         context.refresh()
         found = self._entries.load((signature, context.codegen().magic_tuple()))
-        return None if found is None else IMPLEMENTATION.rebuild(None, context, found)
+        if found is None:
+            return None
+        called, made = found
+        object_code.add(called)
+        return IMPLEMENTATION.rebuild(None, context, made)
 
     def save_overload(self, signature: Any, made: Any) -> None:
         """Keep what has been compiled for a signature, unless it holds addresses of this process."""
         if not made.library.has_dynamic_globals:
             key = signature, made.target_context.codegen().magic_tuple()
-            self._entries.save(key, IMPLEMENTATION.reduce(None, made))
+            called = object_code.called(made.library.get_llvm_str())
+            self._entries.save(key, (called, IMPLEMENTATION.reduce(None, made)))
 
 
 def kept_code(dispatcher: Any, name: str) -> Any:

@@ -28,6 +28,7 @@ ROOMS = (
         "version",
         "remaking",
         "integers",
+        "object_code",
         "machine_code",
         "golden",
         "tracing",

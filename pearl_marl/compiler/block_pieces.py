@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import ast
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -17,7 +17,6 @@ from pearl_marl import rng
 from pearl_marl.batch import slot_memory
 from pearl_marl.compiler import flag_pieces, pieces
 from pearl_marl.compiler.pieces import Pieces, assign, call, cell_dtype, each, indented, start, times
-from pearl_marl.compiler.straight_line import observers
 from pearl_marl.spec import EnvSpec
 
 BLOCK = 1024
@@ -27,8 +26,13 @@ template counts flags in bytes."""
 LARGE = 64
 """Elements above which an observation is large."""
 
+CROWDED = 512
+"""Words that a world's agents are shown, above which each agent is observed by a function of its own: LLVM's
+work on a function grows faster than its length. And a slot that starts is then observed by the same functions
+as all slots are, rather than by others that have to be compiled, too."""
+
 KNOWN = re.compile(
-    r"np|u32|range|draw|key|initial|golden_step|observe|observe_\d+|u?int\d+_[a-z_]+|float\d+_[a-z_]+|[A-Z]+_\w+"
+    r"np|u32|range|draw|key|initial|golden_step|(?:observe|find_masks)(?:_\d+)?|u?int\d+_[a-z_]+|float\d+_[a-z_]+|[A-Z]+_\w+"
 )
 """Names in the lines of a function that are no variables of the kernel."""
 
@@ -71,6 +75,7 @@ class BlockPieces(Pieces):
         self.copy_one = assign(kept, each(element, range(len(spec.observation))))
         # From about so many on, fewer where a start takes draws, SIMD code for all slots is faster. Not with
         # large observations, of which all would be made anew, nor those of agents that have ended.
+        self.crowded = agents * len(self.seen) > CROWDED
         self.listed = not self.flat or agents > 1 or self.whole > LARGE
         self.few = self.size // (16 + 3 * spec.reset_draws)
         if self.listed:
@@ -238,16 +243,23 @@ class BlockPieces(Pieces):
 
     def seen_in(self, state: Sequence[str]) -> list[str]:
         """Return what observes all slots of a block in a state."""
-        if not self.runs:
-            return self.over_slots("observe_all", *self.observe(state))
+        return ["first = 0", "end = m", *self.see(state)]
+
+    def see(self, state: Sequence[str]) -> list[str]:
+        """Return what observes the slots from ``first`` to before ``end``."""
+        if self.crowded:
+            return [line for k in range(self.agents) for line in self.see_agents(f"agent_{k}", [k], state)]
+        return self.see_agents("all", range(self.agents), state)
+
+    def see_agents(self, name: str, agents: Iterable[int], state: Sequence[str]) -> list[str]:
+        """Return what observes some agents of these slots."""
         packing, writing, single = [], [], []
         only_masks = all(run.array == "M" for run in self.runs)
         widths = {"O": self.spec.observation_size, "M": len(self.spec.mask_fields)}
         dtypes = {"O": self.dtype, "M": np.dtype(np.int8)}
         observed = each("observed_{}", self.seen)
-        for k, name in enumerate(observers(self.spec)):
-            look = call(name, state, observed)
-            packing.append(look)
+        for k in agents:
+            packing += [*([] if only_masks else self.look(state, k)), *self.judge(state, k)]
             for r, run in enumerate(self.runs):
                 word, width = f"run_{k}_{r}[i]", widths[run.array]
                 at = f"{self.agents * width} * i + {k * width + run.at}"
@@ -258,9 +270,15 @@ class BlockPieces(Pieces):
                 else:
                     writing.append(f"{run.array}[{at}] = {pieces.element(word, field, dtypes[run.array])}")
             if only_masks:
-                single += [look, *self.deliver(observed, k)]
-        lines = [*self.over_slots("pack_all", *packing), *self.over_slots("write_all", *writing)]
-        return lines + (self.over_slots("observe_all", *single) if single else [])
+                single += [*self.look(state, k), *self.deliver(observed, k)]
+        loops = {"pack": packing, "write": writing, "observe": single}
+        turns = "for i in range(first, end):"
+        return [
+            line
+            for verb, lines in loops.items()
+            if lines
+            for line in self.apart(f"{verb}_{name}", [turns, *indented(lines)])
+        ]
 
     def observed_start(self) -> list[str]:
         """Return what observes a slot that has just started."""

@@ -23,7 +23,9 @@ $compiled
 
 @kernel
 def reset(memory, stored, mask, observations,$SHOWN seed_0, seed_1, tick, first_slot, use_stored, n, lo, hi):
-    use_stored = np.int64(use_stored)  # as step() has it, so that both call the same code
+    # As step() has them, so that both call the same code.
+    use_stored = np.int64(use_stored)
+    observations = uint8_column(observations, 0, 0)
     $PADDED
     $allocate
     $gone_delivered

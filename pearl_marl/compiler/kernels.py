@@ -18,7 +18,7 @@ import llvmlite
 import numba
 import numpy as np
 
-from pearl_marl import remaking, rng
+from pearl_marl import object_code, remaking, rng
 from pearl_marl.compiler import llvm_functions, llvm_loops, llvm_planes, llvm_words
 from pearl_marl.compiler.kernel_source import kernel_source
 from pearl_marl.compiler.loading import fingerprint, load, with_callees
@@ -91,6 +91,7 @@ def compile_kernels(spec: EnvSpec, counter: np.dtype[Any] | None = None) -> Kern
         inspect.getsource(llvm_functions),
         inspect.getsource(llvm_loops),
         inspect.getsource(llvm_planes),
+        inspect.getsource(object_code),
         inspect.getsource(remaking),
     )
     name = kernel_name(spec, source, versions)

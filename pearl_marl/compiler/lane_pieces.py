@@ -10,7 +10,6 @@ import numpy as np
 
 from pearl_marl.compiler.block_pieces import BlockPieces, each_slot
 from pearl_marl.compiler.pieces import assign, call, each, indented, narrowed, start
-from pearl_marl.compiler.straight_line import observers
 from pearl_marl.spec import EnvSpec
 
 
@@ -86,9 +85,9 @@ class LanePieces(BlockPieces):
     def shown(self) -> list[str]:
         """Return what observes a slot by ``unpack``."""
         lines, observed = [], each("observed_{}", self.seen)
-        for k, name in enumerate(observers(self.spec)):
-            see = name.replace("observe", "see")
-            lines += [*self.apart(see, [call(name, self.loaded, observed)], observed)]
+        for k in range(self.agents):
+            looks = [*self.look(self.loaded, k), *self.judge(self.loaded, k)]
+            lines += self.apart(f"see_{k}", looks, observed)
             lines += [*self.deliver(observed, k), *self.masks(observed, k)]
         return lines
 
@@ -110,8 +109,9 @@ class LanePieces(BlockPieces):
 
     def observed_start(self) -> list[str]:
         """Return what observes a slot that has just started."""
-        lines = self.observe(self.loaded) if self.flat else [self.show]
-        return self.apart("observe_start", lines)
+        if self.flat and self.crowded:
+            return ["first = i", "end = i + 1", *self.see(self.loaded)]
+        return self.apart("observe_start", self.observe(self.loaded) if self.flat else [self.show])
 
     def golden_step(self) -> list[str]:
         """Return the loop over the golden step."""

@@ -11,7 +11,7 @@ from __future__ import annotations
 import dis
 import inspect
 import itertools
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial
 from types import SimpleNamespace
 from typing import Any
@@ -19,9 +19,10 @@ from typing import Any
 import numpy as np
 from llvmlite import ir
 from numba import types
-from numba.core import cgutils
+from numba.core import cgutils as _cgutils
 from numba.extending import intrinsic
 
+from pearl_marl import object_code
 from pearl_marl.compiler.llvm_loops import Writer
 from pearl_marl.compiler.llvm_words import (
     ARITHMETIC,
@@ -35,8 +36,17 @@ from pearl_marl.compiler.llvm_words import (
 )
 from pearl_marl.remaking import remade
 
+cgutils: Any = _cgutils
+"""Numba's, which has no types."""
+
 LINE = 64
 """Bytes of a cache line."""
+
+LONG = 200
+"""Instructions from which on a function is compiled by itself: its work takes far longer than a call."""
+
+FAILED = ir.IntType(8)
+"""What such a function returns: 1 where there is no memory left, and else 0."""
 
 _Tuple: Any = types.Tuple
 
@@ -238,8 +248,9 @@ def _vocabulary(builder: Writer) -> dict[str, Any]:
 
     def copy(type_: Any, to: Column, of: Column, index: Word, count: int) -> None:
         # Of a constant length: LLVM makes moves of it as wide as they come, where a loop has a scalar tail.
-        copied: Any = cgutils.raw_memcpy
-        copied(builder, to.written(index), of.at(index), ir.IntType(64)(count), type_.bitwidth // 8)
+        cgutils.raw_memcpy(
+            builder, to.written(index), of.at(index), ir.IntType(64)(count), type_.bitwidth // 8
+        )
 
     def prefetch(type_: Any, to: Column, index: Word, count: int) -> None:
         # Words that will be written, of all slots before the first is: so the cache misses overlap.
@@ -306,29 +317,66 @@ def _written(function: Any, builder: Writer, arguments: Iterable[Word | Column])
     return results if isinstance(results, tuple) else () if results is None else (results,)
 
 
-class _Nowhere:
-    """Memory of what is written nowhere."""
+class _Heap:
+    """Memory of a function that is compiled by itself, which returns 1 where there is none left."""
 
     @staticmethod
     def allocate(builder: Writer, size: Any) -> Any:
         """Return room for so many bytes."""
-        return builder.alloca(ir.IntType(8), size)
+        malloc = cgutils.get_or_insert_function(builder.module, ir.FunctionType(BYTES, [size.type]), "malloc")
+        malloc.return_value.add_attribute("noalias")
+        room = builder.call(malloc, [size])
+        with cgutils.if_unlikely(builder, builder.icmp_unsigned("==", room, BYTES(None))):
+            builder.ret(FAILED(1))
+        return room
 
     @staticmethod
     def free(builder: Writer, room: Any) -> None:
         """Give it back."""
+        takes = ir.FunctionType(ir.VoidType(), [BYTES])
+        builder.call(cgutils.get_or_insert_function(builder.module, takes, "free"), [room])
+
+
+def _call(symbol: str, takes: Sequence[Any]) -> Callable[..., Any]:
+    """Return what writes the call of a function that is compiled by itself."""
+
+    def generate(context: Any, builder: Any, signature: Any, operands: Any) -> Any:
+        values = []
+        for value, type_, taken in zip(operands, signature.args, takes, strict=True):
+            if isinstance(type_, types.Array):
+                value = builder.bitcast(arrays().make_array(type_)(context, builder, value).data, taken)
+            values.append(value)
+        called = cgutils.get_or_insert_function(builder.module, ir.FunctionType(FAILED, takes), symbol)
+        failed = builder.icmp_unsigned("!=", builder.call(called, values), FAILED(0))
+        with cgutils.if_unlikely(builder, failed):
+            context.call_conv.return_user_exc(builder, MemoryError, ("no room for a kernel's scratch space",))
+        return context.get_dummy_value()
+
+    return generate
 
 
 def inlined(function: Callable[..., Any]) -> Any:
-    """Return a function for kernels to call, and for other functions that are inlined."""
+    """Return a function for kernels to call, and for other functions that are inlined.
+
+    Where it is long and returns nothing, it is compiled by itself instead, once for all kernels.
+    """
 
     def define(_: Any, *given: Any) -> Any:
-        # Written nowhere first, to find out the types of its results, if it has any.
+        # Written by itself first, to find out how long it is, and the types of its results if it has any.
         plain = [_llvm(t.dtype).as_pointer() if hasattr(t, "dtype") else _llvm(t) for t in given]
-        nowhere = ir.Function(ir.Module(), ir.FunctionType(ir.VoidType(), plain), "nowhere")
-        builder = Writer(ir.IRBuilder(nowhere.append_basic_block()), _Nowhere)
-        arguments = [_given(builder, *each) for each in zip(nowhere.args, given, strict=True)]
+        alone = ir.Function(ir.Module(), ir.FunctionType(FAILED, plain), "alone")
+        builder = Writer(ir.IRBuilder(alone.append_basic_block()), _Heap)
+        for argument in alone.args:
+            if isinstance(argument.type, ir.PointerType):
+                # Words are in one array or in another; so LLVM need not find out at each loop.
+                argument.add_attribute("noalias")
+        arguments = [_given(builder, *each) for each in zip(alone.args, given, strict=True)]
         returned = [word.type for word in _written(function, builder, arguments)] if returns else []
+        if not returns:
+            _written(function, builder, arguments)
+            builder.ret(FAILED(0))
+            if sum(len(block.instructions) for block in alone.blocks) >= LONG:
+                return types.none(*given), _call(object_code.compiled(str(alone.module), alone.name), plain)
 
         def generate(context: Any, outside: Any, signature: Any, operands: Any) -> Any:
             builder = Writer(outside, context.nrt)

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from pearl_marl.batch import slot_memory
-from pearl_marl.compiler.straight_line import observers
+from pearl_marl.compiler.straight_line import maskers, observers
 from pearl_marl.spec import EnvSpec, Field
 
 PREFIXES = {
@@ -127,10 +127,24 @@ class Pieces:
 
     def observe(self, state: Iterable[str]) -> list[str]:
         """Return what makes the observations and masks of a slot in a state."""
-        lines, state, observed = [], list(state), each("observed_{}", self.seen)
-        for k, name in enumerate(observers(self.spec)):
-            lines += [call(name, state, observed), *self.deliver(observed, k), *self.masks(observed, k)]
-        return lines
+        state = list(state)
+        return [line for k in range(self.agents) for line in self.observe_agent(state, k)]
+
+    def observe_agent(self, state: Sequence[str], agent: int) -> list[str]:
+        """Return what makes the observation and the masks of one agent."""
+        words = each("observed_{}", self.seen)
+        looks = [*self.look(state, agent), *self.judge(state, agent)]
+        return [*looks, *self.deliver(words, agent), *self.masks(words, agent)]
+
+    def look(self, state: Sequence[str], agent: int) -> list[str]:
+        """Return what finds the words that an agent observes."""
+        shown = each("observed_{}", self.observation)
+        return [call(observers(self.spec)[agent], state, shown)]
+
+    def judge(self, state: Sequence[str], agent: int) -> list[str]:
+        """Return what finds the words of an agent's masks, if there are any."""
+        flags = each("observed_{}", self.seen[len(self.observation) :])
+        return [call(maskers(self.spec)[agent], state, flags)] if flags else []
 
     def masks(self, words: Sequence[str], agent: int = 0) -> list[str]:
         """Return what writes an agent's masks, the last of the words that it is shown."""

@@ -34,9 +34,9 @@ MOST_NUMBERS = 16
 
 
 def golden_functions(spec: EnvSpec) -> list[str]:
-    """Return the lines of ``initial()``, ``golden_step()`` and those of :func:`observers`.
+    """Return the lines of ``initial()``, ``golden_step()``, :func:`observers` and :func:`maskers`.
 
-    They are for ``inlined`` to compile. An observer returns masks too, if there are any.
+    They are for ``inlined`` to compile.
 
     Raises
     ------
@@ -48,33 +48,46 @@ def golden_functions(spec: EnvSpec) -> list[str]:
     given = [*spec.state, *spec.each_agent(spec.action), *step]
     results = *spec.state, *spec.each_agent(spec.reward), *spec.each_agent(TERMINATED)
     lines = [
-        *_function("initial", [spec.golden.initial], reset, spec.state),
-        *_function("golden_step", [spec.golden.step], given, results),
+        *_function("initial", spec.golden.initial, reset, spec.state),
+        *_function("golden_step", spec.golden.step, given, results),
     ]
     for name, agent in zip(observers(spec), spec.views, strict=True):
-        lines += _function(name, spec.functions[2:], spec.state, spec.seen, *agent)
+        lines += _function(name, spec.golden.observe, spec.state, spec.observation, *agent)
+    if spec.mask_fields:
+        masks = spec.functions[-1]
+        for name, agent in zip(maskers(spec), spec.views, strict=True):
+            lines += _function(name, masks, spec.state, spec.mask_fields, *agent)
     return lines
 
 
 def observers(spec: EnvSpec) -> list[str]:
     """Return the names of the functions that say what an agent sees: one for each agent of a world."""
-    return ["observe"] if spec.agents == 1 else [f"observe_{k}" for k in range(spec.agents)]
+    return _for_agents("observe", spec)
+
+
+def maskers(spec: EnvSpec) -> list[str]:
+    """Return the names of the functions that say which actions an agent may take, if there are masks."""
+    return _for_agents("find_masks", spec) if spec.mask_fields else []
+
+
+def _for_agents(name: str, spec: EnvSpec) -> list[str]:
+    return [name] if spec.agents == 1 else [f"{name}_{k}" for k in range(spec.agents)]
 
 
 def _function(
     name: str,
-    functions: Sequence[GoldenFunction],
+    function: GoldenFunction,
     inputs: Sequence[Field],
     fields: Sequence[Field],
     *agent: int,
 ) -> list[str]:
     graph = Graph(early=False)
     words = [graph.input(f"{k} {f.name}", f.bits, f.signed) for k, f in enumerate(inputs)]
-    traced = [node for function in functions for node in trace(graph, function, words, *agent)]
+    traced = trace(graph, function, words, *agent)
     traced = [graph.wrap(node, f.bits, f.signed) for node, f in zip(traced, fields, strict=True)]
     results = list(zip(_with_merged_sums(graph, traced), (str(f.dtype) for f in fields), strict=True))
     types = {word: str(f.dtype) for word, f in zip(words, inputs, strict=True)}
-    writer = _Writer(name, functions[0], types, results)
+    writer = _Writer(name, function, types, results)
     returned = ", ".join(f"np.{type_}({writer.operand(node, type_)})" for node, type_ in results)
     arguments = ", ".join(writer.names[word] for word in words)
     body = [*writer.lines, f"return {returned}"]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import inspect
 import random
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from pearl_marl.compiler import llvm_functions, llvm_words, scalar_words
-from pearl_marl.compiler.straight_line import golden_functions, observers
+from pearl_marl.compiler.straight_line import golden_functions, maskers, observers
 from pearl_marl.errors import ArgumentError
 from pearl_marl.golden import call_reference
 from pearl_marl.registry import get_spec, names
@@ -56,7 +56,7 @@ def compiled(spec: EnvSpec) -> dict[str, Any]:
     scope: dict[str, Any] = {"np": np, "inlined": llvm_functions.inlined, **llvm_words.operations()}
     exec("\n".join(golden_functions(spec)), scope)
     result = {}
-    for name in ("initial", "golden_step", *observers(spec)):
+    for name in ("initial", "golden_step", *observers(spec), *maskers(spec)):
         _, *parameters = inspect.signature(scope[name]).parameters
         arguments = ", ".join(parameters)
         exec(f"def call({arguments}): return {name}({arguments})", scope)
@@ -73,21 +73,21 @@ def assert_means_the_golden_functions(
     state = [Field(f.name, f.bits, f.signed) for f in spec.state]
     actions = [Field(f.name, f.bits, f.signed) for f in spec.each_agent(spec.action)]
     steps = [*state, *actions, *draws[spec.reset_draws :]]
-    calls: list[tuple[str, Sequence[Any], list[Field], tuple[int, ...]]] = [
-        ("initial", [spec.golden.initial], draws[: spec.reset_draws], ()),
-        ("golden_step", [spec.golden.step], steps, ()),
+    calls: list[tuple[str, Any, list[Field], tuple[int, ...]]] = [
+        ("initial", spec.golden.initial, draws[: spec.reset_draws], ()),
+        ("golden_step", spec.golden.step, steps, ()),
     ]
-    calls += [
-        (name, spec.functions[2:], state, agent)
-        for name, agent in zip(observers(spec), spec.views, strict=True)
-    ]
+    for names_, golden in ((observers(spec), spec.golden.observe), (maskers(spec), spec.golden.masks)):
+        if names_:
+            agents = zip(names_, spec.views, strict=True)
+            calls += [(name, golden, state, agent) for name, agent in agents]
     for name, golden, fields, agent in calls:
         for _ in range(CASES):
             words = [word(chance, field) for field in fields]
             with np.errstate(over="ignore"):
                 result = found[name](*words)
             results = result if isinstance(result, tuple) else (result,)
-            due = [x for function in golden for x in call_reference(function, words, *agent)]
+            due = call_reference(golden, words, *agent)
             assert [int(x) for x in results] == [int(x) for x in due], f"{name}{tuple(words)}"
 
 
