@@ -32,7 +32,8 @@ work on a function grows faster than its length. And a slot that starts is then 
 as all slots are, rather than by others that have to be compiled, too."""
 
 KNOWN = re.compile(
-    r"np|u32|range|draw|key|initial|golden_step|(?:observe|find_masks)(?:_\d+)?|u?int\d+_[a-z_]+|float\d+_[a-z_]+|[A-Z]+_\w+"
+    r"np|u32|range|draw|key|initial|golden_step|(?:observe|find_masks)(?:_\d+)?|"
+    r"u?int\d+_[a-z_]+|float\d+_[a-z_]+|[A-Z]+_\w+"
 )
 """Names in the lines of a function that are no variables of the kernel."""
 
@@ -73,9 +74,9 @@ class BlockPieces(Pieces):
         self.flat = spec.unpack is None
         kept = each("F" + element[1:], range(len(spec.observation)))
         self.copy_one = assign(kept, each(element, range(len(spec.observation))))
+        self.crowded = agents * len(self.seen) > CROWDED
         # From about so many on, fewer where a start takes draws, SIMD code for all slots is faster. Not with
         # large observations, of which all would be made anew, nor those of agents that have ended.
-        self.crowded = agents * len(self.seen) > CROWDED
         self.listed = not self.flat or agents > 1 or self.whole > LARGE
         self.few = self.size // (16 + 3 * spec.reset_draws)
         if self.listed:
