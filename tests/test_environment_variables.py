@@ -29,6 +29,7 @@ print(env.step_batch([1] * 5).obs.tolist())
 NOBODY = """
 import os, pwd
 del os.environ["HOME"]
+os.environ.pop("XDG_CACHE_HOME", None)
 def unknown(*_): raise KeyError("uid not found")
 pwd.getpwuid = pwd.getpwnam = unknown
 """
