@@ -6,6 +6,7 @@ ends the process. So its place is taken by one whose entries carry checksums.
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import inspect
 import pickle
@@ -45,7 +46,7 @@ class Entries:
         self._dumps = dumps
 
     def _path(self, key: Any) -> Path:
-        versions = sys.implementation.cache_tag, numba.__version__, np.__version__
+        versions = _layout(), sys.implementation.cache_tag, numba.__version__, np.__version__
         # What of Numba's own variables is in the code.
         settings = [getattr(CONFIG, name, None) for name in SETTINGS]
         digest = hashlib.sha256(repr((key, versions, settings)).encode()).hexdigest()[:16]
@@ -64,6 +65,12 @@ class Entries:
         """Remove all entries of the function."""
         for path in cache_folder("kernels").glob(f"{self._name}-*.code"):
             path.unlink(missing_ok=True)
+
+
+@functools.cache
+def _layout() -> str:
+    """Return what changes when entries are written another way: then older ones are not found."""
+    return hashlib.sha256(inspect.getsource(sys.modules[__name__]).encode()).hexdigest()
 
 
 class MachineCode:

@@ -132,3 +132,14 @@ def test_code_made_under_other_settings_is_another_entry(
     assert entries.load("key") == "code"
     monkeypatch.setattr(numba.config, "OPT", 0)
     assert entries.load("key") is None
+
+
+def test_code_written_by_another_version_is_another_entry(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, forgotten: None
+) -> None:
+    """What a file holds may differ, and the cache outlives an upgrade."""
+    monkeypatch.setenv("PEARL_CACHE_DIR", str(tmp_path))
+    entries = Entries("function")
+    entries.save("key", "code")
+    monkeypatch.setattr("pearl_marl.machine_code._layout", lambda: "another")
+    assert entries.load("key") is None
