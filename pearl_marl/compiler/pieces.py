@@ -127,14 +127,11 @@ class Pieces:
 
     def observe(self, state: Iterable[str]) -> list[str]:
         """Return what makes the observations and masks of a slot in a state."""
-        state = list(state)
-        return [line for k in range(self.agents) for line in self.observe_agent(state, k)]
-
-    def observe_agent(self, state: Sequence[str], agent: int) -> list[str]:
-        """Return what makes the observation and the masks of one agent."""
-        words = each("observed_{}", self.seen)
-        looks = [*self.look(state, agent), *self.judge(state, agent)]
-        return [*looks, *self.deliver(words, agent), *self.masks(words, agent)]
+        lines, state, words = [], list(state), each("observed_{}", self.seen)
+        for k in range(self.agents):
+            lines += [*self.look(state, k), *self.judge(state, k)]
+            lines += [*self.deliver(words, k), *self.masks(words, k)]
+        return lines
 
     def look(self, state: Sequence[str], agent: int) -> list[str]:
         """Return what finds the words that an agent observes."""
