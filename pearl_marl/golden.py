@@ -1,20 +1,21 @@
 """The vocabulary of golden functions: plain Python over integers that never overflow.
 
 A word is an integer in the sense of mathematics: ``a + b`` is the sum, however large, and a comparison is 0
-or 1. Calling one of the types below is the one place where a value wraps around, modulo ``2**bits``. Of NumPy
-there are ``where``, ``minimum``, ``maximum`` and ``clip``. ``docs/golden_steps.md`` has the rest.
+or 1. Calling one of the types below is the one place where a value wraps around, modulo ``2**bits``.
+``docs/golden_steps.md`` has the rest.
 """
 
 from __future__ import annotations
 
+import functools
 import types
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any, TypeAlias
 
 import numpy as np
 
-from pearl_marl.integers import VOCABULARY, Integers
-from pearl_marl.remaking import remade
+from pearl_marl.errors import ArgumentError
+from pearl_marl.remaking import Vocabulary, remade
 
 u8 = np.uint8
 u16 = np.uint16
@@ -26,7 +27,7 @@ i32 = np.int32
 i64 = np.int64
 
 Word: TypeAlias = Any
-"""An integer of one slot; whoever runs a golden function decides what stands for it."""
+"""An integer of one slot: a Python ``int`` in the reference, a symbol where hardware and kernels are made."""
 
 GoldenFunction: TypeAlias = Callable[..., Any]
 
@@ -94,21 +95,137 @@ def inserted(numbers: Sequence[Word], number: Word) -> list[Word]:
     return [*result, number]
 
 
-def reference(function: GoldenFunction, *agent: int) -> Callable[..., tuple[Any, ...]]:
-    """Return what runs a golden function itself on numbers or whole arrays, and always returns a tuple.
+class Draws:
+    """Random numbers that a golden function asks for.
 
-    ``agent`` is what :attr:`pearl_marl.spec.EnvSpec.views` has for it, the last argument of a function that
-    tells what one agent of a world sees.
-    Results are NumPy's integers or arrays of 64 bits; where those do not hold one, Python's integers.
+    Each request takes the next uniform ``u32`` of the step, or of the reset. So that a step always takes as
+    many, ask where it is certain that the statement runs, not under an ``if`` on a word; a draw that is not
+    needed costs nothing.
     """
-    again = remade(function, VOCABULARY.meaning) if isinstance(function, types.FunctionType) else function
+
+    def __init__(self, words: Iterable[Word]) -> None:
+        self._words = iter(words)
+
+    def bits(self, count: int = 32) -> Word:
+        """Return a uniform number of so many bits, 1 to 32."""
+        if not isinstance(count, int) or not 1 <= count <= 32:
+            raise ArgumentError(f"draws.bits({count!r}): a draw has 1 to 32 bits")
+        try:
+            word = next(self._words)
+        except StopIteration:
+            raise ArgumentError(f"a golden function asks for more than {MOST_DRAWS} draws") from None
+        asked = getattr(word, "asked", None)  # a symbol says whether it may be
+        if asked is not None:
+            asked()
+        return word >> (32 - count)
+
+    def below(self, n: Word) -> Word:
+        """Return a number from 0 to ``n - 1``, ``n`` up to ``2**32 - 1``.
+
+        An outcome's probability is off by at most ``2**-32``.
+        """
+        return self.bits() * n >> 32
+
+    def chance(self, numerator: float, denominator: float = 1) -> Word:
+        """Return 1 with a probability: ``chance(0.3)``, ``chance(1, 3)``, rounded to a multiple of ``2**-32``."""
+        share = numerator / denominator
+        if not 0 <= share <= 1:
+            raise ArgumentError(f"draws.chance({numerator!r}, {denominator!r}): a probability is 0 to 1")
+        return self.bits() < round(share * 2**32)
+
+    def choice(self, options: Sequence[Any]) -> Any:
+        """Return one of several, all equally likely."""
+        return _entry(options, self.below(len(options)))
+
+    def permutation(self, n: int) -> list[Word]:
+        """Return the numbers from 0 to ``n - 1`` in any order, all equally likely; takes ``n - 1`` draws."""
+        result: list[Word] = [0] * min(n, 1)
+        for k in range(1, n):
+            place = self.below(k + 1)
+            # The number in that place moves to the end, and this one takes it.
+            last = _entry([*result, k], place)
+            result = [old + (place == i) * (k - old) for i, old in enumerate(result)]
+            result.append(last)
+        return result
+
+    def several(self, *outcomes: int) -> list[Word]:
+        """Return a number below each of ``outcomes``, of as few draws as :func:`draws_of` tells."""
+        return digits([self.bits() for _ in range(draws_of(outcomes)[-1] + 1)], outcomes)
+
+
+class CountingDraws(Draws):
+    """Draws that are all 0, and counted."""
+
+    def __init__(self) -> None:
+        self.count = 0
+        super().__init__(self._zeros())
+
+    def _zeros(self) -> Iterator[int]:
+        while True:
+            self.count += 1
+            yield 0
+
+
+MOST_DRAWS = 256
+"""Draws of a reset, or of a step."""
+
+
+def _entry(entries: Sequence[Any], place: Word) -> Any:
+    """Return an entry that a word chooses."""
+    return place.entry(entries) if hasattr(place, "entry") else entries[place]
+
+
+class _Wrap:
+    """A type of NumPy's, called: its value modulo ``2**bits``."""
+
+    def __init__(self, dtype: type[np.integer[Any]]) -> None:
+        self.low, self.count = int(np.iinfo(dtype).min), 1 << np.dtype(dtype).itemsize * 8
+
+    def __call__(self, value: Any = 0) -> int:
+        return (int(value) - self.low) % self.count + self.low
+
+
+PLAIN = Vocabulary(_Wrap, lambda values: values)
+"""What golden functions name, on Python's integers."""
+
+
+def as_python_runs_it(function: GoldenFunction) -> GoldenFunction:
+    """Return a golden function on Python's integers: itself, with casts that wrap."""
+    return remade(function, PLAIN.meaning) if isinstance(function, types.FunctionType) else function
+
+
+def reference(function: GoldenFunction, *agent: int) -> Callable[..., tuple[Any, ...]]:
+    """Return what runs a golden function itself, as Python runs it, and always returns a tuple.
+
+    Arguments are numbers, or arrays of any shapes that go together: then the function runs for one element
+    after the other, and results are arrays. ``agent`` is what :attr:`pearl_marl.spec.EnvSpec.views` has for it,
+    the last argument of a function that tells what one agent of a world sees.
+    Results are NumPy's integers of 64 bits; where those do not hold one, Python's integers.
+    """
+    again = as_python_runs_it(function)
+
+    @functools.lru_cache(1 << 14)
+    def once(*words: int) -> tuple[int, ...]:
+        result = again(*words, *agent)
+        return tuple(map(int, result if isinstance(result, (tuple, list)) else (result,)))
 
     def run(*arguments: Any) -> tuple[Any, ...]:
-        result = again(*map(Integers.of, arguments), *agent)
-        words = result if isinstance(result, tuple) else (result,)
-        return tuple(Integers.of(word).wide() for word in words)
+        given = [np.asarray(argument) for argument in arguments]
+        shape = np.broadcast_shapes(*(array.shape for array in given))
+        if not shape:
+            return tuple(_array([word])[0] for word in once(*(int(array[()]) for array in given)))
+        rows = zip(*(np.broadcast_to(array, shape).ravel().tolist() for array in given), strict=True)
+        return tuple(_array(column).reshape(shape) for column in zip(*(once(*row) for row in rows), strict=True))
 
     return run
+
+
+def _array(words: Sequence[int]) -> Any:
+    """Return an array of 64 bits, or of Python's integers where those do not hold them."""
+    low, high = min(words), max(words)
+    if -(1 << 63) <= low and high < 1 << 64 and (low >= 0 or high < 1 << 63):
+        return np.array(words, np.int64 if high < 1 << 63 else np.uint64)
+    return np.array(words, object)
 
 
 def call_reference(function: GoldenFunction, arguments: Iterable[Any], *agent: int) -> tuple[Any, ...]:

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import random
 import types
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
+from types import MappingProxyType
 from typing import Any, NamedTuple, NoReturn
 
 import numpy as np
@@ -23,10 +24,13 @@ def remade(
     function: types.FunctionType,
     change: Callable[[Any], Any],
     finish: Callable[[types.FunctionType], Any] = lambda function: function,
+    code: Callable[[types.FunctionType], types.CodeType] = lambda function: function.__code__,
+    names: Mapping[str, Any] = MappingProxyType({}),
 ) -> Any:
     """Return a function like this one in whose scope every other value is what ``change`` makes of it.
 
-    Functions in its scope are made again likewise. ``finish`` is applied to every function that was.
+    Functions in its scope are made again likewise. ``finish`` is applied to every function that was, ``code``
+    gives the code of each, and ``names`` are names that none of them defines, such as Python's own.
     """
     done: dict[types.FunctionType, Any] = {}
 
@@ -35,14 +39,16 @@ def remade(
         if not isinstance(old, types.FunctionType):
             return change(old)
         if old not in done:
-            scope, cells = dict(old.__globals__), tuple(types.CellType() for _ in old.__closure__ or ())
-            new = types.FunctionType(old.__code__, scope, old.__name__, old.__defaults__, cells)
+            scope, its_code = {**names, **old.__globals__}, code(old)
+            closure = dict(zip(old.__code__.co_freevars, old.__closure__ or (), strict=True))
+            cells = tuple(types.CellType() for _ in its_code.co_freevars)
+            new = types.FunctionType(its_code, scope, old.__name__, old.__defaults__, cells)
             new.__kwdefaults__ = old.__kwdefaults__
             done[old] = finish(new)  # known to itself, and to functions that call it in turn
-            names = (name for name in _names(old.__code__) if name in old.__globals__)
-            scope.update({name: value(old.__globals__[name]) for name in names})
-            for cell, known in zip(cells, old.__closure__ or (), strict=True):
-                cell.cell_contents = value(known.cell_contents)
+            used = (name for name in _names(old.__code__) if name in old.__globals__)
+            scope.update({name: value(old.__globals__[name]) for name in used})
+            for name, cell in zip(its_code.co_freevars, cells, strict=True):
+                cell.cell_contents = value(closure[name].cell_contents)
         return done[old]
 
     return value(function)

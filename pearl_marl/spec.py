@@ -20,59 +20,15 @@ from gymnasium import Env, Space
 from gymnasium.spaces import Box, Discrete, Tuple
 
 from pearl_marl.errors import ArgumentError
-from pearl_marl.golden import GoldenFunction
+from pearl_marl.fields import Field as Field
+from pearl_marl.fields import word_bits as word_bits
+from pearl_marl.golden import MOST_DRAWS, CountingDraws, GoldenFunction, as_python_runs_it
+from pearl_marl.layout import Layout
 from pearl_marl.pickling import reduced
+from pearl_marl.positional import Positional, initial_of, step_of, view_of
 from pearl_marl.tracing.checks import Argument, Result, check
 from pearl_marl.tracing.operations import word_range
-from pearl_marl.tracing.records import record
-
-
-@dataclass(frozen=True, slots=True)
-class Field:
-    """One named piece of a hardware word.
-
-    Parameters
-    ----------
-    name
-        As it appears in reports, waveforms, memory and generated code: ASCII letters, digits and underscores.
-    bits
-        Width in hardware, 1 to 64. On the host it lives in the narrowest integer that holds it.
-    signed
-        Whether it is two's complement.
-    fraction
-        Binary fraction bits: the value delivered is ``word * 2**-fraction``.
-    """
-
-    name: str
-    bits: int
-    signed: bool = False
-    fraction: int = 0
-
-    def __post_init__(self) -> None:
-        if not isinstance(self.bits, int) or not 1 <= self.bits <= 64:
-            raise ArgumentError(f"field {self.name!r} has {self.bits!r} bits; possible are 1 to 64")
-        if not isinstance(self.fraction, int) or self.fraction < 0:
-            raise ArgumentError(f"field {self.name!r} has {self.fraction!r} fraction bits; 0 is the least")
-
-    @property
-    def dtype(self) -> np.dtype[Any]:
-        """The narrowest NumPy integer that holds the field."""
-        width = max(8, 1 << (self.bits - 1).bit_length())
-        return np.dtype(f"{'int' if self.signed else 'uint'}{width}")
-
-    def value(self, word: SupportsInt) -> float:
-        """Return what a word stands for; an ``int`` where there is no fraction."""
-        return int(word) * 2.0**-self.fraction if self.fraction else int(word)
-
-    @property
-    def low(self) -> float:
-        """The least value; an ``int`` where there is no fraction."""
-        return self.value(-(1 << (self.bits - 1)) if self.signed else 0)
-
-    @property
-    def high(self) -> float:
-        """The greatest value; an ``int`` where there is no fraction."""
-        return self.value((1 << (self.bits - self.signed)) - 1)
+from pearl_marl.tracing.records import RULES, record
 
 
 def snake_case(name: str) -> str:
@@ -80,39 +36,38 @@ def snake_case(name: str) -> str:
     return re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", name).lower()
 
 
-def word_bits(fields: Sequence[Field]) -> int:
-    """Return the width in bits of the word made of ``fields`` side by side."""
-    return sum(f.bits for f in fields)
-
-
 class Golden(NamedTuple):
-    """The functions that are an environment's dynamics, as :mod:`pearl_marl.golden` has them written.
+    """The functions that are an environment's dynamics, in plain Python: see :mod:`pearl_marl.golden`.
 
-    Each takes and returns scalars, in the order in which the spec lists its fields::
+    ::
 
-        initial(*reset_draws)             -> *state
-        step(*state, action, *step_draws) -> *next_state, reward, terminated
-        observe(*state)                   -> *observation
-        masks(*state)                     -> a flag for each action: whether it may be taken
+        initial(draws)             -> State
+        step(state, action, draws) -> State, reward, terminated
+        observe(state)             -> what an agent sees: a word, a tuple of words or a View
+        masks(state)               -> a flag for each action: whether it may be taken
 
-    A function of one result returns it bare. Draws are uniform ``u32``;
-    ``terminated`` is 0 or 1. Options are constants of the enclosing scope.
+    ``draws`` are :class:`~pearl_marl.golden.Draws`; ``terminated`` is 0 or 1. Options are constants of the
+    enclosing scope.
 
-    In a world of several agents ``step`` takes all their actions and returns all their rewards, then all
-    their flags ``terminated``, agent 0 first; and ``observe`` and ``masks`` take one argument more, the agent
-    that they are about: a plain ``int``, so that an ``if`` on it is fine::
+    In a world of several agents ``step`` takes a list of their actions and returns a list of their rewards and
+    one of their flags ``terminated``, agent 0 first; and ``observe`` and ``masks`` take the agent that they are
+    about, a plain ``int``::
 
-        step(*state, *actions, *step_draws) -> *next_state, *rewards, *terminated
-        observe(*state, agent)              -> *observation
-        masks(*state, agent)                -> a flag for each action
+        step(state, actions, draws) -> State, rewards, terminated
+        observe(state, agent)
+        masks(state, agent)
 
     ``step`` takes any action of the action space, masked or not.
     """
 
+    state: type
+    """The class of a state: see :mod:`pearl_marl.layout`."""
     initial: GoldenFunction
     step: GoldenFunction
     observe: GoldenFunction
     masks: GoldenFunction | None = None
+    view: type | None = None
+    """The class of what ``observe`` returns, where it is one."""
 
 
 class Role(NamedTuple):
@@ -154,13 +109,14 @@ class EnvSpec:
         ``"CliffWalking"`` and 0 give ``"Pearl/CliffWalking-v0"`` in the registries.
     summary
         One line for the table of environments.
-    state, observation
-        The fields of the state word and of the observation word, least significant first. Within a word every
-        name is another; a slot has columns ``elapsed`` and ``ended`` besides, so no state field is named so.
+    observation
+        The fields of the observation word, least significant first; by default those of ``golden.view``, or
+        those that the observation space takes.
     action
-        The field of an action.
+        The field of an action; by default as wide as the action space takes.
     reward
-        The field of a reward: a category code if ``rewards`` is a table, the value itself if not.
+        The field of a reward: a category code if ``rewards`` is a table, the value itself if not. By default
+        as wide as the table takes.
     rewards
         The reward of each category, or ``None``.
     observation_space
@@ -187,8 +143,6 @@ class EnvSpec:
         For a ``Box`` whose elements are not the observation's fields: ``unpack(*observation, row)`` writes
         the observation of one slot into ``row``, a flat array (of 0 and 1 in ``uint8`` where the space's
         dtype is ``bool``). Numba compiles it.
-    reset_draws, step_draws
-        How many 32-bit random draws ``golden.initial`` and ``golden.step`` take.
     max_cycles
         Steps after which an episode is truncated; ``None`` for no limit.
     options, configure
@@ -214,21 +168,18 @@ class EnvSpec:
     name: str
     version: int
     summary: str
-    state: tuple[Field, ...]
-    action: Field
-    observation: tuple[Field, ...]
-    reward: Field
-    rewards: tuple[float, ...] | None
     observation_space: Space[Any]
     action_space: Discrete | Box
     golden: Golden
+    rewards: tuple[float, ...] | None
+    observation: tuple[Field, ...] = ()
+    action: Field = None  # type: ignore[assignment]  # given where it has a default
+    reward: Field = None  # type: ignore[assignment]
     agents: int = 1
     roles: tuple[Role, ...] = ()
     turns: bool = False
     masked: str = "stay"
     unpack: GoldenFunction | None = None
-    reset_draws: int = 0
-    step_draws: int = 0
     max_cycles: int | None = None
     options: Mapping[str, Any] = field(default_factory=dict)
     configure: Callable[..., EnvSpec] | None = None
@@ -242,6 +193,7 @@ class EnvSpec:
     grid: Grid | None = None
 
     def __post_init__(self) -> None:
+        self._set_defaults()
         space = self.observation_space
         parts = space.spaces if isinstance(space, Tuple) else (space,)
         if not isinstance(space, Box) and not all(isinstance(part, Discrete) for part in parts):
@@ -260,10 +212,8 @@ class EnvSpec:
         self._check_action()
         if not isinstance(self.name, str) or not re.fullmatch(r"[A-Za-z][A-Za-z0-9]*", self.name):
             raise ArgumentError(f"name {self.name!r}: it takes letters and digits, a letter first")
-        for what in ("version", "reset_draws", "step_draws"):
-            value = getattr(self, what)
-            if isinstance(value, bool) or not isinstance(value, int) or value < 0:
-                raise ArgumentError(f"{self.name}: {what} is {value!r}; it must be an integer of at least 0")
+        if isinstance(self.version, bool) or not isinstance(self.version, int) or self.version < 0:
+            raise ArgumentError(f"{self.name}: version is {self.version!r}; it must be an integer from 0")
         if self.rewards is not None and self.reward.bits > 16:
             raise ArgumentError(f"{self.name}: a category of {self.reward.bits} bits; a table takes up to 16")
         if self.rewards is not None and self.reward.signed:
@@ -279,6 +229,64 @@ class EnvSpec:
         # Those of this package are traced by its tests, so that importing it stays quick.
         self.check_golden([f for f in self.functions if not str(f.__module__).startswith("pearl_marl.envs.")])
 
+    def _set_defaults(self) -> None:
+        """Derive the fields that are not given from spaces, the table of rewards and the view."""
+
+        def derive(name: str, value: Any) -> None:
+            object.__setattr__(self, name, value)
+
+        if not self.observation:
+            view = self.golden.view
+            derive("observation", Layout(view).fields if view else _fields_of(self.observation_space))
+        if self.action is None:
+            if not isinstance(self.action_space, Discrete):
+                raise ArgumentError(f"{self.name}: the action space is {self.action_space}; give action=Field(...)")
+            derive("action", Field("action", _width(int(self.action_space.n))))
+        if self.reward is None:
+            if self.rewards is None:
+                raise ArgumentError(f"{self.name}: there is no table of rewards; give reward=Field(...)")
+            derive("reward", Field("reward", _width(len(self.rewards))))
+
+    @cached_property
+    def layout(self) -> Layout:
+        """What a state looks like in hardware."""
+        return Layout(self.golden.state)
+
+    @property
+    def state(self) -> tuple[Field, ...]:
+        """The fields of the state word, least significant first."""
+        return self.layout.fields
+
+    @cached_property
+    def positional(self) -> Positional:
+        """The golden functions as functions of words."""
+        state, golden, n = self.layout, self.golden, self.agents
+        return Positional(
+            initial_of(state, golden.initial),
+            step_of(state, golden.step, n),
+            view_of(state, golden.observe, n),
+            None if golden.masks is None else view_of(state, golden.masks, n),
+        )
+
+    @cached_property
+    def _draws(self) -> tuple[int, int]:
+        # No path through a golden function changes how many it asks for: any state will do.
+        first, second = CountingDraws(), CountingDraws()
+        state = as_python_runs_it(self.golden.initial)(first)
+        actions = 0 if self.agents == 1 else [0] * self.agents
+        as_python_runs_it(self.golden.step)(state, actions, second)
+        return first.count, second.count
+
+    @property
+    def reset_draws(self) -> int:
+        """How many 32-bit random draws ``golden.initial`` asks for."""
+        return self._draws[0]
+
+    @property
+    def step_draws(self) -> int:
+        """How many ``golden.step`` asks for."""
+        return self._draws[1]
+
     def check_golden(self, functions: Sequence[GoldenFunction | None]) -> None:
         """Trace some of the golden functions: each takes and returns what the spec says, within its limits.
 
@@ -289,23 +297,23 @@ class EnvSpec:
         """
 
         def arguments(fields: Iterable[Field]) -> tuple[Argument, ...]:
-            return tuple(Argument(f.name, f.bits, f.signed) for f in fields)
+            return tuple(Argument(f.name, f.bits, f.signed, *f.range) for f in fields)
 
         def results(fields: Iterable[Field]) -> tuple[Result, ...]:
             return tuple(map(_result, fields))
 
-        draws = tuple(Argument(f"draw_{k}", 32) for k in range(max(self.reset_draws, self.step_draws)))
+        draws = tuple(Argument(f"draw_{k}", 32, False, 0, (1 << 32) - 1) for k in range(MOST_DRAWS))
         state, rewards = arguments(self.state), results(self.each_agent(self.reward))
         if self.rewards is not None and len(self.rewards) <= rewards[0].high:
             high, fix = len(self.rewards) - 1, "add a reward, or change the category"
             rewards = tuple(Result(r.name, 0, high, "the table of rewards lists", fix) for r in rewards)
         actions = arguments(self.each_agent(replace(self.action, name="action")))
-        golden = self.golden
+        golden = self.positional
         calls: list[tuple[GoldenFunction, tuple[Argument, ...], tuple[Result, ...], tuple[int, ...]]] = [
-            (golden.initial, draws[: self.reset_draws], results(self.state), ()),
+            (golden.initial, draws, results(self.state), ()),
             (
                 golden.step,
-                (*state, *actions, *draws[: self.step_draws]),
+                (*state, *actions, *draws),
                 (*results(self.state), *rewards, *results(self.each_agent(TERMINATED))),
                 (),
             ),
@@ -385,30 +393,33 @@ class EnvSpec:
 
     @cached_property
     def functions(self) -> tuple[GoldenFunction, ...]:
-        """The golden functions that there are."""
-        return tuple(function for function in self.golden if function is not None)
+        """The positional golden functions that there are."""
+        return tuple(function for function in self.positional if function is not None)
 
     @cached_property
     def behaviour(self) -> str:
         """A hash of what the golden functions do, of the formats of their words and of the table of rewards.
 
-        It is the same in every process and every version of this package. Changing a variable's name or a
-        comment does not change it.
+        It is the same in every process. Changing a variable's name or a comment does not change it. Two that
+        :func:`pearl_marl.tracing.records.comparable` tells apart may do the same.
         """
-        state, actions = (
-            [f"{word}{k}" for k in range(n)] for word, n in (("s", len(self.state)), ("a", self.agents))
-        )
-        draws = [f"d{k}" for k in range(max(self.reset_draws, self.step_draws))]
-        golden, formats = self.golden, (self.state, (self.action,), self.observation, (self.reward,))
+
+        def formats(fields: Iterable[Field]) -> list[tuple[int, bool, int, int]]:
+            return [(f.bits, f.signed, *f.range) for f in fields]
+
+        golden, state = self.positional, formats(self.state)
+        draw = (32, False, 0, (1 << 32) - 1)
+        actions = formats(self.each_agent(self.action))
+        words = (self.state, (self.action,), self.observation, (self.reward,))
         parts = [
             (self.agents, self.reset_draws, self.step_draws),
-            [[(f.bits, f.signed, f.fraction) for f in fields] for fields in formats],
+            [[(f.bits, f.signed, f.fraction, *f.range) for f in fields] for fields in words],
             None if self.rewards is None else [float(reward).hex() for reward in self.rewards],
-            record(golden.initial, draws[: self.reset_draws]),
-            record(golden.step, [*state, *actions, *draws[: self.step_draws]]),
+            record(golden.initial, [draw] * self.reset_draws),
+            record(golden.step, [*state, *actions, *[draw] * self.step_draws]),
             [record(view, state, *agent) for agent in self.views for view in self.functions[2:]],
         ]
-        return hashlib.sha256(repr(parts).encode()).hexdigest()[:16]
+        return f"{RULES}:{hashlib.sha256(repr(parts).encode()).hexdigest()[:16]}"
 
     @cached_property
     def views(self) -> tuple[tuple[int, ...], ...]:
@@ -523,11 +534,31 @@ def _check_part(spec: EnvSpec, role: Role, what: str, own: Space[Any], whole: Sp
         )
 
 
+def _fields_of(space: Space[Any]) -> tuple[Field, ...]:
+    """Return the fields that an observation space takes, one an element."""
+    if isinstance(space, Discrete):
+        return (Field("observation", _width(int(space.start + space.n))),)
+    if isinstance(space, Tuple):
+        parts = [_fields_of(part) for part in space.spaces if isinstance(part, Discrete)]
+        return tuple(replace(part[0], name=f"observation_{k}") for k, part in enumerate(parts))
+    if isinstance(space, Box) and np.issubdtype(space.dtype, np.integer) and space.low.min() >= 0:
+        widths = [_width(int(high) + 1) for high in space.high.ravel()]
+        return tuple(Field(f"observation_{k}", bits) for k, bits in enumerate(widths))
+    raise ArgumentError(f"observation space {space} does not say how wide its words are; give Golden(view=...)")
+
+
+def _width(count: int) -> int:
+    """Return the bits of a number below ``count``."""
+    return max(1, (count - 1).bit_length())
+
+
 def _result(word: Field) -> Result:
-    low, high = word_range(word.bits, word.signed)
+    low, high = word.range
     wraps = f"{'i' if word.signed else 'u'}{word.bits}()" if word.bits in (8, 16, 32, 64) else f"& {high}"
-    fix = "np.clip keeps it in" + (f", and `{wraps}` lets it wrap around" if "(" in wraps or low == 0 else "")
+    fix = "clip() keeps it in" + (f", and `{wraps}` lets it wrap around" if "(" in wraps or low == 0 else "")
     limit = f"{word.bits} bits hold" if word.bits > 1 else "1 bit holds"
+    if (low, high) != word_range(word.bits, word.signed):
+        limit = "its range is"
     return Result(word.name, low, high, limit, fix)
 
 

@@ -160,7 +160,7 @@ def test_options_are_in_it_by_what_they_do() -> None:
 def test_each_agent_of_a_world_counts(spec: EnvSpec) -> None:
     def other(*words: Any) -> Any:
         *_, agent = words
-        seen = spec.golden.observe(*words)
+        seen = spec.positional.observe(*words)
         if agent != spec.agents - 1:
             return seen
         return (1 - (seen[0] & 1), *seen[1:]) if isinstance(seen, tuple) else 1 - (seen & 1)

@@ -9,9 +9,9 @@ from gymnasium import Env
 from gymnasium.spaces import Discrete
 
 from pearl_marl.errors import ArgumentError
-from pearl_marl.spec import EnvSpec, Field, Golden, Grid
+from pearl_marl.spec import EnvSpec, Golden, Grid
 
-from .step import initial, observe, step, step_slippery
+from .step import State, initial, observe, step, step_slippery
 
 ROWS, COLUMNS = 4, 12
 
@@ -37,17 +37,10 @@ def configure(is_slippery: bool = False) -> EnvSpec:
         name="CliffWalking",
         version=0,
         summary="Walk from start to goal along a cliff; falling off costs 100",
-        # Six bits hold a slot's whole state. Two fields rather than one cell number spare the
-        # hardware a division and the CPU a chain of comparisons.
-        state=(Field("row", 2), Field("column", 4)),
-        action=Field("action", 2),
-        observation=(Field("cell", 6),),
-        reward=Field("reward", 1),
         rewards=(-1.0, -100.0),
         observation_space=Discrete(ROWS * COLUMNS),
         action_space=Discrete(4),
-        golden=Golden(initial, step_slippery if is_slippery else step, observe),
-        step_draws=1 if is_slippery else 0,
+        golden=Golden(State, initial, step_slippery if is_slippery else step, observe),
         options={"is_slippery": is_slippery},
         configure=configure,
         oracle="CliffWalking-v1",

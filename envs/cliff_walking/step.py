@@ -14,49 +14,53 @@ Follows https://gymnasium.farama.org/environments/toy_text/cliff_walking/ (Cliff
 itself example 6.6 of Sutton and Barto, *Reinforcement Learning: An Introduction*, 2nd edition.
 """
 
-import numpy as np
+from typing import NamedTuple
 
-from pearl_marl.golden import Word, uniform_below
+from pearl_marl.golden import Draws, Word
+from pearl_marl.layout import Bits
 
 UP, RIGHT, DOWN, LEFT = 0, 1, 2, 3
 LAST_ROW, LAST_COLUMN = 3, 11
+STEP, FELL = 0, 1
+"""Categories of reward. What one is worth is the host's business: rewards change without a new bitstream."""
 
 
-def initial() -> tuple[Word, Word]:
-    """Return the state of a new episode, ``(row, column)``: the lower left corner, always."""
-    # An environment with random starts takes draws as arguments and says how many in its spec.
-    return LAST_ROW, 0
+class State(NamedTuple):
+    """Where the walker is. Six bits hold it; two fields spare the hardware a division."""
+
+    row: Bits[2]
+    column: Bits[4]
 
 
-def step(row: Word, column: Word, action: Word) -> tuple[Word, Word, Word, Word]:
-    """Move one cell; return ``(row, column, reward, terminated)``.
-
-    ``reward`` is a category: 0 for a step, 1 for a fall off the cliff. What a category is worth
-    is the host's business, so rewards can change without rebuilding anything.
-    """
-    # No `if`: all slots run the same instructions, and hardware does them in one cycle. A comparison
-    # is 0 or 1, so it can be combined by `&` and added.
-    up = (action == UP) & (row > 0)
-    down = (action == DOWN) & (row < LAST_ROW)
-    left = (action == LEFT) & (column > 0)
-    right = (action == RIGHT) & (column < LAST_COLUMN)
-    row = row + down - up
-    column = column + right - left
-
-    bottom = row == LAST_ROW
-    terminated = bottom & (column == LAST_COLUMN)
-    fell = bottom & (column > 0) & (column < LAST_COLUMN)
-    # Where Python would say `if fell: column = 0`:
-    column = np.where(fell, 0, column)
-    return row, column, fell, terminated
+def initial(draws: Draws) -> State:
+    """Return the state of a new episode: the lower left corner, always."""
+    return State(LAST_ROW, 0)
 
 
-def step_slippery(row: Word, column: Word, action: Word, draw: Word) -> tuple[Word, Word, Word, Word]:
+def step(state: State, action: Word, draws: Draws) -> tuple[State, Word, Word]:
+    """Move one cell; return the state, the category of the reward and whether the episode terminated."""
+    # Plain Python. Hardware does both sides of an `if` at the same time, and chooses.
+    row, column = state
+    if action == UP:
+        row = max(row - 1, 0)
+    elif action == DOWN:
+        row = min(row + 1, LAST_ROW)
+    elif action == LEFT:
+        column = max(column - 1, 0)
+    else:
+        column = min(column + 1, LAST_COLUMN)
+
+    if row == LAST_ROW and 0 < column < LAST_COLUMN:
+        return State(LAST_ROW, 0), FELL, False
+    return State(row, column), STEP, row == LAST_ROW and column == LAST_COLUMN
+
+
+def step_slippery(state: State, action: Word, draws: Draws) -> tuple[State, Word, Word]:
     """Take :func:`step` after the ice has turned the action: left, not at all or right, 1/3 each."""
-    turn = uniform_below(draw, 3) - 1
-    return step(row, column, (action + turn) % 4)
+    turn = draws.below(3) - 1
+    return step(state, (action + turn) % 4, draws)
 
 
-def observe(row: Word, column: Word) -> Word:
+def observe(state: State) -> Word:
     """Return the observation: the number of the cell, ``12 * row + column``."""
-    return 12 * row + column
+    return 12 * state.row + state.column

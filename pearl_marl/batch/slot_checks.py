@@ -57,7 +57,7 @@ def check_observations(config: BatchConfig, slots: SlotMemory) -> None:
     if bounds is None:
         return
     for k, agent in enumerate(spec.views):
-        observe = reference(spec.golden.observe, *agent)
+        observe = reference(spec.positional.observe, *agent)
         for first in range(0, config.n_envs, _AT_ONCE):
             some = slice(first, first + _AT_ONCE)
             seen = observe(*(column[some] for column in slots.state))

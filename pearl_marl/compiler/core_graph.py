@@ -42,16 +42,16 @@ def core_graph(spec: EnvSpec) -> CoreGraph:
     """
     graph = Graph()
     first, hold = graph.input("first_i", 1), graph.input("hold_i", 1)
-    fields = [graph.input(f"state_i.{f.name}", f.bits, f.signed) for f in spec.state]
-    actions = [graph.input(name, spec.action.bits, spec.action.signed) for name in action_ports(spec)]
+    fields = [graph.input(f"state_i.{f.name}", f.bits, f.signed, *f.range) for f in spec.state]
+    actions = [graph.input(name, spec.action.bits, spec.action.signed, *spec.action.range) for name in action_ports(spec)]
     draws = [graph.input(f"rng_i[{k}]", 32) for k in range(spec.reset_draws + spec.step_draws)]
-    fresh = _narrowed(graph, trace(graph, spec.golden.initial, draws[: spec.reset_draws]), spec.state)
+    fresh = _narrowed(graph, trace(graph, spec.positional.initial, draws[: spec.reset_draws]), spec.state)
     start = [graph.choose(first, new, old) for new, old in zip(fresh, fields, strict=True)]
     for node, field in zip(start, spec.state, strict=True):
         if node.op not in ("input", "constant"):
             node.name = field.name
         graph.free(node)  # what the step does is seen by values of fields, not of inputs
-    results = trace(graph, spec.golden.step, [*start, *actions, *draws[spec.reset_draws :]])
+    results = trace(graph, spec.positional.step, [*start, *actions, *draws[spec.reset_draws :]])
     rewards, ends = spec.each_agent(spec.reward), spec.each_agent(TERMINATED)
     results = _narrowed(graph, results, [*spec.state, *rewards, *ends])
     moved, unseen = results[: len(fields)], results[len(fields) :]

@@ -48,11 +48,11 @@ def golden_functions(spec: EnvSpec) -> list[str]:
     given = [*spec.state, *spec.each_agent(spec.action), *step]
     results = *spec.state, *spec.each_agent(spec.reward), *spec.each_agent(TERMINATED)
     lines = [
-        *_function("initial", spec.golden.initial, reset, spec.state),
-        *_function("golden_step", spec.golden.step, given, results),
+        *_function("initial", spec.positional.initial, reset, spec.state),
+        *_function("golden_step", spec.positional.step, given, results),
     ]
     for name, agent in zip(observers(spec), spec.views, strict=True):
-        lines += _function(name, spec.golden.observe, spec.state, spec.observation, *agent)
+        lines += _function(name, spec.positional.observe, spec.state, spec.observation, *agent)
     if spec.mask_fields:
         masks = spec.functions[-1]
         for name, agent in zip(maskers(spec), spec.views, strict=True):
@@ -82,7 +82,7 @@ def _function(
     *agent: int,
 ) -> list[str]:
     graph = Graph(early=False)
-    words = [graph.input(f"{k} {f.name}", f.bits, f.signed) for k, f in enumerate(inputs)]
+    words = [graph.input(f"{k} {f.name}", f.bits, f.signed, *f.range) for k, f in enumerate(inputs)]
     traced = trace(graph, function, words, *agent)
     traced = [graph.wrap(node, f.bits, f.signed) for node, f in zip(traced, fields, strict=True)]
     results = list(zip(_with_merged_sums(graph, traced), (str(f.dtype) for f in fields), strict=True))

@@ -61,7 +61,7 @@ class Reference(Device):
         draws = self._draws(self.tick, spec.reset_draws, spec.step_draws)
         fields = (*spec.state, *spec.each_agent(spec.reward), *spec.each_agent(TERMINATED))
         given = actions.reshape(-1, spec.agents).T
-        words = self._words(spec.golden.step, [*memory.state, *given, *draws], fields)
+        words = self._words(spec.positional.step, [*memory.state, *given, *draws], fields)
         state, outcome = words[: len(spec.state)], words[len(spec.state) :]
         reward, terminated = (np.stack(part, 1) for part in (outcome[: spec.agents], outcome[spec.agents :]))
 
@@ -122,7 +122,7 @@ class Reference(Device):
 
     def _random_start(self, tick: int) -> list[Array]:
         spec = self.config.spec
-        return self._words(spec.golden.initial, self._draws(tick, 0, spec.reset_draws), spec.state)
+        return self._words(spec.positional.initial, self._draws(tick, 0, spec.reset_draws), spec.state)
 
     def _draws(self, tick: int, first: int, count: int) -> list[Array]:
         return [rng.draws(self.seed, self._slots, tick, first + k) for k in range(count)]
@@ -154,10 +154,10 @@ class Reference(Device):
         spec, nobody = self.config.spec, gone.ravel()
         results.obs[...] = self._observe(state) if observed is None else observed
         results.obs[nobody] = 0
-        if spec.golden.masks is not None:
+        if spec.positional.masks is not None:
             assert results.action_masks is not None
             by_agent = [
-                self._words(spec.golden.masks, state, spec.mask_fields, *agent) for agent in spec.views
+                self._words(spec.positional.masks, state, spec.mask_fields, *agent) for agent in spec.views
             ]
             results.action_masks[...] = np.stack([np.stack(words, -1) for words in by_agent], 1).reshape(
                 len(nobody), -1
@@ -176,7 +176,7 @@ class Reference(Device):
     def _observe_one(self, state: list[Array], *agent: int) -> Array:
         spec = self.config.spec
         dtype: Any = spec.observation_dtype
-        words = self._words(spec.golden.observe, state, spec.observation, *agent)
+        words = self._words(spec.positional.observe, state, spec.observation, *agent)
         if spec.unpack is not None:
             shown = zip(*(column.tolist() for column in words), strict=True)
             rows = [_row(spec.unpack, numbers, spec.observation_size, dtype) for numbers in shown]

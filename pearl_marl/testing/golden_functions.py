@@ -46,11 +46,11 @@ class GoldenContract:
         def draws(count: int) -> list[Array]:
             return [generator.integers(2**32, size=n, dtype=np.uint32) for _ in range(count)]
 
-        state = run(spec.golden.initial, draws(spec.reset_draws))
+        state = run(spec.positional.initial, draws(spec.reset_draws))
         for _ in range(20):
             words = np.empty(n * spec.agents, spec.action.dtype)
             actions = encode(random_actions(spec, generator, len(words)), spec, words).reshape(n, -1).T
-            state = run(spec.golden.step, [*state, *actions, *draws(spec.step_draws)])[: len(spec.state)]
+            state = run(spec.positional.step, [*state, *actions, *draws(spec.step_draws)])[: len(spec.state)]
             for agent in spec.views:
                 for view in spec.functions[2:]:
                     run(view, state, *agent)

@@ -28,7 +28,9 @@ class Argument(NamedTuple):
 
     name: str
     bits: int
-    signed: bool = False
+    signed: bool
+    low: int
+    high: int
 
 
 class Result(NamedTuple):
@@ -56,8 +58,8 @@ def check(
     ArgumentError
         Says what is wrong and in which line of the author's file, with an example where trying finds one.
     """
-    graph, names = Graph(), _parameters(function, given, agent)
-    inputs = {n: graph.input(n, word.bits, word.signed) for n, word in zip(names, given, strict=True)}
+    graph = Graph()
+    inputs = {w.name: graph.input(w.name, w.bits, w.signed, w.low, w.high) for w in given}
     results = trace(graph, function, list(inputs.values()), *agent)
     if len(results) != len(due):
         raise ArgumentError(
@@ -72,22 +74,6 @@ def check(
                 f"{''.join(f' of agent {k}' for k in agent)}, and "
                 f"{word.limit} {word.low} to {word.high}; {_example(node, word, inputs)}; {word.fix}"
             )
-
-
-def _parameters(function: Callable[..., Any], given: Sequence[Argument], agent: Sequence[int]) -> list[str]:
-    """Return the author's names for the words that a function is called with."""
-    names = [*(word.name for word in given), *("agent" for _ in agent)]
-    if not isinstance(function, types.FunctionType):
-        raise ArgumentError(f"{function!r} is no plain Python function, and a golden function is one")
-    try:
-        bound = inspect.signature(function).bind(*given, *agent).arguments
-    except TypeError as error:
-        raise ArgumentError(
-            f"{place(function)}: {function.__name__}() is called with {_count(names, 'word')}, "
-            f"{_listed(names)}: {error}"
-        ) from None
-    own = [name for name, word in bound.items() if isinstance(word, Argument)]
-    return own + [f"word {k}" for k in range(len(own), len(given))]
 
 
 def _example(node: Node, word: Result, inputs: Mapping[str, Node]) -> str:

@@ -322,6 +322,10 @@ class Graph(Nodes):
             return self.choose(flag, a, b.args[2])
         return self.make("choose", flag, a, b)
 
+    def narrow(self, a: Node, low: int, high: int) -> Node:
+        """Return a node that is known to be within a range wherever its result is chosen."""
+        return self.constant(low) if low == high else a
+
     def minimum(self, a: Node, b: Node) -> Node:
         """Return the less of two."""
         if a.high <= b.low or b.high <= a.low:

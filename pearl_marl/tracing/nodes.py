@@ -77,6 +77,10 @@ class Nodes:
         self.exact = exact
         self.line: Callable[[], int | None] = lambda: None
         """Says where the author is."""
+        self.known: Mapping[Node, Node] = {}
+        """Nodes of which more is known where the author is, as narrower ones."""
+        self.certain = True
+        """Whether the author's function always comes to where it is."""
         self._nodes: dict[tuple[Any, ...], Node] = {}
         self._same: dict[tuple[Any, ...], Node] = {}
         self._domains: list[npt.NDArray[np.int64]] = []
@@ -91,11 +95,14 @@ class Nodes:
             self._nodes[key] = self._new("constant", (), value, (value, value), max(value, 0), function)
         return self._nodes[key]
 
-    def input(self, name: str, bits: int, signed: bool = False) -> Node:
-        """Return a free word."""
+    def input(
+        self, name: str, bits: int, signed: bool = False, low: int | None = None, high: int | None = None
+    ) -> Node:
+        """Return a free word, from ``low`` to ``high`` if it has not all values of its bits."""
         key = ("input", (), name)
         if key not in self._nodes:
-            low, high = word_range(bits, signed)
+            least, most = word_range(bits, signed)
+            low, high = least if low is None else low, most if high is None else high
             node = self._nodes[key] = self._new("input", (), name, (low, high), high)
             self.free(node)
         return self._nodes[key]

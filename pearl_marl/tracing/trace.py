@@ -7,7 +7,6 @@ is found here, and said in one sentence with the line of the author's file.
 from __future__ import annotations
 
 import inspect
-import os
 import sys
 import types
 from collections.abc import Callable, Iterator, Sequence
@@ -15,9 +14,12 @@ from contextlib import contextmanager
 from typing import Any
 
 from pearl_marl.errors import ArgumentError
+from pearl_marl.places import author_of, place_of
 from pearl_marl.remaking import Vocabulary, remade
+from pearl_marl.tracing.branches import Runtime
 from pearl_marl.tracing.graph import Graph
 from pearl_marl.tracing.nodes import Node
+from pearl_marl.tracing.rewriting import RUNTIME, rewritten
 from pearl_marl.tracing.words import Cast, Word, node_of, table
 
 
@@ -41,9 +43,9 @@ def trace(graph: Graph, function: Callable[..., Any], arguments: Sequence[Node],
         raise ArgumentError(
             f"{place(function)}: {function.__name__}() is called with {len(words)} words: {error}"
         ) from None
-    with _watched(graph, function.__code__.co_filename):
+    with _watched(graph, author_of(function).__code__.co_filename):
         try:
-            result = remade(function, Vocabulary(Cast, table).meaning)(*words)
+            result = _traced(graph, function)(*words)
         except Exception as error:
             kind = "" if isinstance(error, ArgumentError) else f"{type(error).__name__}: "
             raise ArgumentError(f"{_place_of(error, function)}: {kind}{error}") from error
@@ -53,14 +55,31 @@ def trace(graph: Graph, function: Callable[..., Any], arguments: Sequence[Node],
         raise ArgumentError(f"{place(function)}: {function.__name__}() returns {error}") from None
 
 
+def _traced(graph: Graph, function: types.FunctionType) -> Callable[..., Any]:
+    """Return a function made again over words: its source, where it has decisions, with calls in their place."""
+    runtime = Runtime(graph)
+    names = {**runtime.builtins(), RUNTIME: runtime}
+    made: Callable[..., Any] = remade(function, Vocabulary(Cast, table).meaning, code=_code, names=names)
+    return made
+
+
+_OUR_OWN = "pearl_marl.golden", "pearl_marl.fixed_point", "pearl_marl.envs."
+"""Of this package's functions, those that are written as an author's are."""
+
+
+def _code(function: types.FunctionType) -> types.CodeType:
+    module = function.__globals__.get("__name__", "")
+    if module.partition(".")[0] == "numpy" or (
+        module.startswith("pearl_marl.") and not module.startswith(_OUR_OWN)
+    ):
+        return function.__code__
+    return rewritten(function.__code__)
+
+
 def place(function: Callable[..., Any], line: int | None = None) -> str:
     """Return the file of a golden function and a line in it, by default its first."""
-    code = function.__code__
-    return _where(code.co_filename, line or code.co_firstlineno)
-
-
-def _where(file: str, line: int) -> str:
-    return f"{os.sep.join(file.split(os.sep)[-2:])}, line {line}"
+    code = author_of(function).__code__
+    return place_of(code.co_filename, line or code.co_firstlineno)
 
 
 def _place_of(error: BaseException, function: Callable[..., Any]) -> str:
@@ -68,7 +87,7 @@ def _place_of(error: BaseException, function: Callable[..., Any]) -> str:
     found, trace_back = place(function), error.__traceback__
     while trace_back is not None:
         if not _is_ours(trace_back.tb_frame):
-            found = _where(trace_back.tb_frame.f_code.co_filename, trace_back.tb_lineno)
+            found = place_of(trace_back.tb_frame.f_code.co_filename, trace_back.tb_lineno)
         trace_back = trace_back.tb_next
     return found
 

@@ -7,7 +7,7 @@ the author's file it happened.
 from __future__ import annotations
 
 import operator
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any, NoReturn
 
 import numpy as np
@@ -25,7 +25,7 @@ def _binary(operation: str, swapped: bool = False, negated: bool = False) -> Cal
     """Return the method of a word for an operation of graphs, with another word or a number."""
 
     def method(self: Word, other: object) -> Word:
-        graph, words = self.graph, (self.node, node_of(self.graph, other))
+        graph, words = self.graph, (node_of(self.graph, self), node_of(self.graph, other))
         node: Node = getattr(graph, operation)(*(reversed(words) if swapped else words))
         return Word(graph, graph.logical_not(node) if negated else node)
 
@@ -55,7 +55,9 @@ class Word:
 
     __slots__ = ("graph", "node")
     __array_priority__ = 1000
-    __hash__ = None  # type: ignore[assignment]
+
+    def __hash__(self) -> NoReturn:
+        raise ArgumentError("a word is a key of a dict or in a set; golden functions have lists and tuples")
 
     def __init__(self, graph: Graph, node: Node) -> None:
         self.graph, self.node = graph, node
@@ -77,13 +79,26 @@ class Word:
 
     def __bool__(self) -> NoReturn:
         raise ArgumentError(
-            "a word decides what Python does next (`if`, `and`, `or`, `not`, `while`, `min`, "
-            "`max`); use np.where, `&`, `|` and comparisons instead"
+            "a word decides what Python does next, where its source is not at hand; write the function in a "
+            "file (or a notebook's cell), not in an interactive shell, by exec() or in a library"
         )
 
+    def asked(self) -> None:
+        """Refuse to be a random draw where a word decides whether it is asked for."""
+        if not self.graph.certain:
+            raise ArgumentError(
+                "a draw is asked for where a word decides whether it is; ask before the `if`, since a draw "
+                "that is not needed costs nothing"
+            )
+
+    def entry(self, entries: Sequence[Any]) -> Any:
+        """Return the entry of a sequence that this word chooses."""
+        return chosen_entry(self.graph, entries, node_of(self.graph, self))
+
     def __index__(self) -> int:
-        if self.node.is_constant():
-            return int(self.node.imm)
+        node = node_of(self.graph, self)
+        if node.is_constant():
+            return int(node.imm)
         raise ArgumentError("Python needs a number here, and a word has none before hardware runs")
 
     __int__ = __index__
@@ -104,14 +119,14 @@ class Word:
             raise ArgumentError("a power of a word has a constant exponent from 0")
         node = self.graph.constant(1)
         for _ in range(exponent):
-            node = self.graph.mul(node, self.node)
+            node = self.graph.mul(node, node_of(self.graph, self))
         return Word(self.graph, node)
 
     def __floordiv__(self, other: object) -> Word:
-        return Word(self.graph, self.graph.floor_divide(self.node, self._divisor(other)))
+        return Word(self.graph, self.graph.floor_divide(node_of(self.graph, self), self._divisor(other)))
 
     def __mod__(self, other: object) -> Word:
-        return Word(self.graph, self.graph.modulo(self.node, self._divisor(other)))
+        return Word(self.graph, self.graph.modulo(node_of(self.graph, self), self._divisor(other)))
 
     def _divisor(self, other: object) -> Node:
         node = node_of(self.graph, other)
@@ -125,16 +140,16 @@ class Word:
     __rmod__ = __rfloordiv__
 
     def __neg__(self) -> Word:
-        return Word(self.graph, self.graph.sub(self.graph.constant(0), self.node))
+        return Word(self.graph, self.graph.sub(self.graph.constant(0), node_of(self.graph, self)))
 
     def __pos__(self) -> Word:
         return self
 
     def __abs__(self) -> Word:
-        return Word(self.graph, self.graph.maximum(self.node, (-self).node))
+        return Word(self.graph, self.graph.maximum(node_of(self.graph, self), (-self).node))
 
     def __invert__(self) -> Word:
-        return Word(self.graph, self.graph.invert(self.node))
+        return Word(self.graph, self.graph.invert(node_of(self.graph, self)))
 
     def __array_ufunc__(self, ufunc: Any, method: str, *inputs: Any, **keywords: Any) -> Word:
         made = _UFUNCS.get(ufunc.__name__)
@@ -145,9 +160,7 @@ class Word:
     def __array_function__(self, function: Any, types_: Any, args: Any, keywords: Any) -> Word:
         if function is np.where and len(args) == 3:
             flag, a, b = (node_of(self.graph, x) for x in args)
-            if not flag.is_flag:
-                flag = self.graph.logical_not(self.graph.equal(flag, self.graph.constant(0)))
-            return Word(self.graph, self.graph.choose(flag, a, b))
+            return Word(self.graph, self.graph.choose(flag_of(self.graph, flag), a, b))
         if function is np.clip and len(args) == 3:
             value, low, high = (node_of(self.graph, x) for x in args)
             return Word(self.graph, self.graph.minimum(self.graph.maximum(value, low), high))
@@ -183,8 +196,15 @@ def word_of(graph: Graph, value: object) -> Word:
 
 
 def node_of(graph: Graph, value: object) -> Node:
-    """Return the node of a word, or of a number."""
-    return value.node if isinstance(value, Word) else graph.constant(_integer(value))
+    """Return the node of a word, or of a number; the one that is known to be narrower here, if there is one."""
+    if isinstance(value, Word):
+        return graph.known.get(value.node, value.node)
+    return graph.constant(_integer(value))
+
+
+def flag_of(graph: Graph, node: Node) -> Node:
+    """Return the flag of whether a node is not 0."""
+    return node if node.is_flag else graph.logical_not(graph.equal(node, graph.constant(0)))
 
 
 def _integer(value: object) -> int:
@@ -207,7 +227,7 @@ class Cast:
     def __call__(self, value: object = 0, /) -> Any:
         """Return the value modulo ``2**bits``."""
         if isinstance(value, Word):
-            return Word(value.graph, value.graph.wrap(value.node, self.bits, self.signed))
+            return Word(value.graph, value.graph.wrap(node_of(value.graph, value), self.bits, self.signed))
         return wrapped(_integer(value), self.bits, self.signed)
 
 
@@ -225,24 +245,31 @@ class Table(tuple[Any, ...]):
         if not isinstance(index, Word):
             found = super().__getitem__(index)
             return Table(found) if isinstance(index, slice) else found
-        node = index.node
-        if node.low < 0 or node.high >= len(self):
-            raise ArgumentError(
-                f"an index can be {node.low} to {node.high}, and the table has {len(self)} entries; "
-                "np.minimum or np.clip keeps it in"
-            )
-        return _chosen(index.graph, list(self), node)
+        return chosen_entry(index.graph, self, node_of(index.graph, index))
 
 
-def _chosen(graph: Graph, entries: list[Any], index: Node) -> Any:
-    """Return the entry that a word chooses: a word, or a table of such words."""
-    if all(isinstance(entry, Table) for entry in entries):
-        return Table(_chosen(graph, list(column), index) for column in zip(*entries, strict=True))
+def chosen_entry(graph: Graph, entries: Sequence[Any], index: Node) -> Any:
+    """Return the entry that a node chooses: a word, or a sequence of such words.
+
+    Raises
+    ------
+    ArgumentError
+        The entries have different shapes.
+    """
+    if index.is_constant():
+        return entries[index.imm]
+    if all(isinstance(entry, (tuple, list)) for entry in entries):
+        if len({len(entry) for entry in entries}) > 1:
+            raise ArgumentError("a word chooses from sequences of different lengths")
+        parts = [chosen_entry(graph, column, index) for column in zip(*entries, strict=True)]
+        kind = type(entries[0])
+        return kind(*parts) if hasattr(kind, "_fields") else kind(parts)
     nodes = [node_of(graph, entry) for entry in entries]
     if all(node.is_constant() for node in nodes):
         return Word(graph, graph.table([node.imm for node in nodes], index))
-    result = nodes[index.high]
-    for i in range(index.high - 1, index.low - 1, -1):
+    low, high = max(index.low, 0), min(index.high, len(nodes) - 1)
+    result = nodes[high]
+    for i in range(high - 1, low - 1, -1):
         result = graph.choose(graph.equal(index, graph.constant(i)), nodes[i], result)
     return Word(graph, result)
 

@@ -217,7 +217,7 @@ def test_fields_may_be_named_like_anything_in_a_kernel(cache: Path, names: tuple
 
 
 def with_step(step: Callable[..., Any]) -> EnvSpec:
-    return dataclasses.replace(SPEC, golden=Golden(SPEC.golden.initial, step, SPEC.golden.observe))
+    return dataclasses.replace(SPEC, golden=Golden(SPEC.positional.initial, step, SPEC.positional.observe))
 
 
 def by_closure(k: int) -> Callable[..., Any]:

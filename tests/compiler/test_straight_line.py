@@ -74,10 +74,10 @@ def assert_means_the_golden_functions(
     actions = [Field(f.name, f.bits, f.signed) for f in spec.each_agent(spec.action)]
     steps = [*state, *actions, *draws[spec.reset_draws :]]
     calls: list[tuple[str, Any, list[Field], tuple[int, ...]]] = [
-        ("initial", spec.golden.initial, draws[: spec.reset_draws], ()),
-        ("golden_step", spec.golden.step, steps, ()),
+        ("initial", spec.positional.initial, draws[: spec.reset_draws], ()),
+        ("golden_step", spec.positional.step, steps, ()),
     ]
-    for names_, golden in ((observers(spec), spec.golden.observe), (maskers(spec), spec.golden.masks)):
+    for names_, golden in ((observers(spec), spec.positional.observe), (maskers(spec), spec.positional.masks)):
         if names_:
             agents = zip(names_, spec.views, strict=True)
             calls += [(name, golden, state, agent) for name, agent in agents]

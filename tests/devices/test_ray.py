@@ -467,7 +467,7 @@ def test_another_environment(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     with pytest.raises(DeviceError, match=r"cannot load the environment Own .*own_golden.*PYTHONPATH"):
         Ray(["native"]).open(BatchConfig(spec=spec, n_envs=N))
 
-    before = SPEC.golden.observe.__globals__["observe"]
+    before = SPEC.positional.observe.__globals__["observe"]
     changed = pickle.loads(ray.cloudpickle.dumps(lambda row, column: row))
     changed.__module__, changed.__qualname__ = before.__module__, before.__qualname__
     monkeypatch.setitem(before.__globals__, "observe", changed)

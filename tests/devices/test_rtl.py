@@ -280,7 +280,7 @@ def test_a_core_of_another_latency_than_it_states(own_cache: Path, tmp_path: Pat
         device.step(ACTIONS[0])
 
 
-golden_step = SPEC.golden.step
+golden_step = SPEC.positional.step
 
 
 def blocked(row: Any, column: Any, action: Any) -> Any:

@@ -43,15 +43,15 @@ class World:
 
     def start(self, tick: int) -> None:
         draws = self.draws(tick, 0, self.spec.reset_draws)
-        self.state = [int(word) for word in call_reference(self.spec.golden.initial, draws)]
+        self.state = [int(word) for word in call_reference(self.spec.positional.initial, draws)]
         self.ended, self.elapsed = [False] * self.spec.agents, 0
 
     def observed(self, k: int) -> list[int]:
-        return [int(word) for word in call_reference(self.spec.golden.observe, self.state, k)]
+        return [int(word) for word in call_reference(self.spec.positional.observe, self.state, k)]
 
     def allowed(self, k: int) -> list[int]:
-        assert self.spec.golden.masks is not None
-        return [int(word) for word in call_reference(self.spec.golden.masks, self.state, k)]
+        assert self.spec.positional.masks is not None
+        return [int(word) for word in call_reference(self.spec.positional.masks, self.state, k)]
 
     def step(self, actions: list[int], tick: int, mode: AutoresetMode) -> Iterator[dict[str, Any]]:
         """Yield what each agent gets."""
@@ -65,7 +65,7 @@ class World:
                        "masks": self.allowed(k)}  # fmt: skip
             return
         draws = self.draws(tick, spec.reset_draws, spec.step_draws)
-        words = [int(w) for w in call_reference(spec.golden.step, [*self.state, *actions, *draws])]
+        words = [int(w) for w in call_reference(spec.positional.step, [*self.state, *actions, *draws])]
         count = len(spec.state)
         self.state, outcome = words[:count], words[count:]
         rewards, flags = outcome[: spec.agents], outcome[spec.agents :]

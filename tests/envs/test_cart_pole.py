@@ -61,7 +61,7 @@ def test_step(sutton_barto: bool) -> None:
     n, generator = 1_000_000, np.random.default_rng(1)
     spec = SPEC.with_options(sutton_barto_reward=sutton_barto)
     state, actions = random_states(generator, n), generator.integers(2, size=n, dtype=np.uint8)
-    *after, _, _ = call_reference(spec.golden.step, [*state, actions])
+    *after, _, _ = call_reference(spec.positional.step, [*state, actions])
     start = [values(word, field) for word, field in zip(state, spec.state, strict=True)]
     expected, rewards, terminated = oracle_step(start, actions, sutton_barto)
     for field, ours, theirs in zip(spec.state, after, expected, strict=True):
@@ -82,7 +82,7 @@ def test_step_of_the_scalar_oracle() -> None:
     """Gymnasium has the equations twice: its plain environment, too, for some of these states."""
     n, generator = 2_000, np.random.default_rng(2)
     state, actions = random_states(generator, n), generator.integers(2, size=n, dtype=np.uint8)
-    *after, _, terminated = call_reference(SPEC.golden.step, [*state, actions])
+    *after, _, terminated = call_reference(SPEC.positional.step, [*state, actions])
     ours = np.stack([values(word, field) for word, field in zip(after, SPEC.state, strict=True)], 1)
     starts = np.stack([values(word, field) for word, field in zip(state, SPEC.state, strict=True)], 1)
     env: Any = gymnasium.make("CartPole-v1").unwrapped
@@ -99,7 +99,7 @@ def test_no_state_overflows() -> None:
     n, generator = 200_000, np.random.default_rng(3)
     state = [words(generator, f, f.low, f.high, n) for f in SPEC.state]
     actions = generator.integers(2, size=n, dtype=np.uint8)
-    *after, _, _ = call_reference(SPEC.golden.step, [*state, actions])
+    *after, _, _ = call_reference(SPEC.positional.step, [*state, actions])
     expected, _, _ = oracle_step([values(w, f) for w, f in zip(state, SPEC.state, strict=True)], actions)
     for field, ours, theirs in zip(SPEC.state, after, expected, strict=True):
         assert np.count_nonzero(np.abs(theirs) > 16), "no state in the sample leaves the range"

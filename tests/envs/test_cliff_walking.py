@@ -36,7 +36,7 @@ def golden_step(slippery: bool, state: int, action: int, *draw: int) -> tuple[in
     """Run the golden step on scalars; return Gymnasium's ``(state, reward, terminated)``."""
     row, column = divmod(state, 12)
     words = [u8(row), u8(column), u8(action), *map(u32, draw)]
-    row, column, code, terminated = call_reference(spec(slippery).golden.step, words)
+    row, column, code, terminated = call_reference(spec(slippery).positional.step, words)
     return 12 * int(row) + int(column), REWARDS[code], bool(terminated)
 
 
@@ -55,7 +55,7 @@ def native_step(slippery: bool, states: np.ndarray, actions: np.ndarray, seed: i
 
 
 def test_start() -> None:
-    assert call_reference(spec().golden.initial, ()) == (3, 0)
+    assert call_reference(spec().positional.initial, ()) == (3, 0)
     assert oracle().initial_state_distrib.argmax() == 36
 
 
@@ -80,7 +80,7 @@ def test_golden_step_on_ice() -> None:
 
 def test_observation() -> None:
     for state in range(STATES):
-        assert call_reference(spec().golden.observe, map(u8, divmod(state, 12))) == (state,)
+        assert call_reference(spec().positional.observe, map(u8, divmod(state, 12))) == (state,)
 
 
 def test_native_step() -> None:

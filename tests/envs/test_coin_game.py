@@ -48,7 +48,7 @@ def recorded(name: str) -> tuple[dict[str, Any], dict[str, Array]]:
 def seen(spec: EnvSpec, state: list[Array], agent: int) -> Array:
     """Return the observations of all states, made one by one."""
     assert spec.unpack is not None
-    words = np.broadcast_arrays(*reference(spec.golden.observe, agent)(*state), state[0])[:-1]
+    words = np.broadcast_arrays(*reference(spec.positional.observe, agent)(*state), state[0])[:-1]
     rows = np.empty((state[0].size, spec.observation_size), np.uint8)
     for *own, row in zip(*(word.ravel() for word in words), rows, strict=True):
         spec.unpack(*own, row)
@@ -63,8 +63,8 @@ def test_episodes(name: str) -> None:
     spec.check_golden(spec.functions)
     assert spec.observation_shape == tuple(case["shape"])
     assert spec.max_cycles == case["steps"] == len(package["actions"])
-    state = list(call_reference(spec.golden.initial, [draws_of(package["places"][0])]))
-    step, states, codes = reference(spec.golden.step), [np.broadcast_arrays(*state)], []
+    state = list(call_reference(spec.positional.initial, [draws_of(package["places"][0])]))
+    step, states, codes = reference(spec.positional.step), [np.broadcast_arrays(*state)], []
     for actions, numbers in zip(package["actions"], package["draws"], strict=True):
         *state, red, blue, over_0, over_1 = step(*state, *actions.T.astype(np.int64), draws_of(numbers))
         assert not np.any(over_0 | over_1)
@@ -102,7 +102,7 @@ def test_starts() -> None:
     """All starts are equally likely, as the package's are."""
     spec, n = spec_of(), 1 << 20
     draws = (np.arange(n) << 12) + 2048
-    *places, time = call_reference(spec.golden.initial, [draws])
+    *places, time = call_reference(spec.positional.initial, [draws])
     counts = np.bincount(number(places), minlength=PLACES)
     assert not np.any(time)
     assert len(counts) == PLACES
@@ -116,7 +116,7 @@ def test_starts() -> None:
 
 
 def test_other_actions_are_stays() -> None:
-    step, state = spec_of().golden.step, (0, 1, 2, 2, 1, 1, 0, 0, 3)
+    step, state = spec_of().positional.step, (0, 1, 2, 2, 1, 1, 0, 0, 3)
     stays = call_reference(step, [*state, STAY, STAY, 99])
     for action in (5, 6, 7):
         assert call_reference(step, [*state, action, action, 99]) == stays

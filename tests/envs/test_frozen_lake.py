@@ -83,7 +83,7 @@ def check_every_transition(options: dict[str, Any]) -> int:
             assert abs(share - table.probability[states[0], actions[0], k]) <= 2**-32
         for draw in draws:
             drawn = [np.full(len(states), draw, np.uint32)][: ours.step_draws]
-            row, column, code, terminated = call_reference(ours.golden.step, [*map(u8, words), *drawn])
+            row, column, code, terminated = call_reference(ours.positional.step, [*map(u8, words), *drawn])
             np.testing.assert_array_equal(gym.ncol * row + column, table.state[states, actions, k])
             assert ours.rewards is not None
             np.testing.assert_array_equal(np.array(ours.rewards)[code], table.reward[states, actions, k])
@@ -130,11 +130,11 @@ def test_starts_and_observations(options: dict[str, Any]) -> None:
     assert ours.reset_draws == (len(starts) > 1)
     for k, cell in enumerate(starts.tolist()):
         for draw in (-(-k * 2**32 // len(starts)), -(-(k + 1) * 2**32 // len(starts)) - 1):
-            state = call_reference(ours.golden.initial, [u32(draw)][: ours.reset_draws])
-            assert call_reference(ours.golden.observe, state) == (cell,)
+            state = call_reference(ours.positional.initial, [u32(draw)][: ours.reset_draws])
+            assert call_reference(ours.positional.observe, state) == (cell,)
     cells = np.arange(gym.nrow * gym.ncol)
     np.testing.assert_array_equal(
-        call_reference(ours.golden.observe, map(u8, np.divmod(cells, gym.ncol)))[0], cells
+        call_reference(ours.positional.observe, map(u8, np.divmod(cells, gym.ncol)))[0], cells
     )
 
 

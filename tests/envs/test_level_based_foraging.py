@@ -69,7 +69,7 @@ def started(spec: EnvSpec, n: int, seed: int) -> list[Array]:
     """Return the columns of ``n`` starts."""
     generator = np.random.default_rng(seed)
     draws = generator.integers(1 << 32, size=(spec.reset_draws, n), dtype=np.uint32)
-    return list(call_reference(spec.golden.initial, draws))
+    return list(call_reference(spec.positional.initial, draws))
 
 
 def things(spec: EnvSpec, state: list[Array]) -> tuple[Array, Array]:
@@ -116,8 +116,8 @@ def compare(given: dict[str, Any], n: int, seed: int) -> Counter[str]:
     players, foods = things(spec, state)
     for oracle, *start in zip(oracles, players, foods, strict=True):
         put(oracle, *start)
-    observe, masks = each_agent(spec.golden.observe, spec), each_agent(spec.golden.masks, spec)
-    step, running, seen = reference(spec.golden.step), np.ones(n, bool), Counter[str]()
+    observe, masks = each_agent(spec.positional.observe, spec), each_agent(spec.positional.masks, spec)
+    step, running, seen = reference(spec.positional.step), np.ones(n, bool), Counter[str]()
     ended = np.zeros(n, bool)
     theirs = [oracle._make_gym_obs() for oracle in oracles]
     for t in range(limit + 1):

@@ -66,7 +66,7 @@ def test_step(n: int, goal_velocity: float) -> None:
     generator = np.random.default_rng(1)
     spec = SPEC.with_options(goal_velocity=goal_velocity)
     (position, velocity), actions = random_states(generator, n), generator.integers(3, size=n, dtype=np.uint8)
-    x, v, _, ended = call_reference(spec.golden.step, [position, velocity, actions])
+    x, v, _, ended = call_reference(spec.positional.step, [position, velocity, actions])
     start = values(position, POSITION), values(velocity, VELOCITY)
     theirs_x, theirs_v, theirs_ended = oracle_steps(*start, actions, goal_velocity)
     assert worst("position", values(x, POSITION), theirs_x) < WORST

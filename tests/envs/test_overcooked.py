@@ -83,8 +83,8 @@ def state_of(kitchen: Kitchen, rows: Array, times: Array) -> list[Array]:
 
 def replayed(spec: EnvSpec, actions: Array) -> tuple[list[Array], Array]:
     """Take the recorded actions; return all states, and the categories of both cooks."""
-    state = [np.full(actions.shape[1], word) for word in call_reference(spec.golden.initial, ())]
-    step, states, codes = reference(spec.golden.step), [state], []
+    state = [np.full(actions.shape[1], word) for word in call_reference(spec.positional.initial, ())]
+    step, states, codes = reference(spec.positional.step), [state], []
     for both in actions.astype(np.int64):
         *state, code_0, code_1, over_0, over_1 = step(*state, *both.T)
         assert not np.any(over_0 | over_1)
@@ -131,7 +131,7 @@ def layers_of(kitchen: Kitchen, words: list[Array]) -> Array:
 
 def seen(spec: EnvSpec, kitchen: Kitchen, state: list[Array], agent: int) -> Array:
     """Return the observations of all states, of which ``unpack`` has to make some too."""
-    words = np.broadcast_arrays(*reference(spec.golden.observe, agent)(*state), state[0])[:-1]
+    words = np.broadcast_arrays(*reference(spec.positional.observe, agent)(*state), state[0])[:-1]
     flat = [word.ravel() for word in words]
     layers = layers_of(kitchen, flat).reshape(len(flat[0]), -1)
     assert spec.unpack is not None
@@ -180,7 +180,7 @@ def test_meetings(layout: str) -> None:
     spec, kitchen = spec_of(layout=layout, reward_shaping_factor=SHAPING), LAYOUTS[layout]
     state = state_of(kitchen, before, times)
     np.testing.assert_array_equal(rows_of(kitchen, state), before)
-    *state, code_0, code_1, _, _ = reference(spec.golden.step)(*state, *actions.T.astype(np.int64))
+    *state, code_0, code_1, _, _ = reference(spec.positional.step)(*state, *actions.T.astype(np.int64))
     np.testing.assert_array_equal(rows_of(kitchen, state), before ^ change)
     together = paid.sum(-1, keepdims=True) + SHAPING * shaped
     np.testing.assert_array_equal(np.array(spec.rewards)[np.stack([code_0, code_1], 1)], together)
@@ -232,10 +232,10 @@ def test_tomatoes_are_none_of_the_others() -> None:
 
 def test_other_actions_are_stays() -> None:
     spec = spec_of()
-    state = call_reference(spec.golden.initial, ())
-    stays = call_reference(spec.golden.step, [*state, 4, 4])
+    state = call_reference(spec.positional.initial, ())
+    stays = call_reference(spec.positional.step, [*state, 4, 4])
     for action in (6, 7):
-        assert call_reference(spec.golden.step, [*state, action, action]) == stays
+        assert call_reference(spec.positional.step, [*state, action, action]) == stays
 
 
 def test_shaped_rewards() -> None:
@@ -265,7 +265,7 @@ def test_pictures() -> None:
     pytest.importorskip("PIL")
     spec, kitchen = spec_of(), LAYOUTS["cramped_room"]
     assert spec.draw is not None
-    start = tuple(call_reference(spec.golden.initial, ()))
+    start = tuple(call_reference(spec.positional.initial, ()))
     drawn = spec.draw(start)
     assert (drawn.shape, drawn.dtype) == ((4 * SIZE, 5 * SIZE, 3), np.uint8)
 

@@ -62,7 +62,7 @@ def test_step(g: float) -> None:
     n, generator = 1_000_000, np.random.default_rng(1)
     spec = SPEC.with_options(g=g)
     state, torque = random_states(generator, n), words(generator, spec.action, -2, 2, n)
-    angle, speed, reward, terminated = call_reference(spec.golden.step, [*state, torque])
+    angle, speed, reward, terminated = call_reference(spec.positional.step, [*state, torque])
     start = [values(word, field) for word, field in zip(state, spec.state, strict=True)]
     expected = oracle_step(start, values(torque, spec.action), g=g)
     # Angles are the same if they are on the circle.
@@ -78,7 +78,7 @@ def test_step(g: float) -> None:
     assert not terminated.any()
 
     numbers = np.stack([np.cos(expected[0]), np.sin(expected[0]), expected[1]], 1)
-    observed = call_reference(spec.golden.observe, [angle, speed])
+    observed = call_reference(spec.positional.observe, [angle, speed])
     for k, field in enumerate(spec.observation):
         assert worst(field.name, values(observed[k], field), numbers[:, k]) < worst_state(g) + 3.5e-9
 
@@ -93,7 +93,7 @@ def test_torque_is_clipped() -> None:
     """Beyond the limits, which a device refuses, a core still does as the oracle does."""
     n, generator = 1_000, np.random.default_rng(2)
     state, torque = random_states(generator, n), words(generator, SPEC.action, -4, 4 - 2**-29, n)
-    _, speed, reward, _ = call_reference(SPEC.golden.step, [*state, torque])
+    _, speed, reward, _ = call_reference(SPEC.positional.step, [*state, torque])
     start = [values(word, field) for word, field in zip(state, SPEC.state, strict=True)]
     _, expected, rewards = oracle_step(start, values(torque, SPEC.action))
     assert worst("speed", values(speed, SPEED), expected) < worst_state(10)

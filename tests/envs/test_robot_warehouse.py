@@ -154,7 +154,7 @@ def places(rules: Rules, state: list[Array]) -> Array:
 def started(spec: EnvSpec, n: int, generator: np.random.Generator) -> list[Array]:
     """Return the columns of ``n`` starts."""
     draws = generator.integers(1 << 32, size=(spec.reset_draws, n), dtype=np.uint32)
-    return list(np.broadcast_arrays(*call_reference(spec.golden.initial, draws)))
+    return list(np.broadcast_arrays(*call_reference(spec.positional.initial, draws)))
 
 
 # ---- Robots in each other's way
@@ -317,7 +317,7 @@ def jostled(name: str, turns: int, n: int) -> Counter[str]:
     """Take one step of many crowds, again and again; most often all robots go ahead."""
     spec, generator = spec_of((CASES | OTHERS)[name]), np.random.default_rng(turns)
     rules, k = rules_for(spec), spec.agents
-    step, views = reference(spec.golden.step), [reference(spec.golden.observe, *view) for view in spec.views]
+    step, views = reference(spec.positional.step), [reference(spec.positional.observe, *view) for view in spec.views]
     oracles, table, count = [Oracle(rules) for _ in range(n)], np.array(spec.rewards), Counter[str]()
     for _ in range(turns):
         rows = [crowded(rules, generator) for _ in range(n)]
@@ -392,7 +392,7 @@ def test_whole_episodes(name: str, games: int) -> None:
 def test_each_shelf_that_is_not_asked_for_is_as_likely_to_be_next() -> None:
     """As many draws as there are such shelves ask for each of them once, also for two goals at once."""
     spec = spec_of({"robots": 2, "request_queue_size": 3})
-    rules, step = rules_for(spec), reference(spec.golden.step)
+    rules, step = rules_for(spec), reference(spec.positional.step)
     count = len(rules.racks) - rules.requests
     draws = np.array([-(-(rank << 32) // count) for rank in range(count)])
     goals = [(goal % rules.stride, rules.height - 1) for goal in rules.goals]

@@ -82,7 +82,7 @@ class Match:
     def __init__(self, n: int, immortal: bool = False, **options: Any) -> None:
         self.spec, self.n, self.immortal = spec(**options), n, immortal
         self.theirs = [minatar(**options) for _ in range(n)]
-        self.start = call_reference(self.spec.golden.initial, ())
+        self.start = call_reference(self.spec.positional.initial, ())
         self.ours = [np.full(n, word) for word in self.start]
         # No option changes what is seen, and one kernel is compiled sooner than four.
         self.deliver = compile_kernels(spec()).deliver
@@ -96,9 +96,9 @@ class Match:
 
     def step(self, actions: Array, draw_0: Array, draw_1: Array) -> None:
         actions = np.asarray(actions, np.uint8)
-        *after, rewards, ends = call_reference(self.spec.golden.step, [*self.ours, actions, draw_0, draw_1])
+        *after, rewards, ends = call_reference(self.spec.positional.step, [*self.ours, actions, draw_0, draw_1])
         seen = np.empty((self.n, 10, 10, 10), bool)
-        self.deliver(*call_reference(self.spec.golden.observe, after), seen)
+        self.deliver(*call_reference(self.spec.positional.observe, after), seen)
         for k, environment in enumerate(self.theirs):
             game = environment.env
             environment.random.expect(game, int(draw_0[k]), int(draw_1[k]))
@@ -257,11 +257,11 @@ def test_a_device_plays_minatars_game() -> None:
 def test_draws_decide_as_often_as_minatars() -> None:
     """Direction, row and kind of an enemy, those of a diver and the last action again, by chi-squared."""
     n, config = 100_000, spec()
-    state = [np.full(n, word) for word in call_reference(config.golden.initial, ())]
+    state = [np.full(n, word) for word in call_reference(config.positional.initial, ())]
     state[COLUMN["enemy_timer"]][:] = state[COLUMN["diver_timer"]][:] = 0
     state[COLUMN["last_action"]][:] = FIRE
     draws = [rng.draws((1, 2), np.arange(n), 3, index) for index in (0, 1)]
-    after = call_reference(config.golden.step, [*state, np.full(n, DOWN, np.uint8), *draws])
+    after = call_reference(config.positional.step, [*state, np.full(n, DOWN, np.uint8), *draws])
     enemies = np.zeros(n, int)
     for name in ("row_0", "row_1", "row_2", "rightward", "submarine"):
         enemies = 2 * enemies + (after[COLUMN[f"enemy_{name}"]] >> 28 & 1)

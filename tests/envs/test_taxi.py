@@ -68,8 +68,8 @@ def test_golden_step(options: dict[str, Any]) -> None:
         for third, end in itertools.product(range(3), range(2)):
             drawn = [np.full(len(states), draw_of(ours, k, third)[end], np.uint32)][: ours.step_draws]
             words = [*decode(states), np.zeros(len(states), np.uint8), u8(actions)]
-            *moved, code, terminated = call_reference(ours.golden.step, [*words, *drawn])
-            (observed,) = call_reference(ours.golden.observe, moved)
+            *moved, code, terminated = call_reference(ours.positional.step, [*words, *drawn])
+            (observed,) = call_reference(ours.positional.observe, moved)
             np.testing.assert_array_equal(observed, table.state[states, actions, row_of])
             assert ours.rewards is not None
             np.testing.assert_array_equal(np.array(ours.rewards)[code], table.reward[states, actions, row_of])
@@ -103,8 +103,8 @@ def test_golden_step_of_the_fickle(options: dict[str, Any]) -> None:
         injected.number, injected.third = number, third
         words = [*decode(states), np.ones(len(states), np.uint8), u8(actions)]
         draws = np.full(len(states), draw_of(ours, k, third)[0], np.uint32)
-        *moved, code, terminated = call_reference(ours.golden.step, [*words, draws])
-        (observed,) = call_reference(ours.golden.observe, moved)
+        *moved, code, terminated = call_reference(ours.positional.step, [*words, draws])
+        (observed,) = call_reference(ours.positional.observe, moved)
         assert ours.rewards is not None
         got = zip(observed.tolist(), np.array(ours.rewards)[code], terminated, moved[4], strict=True)
         for state, action, mine in zip(states.tolist(), actions.tolist(), got, strict=True):
@@ -146,12 +146,12 @@ def test_the_fickle_have_their_share_of_every_start() -> None:
     ours = spec(**FICKLE)
     for i in range(300):
         low, high = -(-i * 2**32 // 300), -(-(i + 1) * 2**32 // 300)
-        flags = call_reference(ours.golden.initial, [np.arange(low, high, 4099, dtype=np.uint32)])[4]
+        flags = call_reference(ours.positional.initial, [np.arange(low, high, 4099, dtype=np.uint32)])[4]
         # They are the first of each start's draws, so their number is known to a draw.
         assert np.all(np.diff(flags.astype(int)) <= 0)
         assert abs(flags.mean() - 0.3) < 4099 * 300 / 2**32
     for options, share in ((FICKLE | {"fickle_probability": 0}, 0), (DRY, 0), (STORM, 0.9)):
-        drawn = call_reference(spec(**options).golden.initial, [np.arange(0, 2**32, 9973, dtype=np.uint32)])[
+        drawn = call_reference(spec(**options).positional.initial, [np.arange(0, 2**32, 9973, dtype=np.uint32)])[
             4
         ]
         assert drawn.mean() == pytest.approx(share, abs=1e-4)

@@ -51,14 +51,14 @@ def golden(
     """Return what every case has to give, by port."""
     n = len(states)
     words = [np.ascontiguousarray(draws[:, d]) for d in range(spec.reset_draws + spec.step_draws)]
-    drawn = call_reference(spec.golden.initial, words[: spec.reset_draws])
+    drawn = call_reference(spec.positional.initial, words[: spec.reset_draws])
     origin = [
         # Of one type, since NumPy makes floats of uint64 beside int64.
         np.where(first, np.asarray(new).astype(field.dtype), old)
         for new, old, field in zip(drawn, split(states, spec.state), spec.state, strict=True)
     ]
     act = actions.astype(spec.action.dtype).T
-    results = call_reference(spec.golden.step, [*origin, *act, *words[spec.reset_draws :]])
+    results = call_reference(spec.positional.step, [*origin, *act, *words[spec.reset_draws :]])
     moved, outcome = results[: len(spec.state)], results[len(spec.state) :]
     rewards, ends = outcome[: spec.agents], outcome[spec.agents :]
     after = [

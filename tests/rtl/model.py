@@ -82,14 +82,14 @@ class Model:
         if mode & Mode.STORED:
             start = self.initial_states
         else:
-            drawn = call_reference(spec.golden.initial, draws[: spec.reset_draws])
+            drawn = call_reference(spec.positional.initial, draws[: spec.reset_draws])
             start = [
                 np.broadcast_to(np.asarray(w).astype(f.dtype), n)
                 for w, f in zip(drawn, spec.state, strict=True)
             ]
         origin = [np.where(first, s, w) for s, w in zip(start, self.states, strict=True)]
         given = actions.reshape(n, spec.agents).T
-        results = call_reference(spec.golden.step, [*origin, *given, *draws[spec.reset_draws :]])
+        results = call_reference(spec.positional.step, [*origin, *given, *draws[spec.reset_draws :]])
         moved, outcome = results[: len(spec.state)], results[len(spec.state) :]
         rewards, flags = outcome[: spec.agents], outcome[spec.agents :]
         self.states = [np.where(hold, o, m) for o, m in zip(origin, moved, strict=True)]

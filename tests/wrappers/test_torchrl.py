@@ -164,13 +164,13 @@ def test_where_a_world_is_truncated_its_state_and_its_masks_are_the_last_ones() 
         after, following = env.step_and_maybe_reset(before)
         state = before["state"].numpy().astype(np.int64)
         actions = before["agents", "action"].numpy()
-        words = reference(spec.golden.step)(*state.T, *actions.T)[: len(spec.state)]
+        words = reference(spec.positional.step)(*state.T, *actions.T)[: len(spec.state)]
         expected = np.stack([np.broadcast_to(word, len(state)) for word in words], 1)
         over = after["next", "terminated"][:, 0].numpy()
         np.testing.assert_array_equal(after["next", "state"][~over], expected[~over])
         assert not after["next", "state"][over].any()
         for k in range(2):
-            flags = np.broadcast_arrays(*reference(spec.golden.masks, k)(*expected.T))
+            flags = np.broadcast_arrays(*reference(spec.positional.masks, k)(*expected.T))
             masks = np.stack(flags, 1).astype(bool)
             shown = after["next", "agents", "action_mask"][:, k].numpy()
             np.testing.assert_array_equal(shown[~over], masks[~over])

@@ -37,7 +37,7 @@ def test_every_state_action_and_draw(slip: int) -> None:
     cells, actions, eighths = np.array(cases).T
     # All cases at once: golden functions take whole arrays. An eighth is the draw's upper three bits.
     draws = u32(eighths << 29) | u32(12345)
-    arrived, categories, ends = call_reference(spec.golden.step, (u8(cells), u8(actions), draws))
+    arrived, categories, ends = call_reference(spec.positional.step, (u8(cells), u8(actions), draws))
     rewards = np.take(spec.rewards, categories)
     results = zip(arrived.tolist(), rewards.tolist(), ends.astype(bool).tolist(), strict=True)
     assert list(results) == [expected(slip, *case) for case in cases]

@@ -45,7 +45,7 @@ def test_many_states_actions_and_draws(slip: int) -> None:
     strengths, actions = rng.integers(4, size=(AGENTS, n)), rng.integers(3, size=(AGENTS, n))
     # All cases at once: golden functions take whole arrays. An eighth is the draw's upper three bits.
     draws = (eighths << 29) + 12345
-    words = np.array(call_reference(spec.golden.step, (cells, *strengths, *actions, draws))).astype(float)
+    words = np.array(call_reference(spec.positional.step, (cells, *strengths, *actions, draws))).astype(float)
     first = 1 + AGENTS
     words[first : first + AGENTS] = np.take(spec.rewards, words[first : first + AGENTS].astype(int))
     for case in range(n):
@@ -57,13 +57,13 @@ def test_many_states_actions_and_draws(slip: int) -> None:
 
 def test_who_is_tired_may_only_rest() -> None:
     spec = get_spec(ENVIRONMENT)
-    assert spec.golden.masks is not None
+    assert spec.positional.masks is not None
     for agent in range(AGENTS):
         tired = [1] * AGENTS
         tired[agent] = 0
-        flags = [int(flag) for flag in call_reference(spec.golden.masks, (7, *tired), agent)]
+        flags = [int(flag) for flag in call_reference(spec.positional.masks, (7, *tired), agent)]
         assert flags == [1, 0, 0]
         rested = [0] * AGENTS
         rested[agent] = 1
-        flags = [int(flag) for flag in call_reference(spec.golden.masks, (7, *rested), agent)]
+        flags = [int(flag) for flag in call_reference(spec.positional.masks, (7, *rested), agent)]
         assert flags == [1, 1, 1]

@@ -1,0 +1,221 @@
+"""What a class of named words looks like in hardware: its fields in order, and back.
+
+An author declares the state of an environment, and what an agent sees, as a class::
+
+    class Robot(NamedTuple):
+        row: Range[0, 9]
+        carries: Bits[1]
+
+    class State(NamedTuple):
+        robots: Array[Robot, 4]
+        time: Bits[10]
+
+Hardware, saved states and kernels know words in the order in which they stand there.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import typing
+from collections.abc import Iterable, Iterator, Mapping
+from typing import Annotated, Any
+
+from pearl_marl.errors import ArgumentError
+from pearl_marl.fields import Field
+
+
+@dataclasses.dataclass(frozen=True)
+class Scalar:
+    """The format of one word."""
+
+    bits: int
+    signed: bool = False
+    fraction: int = 0
+    least: int | None = None
+    most: int | None = None
+
+
+@dataclasses.dataclass(frozen=True)
+class Several:
+    """An array."""
+
+    of: Any
+    count: int
+
+
+class _Bits:
+    """``Bits[n]``: a word of n bits, from 0. ``Bits[n, f]`` has f of them behind the binary point."""
+
+    def __getitem__(self, sizes: int | tuple[int, int]) -> Any:
+        bits, fraction = sizes if isinstance(sizes, tuple) else (sizes, 0)
+        return Annotated[int, Scalar(bits, False, fraction)]
+
+
+class _Signed:
+    """``Signed[n]``: a word of n bits, two's complement. ``Signed[n, f]`` has f of them behind the point."""
+
+    def __getitem__(self, sizes: int | tuple[int, int]) -> Any:
+        bits, fraction = sizes if isinstance(sizes, tuple) else (sizes, 0)
+        return Annotated[int, Scalar(bits, True, fraction)]
+
+
+class _Range:
+    """``Range[low, high]``: a word from low to high, both included, of as many bits as that takes."""
+
+    def __getitem__(self, ends: tuple[int, int]) -> Any:
+        if not isinstance(ends, tuple) or len(ends) != 2 or not all(type(end) is int for end in ends):
+            raise ArgumentError(f"Range[{ends!r}]: give two integers, Range[0, 9]")
+        low, high = ends
+        if low > high:
+            raise ArgumentError(f"Range[{low}, {high}]: the first is the least")
+        signed = low < 0
+        bits = max(1, high.bit_length() + signed, (~low).bit_length() + 1 if signed else 0)
+        return Annotated[int, Scalar(bits, signed, 0, low, high)]
+
+
+class _Array:
+    """``Array[kind, n]``: n of a kind, a list; ``Array[kind, n, m]`` is a list of n lists of m."""
+
+    def __getitem__(self, parts: tuple[Any, ...]) -> Any:
+        kind, *counts = parts
+        for count in reversed(counts):
+            if type(count) is not int or count < 1:
+                raise ArgumentError(f"Array[..., {count!r}]: a length is an integer from 1")
+            kind = Annotated[list[Any], Several(kind, count)]
+        return kind
+
+
+Bits: Any = _Bits()
+Signed: Any = _Signed()
+Range: Any = _Range()
+Array: Any = _Array()
+Flag: Any = Bits[1]
+"""One bit, 0 or 1."""
+
+
+class Layout:
+    """The words of a class: ``fields``, :meth:`built` of words, and :meth:`flat` again.
+
+    Raises
+    ------
+    ArgumentError
+        A field of the class has no width; names it.
+    """
+
+    def __init__(self, cls: type) -> None:
+        if not isinstance(cls, type) or not getattr(cls, "__annotations__", None):
+            raise ArgumentError(f"{cls!r} is no class with annotated fields, such as `row: Bits[2]`")
+        self.cls = cls
+        self._tree = _Group(cls)
+        self.fields = tuple(self._tree.fields(""))
+
+    def built(self, words: Iterable[Any]) -> Any:
+        """Return an object of the class, of as many words as it has fields; arrays are lists."""
+        return self._tree.built(iter(words))
+
+    def flat(self, value: Any) -> list[Any]:
+        """Return the words of an object of the class.
+
+        Raises
+        ------
+        ArgumentError
+            It is none, or an array has another length: names which.
+        """
+        result: list[Any] = []
+        self._tree.flatten(value, self.cls.__name__, result)
+        return result
+
+
+class _Leaf:
+    def __init__(self, scalar: Scalar) -> None:
+        self.scalar = scalar
+
+    def fields(self, name: str) -> Iterator[Field]:
+        s = self.scalar
+        yield Field(name, s.bits, s.signed, s.fraction, s.least, s.most)
+
+    def built(self, words: Iterator[Any]) -> Any:
+        return next(words)
+
+    def flatten(self, value: Any, where: str, result: list[Any]) -> None:
+        if isinstance(value, (tuple, list, str)) or value is None:
+            raise ArgumentError(f"{where} is {_told(value)}; it must be one word")
+        result.append(value)
+
+
+class _Several:
+    def __init__(self, part: _Tree, count: int) -> None:
+        self.part, self.count = part, count
+
+    def fields(self, name: str) -> Iterator[Field]:
+        for k in range(self.count):
+            yield from self.part.fields(f"{name}_{k}")
+
+    def built(self, words: Iterator[Any]) -> Any:
+        return [self.part.built(words) for _ in range(self.count)]
+
+    def flatten(self, value: Any, where: str, result: list[Any]) -> None:
+        if not isinstance(value, (tuple, list)) or len(value) != self.count:
+            raise ArgumentError(f"{where} is {_told(value)}; it must be a list of {self.count}")
+        for k, one in enumerate(value):
+            self.part.flatten(one, f"{where}[{k}]", result)
+
+
+class _Group:
+    def __init__(self, cls: type) -> None:
+        self.cls = cls
+        self.parts = {name: _tree(hint, f"{cls.__name__}.{name}") for name, hint in _hints(cls).items()}
+
+    def fields(self, name: str) -> Iterator[Field]:
+        for own, part in self.parts.items():
+            yield from part.fields(f"{name}_{own}" if name else own)
+
+    def built(self, words: Iterator[Any]) -> Any:
+        return self.cls(*[part.built(words) for part in self.parts.values()])
+
+    def flatten(self, value: Any, where: str, result: list[Any]) -> None:
+        if not isinstance(value, self.cls):
+            raise ArgumentError(f"{where} is {_told(value)}; it must be a {self.cls.__name__}")
+        for name, part in self.parts.items():
+            part.flatten(getattr(value, name), f"{where}.{name}", result)
+
+
+_Tree = _Leaf | _Several | _Group
+
+
+def _tree(hint: Any, where: str) -> _Tree:
+    for extra in getattr(hint, "__metadata__", ()):
+        if isinstance(extra, Scalar):
+            return _Leaf(extra)
+        if isinstance(extra, Several):
+            return _Several(_tree(extra.of, where), extra.count)
+    if isinstance(hint, type) and getattr(hint, "__annotations__", None):
+        return _Group(hint)
+    raise ArgumentError(
+        f"{where} is annotated {getattr(hint, '__name__', hint)}; say how wide it is: Bits[4], Range[0, 9], "
+        "Array[Bits[4], 16] or a class of such fields"
+    )
+
+
+def _hints(cls: type) -> Mapping[str, Any]:
+    """Return the annotations of a class."""
+    try:
+        return typing.get_type_hints(cls, include_extras=True)
+    except NameError as error:
+        raise ArgumentError(
+            f"{cls.__name__}: {error}; a class inside a function needs a module without "
+            "`from __future__ import annotations`"
+        ) from None
+
+
+def leaves(value: Any) -> list[Any]:
+    """Return the words of what a golden function returns: tuples and lists, some inside others, in order."""
+    if isinstance(value, (tuple, list)):
+        return [word for part in value for word in leaves(part)]
+    return [value]
+
+
+def _told(value: Any) -> str:
+    if isinstance(value, (tuple, list)):
+        return f"a {type(value).__name__} of {len(value)}"
+    return "nothing" if value is None else f"{value!r}" if isinstance(value, (int, str)) else type(value).__name__

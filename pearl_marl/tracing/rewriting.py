@@ -1,0 +1,535 @@
+"""An author's function as Python to be traced: every decision on a word becomes a call of a :class:`Frame`.
+
+Python decides by values, and a word has none before hardware runs. So a function is compiled once more from its
+source, in which an ``if`` runs both its sides and joins what they leave behind, a loop joins what its rounds
+leave, and ``return``, ``break`` and ``continue`` note under which condition they were reached. Every statement
+stands there once, so what is traced grows with the length of the function, not with its number of paths.
+
+Lines stay the author's. :mod:`pearl_marl.tracing.branches` is what the calls do.
+"""
+
+from __future__ import annotations
+
+import ast
+import functools
+import linecache
+import types
+from collections.abc import Iterator, Sequence
+from typing import NoReturn, TypeVar
+
+from pearl_marl.errors import ArgumentError
+from pearl_marl.places import place_of
+
+RUNTIME = "__pearl__"
+"""The name by which rewritten functions know :class:`pearl_marl.tracing.branches.Runtime`."""
+_FRAME = "_pearl_frame"
+
+_Node = TypeVar("_Node", bound=ast.AST)
+
+
+@functools.lru_cache(1 << 12)
+def rewritten(code: types.CodeType) -> types.CodeType:
+    """Return the code of a function whose decisions are calls; its own where no source is at hand.
+
+    Raises
+    ------
+    ArgumentError
+        The function does what cannot be traced, such as ``yield``; names the file and the line.
+    """
+    node = _source_of(code)
+    if node is None:
+        return code
+    if isinstance(node, ast.Lambda):
+        node = _named(node)
+    new = _Function(code.co_filename).of(node)
+    return _compiled(new, code)
+
+
+def _source_of(code: types.CodeType) -> ast.FunctionDef | ast.Lambda | None:
+    """Return the definition that code was compiled from."""
+    found = [node for node in _definitions(code.co_filename) if _matches(node, code)]
+    return found[0] if len(found) == 1 else None
+
+
+def _matches(node: ast.FunctionDef | ast.Lambda, code: types.CodeType) -> bool:
+    if isinstance(node, ast.Lambda):
+        if code.co_name != "<lambda>" or node.lineno != code.co_firstlineno:
+            return False
+        # Several in one line are told apart by where their bodies stand.
+        places = {(line, column) for line, _, column, _ in code.co_positions()}
+        return (node.body.lineno, node.body.col_offset) in places
+    first = min((node.lineno, *(d.lineno for d in node.decorator_list)))
+    return node.name == code.co_name and first == code.co_firstlineno
+
+
+_PARSED: dict[tuple[str, str], list[ast.FunctionDef | ast.Lambda]] = {}
+
+
+def _definitions(file: str) -> list[ast.FunctionDef | ast.Lambda]:
+    """Return all functions that a file defines; none where it cannot be read."""
+    text = "".join(linecache.getlines(file))
+    if (file, text) not in _PARSED:
+        try:
+            tree = ast.parse(text)
+        except SyntaxError:
+            return []
+        kinds = (ast.FunctionDef, ast.Lambda)
+        _PARSED[file, text] = [node for node in ast.walk(tree) if isinstance(node, kinds)]
+    return _PARSED[file, text]
+
+
+def _named(node: ast.Lambda) -> ast.FunctionDef:
+    """Return a lambda as a function of a statement."""
+    body = ast.copy_location(ast.Return(node.body), node.body)
+    new = ast.FunctionDef("_lambda", node.args, [body], [], None, None)
+    if "type_params" in ast.FunctionDef._fields:
+        new.type_params = []  # type: ignore[attr-defined]
+    return ast.copy_location(new, node)
+
+
+def _compiled(node: ast.FunctionDef, code: types.CodeType) -> types.CodeType:
+    """Compile a function whose free names are those of ``code``."""
+    # A function around it has its free names, so that they are free here, too.
+    outer = ast.parse("def _outer(): return 0").body[0]
+    assert isinstance(outer, ast.FunctionDef)
+    outer.args.args = [ast.arg(name) for name in code.co_freevars]
+    outer.body = [node, *outer.body]
+    module = ast.fix_missing_locations(ast.Module([outer], []))
+    whole = compile(module, code.co_filename, "exec", dont_inherit=True)
+    inner = _constants(_constants(whole, "_outer"), node.name)
+    return inner.replace(co_name=code.co_name, co_qualname=code.co_qualname)
+
+
+def _constants(code: types.CodeType, name: str) -> types.CodeType:
+    return next(c for c in code.co_consts if isinstance(c, types.CodeType) and c.co_name == name)
+
+
+def _stored(nodes: Sequence[ast.AST]) -> list[str]:
+    """Return the names that statements bind, in order, and not those that functions inside them do."""
+    names: dict[str, None] = {}
+
+    def visit(node: ast.AST) -> None:
+        match node:
+            case ast.FunctionDef() | ast.ClassDef() | ast.AsyncFunctionDef():
+                names[node.name] = None
+                for inner in ast.walk(node):
+                    if isinstance(inner, ast.Nonlocal):
+                        names.update(dict.fromkeys(inner.names))
+                return
+            case ast.Lambda():
+                return
+            case ast.ListComp() | ast.SetComp() | ast.DictComp() | ast.GeneratorExp():
+                # Only `:=` inside binds a name of the function.
+                for inner in ast.walk(node):
+                    if isinstance(inner, ast.NamedExpr):
+                        names[inner.target.id] = None
+                return
+            case ast.Name(ctx=ast.Store()):
+                names[node.id] = None
+        for child in ast.iter_child_nodes(node):
+            visit(child)
+
+    for node in nodes:
+        visit(node)
+    return list(names)
+
+
+def _inside(nodes: Sequence[ast.AST]) -> Iterator[ast.AST]:
+    """Yield the nodes of statements, without those of functions inside them."""
+    for node in nodes:
+        yield node
+        if not isinstance(node, (ast.FunctionDef, ast.Lambda, ast.ClassDef)):
+            yield from _inside(list(ast.iter_child_nodes(node)))
+
+
+def _leaves(nodes: Sequence[ast.AST]) -> bool:
+    """Return whether statements may leave what is around them: by a return, a break or a continue."""
+    return any(isinstance(node, (ast.Return, ast.Break, ast.Continue)) for node in _inside(nodes))
+
+
+class _Function:
+    """Rewrites one function."""
+
+    def __init__(self, file: str) -> None:
+        self.file, self.count, self.loops = file, 0, list[tuple[str, list[str]]]()
+
+    def of(self, node: ast.FunctionDef) -> ast.FunctionDef:
+        """Return the function with its decisions as calls."""
+        body = node.body
+        joined = [s for s in _inside(body) if isinstance(s, (ast.If, ast.For, ast.While))]
+        own = {a.arg for a in _arguments(node.args)}
+        elsewhere = {n for s in _inside(body) if isinstance(s, (ast.Nonlocal, ast.Global)) for n in s.names}
+        unbound = [n for n in _stored(joined) if n not in own | elsewhere]
+        # Annotations are for readers, and may name what is known to a type checker only.
+        new = ast.FunctionDef(node.name, _plain(node.args), [], [], None, None)
+        if "type_params" in ast.FunctionDef._fields:
+            new.type_params = []  # type: ignore[attr-defined]
+        statements = [_statement(f"{_FRAME} = {RUNTIME}.frame()", node)]
+        statements += [_statement(f"{n} = {RUNTIME}.unbound({n!r})", node) for n in unbound]
+        expressions = _Expressions(self)
+        new.args = expressions.visit(new.args)
+        statements += self.block(body, expressions)
+        statements.append(_statement(f"return {_FRAME}.result()", body[-1]))
+        new.body = statements
+        return ast.copy_location(new, node)
+
+    def name(self, kind: str) -> str:
+        """Return a name that nobody else has."""
+        self.count += 1
+        return f"_pearl_{kind}_{self.count}"
+
+    def refuse(self, node: ast.AST, why: str) -> NoReturn:
+        """Raise ArgumentError for a line."""
+        raise ArgumentError(f"{place_of(self.file, getattr(node, 'lineno', 1))}: {why}")
+
+    def block(self, statements: Sequence[ast.stmt], expressions: _Expressions) -> list[ast.stmt]:
+        """Return statements of which those after a possible exit run only if something is left to run."""
+        result: list[ast.stmt] = []
+        for k, statement in enumerate(statements):
+            result += self.statement(statement, expressions)
+            if isinstance(statement, (ast.Return, ast.Break, ast.Continue)):
+                break
+            rest = statements[k + 1 :]
+            if rest and isinstance(statement, (ast.If, ast.For, ast.While)) and _leaves([statement]):
+                guard = _statement(f"if {_FRAME}.lives(): pass", statement)
+                assert isinstance(guard, ast.If)
+                guard.body = self.block(rest, expressions)
+                return [*result, guard]
+        return result
+
+    def statement(self, node: ast.stmt, expressions: _Expressions) -> list[ast.stmt]:
+        """Return the statements that take the place of one."""
+        match node:
+            case ast.Return():
+                value = expressions.visit(node.value) if node.value else ast.Constant(None)
+                return [_call(f"{_FRAME}.returns", [value], node)]
+            case ast.If():
+                return self.branch(node, expressions)
+            case ast.While():
+                return self.while_(node, expressions)
+            case ast.For():
+                return self.for_(node, expressions)
+            case ast.Break() | ast.Continue():
+                loop, names = self.loops[-1]
+                verb = "breaks" if isinstance(node, ast.Break) else "continues"
+                return [_call(f"{loop}.{verb}", [_tuple(names)], node)]
+            case ast.FunctionDef():
+                inner = _Function(self.file).of(node)
+                inner.decorator_list = [expressions.visit(d) for d in node.decorator_list]
+                return [inner]
+            case ast.Assign() if any(map(_has_parts, node.targets)):
+                return self.stores(node, expressions)
+            case ast.AugAssign() if isinstance(node.target, (ast.Subscript, ast.Attribute)):
+                return self.changes(node, expressions)
+            case ast.AnnAssign():
+                if node.value is None:
+                    return [_statement("pass", node)]
+                plain = ast.copy_location(ast.Assign([node.target], node.value), node)
+                return self.statement(plain, expressions)
+            case ast.Assert():
+                return [_call(f"{RUNTIME}.asserts", [expressions.visit(node.test)], node)]
+            case ast.Match():
+                self.refuse(node, "golden functions have no `match`; use `if`, `elif` and `else`")
+            case ast.Try() | ast.With() | ast.AsyncFor() | ast.AsyncWith() | ast.AsyncFunctionDef():
+                word = type(node).__name__.lower().removeprefix("async").removesuffix("functiondef") or "async"
+                self.refuse(node, f"golden functions have no `{word}`")
+        new = expressions.visit(node)
+        assert isinstance(new, ast.stmt)
+        return [new]
+
+    def branch(self, node: ast.If, expressions: _Expressions) -> list[ast.stmt]:
+        """Return an ``if``: each side runs if it may be taken, and then they are joined."""
+        fork, names = self.name("fork"), _stored([*node.body, *node.orelse])
+        test = expressions.visit(node.test)
+        result = [_assign(fork, f"{_FRAME}.fork", [test, _tuple(names)], node)]
+        for k, body in enumerate((node.body, node.orelse)):
+            side = _statement(f"if {fork}.takes({k}): pass", node)
+            assert isinstance(side, ast.If)
+            side.body = [
+                *([_unpack(names, f"{fork}.before", [], node)] if k and names else []),
+                *self.block(body, expressions),
+                _call(f"{fork}.leaves", [_tuple(names)], node),
+            ]
+            result.append(side)
+        return [*result, _unpack(names, f"{fork}.joined", [], node)]
+
+    def while_(self, node: ast.While, expressions: _Expressions) -> list[ast.stmt]:
+        """Return a ``while``, which goes round until no word can want it."""
+        loop, names = self.name("loop"), _stored([node])
+        again = _statement(f"while {loop}.again(): pass", node)
+        assert isinstance(again, ast.While) and isinstance(again.test, ast.Call)
+        again.test.args = [expressions.visit(node.test), _tuple(names)]
+        again.body = self.round(node.body, loop, names, expressions, node)
+        return self.looped(node, loop, names, again, expressions)
+
+    def for_(self, node: ast.For, expressions: _Expressions) -> list[ast.stmt]:
+        """Return a ``for``."""
+        loop, names = self.name("loop"), _stored([node])
+        over = _statement(f"for _ in {RUNTIME}.items(0): pass", node)
+        assert isinstance(over, ast.For) and isinstance(over.iter, ast.Call)
+        over.iter.args = [expressions.visit(node.iter)]
+        over.target = expressions.visit(node.target)
+        over.body = self.round(node.body, loop, names, expressions, node)
+        if _leaves(node.body):
+            over.body.insert(0, _statement(f"if not {_FRAME}.lives(): break", node))
+        return self.looped(node, loop, names, over, expressions)
+
+    def round(
+        self, body: Sequence[ast.stmt], loop: str, names: list[str], expressions: _Expressions, node: ast.stmt
+    ) -> list[ast.stmt]:
+        self.loops.append((loop, names))
+        result = self.block(body, expressions)
+        self.loops.pop()
+        # Only `continue` leaves something to join.
+        if any(isinstance(n, ast.Continue) for n in _inside(body)):
+            result.append(_unpack(names, f"{loop}.next_round", [_tuple(names)], node))
+        return result
+
+    def looped(
+        self, node: ast.For | ast.While, loop: str, names: list[str], new: ast.stmt, expressions: _Expressions
+    ) -> list[ast.stmt]:
+        result = [_assign(loop, f"{_FRAME}.loop", [], node), new]
+        if node.orelse:
+            result.append(_unpack(names, f"{loop}.finished", [_tuple(names)], node))
+            guard = _statement(f"if {_FRAME}.lives(): pass", node)
+            assert isinstance(guard, ast.If)
+            guard.body = self.block(node.orelse, expressions)
+            result.append(guard)
+        result.append(_unpack(names, f"{loop}.joined", [_tuple(names)], node))
+        return result
+
+    def stores(self, node: ast.Assign, expressions: _Expressions) -> list[ast.stmt]:
+        """Return assignments to elements and attributes as calls."""
+        value = self.name("value")
+        result = [_assign(value, None, [expressions.visit(node.value)], node)]
+        for target in node.targets:
+            result += self.store(target, ast.Name(value, ast.Load()), expressions)
+        return result
+
+    def store(self, target: ast.expr, value: ast.expr, expressions: _Expressions) -> list[ast.stmt]:
+        match target:
+            case ast.Subscript():
+                args = [expressions.visit(target.value), expressions.visit(target.slice), value]
+                return [_call(f"{RUNTIME}.put", args, target)]
+            case ast.Attribute():
+                args = [expressions.visit(target.value), ast.Constant(target.attr), value]
+                return [_call(f"{RUNTIME}.set_attribute", args, target)]
+            case ast.Tuple() | ast.List() if _has_parts(target):
+                names = [self.name("part") for _ in target.elts]
+                parts = _tuple(names, ast.Store())
+                result: list[ast.stmt] = [ast.copy_location(ast.Assign([parts], value), target)]
+                for part, name in zip(target.elts, names, strict=True):
+                    if isinstance(part, ast.Starred):
+                        self.refuse(part, "`*` beside elements; assign the parts one by one")
+                    result += self.store(part, ast.Name(name, ast.Load()), expressions)
+                return result
+        return [ast.copy_location(ast.Assign([target], value), target)]
+
+    def changes(self, node: ast.AugAssign, expressions: _Expressions) -> list[ast.stmt]:
+        """Return ``a[k] += b``, in which ``a`` and ``k`` are evaluated once."""
+        target, whole, part = node.target, self.name("of"), self.name("at")
+        assert isinstance(target, (ast.Subscript, ast.Attribute))
+        is_item = isinstance(target, ast.Subscript)
+        key = expressions.visit(target.slice) if isinstance(target, ast.Subscript) else ast.Constant(target.attr)
+        loads = [ast.Name(whole, ast.Load()), ast.Name(part, ast.Load())]
+        getter = f"{RUNTIME}.item" if is_item else "getattr"
+        old = _expression(getter, loads, node)
+        new = ast.copy_location(ast.BinOp(old, node.op, expressions.visit(node.value)), node)
+        return [
+            _assign(whole, None, [expressions.visit(target.value)], node),
+            _assign(part, None, [key], node),
+            _call(f"{RUNTIME}.{'put' if is_item else 'set_attribute'}", [*loads, new], node),
+        ]
+
+
+class _Expressions(ast.NodeTransformer):
+    """Rewrites expressions: what Python decides by a value."""
+
+    def __init__(self, function: _Function) -> None:
+        self.function = function
+
+    def visit_BoolOp(self, node: ast.BoolOp) -> ast.AST:
+        """Let the later operands wait, as Python does."""
+        values = [self.visit(v) for v in node.values]
+        verb = "both" if isinstance(node.op, ast.And) else "any_of_two"
+        result = values[0]
+        for value in values[1:]:
+            result = _expression(f"{RUNTIME}.{verb}", [result, self.later(value)], node)
+        return result  # type: ignore[no-any-return]
+
+    def visit_UnaryOp(self, node: ast.UnaryOp) -> ast.AST:
+        """Return ``not`` as a call."""
+        operand = self.visit(node.operand)
+        if isinstance(node.op, ast.Not):
+            return _expression(f"{RUNTIME}.negation", [operand], node)
+        return ast.copy_location(ast.UnaryOp(node.op, operand), node)
+
+    def visit_IfExp(self, node: ast.IfExp) -> ast.AST:
+        """Return ``a if test else b`` as a call."""
+        sides = [self.later(self.visit(node.body)), self.later(self.visit(node.orelse))]
+        return _expression(f"{RUNTIME}.either", [self.visit(node.test), *sides], node)
+
+    def visit_Compare(self, node: ast.Compare) -> ast.AST:
+        """Return chains as calls, and what compares sequences."""
+        values = [self.visit(v) for v in (node.left, *node.comparators)]
+        names = [type(op).__name__ for op in node.ops]
+        if len(names) == 1:
+            if names[0] in ("Eq", "NotEq", "In", "NotIn"):
+                verb = {"Eq": "equal", "NotEq": "differ", "In": "contains", "NotIn": "lacks"}[names[0]]
+                return _expression(f"{RUNTIME}.{verb}", values, node)
+            return ast.copy_location(ast.Compare(values[0], node.ops, values[1:]), node)
+        result = [ast.Constant(tuple(names)), values[0], *map(self.later, values[1:])]
+        return _expression(f"{RUNTIME}.chain", result, node)
+
+    def visit_Subscript(self, node: ast.Subscript) -> ast.AST:
+        """Return an element by a call; a word may choose it."""
+        value, index = self.visit(node.value), self.visit(node.slice)
+        if isinstance(node.ctx, ast.Load):
+            return _expression(f"{RUNTIME}.item", [value, index], node)
+        return ast.copy_location(ast.Subscript(value, index, node.ctx), node)
+
+    def visit_List(self, node: ast.List) -> ast.AST:
+        """Return a list whose elements a word may choose and write."""
+        new = ast.copy_location(ast.List([self.visit(e) for e in node.elts], node.ctx), node)
+        return _expression(f"{RUNTIME}.listed", [new], node) if isinstance(node.ctx, ast.Load) else new
+
+    def visit_ListComp(self, node: ast.ListComp) -> ast.AST:
+        """Do the same for a comprehension."""
+        return _expression(f"{RUNTIME}.listed", [self.generic_visit(node)], node)
+
+    def visit_Call(self, node: ast.Call) -> ast.AST:
+        """Count what fits, in place of leaving out what does not: that is no word's to decide."""
+        if isinstance(node.func, ast.Name) and node.func.id in _REDUCTIONS and len(node.args) == 1:
+            inner = node.args[0]
+            if isinstance(inner, (ast.GeneratorExp, ast.ListComp)):
+                node = _unfiltered(node, inner)
+        return self.generic_visit(node)
+
+    def visit_Lambda(self, node: ast.Lambda) -> ast.AST:
+        """Keep what is a function of its own, its body rewritten."""
+        return self.generic_visit(node)
+
+    def visit_NamedExpr(self, node: ast.NamedExpr) -> ast.AST:
+        """Return ``:=`` as it is."""
+        return self.generic_visit(node)
+
+    def visit_FunctionDef(self, node: ast.FunctionDef) -> ast.AST:
+        """Rewrite a function inside of another statement."""
+        return _Function(self.function.file).of(node)
+
+    def visit_Yield(self, node: ast.Yield) -> ast.AST:
+        """Refuse it."""
+        self.function.refuse(node, "golden functions are no generators; return a list")
+
+    visit_YieldFrom = visit_Await = visit_Yield  # type: ignore[assignment]
+
+    def later(self, node: ast.expr) -> ast.expr:
+        """Return a function of no arguments that evaluates an expression."""
+        for inner in ast.walk(node):
+            if isinstance(inner, ast.NamedExpr):
+                self.function.refuse(
+                    inner, f"`{inner.target.id} :=` in what is not always evaluated; assign it before"
+                )
+        new = _placed(ast.parse("lambda: 0", mode="eval").body, node)
+        assert isinstance(new, ast.Lambda)
+        new.body = node
+        return new
+
+
+_REDUCTIONS = "any", "all", "sum"
+
+
+def _unfiltered(call: ast.Call, inner: ast.GeneratorExp | ast.ListComp) -> ast.Call:
+    """Return ``any(x for ... if c)`` as ``any(c and x for ...)``, ``all`` and ``sum`` likewise."""
+    name = call.func.id  # type: ignore[attr-defined]
+    element, generators = inner.elt, []
+    for generator in inner.generators:
+        for test in reversed(generator.ifs):
+            match name:
+                case "any":
+                    element = ast.copy_location(ast.BoolOp(ast.And(), [test, element]), element)
+                case "all":
+                    refused = ast.copy_location(ast.UnaryOp(ast.Not(), test), test)
+                    element = ast.copy_location(ast.BoolOp(ast.Or(), [refused, element]), element)
+                case _:
+                    nothing = ast.copy_location(ast.Constant(0), element)
+                    element = ast.copy_location(ast.IfExp(test, element, nothing), element)
+        generators.append(ast.comprehension(generator.target, generator.iter, [], generator.is_async))
+    if not any(generator.ifs for generator in inner.generators):
+        return call
+    new = ast.copy_location(ast.GeneratorExp(element, generators), inner)
+    return ast.copy_location(ast.Call(call.func, [new], call.keywords), call)
+
+
+def _has_parts(target: ast.expr) -> bool:
+    """Return whether an assignment writes an element or an attribute."""
+    if isinstance(target, (ast.Tuple, ast.List)):
+        return any(map(_has_parts, target.elts))
+    return isinstance(target, (ast.Subscript, ast.Attribute))
+
+
+def _arguments(args: ast.arguments) -> list[ast.arg]:
+    every = [*args.posonlyargs, *args.args, *args.kwonlyargs]
+    return every + [a for a in (args.vararg, args.kwarg) if a is not None]
+
+
+def _plain(args: ast.arguments) -> ast.arguments:
+    """Return arguments without annotations; defaults come from the function itself."""
+
+    def bare(arg: ast.arg | None) -> ast.arg | None:
+        return None if arg is None else ast.copy_location(ast.arg(arg.arg), arg)
+
+    def all_bare(several: Sequence[ast.arg]) -> list[ast.arg]:
+        return [new for arg in several if (new := bare(arg)) is not None]
+
+    return ast.arguments(
+        all_bare(args.posonlyargs),
+        all_bare(args.args),
+        bare(args.vararg),
+        all_bare(args.kwonlyargs),
+        list(args.kw_defaults),
+        bare(args.kwarg),
+        list(args.defaults),
+    )
+
+
+def _placed(new: _Node, node: ast.AST) -> _Node:
+    """Give every part of what was parsed from a text the place of a node."""
+    for part in ast.walk(new):
+        if "lineno" in part._attributes:
+            ast.copy_location(part, node)
+    return new
+
+
+def _statement(text: str, node: ast.AST) -> ast.stmt:
+    return _placed(ast.parse(text).body[0], node)
+
+
+def _expression(function: str, args: Sequence[ast.expr], node: ast.AST) -> ast.expr:
+    new = ast.parse(f"{function}()", mode="eval").body
+    assert isinstance(new, ast.Call)
+    _placed(new, node)
+    new.args = list(args)
+    return new
+
+
+def _call(function: str, args: Sequence[ast.expr], node: ast.AST) -> ast.stmt:
+    return ast.copy_location(ast.Expr(_expression(function, args, node)), node)
+
+
+def _assign(name: str, function: str | None, args: Sequence[ast.expr], node: ast.AST) -> ast.stmt:
+    value = args[0] if function is None else _expression(function, args, node)
+    return ast.copy_location(ast.Assign([ast.Name(name, ast.Store())], value), node)
+
+
+def _unpack(names: Sequence[str], function: str, args: Sequence[ast.expr], node: ast.AST) -> ast.stmt:
+    """Return the assignment of what a call returns to names; the call alone where there are none."""
+    if not names:
+        return _call(function, args, node)
+    target = _tuple(names, ast.Store())
+    return ast.copy_location(ast.Assign([target], _expression(function, args, node)), node)
+
+
+def _tuple(names: Sequence[str], context: ast.expr_context | None = None) -> ast.Tuple:
+    context = context or ast.Load()
+    return ast.Tuple([ast.Name(name, context) for name in names], context)
