@@ -555,7 +555,7 @@ def _width(count: int) -> int:
 def _result(word: Field) -> Result:
     low, high = word.range
     wraps = f"{'i' if word.signed else 'u'}{word.bits}()" if word.bits in (8, 16, 32, 64) else f"& {high}"
-    fix = "clip() keeps it in" + (f", and `{wraps}` lets it wrap around" if "(" in wraps or low == 0 else "")
+    fix = "`min` and `max` keep it in" + (f", and `{wraps}` lets it wrap around" if "(" in wraps or low == 0 else "")
     limit = f"{word.bits} bits hold" if word.bits > 1 else "1 bit holds"
     if (low, high) != word_range(word.bits, word.signed):
         limit = "its range is"

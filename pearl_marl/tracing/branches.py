@@ -494,6 +494,15 @@ def _no_set(values: Iterable[Any] = ()) -> set[Any]:
     return set(every)
 
 
+def _defined(value: Any) -> None:
+    """Refuse what holds a variable without a value."""
+    if isinstance(value, Undefined):
+        value._raise()
+    if isinstance(value, (tuple, list)):
+        for part in value:
+            _defined(part)
+
+
 def _has_words(value: Any) -> bool:
     if isinstance(value, (tuple, list)):
         return any(map(_has_words, value))
@@ -521,6 +530,7 @@ class Frame:
 
     def returns(self, value: Any) -> None:
         """End a path by ``return``."""
+        _defined(value)
         self.results.append((self.runtime.here, value))
         self.runtime.exits.append(self)
         self.runtime.path = None
