@@ -99,6 +99,9 @@ def _cases(inputs: Mapping[str, Node], constants: Sequence[int], count: int) -> 
         name: list(dict.fromkeys(c for c in (*near, word.low, word.high) if word.low <= c <= word.high))
         for name, word in inputs.items()
     }
+    # Sums and conjunctions of many words are at their ends where all words are.
+    for value in sorted({c for values in edges.values() for c in values}):
+        yield {name: min(max(value, word.low), word.high) for name, word in inputs.items()}
     for case in itertools.islice(itertools.product(*edges.values()), count // 2):
         yield dict(zip(inputs, case, strict=True))
     for _ in range(count // 2):
