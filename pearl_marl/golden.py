@@ -215,7 +215,9 @@ def reference(function: GoldenFunction, *agent: int) -> Callable[..., tuple[Any,
         if not shape:
             return tuple(_array([word])[0] for word in once(*(int(array[()]) for array in given)))
         rows = zip(*(np.broadcast_to(array, shape).ravel().tolist() for array in given), strict=True)
-        return tuple(_array(column).reshape(shape) for column in zip(*(once(*row) for row in rows), strict=True))
+        return tuple(
+            _array(column).reshape(shape) for column in zip(*(once(*row) for row in rows), strict=True)
+        )
 
     return run
 
@@ -223,7 +225,7 @@ def reference(function: GoldenFunction, *agent: int) -> Callable[..., tuple[Any,
 def _array(words: Sequence[int]) -> Any:
     """Return an array of 64 bits, or of Python's integers where those do not hold them."""
     low, high = min(words), max(words)
-    if -(1 << 63) <= low and high < 1 << 64 and (low >= 0 or high < 1 << 63):
+    if low >= -(1 << 63) and high < 1 << 64 and (low >= 0 or high < 1 << 63):
         return np.array(words, np.int64 if high < 1 << 63 else np.uint64)
     return np.array(words, object)
 

@@ -94,4 +94,3 @@ def _as(function: GoldenFunction, wrapper: Callable[..., Any], *given: str) -> G
     wrapper.__name__, wrapper.__module__ = function.__name__, function.__module__
     wrapper.author = function  # type: ignore[attr-defined]
     return wrapper
-

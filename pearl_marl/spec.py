@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from numbers import Real
 from pathlib import Path
-from typing import Any, NamedTuple, SupportsInt, TypeGuard
+from typing import Any, NamedTuple, TypeGuard
 
 import numpy as np
 import numpy.typing as npt
@@ -240,7 +240,9 @@ class EnvSpec:
             derive("observation", Layout(view).fields if view else _fields_of(self.observation_space))
         if self.action is None:
             if not isinstance(self.action_space, Discrete):
-                raise ArgumentError(f"{self.name}: the action space is {self.action_space}; give action=Field(...)")
+                raise ArgumentError(
+                    f"{self.name}: the action space is {self.action_space}; give action=Field(...)"
+                )
             derive("action", Field("action", _width(int(self.action_space.n))))
         if self.reward is None:
             if self.rewards is None:
@@ -544,7 +546,9 @@ def _fields_of(space: Space[Any]) -> tuple[Field, ...]:
     if isinstance(space, Box) and np.issubdtype(space.dtype, np.integer) and space.low.min() >= 0:
         widths = [_width(int(high) + 1) for high in space.high.ravel()]
         return tuple(Field(f"observation_{k}", bits) for k, bits in enumerate(widths))
-    raise ArgumentError(f"observation space {space} does not say how wide its words are; give Golden(view=...)")
+    raise ArgumentError(
+        f"observation space {space} does not say how wide its words are; give Golden(view=...)"
+    )
 
 
 def _width(count: int) -> int:
@@ -555,7 +559,9 @@ def _width(count: int) -> int:
 def _result(word: Field) -> Result:
     low, high = word.range
     wraps = f"{'i' if word.signed else 'u'}{word.bits}()" if word.bits in (8, 16, 32, 64) else f"& {high}"
-    fix = "`min` and `max` keep it in" + (f", and `{wraps}` lets it wrap around" if "(" in wraps or low == 0 else "")
+    fix = "`min` and `max` keep it in" + (
+        f", and `{wraps}` lets it wrap around" if "(" in wraps or low == 0 else ""
+    )
     limit = f"{word.bits} bits hold" if word.bits > 1 else "1 bit holds"
     if (low, high) != word_range(word.bits, word.signed):
         limit = "its range is"

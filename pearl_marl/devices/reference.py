@@ -121,10 +121,15 @@ class Reference(Device):
         return self._random_start(tick, slots) if self._stored is None else self._stored.state
 
     def _random_start(self, tick: int, slots: Array) -> list[Array]:
-        spec, columns = self.config.spec, [np.zeros(len(self._slots), f.dtype) for f in self.config.spec.state]
+        spec, columns = (
+            self.config.spec,
+            [np.zeros(len(self._slots), f.dtype) for f in self.config.spec.state],
+        )
         if slots.any():
             draws = self._draws(tick, 0, spec.reset_draws, slots)
-            for column, words in zip(columns, self._words(spec.positional.initial, draws, spec.state), strict=True):
+            for column, words in zip(
+                columns, self._words(spec.positional.initial, draws, spec.state), strict=True
+            ):
                 column[slots] = words if draws else words[slots]
         return columns
 

@@ -11,7 +11,6 @@ On a path more is known of words: under ``x == 3`` it is 3, and under ``x > 0`` 
 from __future__ import annotations
 
 import dataclasses
-import itertools
 import operator
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, NamedTuple, NoReturn
@@ -139,11 +138,52 @@ class Undefined:
     __getattr__ = __setattr__ = _raise
 
 
-for _name in (
-    "add radd sub rsub mul rmul floordiv rfloordiv truediv rtruediv mod rmod pow rpow and rand or ror xor rxor "
-    "lshift rlshift rshift rrshift eq ne lt le gt ge bool index int float iter len getitem setitem call neg pos "
-    "abs invert contains"
-).split():
+for _name in [
+    "add",
+    "radd",
+    "sub",
+    "rsub",
+    "mul",
+    "rmul",
+    "floordiv",
+    "rfloordiv",
+    "truediv",
+    "rtruediv",
+    "mod",
+    "rmod",
+    "pow",
+    "rpow",
+    "and",
+    "rand",
+    "or",
+    "ror",
+    "xor",
+    "rxor",
+    "lshift",
+    "rlshift",
+    "rshift",
+    "rrshift",
+    "eq",
+    "ne",
+    "lt",
+    "le",
+    "gt",
+    "ge",
+    "bool",
+    "index",
+    "int",
+    "float",
+    "iter",
+    "len",
+    "getitem",
+    "setitem",
+    "call",
+    "neg",
+    "pos",
+    "abs",
+    "invert",
+    "contains",
+]:
     setattr(Undefined, f"__{_name}__", Undefined._raise)
 
 
@@ -676,7 +716,9 @@ class Loop:
     def _after(self, start: Path, ends: Sequence[tuple[Path, Any]], resolved: Exits) -> Path:
         """Return the path on which any of some ends was reached."""
         graph = self.runtime.graph
-        exits = frozenset(e for path, _ in ends for lit in path.literals[len(start.literals) :] for e in lit.exits)
+        exits = frozenset(
+            e for path, _ in ends for lit in path.literals[len(start.literals) :] for e in lit.exits
+        )
         lost = exits - resolved
         if not lost and not self._left_otherwise(start, ends):
             return start

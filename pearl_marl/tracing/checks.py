@@ -6,11 +6,9 @@ Of every result the graph knows a range, over all states that fit their fields, 
 from __future__ import annotations
 
 import functools
-import inspect
 import itertools
 import math
 import random
-import types
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 

@@ -231,7 +231,9 @@ class _Function:
             case ast.Match():
                 self.refuse(node, "golden functions have no `match`; use `if`, `elif` and `else`")
             case ast.Try() | ast.With() | ast.AsyncFor() | ast.AsyncWith() | ast.AsyncFunctionDef():
-                word = type(node).__name__.lower().removeprefix("async").removesuffix("functiondef") or "async"
+                word = (
+                    type(node).__name__.lower().removeprefix("async").removesuffix("functiondef") or "async"
+                )
                 self.refuse(node, f"golden functions have no `{word}`")
         new = expressions.visit(node)
         assert isinstance(new, ast.stmt)
@@ -330,7 +332,11 @@ class _Function:
         target, whole, part = node.target, self.name("of"), self.name("at")
         assert isinstance(target, (ast.Subscript, ast.Attribute))
         is_item = isinstance(target, ast.Subscript)
-        key = expressions.visit(target.slice) if isinstance(target, ast.Subscript) else ast.Constant(target.attr)
+        key = (
+            expressions.visit(target.slice)
+            if isinstance(target, ast.Subscript)
+            else ast.Constant(target.attr)
+        )
         loads = [ast.Name(whole, ast.Load()), ast.Name(part, ast.Load())]
         getter = f"{RUNTIME}.item" if is_item else "getattr"
         old = _expression(getter, loads, node)
