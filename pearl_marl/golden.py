@@ -127,7 +127,10 @@ class Draws:
         return self.bits() * n >> 32
 
     def chance(self, numerator: float, denominator: float = 1) -> Word:
-        """Return 1 with a probability: ``chance(0.3)``, ``chance(1, 3)``, rounded to a multiple of ``2**-32``."""
+        """Return 1 with a probability, such as ``chance(0.3)`` or ``chance(1, 3)``.
+
+        It is rounded to a multiple of ``2**-32``.
+        """
         share = numerator / denominator
         if not 0 <= share <= 1:
             raise ArgumentError(f"draws.chance({numerator!r}, {denominator!r}): a probability is 0 to 1")
@@ -198,8 +201,8 @@ def reference(function: GoldenFunction, *agent: int) -> Callable[..., tuple[Any,
     """Return what runs a golden function itself, as Python runs it, and always returns a tuple.
 
     Arguments are numbers, or arrays of any shapes that go together: then the function runs for one element
-    after the other, and results are arrays. ``agent`` is what :attr:`pearl_marl.spec.EnvSpec.views` has for it,
-    the last argument of a function that tells what one agent of a world sees.
+    after the other, and results are arrays. ``agent`` is what :attr:`pearl_marl.spec.EnvSpec.views` has for
+    it, the last argument of a function that tells what one agent of a world sees.
     Results are NumPy's integers of 64 bits; where those do not hold one, Python's integers.
     """
     again = as_python_runs_it(function)

@@ -1,4 +1,4 @@
-"""An author's golden functions as functions of words, one after the other, as hardware and kernels have them."""
+"""An author's golden functions as functions of words in the order of fields, as hardware has them."""
 
 from __future__ import annotations
 
@@ -13,7 +13,9 @@ from pearl_marl.places import place_of
 
 
 class Positional(NamedTuple):
-    """The same functions over words::
+    """The same functions over words.
+
+    ::
 
         initial(*reset_draws)              -> *state
         step(*state, *actions, *step_draws) -> *next_state, *rewards, *terminated

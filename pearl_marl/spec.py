@@ -49,9 +49,9 @@ class Golden(NamedTuple):
     ``draws`` are :class:`~pearl_marl.golden.Draws`; ``terminated`` is 0 or 1. Options are constants of the
     enclosing scope.
 
-    In a world of several agents ``step`` takes a list of their actions and returns a list of their rewards and
-    one of their flags ``terminated``, agent 0 first; and ``observe`` and ``masks`` take the agent that they are
-    about, a plain ``int``::
+    In a world of several agents ``step`` takes a list of their actions and returns a list of their rewards
+    and one of their flags ``terminated``, agent 0 first; and ``observe`` and ``masks`` take the agent that
+    they are about, a plain ``int``::
 
         step(state, actions, draws) -> State, rewards, terminated
         observe(state, agent)

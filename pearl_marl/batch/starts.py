@@ -19,8 +19,8 @@ def checked_start(spec: EnvSpec, given: object, n: int) -> dict[str, npt.NDArray
     Parameters
     ----------
     given
-        By the names of fields, a number for all slots or an array of shape ``(n,)``: values, so of a field with
-        a fraction ``word * 2**-fraction``, rounded to the nearest.
+        A number for all slots or an array of shape ``(n,)``, by the names of fields. They are values: in a
+        field with a fraction, ``word * 2**-fraction``, rounded to the nearest.
 
     Raises
     ------
@@ -52,9 +52,8 @@ def _words(field: Field, values: Any, n: int) -> npt.NDArray[Any]:
     wrong = ~((numbers >= low) & (numbers <= high))
     if wrong.any():
         at = int(wrong.argmax())
-        raise ArgumentError(
-            f"{field.name} of slot {at} is {np.broadcast_to(array, (n,))[at]}; possible are {field.low} to {field.high}"
-        )
+        value = np.broadcast_to(array, (n,))[at]
+        raise ArgumentError(f"{field.name} of slot {at} is {value}; possible are {field.low} to {field.high}")
     if not field.fraction and array.dtype.kind == "f" and (numbers != array).any():
         raise ArgumentError(f"{field.name} is {values!r}; it takes integers")
     return numbers.astype(field.dtype)

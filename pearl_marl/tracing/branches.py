@@ -1,9 +1,9 @@
 """What becomes of an author's decisions on words while a function is traced.
 
-A *path* is the condition under which the statement at hand runs. A :class:`Fork` runs both sides of an ``if``,
-each on its path, and joins the variables that they leave. A ``return``, ``break`` or ``continue`` ends a path;
-what it takes along is joined where it arrives, in the order in which paths ended. An element of a list is
-written under the condition of its path, so lists need not be joined.
+A *path* is the condition under which the statement at hand runs. A :class:`Fork` runs both sides of an
+``if``, each on its path, and joins the variables that they leave. A ``return``, ``break`` or ``continue`` ends
+a path; what it takes along is joined where it arrives, in the order in which paths ended. An element of a list
+is written under the condition of its path, so lists need not be joined.
 
 On a path more is known of words: under ``x == 3`` it is 3, and under ``x > 0`` not 0.
 """
@@ -680,8 +680,8 @@ class Loop:
         self.round = self.runtime.here
         if self.rounds > MOST_ROUNDS:
             raise ArgumentError(
-                f"a `while` goes round more than {MOST_ROUNDS} times: nothing that is known of its words ends "
-                "it; use `for` and `break`"
+                f"a `while` goes round more than {MOST_ROUNDS} times: nothing that is known of its words "
+                "ends it; use `for` and `break`"
             )
         return True
 
@@ -834,7 +834,8 @@ def joined(graph: Graph, flag: Node, a: Any, b: Any) -> Any:
         return kind(*parts) if hasattr(kind, "_fields") else kind(parts)
     if dataclasses.is_dataclass(a) and type(a) is type(b):
         names = [f.name for f in dataclasses.fields(a)]
-        return dataclasses.replace(a, **{n: joined(graph, flag, getattr(a, n), getattr(b, n)) for n in names})  # type: ignore[type-var]
+        values = {name: joined(graph, flag, getattr(a, name), getattr(b, name)) for name in names}
+        return dataclasses.replace(a, **values)  # type: ignore[type-var]
     if type(a) is type(b) and not isinstance(a, float) and a == b:
         return a
     raise ArgumentError(f"one side of a branch leaves {_told(a)} and the other {_told(b)}")

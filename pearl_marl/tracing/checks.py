@@ -98,7 +98,7 @@ def _cases(inputs: Mapping[str, Node], constants: Sequence[int], count: int) -> 
         for name, word in inputs.items()
     }
     # Sums and conjunctions of many words are at their ends where all words are.
-    for value in sorted({c for values in edges.values() for c in values}):
+    for value in sorted(set(itertools.chain.from_iterable(edges.values()))):
         yield {name: min(max(value, word.low), word.high) for name, word in inputs.items()}
     for case in itertools.islice(itertools.product(*edges.values()), count // 2):
         yield dict(zip(inputs, case, strict=True))
