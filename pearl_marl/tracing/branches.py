@@ -358,6 +358,15 @@ class Runtime:
         """Return ``value not in among``."""
         return self.negation(self.contains(value, among))
 
+    def index(self, among: Any, value: Any) -> Any:
+        """Return ``among.index(value)``: where a value is, which is there."""
+        if not isinstance(among, (tuple, list)) or not (_has_words(value) or _has_words(among)):
+            return among.index(value)
+        result: Any = len(among) - 1
+        for place in range(len(among) - 2, -1, -1):
+            result = self.either(self.equal(among[place], value), lambda k=place: k, lambda r=result: r)
+        return result
+
     def every(self, values: Iterable[Any]) -> Any:
         """Return whether all values are true."""
         result: Any = True

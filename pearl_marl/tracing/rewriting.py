@@ -420,6 +420,9 @@ class _Expressions(ast.NodeTransformer):
             inner = node.args[0]
             if isinstance(inner, (ast.GeneratorExp, ast.ListComp)):
                 node = _unfiltered(node, inner)
+        if isinstance(node.func, ast.Attribute) and node.func.attr == "index" and len(node.args) == 1:
+            args = [self.visit(node.func.value), self.visit(node.args[0])]
+            return _expression(f"{RUNTIME}.index", args, node)
         return self.generic_visit(node)
 
     def later(self, node: ast.expr) -> ast.expr:
