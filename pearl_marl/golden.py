@@ -52,31 +52,7 @@ def uniform_below(draw: Word, n: Word) -> Word:
 
 
 OUTCOMES = 1 << 16
-"""How many outcomes one draw decides at most: each is off by less than ``2**-16`` of its probability."""
-
-
-def draws_of(outcomes: Iterable[int]) -> list[int]:
-    """Return which draw makes each of several decisions, given how many outcomes each has."""
-    draw, together, result = 0, 1, []
-    for n in outcomes:
-        together *= n
-        if together > OUTCOMES:
-            draw, together = draw + 1, n
-        result.append(draw)
-    return result
-
-
-def digits(draws: Iterable[Word], outcomes: Sequence[int]) -> list[Word]:
-    """Return several decisions, each below its number of outcomes, of the draws that :func:`draws_of` tells.
-
-    The upper half of a product is one; its lower half serves as the next draw.
-    """
-    left, result = list(draws), []
-    for n, k in zip(outcomes, draws_of(outcomes), strict=True):
-        product = left[k] * n
-        left[k] = u32(product)
-        result.append(product >> 32)
-    return result
+"""How many outcomes the digits of one draw have at most."""
 
 
 def another(rank: Word, taken: Sequence[Word]) -> Word:
@@ -90,8 +66,8 @@ def inserted(numbers: Sequence[Word], number: Word) -> list[Word]:
     """Put a number into its place among others, which are in order."""
     result = []
     for other in numbers:
-        result.append(np.minimum(other, number))
-        number = np.maximum(other, number)
+        result.append(min(other, number))
+        number = max(other, number)
     return [*result, number]
 
 
@@ -105,6 +81,8 @@ class Draws:
 
     def __init__(self, words: Iterable[Word]) -> None:
         self._words = iter(words)
+        self._left: Word = 0
+        self._outcomes = OUTCOMES
 
     def bits(self, count: int = 32) -> Word:
         """Return a uniform number of so many bits, 1 to 32."""
@@ -114,9 +92,7 @@ class Draws:
             word = next(self._words)
         except StopIteration:
             raise ArgumentError(f"a golden function asks for more than {MOST_DRAWS} draws") from None
-        asked = getattr(word, "asked", None)  # a symbol says whether it may be
-        if asked is not None:
-            asked()
+        _asked(word)
         return word >> (32 - count)
 
     def below(self, n: Word) -> Word:
@@ -151,9 +127,25 @@ class Draws:
             result.append(last)
         return result
 
+    def digit(self, n: Word, most: int | None = None) -> Word:
+        """Return a number below ``n``, of the same draw as the digits before as long as that suffices.
+
+        It suffices for up to 65,536 outcomes of all of them together, so that each is off by less than ``2**-16``
+        of its probability. Where ``n`` is a word, ``most`` is the most that it can be.
+        """
+        most = n if most is None else most
+        self._outcomes *= most
+        if self._outcomes > OUTCOMES:
+            self._left, self._outcomes = self.bits(), most
+        _asked(self._left)
+        # The upper half of the product is the digit; the lower half serves as the next draw.
+        product = self._left * n
+        self._left = product & 0xFFFFFFFF
+        return product >> 32
+
     def several(self, *outcomes: int) -> list[Word]:
-        """Return a number below each of ``outcomes``, of as few draws as :func:`draws_of` tells."""
-        return digits([self.bits() for _ in range(draws_of(outcomes)[-1] + 1)], outcomes)
+        """Return a number below each of ``outcomes``, as :meth:`digit` makes them."""
+        return [self.digit(n) for n in outcomes]
 
 
 class CountingDraws(Draws):
@@ -171,6 +163,12 @@ class CountingDraws(Draws):
 
 MOST_DRAWS = 256
 """Draws of a reset, or of a step."""
+
+
+def _asked(word: Word) -> None:
+    """Let a symbol say whether it may be asked for."""
+    if hasattr(word, "asked"):
+        word.asked()
 
 
 def _entry(entries: Sequence[Any], place: Word) -> Any:

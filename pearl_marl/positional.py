@@ -41,7 +41,9 @@ def initial_of(state: Layout, function: GoldenFunction) -> GoldenFunction:
     return _as(function, initial, "draws")
 
 
-def step_of(state: Layout, function: GoldenFunction, agents: int, fields: int = 1) -> GoldenFunction:
+def step_of(
+    state: Layout, function: GoldenFunction, agents: int, fields: int = 1, *, world: bool
+) -> GoldenFunction:
     """Return ``step(state, action, draws)`` as a function of words; an action has so many fields."""
     count, flat, built, draws_of, taken = len(state.fields), state.flat, state.built, Draws, _outcome
     given = agents * fields
@@ -49,31 +51,36 @@ def step_of(state: Layout, function: GoldenFunction, agents: int, fields: int = 
     def step(*words: Word) -> tuple[Word, ...]:
         own = words[count : count + given]
         actions = own if fields == 1 else [own[k : k + fields] for k in range(0, given, fields)]
-        action = actions if agents > 1 else actions[0]
+        action = list(actions) if world else actions[0]
         result = function(built(words[:count]), action, draws_of(words[count + given :]))
-        after, rewards, ends = taken(result, agents)
+        after, rewards, ends = taken(result, agents, world)
         return (*flat(after), *rewards, *ends)
 
-    return _as(function, step, "state", "actions" if agents > 1 else "action", "draws")
+    return _as(function, step, "state", "actions" if world else "action", "draws")
 
 
-def view_of(state: Layout, function: GoldenFunction, agents: int) -> GoldenFunction:
+def view_of(state: Layout, function: GoldenFunction, agents: int, *, world: bool) -> GoldenFunction:
     """Return ``observe(state[, agent])``, or ``masks``, as a function of words."""
-    count, built, words_of = len(state.fields), state.built, leaves
+    count, built, words_of, alone = len(state.fields), state.built, leaves, (0,) * (world and agents == 1)
 
     def view(*words: Word) -> tuple[Word, ...]:
-        return tuple(words_of(function(built(words[:count]), *words[count:])))
+        return tuple(words_of(function(built(words[:count]), *words[count:], *alone)))
 
-    return _as(function, view, "state", *["agent"] * (agents > 1))
+    return _as(function, view, "state", *["agent"] * world)
 
 
-def _outcome(result: Any, agents: int) -> tuple[Any, list[Word], list[Word]]:
+def takes_agent(observe: GoldenFunction) -> bool:
+    """Return whether a function observes an agent of a world, even where it is the only one."""
+    return inspect.isfunction(observe) and observe.__code__.co_argcount == 2
+
+
+def _outcome(result: Any, agents: int, world: bool) -> tuple[Any, list[Word], list[Word]]:
     """Return state, rewards and ends of what a step returned."""
     if not isinstance(result, tuple) or len(result) != 3:
         shown = f"{len(result)} values" if isinstance(result, tuple) else "one value"
         raise ArgumentError(f"step() returns {shown}; it returns a state, a reward and whether it terminated")
     after, *others = result
-    if agents == 1:
+    if not world:
         return after, [others[0]], [others[1]]
     for what, values in zip(("rewards", "flags of termination"), others, strict=True):
         if not isinstance(values, (tuple, list)) or len(values) != agents:

@@ -25,7 +25,7 @@ from pearl_marl.fields import word_bits as word_bits
 from pearl_marl.golden import MOST_DRAWS, CountingDraws, GoldenFunction, as_python_runs_it
 from pearl_marl.layout import Layout
 from pearl_marl.pickling import reduced
-from pearl_marl.positional import Positional, initial_of, step_of, view_of
+from pearl_marl.positional import Positional, initial_of, step_of, takes_agent, view_of
 from pearl_marl.tracing.checks import Argument, Result, check
 from pearl_marl.tracing.operations import word_range
 from pearl_marl.tracing.records import RULES, record
@@ -56,6 +56,8 @@ class Golden(NamedTuple):
         step(state, actions, draws) -> State, rewards, terminated
         observe(state, agent)
         masks(state, agent)
+
+    Where options may leave one agent alone, the functions are the same: ``observe`` takes it.
 
     ``step`` takes any action of the action space, masked or not.
     """
@@ -262,20 +264,24 @@ class EnvSpec:
     @cached_property
     def positional(self) -> Positional:
         """The golden functions as functions of words."""
-        state, golden, n = self.layout, self.golden, self.agents
+        state, golden, n, world = self.layout, self.golden, self.agents, self._is_world
         return Positional(
             initial_of(state, golden.initial),
-            step_of(state, golden.step, n),
-            view_of(state, golden.observe, n),
-            None if golden.masks is None else view_of(state, golden.masks, n),
+            step_of(state, golden.step, n, world=world),
+            view_of(state, golden.observe, n, world=world),
+            None if golden.masks is None else view_of(state, golden.masks, n, world=world),
         )
+
+    @property
+    def _is_world(self) -> bool:
+        return self.agents > 1 or takes_agent(self.golden.observe)
 
     @cached_property
     def _draws(self) -> tuple[int, int]:
         # No path through a golden function changes how many it asks for: any state will do.
         first, second = CountingDraws(), CountingDraws()
         state = as_python_runs_it(self.golden.initial)(first)
-        actions = 0 if self.agents == 1 else [0] * self.agents
+        actions = [0] * self.agents if self._is_world else 0
         as_python_runs_it(self.golden.step)(state, actions, second)
         return first.count, second.count
 
