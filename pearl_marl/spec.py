@@ -25,7 +25,7 @@ from pearl_marl.fields import word_bits as word_bits
 from pearl_marl.golden import MOST_DRAWS, CountingDraws, GoldenFunction, as_python_runs_it
 from pearl_marl.layout import Layout
 from pearl_marl.pickling import reduced
-from pearl_marl.positional import Positional, initial_of, step_of, takes_agent, view_of
+from pearl_marl.positional import Positional, initial_of, step_of, takes_agent, unpack_of, view_of
 from pearl_marl.tracing.checks import Argument, Result, check
 from pearl_marl.tracing.operations import word_range
 from pearl_marl.tracing.records import RULES, record
@@ -142,9 +142,10 @@ class EnvSpec:
         states; ``"refused"`` makes a step with one raise ActionError, and nothing has moved. An agent whose
         masks are all 0 may send anything.
     unpack
-        For a ``Box`` whose elements are not the observation's fields: ``unpack(*observation, row)`` writes
-        the observation of one slot into ``row``, a flat array (of 0 and 1 in ``uint8`` where the space's
-        dtype is ``bool``). Numba compiles it.
+        For a ``Box`` whose elements are not the observation's fields: ``unpack(seen, row)`` writes what one
+        slot sees, a ``golden.view``, into ``row``, a flat array (of 0 and 1 in ``uint8`` where the space's
+        dtype is ``bool``). Without a view it is ``unpack(*observation, row)``. Numba compiles it: the view is
+        a ``NamedTuple``, and arrays in it are tuples.
     max_cycles
         Steps after which an episode is truncated; ``None`` for no limit.
     options, configure
@@ -270,6 +271,7 @@ class EnvSpec:
             step_of(state, golden.step, n, world=world),
             view_of(state, golden.observe, n, world=world),
             None if golden.masks is None else view_of(state, golden.masks, n, world=world),
+            None if self.unpack is None else unpack_of(golden.view, self.unpack, self.observation),
         )
 
     @property
@@ -402,7 +404,8 @@ class EnvSpec:
     @cached_property
     def functions(self) -> tuple[GoldenFunction, ...]:
         """The positional golden functions that there are."""
-        return tuple(function for function in self.positional if function is not None)
+        golden = self.positional[:4]
+        return tuple(function for function in golden if function is not None)
 
     @cached_property
     def behaviour(self) -> str:

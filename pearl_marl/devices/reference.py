@@ -186,9 +186,10 @@ class Reference(Device):
         spec = self.config.spec
         dtype: Any = spec.observation_dtype
         words = self._words(spec.positional.observe, state, spec.observation, *agent)
-        if spec.unpack is not None:
+        unpack = spec.positional.unpack
+        if unpack is not None:
             shown = zip(*(column.tolist() for column in words), strict=True)
-            rows = [_row(spec.unpack, numbers, spec.observation_size, dtype) for numbers in shown]
+            rows = [_row(unpack, numbers, spec.observation_size, dtype) for numbers in shown]
             return np.stack(rows).reshape(-1, *spec.observation_shape)
         values = [
             word.astype(dtype) * dtype.type(2.0**-f.fraction) if f.fraction else word.astype(dtype)

@@ -94,6 +94,8 @@ def _compiled(node: ast.FunctionDef, code: types.CodeType) -> types.CodeType:
     assert isinstance(outer, ast.FunctionDef)
     outer.args.args = [ast.arg(name) for name in code.co_freevars]
     outer.body = [node, *outer.body]
+    # By its own name it would be a variable there, and what calls itself names itself as its module does.
+    node.name = "_pearl_function"
     module = ast.fix_missing_locations(ast.Module([outer], []))
     whole = compile(module, code.co_filename, "exec", dont_inherit=True)
     inner = _constants(_constants(whole, "_outer"), node.name)
