@@ -194,6 +194,12 @@ class Listed(list[Any]):
     """The path on which it was made."""
     runtime: Runtime | None = None
 
+    def like(self, values: Iterable[Any]) -> Listed:
+        """Return another list as if it had been made where this one was."""
+        new = Listed(values)
+        new.path, new.runtime = self.path, self.runtime
+        return new
+
     def _grow(self) -> None:
         if self.runtime is not None and self.runtime.condition_since(self.path) is not None:
             raise ArgumentError(
@@ -306,13 +312,12 @@ class Runtime:
         flag = self.truth(value)
         return not flag if isinstance(flag, bool) else Word(self.graph, self.graph.logical_not(flag))
 
-    def chain(self, names: Sequence[str], first: Any, *later: Callable[[], Any]) -> Any:
-        """Return a chain of comparisons."""
+    def chain(self, names: str, first: Any, *later: Callable[[], Any]) -> Any:
+        """Return a chain of comparisons, given the names of their nodes."""
+        name, _, others = names.partition(" ")
         second = later[0]()
-        result = self.compared(names[0], first, second)
-        if len(names) == 1:
-            return result
-        return self.both(result, lambda: self.chain(names[1:], second, *later[1:]))
+        result = self.compared(name, first, second)
+        return self.both(result, lambda: self.chain(others, second, *later[1:])) if others else result
 
     def compared(self, name: str, a: Any, b: Any) -> Any:
         """Return one comparison, by the name of its node."""
@@ -362,10 +367,14 @@ class Runtime:
         """Return ``among.index(value)``: where a value is, which is there."""
         if not isinstance(among, (tuple, list)) or not (_has_words(value) or _has_words(among)):
             return among.index(value)
+        here = [self.equal(one, value) for one in among]
         result: Any = len(among) - 1
         for place in range(len(among) - 2, -1, -1):
-            result = self.either(self.equal(among[place], value), lambda k=place: k, lambda r=result: r)
+            result = self._chosen(here[place], place, result)
         return result
+
+    def _chosen(self, test: Any, a: Any, b: Any) -> Any:
+        return self.either(test, lambda: a, lambda: b)
 
     def every(self, values: Iterable[Any]) -> Any:
         """Return whether all values are true."""
@@ -647,7 +656,8 @@ class Fork:
         else:
             left = graph.choose(flag, one.since(one_start), other.since(other_start))
             runtime.path = self.start.where(left, exits_a | exits_b)
-        return runtime.at(self.start, lambda: _variables(graph, flag, a, b))
+        result: tuple[Any, ...] = runtime.at(self.start, lambda: _variables(graph, flag, a, b))
+        return result
 
 
 def _retagged(path: Path, place: int, exits: Exits) -> Path:
@@ -835,11 +845,9 @@ def joined(graph: Graph, flag: Node, a: Any, b: Any) -> Any:
                 "a length cannot depend on a word"
             )
         parts = [joined(graph, flag, x, y) for x, y in zip(a, b, strict=True)]
+        if isinstance(a, Listed):
+            return a.like(parts)
         kind = type(a) if type(a) is type(b) else (tuple if isinstance(a, tuple) else list)
-        if kind is Listed:
-            new = Listed(parts)
-            new.path, new.runtime = a.path, a.runtime  # type: ignore[attr-defined]
-            return new
         return kind(*parts) if hasattr(kind, "_fields") else kind(parts)
     if dataclasses.is_dataclass(a) and type(a) is type(b):
         names = [f.name for f in dataclasses.fields(a)]

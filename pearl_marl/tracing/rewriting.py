@@ -15,7 +15,7 @@ import functools
 import linecache
 import types
 from collections.abc import Iterator, Sequence
-from typing import Any, NoReturn, TypeVar
+from typing import Any, NoReturn, TypeVar, cast
 
 from pearl_marl.errors import ArgumentError
 from pearl_marl.places import place_of
@@ -372,9 +372,9 @@ class _Expressions(ast.NodeTransformer):
             case ast.Subscript():
                 return self.element(node)
             case ast.List() if isinstance(node.ctx, ast.Load):
-                return _expression(f"{RUNTIME}.listed", [self.generic_visit(node)], node)
+                return _expression(f"{RUNTIME}.listed", [cast(ast.expr, self.generic_visit(node))], node)
             case ast.ListComp():
-                return _expression(f"{RUNTIME}.listed", [self.generic_visit(node)], node)
+                return _expression(f"{RUNTIME}.listed", [cast(ast.expr, self.generic_visit(node))], node)
             case ast.Call():
                 return self.call(node)
             case ast.FunctionDef():
@@ -390,7 +390,7 @@ class _Expressions(ast.NodeTransformer):
         result = values[0]
         for value in values[1:]:
             result = _expression(f"{RUNTIME}.{verb}", [result, self.later(value)], node)
-        return result  # type: ignore[no-any-return]
+        return result
 
     def conditional(self, node: ast.IfExp) -> Any:
         """Return ``a if test else b`` as a call."""
@@ -406,7 +406,7 @@ class _Expressions(ast.NodeTransformer):
                 verb = {"Eq": "equal", "NotEq": "differ", "In": "contains", "NotIn": "lacks"}[names[0]]
                 return _expression(f"{RUNTIME}.{verb}", values, node)
             return ast.copy_location(ast.Compare(values[0], node.ops, values[1:]), node)
-        result = [ast.Constant(tuple(names)), values[0], *map(self.later, values[1:])]
+        result = [ast.Constant(" ".join(names)), values[0], *map(self.later, values[1:])]
         return _expression(f"{RUNTIME}.chain", result, node)
 
     def element(self, node: ast.Subscript) -> Any:
