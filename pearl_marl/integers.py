@@ -90,7 +90,9 @@ def _flag(*_: Integers) -> Bounds:
 
 def _quotient(a: Integers, by: Integers) -> Bounds:
     if by.low < 1:
-        raise ValueError("`//` and `%` take a constant divisor from 1")
+        by.tighten()
+        if by.low < 1:
+            raise ValueError(f"a divisor is {by.low} to {by.high}; possible is 1 or more")
     return _corners(operator.floordiv)(a, by)
 
 

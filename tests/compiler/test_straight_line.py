@@ -20,7 +20,7 @@ from pearl_marl.registry import get_spec, names
 from pearl_marl.spec import EnvSpec, Field, Golden
 
 from ..rtl.random_steps import random_spec
-from ..rtl.wide_steps import FIXED, wide_spec
+from ..rtl.wide_steps import FIXED, PLAIN, wide_spec
 from ..sampling import sampled
 
 CASES = 25
@@ -111,16 +111,26 @@ def test_random_golden_functions_in_llvm(seed: int) -> None:
     assert_means_the_golden_functions(random_spec(seed), random.Random(seed), compiled)
 
 
-WIDE = range(528)
+@pytest.mark.parametrize("seed", range(30))
+def test_divisions_by_words(seed: int) -> None:
+    assert_means_the_golden_functions(random_spec(seed, divided=True), random.Random(seed))
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_divisions_by_words_in_llvm(seed: int) -> None:
+    assert_means_the_golden_functions(random_spec(seed, divided=True), random.Random(seed), compiled)
+
+
+WIDE = range(720)
 """Whose cores and netlists are compared with the golden functions in ``tests/rtl/test_wide_steps.py``."""
 
 
-@pytest.mark.parametrize("number", sampled(WIDE, WIDE[: len(FIXED) + 20]))
+@pytest.mark.parametrize("number", sampled(WIDE, (*WIDE[: len(FIXED) + 20], *WIDE[PLAIN : PLAIN + 40])))
 def test_wide_words(number: int) -> None:
     assert_means_the_golden_functions(wide_spec(number), random.Random(number))
 
 
-@pytest.mark.parametrize("number", sampled(WIDE, WIDE[4:7]))
+@pytest.mark.parametrize("number", sampled(WIDE, (*WIDE[4:7], *WIDE[11:15], *WIDE[PLAIN : PLAIN + 8])))
 def test_wide_words_in_llvm(number: int) -> None:
     assert_means_the_golden_functions(wide_spec(number), random.Random(number), compiled)
 
