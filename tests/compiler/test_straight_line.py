@@ -84,7 +84,7 @@ def assert_means_the_golden_functions(
     for name, golden, fields, agent in calls:
         for _ in range(CASES):
             words = [word(chance, field) for field in fields]
-            with np.errstate(over="ignore"):
+            with np.errstate(over="ignore", divide="raise"):
                 result = found[name](*words)
             results = result if isinstance(result, tuple) else (result,)
             due = call_reference(golden, words, *agent)
@@ -130,7 +130,7 @@ def test_wide_words(number: int) -> None:
     assert_means_the_golden_functions(wide_spec(number), random.Random(number))
 
 
-@pytest.mark.parametrize("number", sampled(WIDE, (*WIDE[4:7], *WIDE[11:15], *WIDE[PLAIN : PLAIN + 8])))
+@pytest.mark.parametrize("number", sampled(WIDE, (*WIDE[4:7], *WIDE[11:16], *WIDE[PLAIN : PLAIN + 8])))
 def test_wide_words_in_llvm(number: int) -> None:
     assert_means_the_golden_functions(wide_spec(number), random.Random(number), compiled)
 
@@ -159,6 +159,18 @@ def test_bits_beyond_a_words_range() -> None:
         return (small & 40) + ((small ^ other) >> 5), ((small + (other << 5)) & 0xE7) + chosen
 
     assert_means_the_golden_functions(wide(observe), random.Random(0))
+
+
+@pytest.mark.parametrize("made", [functions, compiled])
+def test_a_division_that_no_processor_can(made: Callable[[EnvSpec], dict[str, Any]]) -> None:
+    """Where nobody looks, of the least word by 0 or -1."""
+    number = next(k for k, (_, results) in enumerate(FIXED) if results.startswith("quotient(x, y), y"))
+    step = made(wide_spec(number))["golden_step"]
+    for x in (-(1 << 63), -1, 7):
+        for by in (-128, -1, 0, 1, 127):
+            with np.errstate(over="raise", divide="raise"):
+                quotient, *_ = step(np.int64(x), np.int8(by), np.uint8(0), np.uint32(0))
+            assert int(quotient) == (x // by if by > 0 else x)
 
 
 @pytest.mark.parametrize("by", [0, 7, 63, 64, 1 << 63, (1 << 64) - 1])

@@ -27,6 +27,7 @@ TABLES = {
     "ODD": np.array([7, -100, 70000, 1, 0]),
     "FIVE": np.array([7, -100, 7000, 1, 12]),
     "SIX": np.array([0, 7, -100, 7000, 1, 12]),
+    "SMALL": np.array([0, 1, 2, 3, 2, 1]),
     "FAR": np.array([k * k * 7919 % 65521 for k in range(100)]),
 }
 
@@ -83,7 +84,7 @@ PATTERNS = [
     "np.uint32({} >> {n})",
 ]
 
-FIVE, SIX, FAR = (TABLES[name] for name in ("FIVE", "SIX", "FAR"))
+FIVE, SIX, SMALL, FAR = (TABLES[name] for name in ("FIVE", "SIX", "SMALL", "FAR"))
 
 
 def within(x: Any, low: int, high: int) -> Any:
@@ -94,8 +95,8 @@ def within(x: Any, low: int, high: int) -> Any:
 
 
 def entry(x: Any) -> Any:
-    """Return an entry of a table that is a few numbers, and one of a table in memory."""
-    near = np.where((x > 0) & (x < 6), FIVE[within(x, 1, 5) - 1], 0)
+    """Return an entry of a table that is a few numbers, of one that is a number, and of one in memory."""
+    near = np.where((x > 0) & (x < 6), FIVE[within(x, 1, 5) - 1] + SMALL[within(x, 1, 5)], 0)
     return near + np.where((x > 4) & (x < 105), FAR[within(x, 5, 104) - 5], 0)
 
 
@@ -184,8 +185,9 @@ FIXED: list[tuple[list[Word], str]] = [
     ([WIDE, Y], "quotient(x, y), y, rest(x, y), shifted(x, y) & 1"),
     (
         [("x", 32, True), ("y", 16, False)],
-        "x // np.maximum(y, 1), x % (y | 1), entry(y) & 63, same(y, x) & 1",
+        "x // np.maximum(y, 1), x % (y | 1), entry(y) & 63, y < 9",
     ),
+    ([("x", 3, False), Y], "x, np.int8(same(x, y)), np.int8(entry(x)) ^ flags(x, y), rest(x, y) & 1"),
     ([X, ("soft", 8, False), ("soft_", 8, True)], "soft_, np.uint8(x), np.int8(soft), soft & 63, x < soft_"),
 ]
 """What has gone wrong, and its relatives: the state, and the results of a step."""
