@@ -96,6 +96,8 @@ class Lowering:
                 return self._total(terms, constant, bits)
             case "narrow":
                 return graph.wrap(args[0], node.bits, node.low < 0)
+            case "table" if node.loose:
+                return graph.table(node.imm, args[0])  # as long as its index is wide
             case "divide_by" | "modulo_by":
                 return self._divided(*args)[node.op == "modulo_by"]
             case "divide" | "modulo" if args[0].low >= 0 and args[0].high < MOST_DIGITS:

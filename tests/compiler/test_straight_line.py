@@ -20,7 +20,7 @@ from pearl_marl.registry import get_spec, names
 from pearl_marl.spec import EnvSpec, Field, Golden
 
 from ..rtl.random_steps import random_spec
-from ..rtl.wide_steps import FIXED, PLAIN, wide_spec
+from ..rtl.wide_steps import FIXED, PLAIN, wide_spec, within
 from ..sampling import sampled
 
 CASES = 25
@@ -130,7 +130,7 @@ def test_wide_words(number: int) -> None:
     assert_means_the_golden_functions(wide_spec(number), random.Random(number))
 
 
-@pytest.mark.parametrize("number", sampled(WIDE, (*WIDE[4:7], *WIDE[11:16], *WIDE[PLAIN : PLAIN + 8])))
+@pytest.mark.parametrize("number", sampled(WIDE, (*WIDE[4:7], *WIDE[11:17], *WIDE[PLAIN : PLAIN + 8])))
 def test_wide_words_in_llvm(number: int) -> None:
     assert_means_the_golden_functions(wide_spec(number), random.Random(number), compiled)
 
@@ -171,6 +171,14 @@ def test_a_division_that_no_processor_can(made: Callable[[EnvSpec], dict[str, An
             with np.errstate(over="raise", divide="raise"):
                 quotient, *_ = step(np.int64(x), np.int8(by), np.uint8(0), np.uint32(0))
             assert int(quotient) == (x // by if by > 0 else x)
+
+
+def test_bits_beyond_a_word_that_is_narrowed_down() -> None:
+    def observe(word: Any, by: Any) -> Any:
+        known = (by > 64) & (by < 70)
+        return np.where(known, within(by & 31, 1, 5) * 3, 40), np.where(known, within(by - 64, 1, 5), 9)
+
+    assert_means_the_golden_functions(wide(observe), random.Random(0))
 
 
 @pytest.mark.parametrize("by", [0, 7, 63, 64, 1 << 63, (1 << 64) - 1])

@@ -26,9 +26,9 @@ TABLES = {
     "LONG": np.array([(k * k * 2654435761) % 1000 - 500 for k in range(16)]),
     "ODD": np.array([7, -100, 70000, 1, 0]),
     "FIVE": np.array([7, -100, 7000, 1, 12]),
-    "SIX": np.array([0, 7, -100, 7000, 1, 12]),
-    "SMALL": np.array([0, 1, 2, 3, 2, 1]),
-    "FAR": np.array([k * k * 7919 % 65521 for k in range(100)]),
+    "SMALL": np.array([1, 2, 3, 0, 2, 1, 3, 0]),
+    "FAR": np.array([k * k * 2654435761 % 2**30 for k in range(40)]),
+    "NEXT": np.array([0, *(k * k * 2654435761 % 2**30 for k in range(40))]),
 }
 
 PATTERNS = [
@@ -84,7 +84,7 @@ PATTERNS = [
     "np.uint32({} >> {n})",
 ]
 
-FIVE, SIX, SMALL, FAR = (TABLES[name] for name in ("FIVE", "SIX", "SMALL", "FAR"))
+FIVE, SMALL, FAR, NEXT = (TABLES[name] for name in ("FIVE", "SMALL", "FAR", "NEXT"))
 
 
 def within(x: Any, low: int, high: int) -> Any:
@@ -96,8 +96,9 @@ def within(x: Any, low: int, high: int) -> Any:
 
 def entry(x: Any) -> Any:
     """Return an entry of a table that is a few numbers, of one that is a number, and of one in memory."""
-    near = np.where((x > 0) & (x < 6), FIVE[within(x, 1, 5) - 1] + SMALL[within(x, 1, 5)], 0)
-    return near + np.where((x > 4) & (x < 105), FAR[within(x, 5, 104) - 5], 0)
+    near = np.where((x > 0) & (x < 6), FIVE[within(x, 1, 5) - 1], 0)
+    near += np.where((x > 0) & (x < 9), SMALL[within(x, 1, 8) - 1], 0)
+    return near + np.where((x > 4) & (x < 45), FAR[within(x, 5, 44) - 5], 0)
 
 
 def quotient(a: Any, by: Any) -> Any:
@@ -126,9 +127,9 @@ def flags(x: Any, y: Any) -> Any:
 
 def same(x: Any, y: Any) -> Any:
     """Find out in a branch what is found out behind it too, where the branch's word is anything."""
-    known = within(x, 1, 5)
-    inside = ((y & 7) - SIX[known]) + (FIVE[known - 1] + 9)
-    return np.where((x > 0) & (x < 6), inside, 9) * 5 + ((y & 7) + 9)
+    known = within(x, 1, 40)
+    inside = ((y & 7) - NEXT[known]) + (FAR[known - 1] + 9)
+    return np.where((x > 0) & (x < 41), inside, 9) * 5 + ((y & 7) + 9)
 
 
 HELPERS = {f.__name__: f for f in (within, entry, quotient, rest, shifted, flags, same)}
@@ -187,7 +188,8 @@ FIXED: list[tuple[list[Word], str]] = [
         [("x", 32, True), ("y", 16, False)],
         "x // np.maximum(y, 1), x % (y | 1), entry(y) & 63, y < 9",
     ),
-    ([("x", 3, False), Y], "x, np.int8(same(x, y)), np.int8(entry(x)) ^ flags(x, y), rest(x, y) & 1"),
+    ([("x", 3, False), Y], "x, np.int8(entry(x)), np.int8(entry(y)) ^ flags(x, y), rest(x, y) & 1"),
+    ([X, Y], "np.int8(same(x, y)), y, 0, 0"),
     ([X, ("soft", 8, False), ("soft_", 8, True)], "soft_, np.uint8(x), np.int8(soft), soft & 63, x < soft_"),
 ]
 """What has gone wrong, and its relatives: the state, and the results of a step."""
