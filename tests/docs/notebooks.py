@@ -27,7 +27,7 @@ def run(notebook: Any) -> Iterator[tuple[Any, str]]:
                 text, name = "".join(cell["source"]), f"cell {number}"
                 # Where a kernel keeps it for tracebacks, and the tracer reads it.
                 linecache.cache[name] = len(text), None, text.splitlines(True), name
-                exec(compile(text, name, "exec"), names)
+                exec(compile(text, name, "exec", dont_inherit=True), names)
             yield cell, printed.getvalue()
 
 
