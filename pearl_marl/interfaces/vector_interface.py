@@ -125,19 +125,23 @@ class VectorInterface(VectorEnv[Any, Any, Any], Batch):
         """Begin new episodes; return the observations of all sub-environments, and empty infos.
 
         ``seed`` is a non-negative integer for the whole batch; ``None`` goes on with the random numbers in
-        use. ``options={"reset_mask": mask}``, ``bool`` of shape ``(num_envs,)``, resets some only.
+        use. ``options={"reset_mask": mask}``, ``bool`` of shape ``(num_envs,)``, resets some only, and
+        ``options={"state": {"field": values}}`` sets fields of the states that episodes begin with: a number,
+        or an array of shape ``(num_envs,)``.
         """
         options = {} if options is None else options
         if not isinstance(options, Mapping):
             raise ArgumentError(
                 f"options is {options!r}; it must be a dict, as {{'reset_mask': mask}}, or None"
             )
-        unknown = [name for name in options if name != "reset_mask"]
+        unknown = [name for name in options if name not in ("reset_mask", "state")]
         if unknown:
-            raise ArgumentError(f"unknown reset option {unknown[0]!r}; the only one is 'reset_mask'")
+            raise ArgumentError(f"unknown reset option {unknown[0]!r}; there are 'reset_mask' and 'state'")
         mask = options.get("reset_mask")
         if mask is not None and not (mask := checked_mask(mask, self.num_envs)).any():
             raise ArgumentError("reset_mask resets nothing: at least one element must be True")
+        if options.get("state") is not None:
+            self.unwrapped.start_from(options["state"])
         obs = on_host(self.reset_batch(seed, mask))
         if self._mode is AutoresetMode.DISABLED:
             obs = self._seen.copy()

@@ -1,9 +1,9 @@
 """What becomes of an author's decisions on words while a function is traced.
 
-A *path* is the condition under which the statement at hand runs. A :class:`Fork` runs both sides of an ``if``,
-each on its path, and joins the variables that they leave. A ``return``, ``break`` or ``continue`` ends a path;
-what it takes along is joined where it arrives, in the order in which paths ended. An element of a list is
-written under the condition of its path, so lists need not be joined.
+A *path* is the condition under which the statement at hand runs. A :class:`Fork` runs both sides of an
+``if``, each on its path, and joins the variables that they leave. A ``return``, ``break`` or ``continue`` ends
+a path; what it takes along is joined where it arrives, in the order in which paths ended. An element of a list
+is written under the condition of its path, so lists need not be joined.
 
 On a path more is known of words: under ``x == 3`` it is 3, and under ``x > 0`` not 0.
 """
@@ -11,7 +11,6 @@ On a path more is known of words: under ``x == 3`` it is 3, and under ``x > 0`` 
 from __future__ import annotations
 
 import dataclasses
-import itertools
 import operator
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, NamedTuple, NoReturn
@@ -139,11 +138,52 @@ class Undefined:
     __getattr__ = __setattr__ = _raise
 
 
-for _name in (
-    "add radd sub rsub mul rmul floordiv rfloordiv truediv rtruediv mod rmod pow rpow and rand or ror xor rxor "
-    "lshift rlshift rshift rrshift eq ne lt le gt ge bool index int float iter len getitem setitem call neg pos "
-    "abs invert contains"
-).split():
+for _name in [
+    "add",
+    "radd",
+    "sub",
+    "rsub",
+    "mul",
+    "rmul",
+    "floordiv",
+    "rfloordiv",
+    "truediv",
+    "rtruediv",
+    "mod",
+    "rmod",
+    "pow",
+    "rpow",
+    "and",
+    "rand",
+    "or",
+    "ror",
+    "xor",
+    "rxor",
+    "lshift",
+    "rlshift",
+    "rshift",
+    "rrshift",
+    "eq",
+    "ne",
+    "lt",
+    "le",
+    "gt",
+    "ge",
+    "bool",
+    "index",
+    "int",
+    "float",
+    "iter",
+    "len",
+    "getitem",
+    "setitem",
+    "call",
+    "neg",
+    "pos",
+    "abs",
+    "invert",
+    "contains",
+]:
     setattr(Undefined, f"__{_name}__", Undefined._raise)
 
 
@@ -317,6 +357,15 @@ class Runtime:
     def lacks(self, value: Any, among: Any) -> Any:
         """Return ``value not in among``."""
         return self.negation(self.contains(value, among))
+
+    def index(self, among: Any, value: Any) -> Any:
+        """Return ``among.index(value)``: where a value is, which is there."""
+        if not isinstance(among, (tuple, list)) or not (_has_words(value) or _has_words(among)):
+            return among.index(value)
+        result: Any = len(among) - 1
+        for place in range(len(among) - 2, -1, -1):
+            result = self.either(self.equal(among[place], value), lambda k=place: k, lambda r=result: r)
+        return result
 
     def every(self, values: Iterable[Any]) -> Any:
         """Return whether all values are true."""
@@ -494,6 +543,15 @@ def _no_set(values: Iterable[Any] = ()) -> set[Any]:
     return set(every)
 
 
+def _defined(value: Any) -> None:
+    """Refuse what holds a variable without a value."""
+    if isinstance(value, Undefined):
+        value._raise()
+    if isinstance(value, (tuple, list)):
+        for part in value:
+            _defined(part)
+
+
 def _has_words(value: Any) -> bool:
     if isinstance(value, (tuple, list)):
         return any(map(_has_words, value))
@@ -521,6 +579,7 @@ class Frame:
 
     def returns(self, value: Any) -> None:
         """End a path by ``return``."""
+        _defined(value)
         self.results.append((self.runtime.here, value))
         self.runtime.exits.append(self)
         self.runtime.path = None
@@ -630,8 +689,8 @@ class Loop:
         self.round = self.runtime.here
         if self.rounds > MOST_ROUNDS:
             raise ArgumentError(
-                f"a `while` goes round more than {MOST_ROUNDS} times: nothing that is known of its words ends "
-                "it; use `for` and `break`"
+                f"a `while` goes round more than {MOST_ROUNDS} times: nothing that is known of its words "
+                "ends it; use `for` and `break`"
             )
         return True
 
@@ -666,7 +725,9 @@ class Loop:
     def _after(self, start: Path, ends: Sequence[tuple[Path, Any]], resolved: Exits) -> Path:
         """Return the path on which any of some ends was reached."""
         graph = self.runtime.graph
-        exits = frozenset(e for path, _ in ends for lit in path.literals[len(start.literals) :] for e in lit.exits)
+        exits = frozenset(
+            e for path, _ in ends for lit in path.literals[len(start.literals) :] for e in lit.exits
+        )
         lost = exits - resolved
         if not lost and not self._left_otherwise(start, ends):
             return start
@@ -782,7 +843,8 @@ def joined(graph: Graph, flag: Node, a: Any, b: Any) -> Any:
         return kind(*parts) if hasattr(kind, "_fields") else kind(parts)
     if dataclasses.is_dataclass(a) and type(a) is type(b):
         names = [f.name for f in dataclasses.fields(a)]
-        return dataclasses.replace(a, **{n: joined(graph, flag, getattr(a, n), getattr(b, n)) for n in names})  # type: ignore[type-var]
+        values = {name: joined(graph, flag, getattr(a, name), getattr(b, name)) for name in names}
+        return dataclasses.replace(a, **values)  # type: ignore[type-var]
     if type(a) is type(b) and not isinstance(a, float) and a == b:
         return a
     raise ArgumentError(f"one side of a branch leaves {_told(a)} and the other {_told(b)}")

@@ -68,7 +68,17 @@ class Graph(Nodes):
             return self.sub(self.constant(a.args[0].imm + b.imm), a.args[1])
         if a.low >= 0 and b.low >= 0 and not a.ones & b.ones:
             return self.or_(a, b)
+        # Of terms that exclude each other one is chosen: their sum is no larger than the largest.
+        for x, y in ((a, b), (b, a)):
+            if x.op == y.op == "choose" and y.args[2].is_constant(0) and self.exclude(x.args[0], y.args[0]):
+                return self.choose(x.args[0], x.args[1], self.add(x.args[2], y))
         return self._ordered("add", a, b)
+
+    def exclude(self, a: Node, b: Node) -> bool:
+        """Return whether two flags are never set together, as far as that is known."""
+        if a.op == b.op == "equal" and a.args[0] is b.args[0]:
+            return a.args[1].is_constant() and b.args[1].is_constant() and a is not b
+        return self.and_(a, b).is_constant(0)
 
     def sub(self, a: Node, b: Node) -> Node:
         """Return ``a - b``."""

@@ -257,3 +257,18 @@ def values(nodes: Iterable[Node], inputs: Mapping[str, int]) -> dict[Node, int]:
         else:
             found[node] = int(VALUES[node.op](node.imm, *(found[arg] for arg in node.args)))
     return found
+
+
+def arrays(nodes: Sequence[Node], inputs: Mapping[str, npt.NDArray[Any]]) -> list[npt.NDArray[Any]]:
+    """Return what nodes are, one element after the other, where the inputs are these arrays of one shape."""
+    found: dict[Node, Any] = {}
+    for node in in_order(nodes):
+        if node.op == "input":
+            value = inputs[node.imm]
+        elif node.op == "constant":
+            value = np.array(node.imm, None if abs(node.imm) < SAFE else object)
+        else:
+            value = VALUES[node.op](node.imm, *(found[arg] for arg in node.args))
+        # Beyond 64 bits they are Python's own integers.
+        found[node] = np.asarray(value).astype(np.int64 if max(-node.low, node.high) < SAFE else object)
+    return [found[node] for node in nodes]

@@ -196,7 +196,7 @@ def word_of(graph: Graph, value: object) -> Word:
 
 
 def node_of(graph: Graph, value: object) -> Node:
-    """Return the node of a word, or of a number; the one that is known to be narrower here, if there is one."""
+    """Return the node of a word, a narrower one if more is known of it here, or of a number."""
     if isinstance(value, Word):
         return graph.known.get(value.node, value.node)
     return graph.constant(_integer(value))
