@@ -260,10 +260,11 @@ class _Function:
     def while_(self, node: ast.While, expressions: _Expressions) -> list[ast.stmt]:
         """Return a ``while``, which goes round until no word can want it."""
         loop, names = self.name("loop"), _stored([node])
-        again = _statement(f"while {loop}.again(): pass", node)
+        again = _statement(f"while {_FRAME}.lives(): pass", node)
         assert isinstance(again, ast.While)
-        assert isinstance(again.test, ast.Call)
-        again.test.args = [expressions.visit(node.test), _tuple(names)]
+        # A round may leave no path on which there is a test.
+        wanted = _expression(f"{loop}.again", [expressions.visit(node.test), _tuple(names)], node)
+        again.test = ast.copy_location(ast.BoolOp(ast.And(), [again.test, wanted]), node)
         again.body = self.round(node.body, loop, names, expressions, node)
         return self.looped(node, loop, names, again, expressions)
 
