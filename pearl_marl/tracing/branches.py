@@ -1,9 +1,9 @@
 """What becomes of an author's decisions on words while a function is traced.
 
 A *path* is the condition under which the statement at hand runs. A :class:`Fork` runs both sides of an
-``if``, each on its path, and joins the variables that they leave. A ``return``, ``break`` or ``continue`` ends
-a path; what it takes along is joined where it arrives, in the order in which paths ended. An element of a list
-is written under the condition of its path, so lists need not be joined.
+``if``, each on its path, and joins the variables that they leave. A ``return``, ``break`` or ``continue``
+ends a path; what it takes along is joined where it arrives, in the order in which paths ended. An element of
+a list is written under the condition of its path, so lists need not be joined.
 
 On a path more is known of words: under ``x == 3`` it is 3, and under ``x > 0`` not 0.
 """
@@ -11,6 +11,7 @@ On a path more is known of words: under ``x == 3`` it is 3, and under ``x > 0`` 
 from __future__ import annotations
 
 import dataclasses
+import functools
 import operator
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, NamedTuple, NoReturn
@@ -215,8 +216,54 @@ def _growing(name: str) -> Callable[..., Any]:
     return method
 
 
-for _name in ("append", "extend", "insert", "pop", "remove", "clear", "sort", "reverse", "__delitem__"):
+for _name in (
+    "append",
+    "extend",
+    "insert",
+    "pop",
+    "remove",
+    "clear",
+    "sort",
+    "reverse",
+    "__delitem__",
+    "__iadd__",
+):
     setattr(Listed, _name, _growing(_name))
+
+
+class Chosen(list[Any]):
+    """A list that a word has chosen among others, to be read: it is none of them."""
+
+    def refuse(self, *_: Any, **__: Any) -> NoReturn:
+        """Refuse to be written."""
+        raise ArgumentError(
+            "a list that a word has chosen is written; write where it is chosen: `board[row][column] = 1`"
+        )
+
+
+for _name in (
+    "append",
+    "extend",
+    "insert",
+    "pop",
+    "remove",
+    "clear",
+    "sort",
+    "reverse",
+    "__delitem__",
+    "__iadd__",
+):
+    setattr(Chosen, _name, Chosen.refuse)
+
+
+def _chosen(value: Any) -> Any:
+    """Return what a word has chosen, its lists to be read only."""
+    if isinstance(value, list):
+        return Chosen(map(_chosen, value))
+    if isinstance(value, tuple) and any(isinstance(part, (list, tuple)) for part in value):
+        parts = map(_chosen, value)
+        return type(value)(*parts) if hasattr(value, "_fields") else type(value)(parts)
+    return value
 
 
 class Runtime:
@@ -370,10 +417,10 @@ class Runtime:
         here = [self.equal(one, value) for one in among]
         result: Any = len(among) - 1
         for place in range(len(among) - 2, -1, -1):
-            result = self._chosen(here[place], place, result)
+            result = self._pick(here[place], place, result)
         return result
 
-    def _chosen(self, test: Any, a: Any, b: Any) -> Any:
+    def _pick(self, test: Any, a: Any, b: Any) -> Any:
         return self.either(test, lambda: a, lambda: b)
 
     def every(self, values: Iterable[Any]) -> Any:
@@ -411,7 +458,7 @@ class Runtime:
             found = of[index]
             return self.listed(found) if isinstance(found, list) and isinstance(index, slice) else found
         if isinstance(of, (tuple, list, range)):
-            return chosen_entry(self.graph, of, self.place(of, index))
+            return _chosen(chosen_entry(self.graph, of, self.place(of, index)))
         raise ArgumentError(f"a word chooses from {type(of).__name__}; it chooses from lists and tuples")
 
     def place(self, of: Sequence[Any], index: Word) -> Node:
@@ -429,25 +476,30 @@ class Runtime:
             )
         return node
 
-    def put(self, of: Any, index: Any, value: Any) -> None:
-        """Write an element, where the path at hand is taken."""
-        if isinstance(index, tuple) and isinstance(of, list) and index:
-            *before, index = index
-            for part in before:
-                of = self.item(of, part)
-        if isinstance(index, Word) and isinstance(of, list):
-            node, graph = self.place(of, index), self.graph
+    def put(self, of: Any, path: tuple[Any, ...], value: Any) -> None:
+        """Write an element by its index in a list, in an element of that list, and so on."""
+        index, *rest = path
+        if isinstance(of, dict):
+            self.store(of, path if rest else index, value)
+        elif not isinstance(index, Word):
+            if rest:
+                self.put(of[index], tuple(rest), value)
+            else:
+                self.store(of, index, value)
+        elif isinstance(of, list):
+            node = self.place(of, index)
             for k in range(max(node.low, 0), min(node.high, len(of) - 1) + 1):
-                here = graph.equal(node, graph.constant(k))
-                if not here.is_constant(0):
-                    self.store(of, k, joined(graph, here, value, of[k]))
-            return
-        if isinstance(index, Word):
+                here = self.graph.equal(node, self.graph.constant(k))
+                if self.here.decided(here) is not False:
+                    other = (k, *rest)
+                    self.on(here, functools.partial(self.put, of, other, value))
+        else:
             raise ArgumentError(f"a word chooses what is written in {type(of).__name__}; it takes a list")
-        self.store(of, index, value)
 
     def store(self, of: Any, key: Any, value: Any) -> None:
         """Write one element."""
+        if isinstance(of, Chosen):
+            of.refuse()
         condition = self.condition_since(getattr(of, "path", None))
         if condition is not None:
             if isinstance(key, slice):
@@ -643,7 +695,8 @@ class Fork:
             return values
         (one, a, exits_a), (other, b, exits_b) = self.left
         one_start, other_start = self.sides
-        assert one_start is not None and other_start is not None
+        assert one_start is not None
+        assert other_start is not None
         if one is None or other is None:
             # The side that is left goes on; that it was this one tells what the other has ended.
             runtime.path = other if one is None else one

@@ -1,7 +1,7 @@
 """An author's function as Python to be traced: every decision on a word becomes a call of a :class:`Frame`.
 
 Python decides by values, and a word has none before hardware runs. So a function is compiled once more from
-its source, in which an ``if`` runs both its sides and joins what they leave behind, a loop joins what its rounds
+its source, in which an ``if`` runs both its sides and joins what they leave, a loop joins what its rounds
 leave, and ``return``, ``break`` and ``continue`` note under which condition they were reached. Each statement
 stands there once, so what is traced grows with the length of the function, not with its number of paths.
 
@@ -316,8 +316,8 @@ class _Function:
     def store(self, target: ast.expr, value: ast.expr, expressions: _Expressions) -> list[ast.stmt]:
         match target:
             case ast.Subscript():
-                args = [expressions.visit(target.value), expressions.visit(target.slice), value]
-                return [_call(f"{RUNTIME}.put", args, target)]
+                base, path = self.place(target, expressions)
+                return [_call(f"{RUNTIME}.put", [base, path, value], target)]
             case ast.Attribute():
                 args = [expressions.visit(target.value), ast.Constant(target.attr), value]
                 return [_call(f"{RUNTIME}.set_attribute", args, target)]
@@ -332,22 +332,33 @@ class _Function:
                 return result
         return [ast.copy_location(ast.Assign([target], value), target)]
 
+    def place(self, target: ast.Subscript, expressions: _Expressions) -> tuple[ast.expr, ast.Tuple]:
+        """Return what ``a[i][j]`` is a part of, and where: a row that a word has chosen would be a copy."""
+        indices: list[ast.expr] = []
+        base: ast.expr = target
+        while isinstance(base, ast.Subscript):
+            parts = base.slice.elts if isinstance(base.slice, ast.Tuple) else [base.slice]
+            indices[:0] = [expressions.visit(part) for part in parts]
+            base = base.value
+        return expressions.visit(base), ast.Tuple(indices, ast.Load())
+
     def changes(self, node: ast.AugAssign, expressions: _Expressions) -> list[ast.stmt]:
         """Return ``a[k] += b``, in which ``a`` and ``k`` are evaluated once."""
         target, whole, part = node.target, self.name("of"), self.name("at")
         assert isinstance(target, (ast.Subscript, ast.Attribute))
         is_item = isinstance(target, ast.Subscript)
-        key = (
-            expressions.visit(target.slice)
-            if isinstance(target, ast.Subscript)
-            else ast.Constant(target.attr)
-        )
+        base: ast.expr
+        key: ast.expr
+        if isinstance(target, ast.Subscript):
+            base, key = self.place(target, expressions)
+        else:
+            base, key = expressions.visit(target.value), ast.Constant(target.attr)
         loads = [ast.Name(whole, ast.Load()), ast.Name(part, ast.Load())]
         getter = f"{RUNTIME}.item" if is_item else "getattr"
         old = _expression(getter, loads, node)
         new = ast.copy_location(ast.BinOp(old, node.op, expressions.visit(node.value)), node)
         return [
-            _assign(whole, None, [expressions.visit(target.value)], node),
+            _assign(whole, None, [base], node),
             _assign(part, None, [key], node),
             _call(f"{RUNTIME}.{'put' if is_item else 'set_attribute'}", [*loads, new], node),
         ]
