@@ -10,7 +10,7 @@ import math
 from typing import Any, NamedTuple
 
 from pearl_marl.errors import ArgumentError
-from pearl_marl.reals.words import either, greatest, kept, limits, product, rounded, scaled, shifted_product
+from pearl_marl.reals.words import either, greatest, kept, least, limits, noted, product, rounded, scaled, shifted_product
 from pearl_marl.tracing.words import Word
 
 ONE = 1 << 30
@@ -120,7 +120,10 @@ def quotient(numerator: Any, divisor: Any, fraction: int) -> Any:
         raise ArgumentError(f"a divisor can be {high / 2**fraction:.6g}, which is too much; clip it")
     mantissa, shift = normalised(size)
     signed = either(divisor < 0, -numerator, numerator)
-    return shifted_product(signed, reciprocal(mantissa & (ONE - 1)), (61 - fraction) - shift)
+    found = shifted_product(signed, reciprocal(mantissa & (ONE - 1)), (61 - fraction) - shift)
+    ends = [(end << fraction) // by for end in limits(numerator) for by in (low, high)]
+    error = max(map(abs, ends)) >> 28
+    return noted(found, min(ends) - error - 2, max(ends) + error + 2)
 
 
 def normalised(size: Any) -> tuple[Any, Any]:
@@ -177,7 +180,7 @@ def _root_by_digits(word: Word, fraction: int) -> Any:
         # What is left is at most twice the root, so far of `digits - digit` bits.
         rest = either(more, rest - trial, rest) & ((1 << digits - digit + 1) - 1)
         root = (root << 1) | more
-    return root + (rest > root)
+    return noted(root + (rest > root), 0, math.isqrt(limits(word)[1] << fraction) + 1)
 
 
 def exponential(word: Any, fraction: int, result: int) -> Any:
@@ -200,5 +203,5 @@ def hyperbolic_tangent(word: Any, fraction: int) -> Any:
     """Return the hyperbolic tangent, ``(1 - e**-2x) / (1 + e**-2x)`` for ``x`` from 0; with the same fraction."""
     low = exponential(-2 * abs(word), fraction, 30)
     # Where that is 1, the numerator is 0.
-    size = product(ONE - low, reciprocal(low & (ONE - 1)), 31 + 30 - fraction)
+    size = least(product(ONE - low, reciprocal(low & (ONE - 1)), 31 + 30 - fraction), 1 << fraction)
     return either(word < 0, -size, size)

@@ -16,7 +16,7 @@ import numpy as np
 from pearl_marl.errors import ArgumentError
 from pearl_marl.reals import functions
 from pearl_marl.reals.dispatch import Number
-from pearl_marl.reals.words import TooWide, either, fits, greatest, least, limits, product
+from pearl_marl.reals.words import TooWide, either, fits, greatest, least, limits, noted, product
 from pearl_marl.tracing.words import Word
 
 FIELD_BITS = 32
@@ -321,7 +321,5 @@ def remainder(word: Any, divisor: int) -> Any:
     rest: Any = word - low * divisor
     for _ in range(high - low):
         rest = either(rest < divisor, rest, rest - divisor)
-    if not isinstance(rest, Word):
-        return rest
     rest = rest & ((1 << divisor.bit_length()) - 1)
-    return Word(rest.graph, rest.graph.within(rest.node, 0, divisor - 1))
+    return noted(rest, 0, divisor - 1)

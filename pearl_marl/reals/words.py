@@ -67,6 +67,11 @@ def kept(word: Any, bits: int) -> Any:
     return wrapped(word, bits, True)
 
 
+def noted(word: Any, low: int, high: int) -> Any:
+    """Return a word that is within a range for a reason that arithmetic on ranges does not see."""
+    return Word(word.graph, word.graph.within(word.node, low, high)) if isinstance(word, Word) else word
+
+
 def product(a: Any, b: Any, shift: int) -> Any:
     """Return ``(a * b + half) >> shift``: to nearest, halves upwards; ``shift`` from 0.
 
