@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
+
 from pearl_marl.errors import ArgumentError
 from pearl_marl.tracing.words import Beyond
 
@@ -31,4 +33,5 @@ class Number(Beyond):
 def _called(function: Any, arguments: Any, keywords: Any) -> Any:
     if function not in NUMPY or keywords:
         raise ArgumentError(f"golden functions have no np.{function.__name__} of reals")
-    return NUMPY[function](*arguments)
+    # The operators of NumPy's numbers would come back here.
+    return NUMPY[function](*(x.item() if isinstance(x, (np.generic, np.ndarray)) else x for x in arguments))
