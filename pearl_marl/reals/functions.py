@@ -10,7 +10,7 @@ import math
 from typing import Any, NamedTuple
 
 from pearl_marl.errors import ArgumentError
-from pearl_marl.reals.words import either, greatest, kept, least, limits, noted, product, rounded, scaled, shifted_product
+from pearl_marl.reals.words import absolute, either, greatest, kept, least, limits, noted, product, rounded, scaled, shifted_product
 from pearl_marl.tracing.words import Word
 
 ONE = 1 << 30
@@ -115,7 +115,7 @@ def quotient(numerator: Any, divisor: Any, fraction: int) -> Any:
             f"a divisor can be {low / 2**fraction:.6g} to {high / 2**fraction:.6g}, which has 0 in it; "
             "max(x, 0.001) or np.clip keeps it away from 0"
         )
-    size = abs(divisor)
+    size = absolute(divisor)
     if limits(size)[1] >= 1 << min(62, 33 + fraction):
         raise ArgumentError(f"a divisor can be {high / 2**fraction:.6g}, which is too much; clip it")
     mantissa, shift = normalised(size)
@@ -201,7 +201,7 @@ def exponential(word: Any, fraction: int, result: int) -> Any:
 
 def hyperbolic_tangent(word: Any, fraction: int) -> Any:
     """Return the hyperbolic tangent, ``(1 - e**-2x) / (1 + e**-2x)`` for ``x`` from 0; with the same fraction."""
-    low = exponential(-2 * abs(word), fraction, 30)
+    low = exponential(-2 * absolute(word), fraction, 30)
     # Where that is 1, the numerator is 0.
     size = least(product(ONE - low, reciprocal(low & (ONE - 1)), 31 + 30 - fraction), 1 << fraction)
     return either(word < 0, -size, size)

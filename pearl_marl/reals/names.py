@@ -17,6 +17,7 @@ import numpy as np
 from pearl_marl.reals.choices import Choice, applied, choice_of, select
 from pearl_marl.reals.dispatch import NUMPY
 from pearl_marl.reals.numbers import Real
+from pearl_marl.reals.words import greatest, least
 from pearl_marl.tracing.words import Word
 
 FUNCTIONS: dict[Any, Callable[..., Any]] = {}
@@ -55,23 +56,25 @@ def _with_floats(values: Sequence[Any]) -> list[Any]:
     return [choice_of(x) if isinstance(x, Word) and x.graph.floats is not None else x for x in values]
 
 
-def _extreme(original: Any, method: Callable[[Real, Any], Real]) -> None:
-    """Let the least or greatest of numbers be the least or greatest of reals, where one is among them."""
+def _extreme(original: Any, method: Callable[[Real, Any], Real], of_words: Callable[[Any, Any], Any]) -> None:
+    """Let the least or greatest of numbers be that of reals, or of words, where one is among them."""
 
     @functools.wraps(original)
     def replacement(*arguments: Any, **keywords: Any) -> Any:
         values = arguments[0] if len(arguments) == 1 and isinstance(arguments[0], (list, tuple)) else arguments
-        if keywords or not any(isinstance(x, (Real, Choice, float)) for x in values):
+        if keywords or not any(isinstance(x, (Real, Choice, Word)) for x in values):
             return original(*arguments, **keywords)
         return functools.reduce(one, values)
 
     def one(a: Any, b: Any) -> Any:
         fractions = [x.fraction for x in (a, b) if isinstance(x, Real)]
-        if not fractions:
+        if not fractions and any(isinstance(x, float) for x in (a, b)):
             a, b = _with_floats([a, b])
         if isinstance(a, Choice) or isinstance(b, Choice):
             return applied(one, a, b)
-        return method(Real.of(a, fractions[0]), b) if fractions else original(a, b)
+        if fractions:
+            return method(Real.of(a, fractions[0]), b)
+        return of_words(a, b) if isinstance(a, Word) or isinstance(b, Word) else original(a, b)
 
     _register(original, replacement)
 
@@ -109,9 +112,9 @@ for _name in (math.floor, math.ceil, math.trunc, round):
     _replaced(_name, _name, "stay")
 _replaced(int, math.trunc, "stay")
 for _name in (min, np.minimum):
-    _extreme(_name, Real.minimum)
+    _extreme(_name, Real.minimum, least)
 for _name in (max, np.maximum):
-    _extreme(_name, Real.maximum)
+    _extreme(_name, Real.maximum, greatest)
 _register(np.clip, clip)
 _register(np.where, select)
 NUMPY.update(

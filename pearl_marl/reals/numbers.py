@@ -16,7 +16,7 @@ import numpy as np
 from pearl_marl.errors import ArgumentError
 from pearl_marl.reals import functions
 from pearl_marl.reals.dispatch import Number
-from pearl_marl.reals.words import TooWide, either, fits, greatest, least, limits, noted, product
+from pearl_marl.reals.words import TooWide, absolute, either, fits, greatest, least, limits, noted, product
 from pearl_marl.tracing.words import Word
 
 FIELD_BITS = 32
@@ -168,7 +168,7 @@ class Real(Number):
         return self
 
     def __abs__(self) -> Real:
-        return Real(abs(self.word), self.fraction)
+        return Real(absolute(self.word), self.fraction)
 
     __lt__ = _compared(operator.lt)
     __le__ = _compared(operator.le)

@@ -72,6 +72,12 @@ def noted(word: Any, low: int, high: int) -> Any:
     return Word(word.graph, word.graph.within(word.node, low, high)) if isinstance(word, Word) else word
 
 
+def absolute(word: Any) -> Any:
+    """Return a word without its sign."""
+    low, high = limits(word)
+    return noted(abs(word), max(low, -high, 0), max(-low, high))
+
+
 def product(a: Any, b: Any, shift: int) -> Any:
     """Return ``(a * b + half) >> shift``: to nearest, halves upwards; ``shift`` from 0.
 
