@@ -40,7 +40,8 @@ def _replaced(original: Any, method: Callable[..., Any], of_integers: str = "flo
             return method(Real.of(values[0], fractions[0]), *values[1:], **keywords)
         if of_integers == "stay" and len(values) == 1 and isinstance(values[0], Word):
             return values[0]
-        return original(*arguments, **keywords)
+        # Of a flag of Python's, NumPy makes a float of 16 bits.
+        return original(*(int(x) if isinstance(x, bool) else x for x in arguments), **keywords)
 
     _register(original, replacement)
 

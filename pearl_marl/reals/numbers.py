@@ -228,11 +228,16 @@ class Real(Number):
             if exponent < 0:
                 found: Real = 1.0 / self**-exponent
                 return found
-            result = Real.of(1.0, self.fraction)
-            for k in range(int(exponent)):
-                result = result * self if k else self
-            return result
+            return self._power(int(exponent))
         raise ArgumentError(f"a real to the power {exponent!r}: possible are whole numbers and 0.5")
+
+    def _power(self, exponent: int) -> Real:
+        """Return a whole power; even ones are squares, so that they are known not to be negative."""
+        if exponent < 2:
+            return self if exponent else Real.of(1, self.fraction)
+        part = self._power(exponent // 2) if exponent % 2 == 0 else self._power(exponent - 1)
+        found: Real = part * (self if exponent % 2 else part)
+        return found
 
     # Functions.
 

@@ -81,13 +81,13 @@ def absolute(word: Any) -> Any:
 def product(a: Any, b: Any, shift: int) -> Any:
     """Return ``(a * b + half) >> shift``: to nearest, halves upwards; ``shift`` from 0.
 
-    A product of more than 64 bits is made of two that have fewer, by splitting the wider factor; the result is
-    the same.
+    A product of more than 64 bits is made of two or three that have fewer, by splitting the factors; the result
+    is the same.
 
     Raises
     ------
     TooWide
-        The result has more than 64 bits, or nearly as many and both factors are wide.
+        The result has more than 64 bits.
     """
     return _sum_shifted(a, b, 1 << shift >> 1, shift)
 
@@ -100,15 +100,17 @@ def _sum_shifted(a: Any, b: Any, addend: int, shift: int) -> Any:
     if fits(low, high + addend):
         return (a * b + addend) >> shift
     narrow, wide = sorted((a, b), key=lambda word: bits_of(*limits(word)))
+    # As much as possible is cut off such that one product more will do, or else all that is shifted away.
     cut = min(shift, MOST_BITS - 2 - bits_of(*limits(narrow)))
-    if cut < 1:
+    if cut < 1 or not fits(*_limits_of_product(wide >> cut, narrow)):
+        cut = shift
+    if bits_of(*limits(wide)) <= cut:
         raise TooWide(low >> shift, high >> shift)
-    upper, lower = wide >> cut, wide & ((1 << cut) - 1)
-    carried = (lower * narrow + addend) >> cut
-    low, high = _limits_of_product(upper, narrow)
-    if not fits(low + limits(carried)[0], high + limits(carried)[1]):
-        raise TooWide(low >> shift - cut, high >> shift - cut)
-    return (upper * narrow + carried) >> (shift - cut)
+    carried = _sum_shifted(wide & ((1 << cut) - 1), narrow, addend, cut)
+    whole = _limits_of_product(wide >> cut, narrow)
+    if not fits(whole[0] + limits(carried)[0], whole[1] + limits(carried)[1]):
+        raise TooWide(low >> shift, high >> shift)
+    return noted(((wide >> cut) * narrow + carried) >> (shift - cut), (low + addend) >> shift, (high + addend) >> shift)
 
 
 def _limits_of_product(a: Any, b: Any) -> tuple[int, int]:
