@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from pearl_marl.reals import FUNCTIONS, Real, fraction_for, select
+from pearl_marl.reals import fraction_for, select
 
 PI = math.pi
 TURNED = 12 * 2 * PI / 360

@@ -1,8 +1,8 @@
 """Numbers that a word of few values chooses, of which some are still Python's floats.
 
-``force = 10.0 if action == 1 else -10.0`` is a float where the reference runs it, and so are ``force / 1.1`` and
-``math.sin(force)``. Traced, it is a choice: what the reference would do to one float is done to each of them,
-so that both get the same bits, until reals come in.
+``force = 10.0 if action == 1 else -10.0`` is a float where the reference runs it, and so are ``force / 1.1``
+and ``math.sin(force)``. Traced, it is a choice: what the reference would do to one float is done to each of
+them, so that both get the same bits, until reals come in.
 """
 
 from __future__ import annotations
@@ -107,8 +107,8 @@ def choice_of(word: Word) -> Choice:
     low, high = limits(word)
     if high - low >= MOST_CASES:
         raise ArgumentError(
-            f"an integer that can be {low} to {high} meets a float, which is possible up to {MOST_CASES} values; "
-            "multiply or add a real first, as in `x * n * 0.1`, or keep it as a real"
+            f"an integer that can be {low} to {high} meets a float, which is possible up to {MOST_CASES} "
+            "values; multiply or add a real first, as in `x * n * 0.1`, or keep it as a real"
         )
     return Choice(word - low, range(low, high + 1))
 

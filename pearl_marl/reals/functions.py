@@ -10,14 +10,26 @@ import math
 from typing import Any, NamedTuple
 
 from pearl_marl.errors import ArgumentError
-from pearl_marl.reals.words import absolute, either, greatest, kept, least, limits, noted, product, rounded, scaled, shifted_product
+from pearl_marl.reals.words import (
+    absolute,
+    either,
+    greatest,
+    kept,
+    least,
+    limits,
+    noted,
+    product,
+    rounded,
+    scaled,
+    shifted_product,
+)
 from pearl_marl.tracing.words import Word
 
 ONE = 1 << 30
 
-# sin(pi/4 y) = y * (S_1 + ... + S_9 y**8), cos(pi/4 y) = 1 + C_2 y**2 + ... + C_8 y**8 for y in -1 .. 1, and
-# exp(x) = E_0 + ... + E_7 x**7 for x in -0.3467 .. 0.3467: least squares over 4,000 Chebyshev nodes (of exp, of
-# the relative error), times 2**31, and 2**30 of exp. They are 1.7e-12, 1e-10 and 4e-11 off.
+# sin(pi/4 y) = y * (S_1 + ... + S_9 y**8) and cos(pi/4 y) = 1 + C_2 y**2 + ... + C_8 y**8 for y in -1 .. 1,
+# times 2**31, and exp(x) = E_0 + ... + E_7 x**7 for x in -0.3467 .. 0.3467, times 2**30: least squares over
+# 4,000 Chebyshev nodes, of exp's relative error. They are 1.7e-12, 1e-10 and 4e-11 off.
 SINE = 663, -78537, 5348077, -173399666, 1686629713
 COSINE = 7583, -699954, 34046909, -662337936, 1 << 31
 EXPONENTIAL = 212245, 1497674, 8948112, 44738769, 178956953, 536870923, ONE, ONE
@@ -25,8 +37,8 @@ EXPONENTIAL = 212245, 1497674, 8948112, 44738769, 178956953, 536870923, ONE, ONE
 TURN = round(2**33 / (2 * math.pi))
 """Radians to turns, with 33 fraction bits; it is 1.1e-10 off, relatively."""
 
-# 1 / (1 + y), y in 0 .. 1, is (576 - 544 y + 384 y**2 - 128 y**3) / 577 within 1/577, relatively: the cubic of
-# least relative error, which is the fourth Chebyshev polynomial's. With 16 fraction bits.
+# 1 / (1 + y), y in 0 .. 1, is (576 - 544 y + 384 y**2 - 128 y**3) / 577 within 1/577, relatively: the cubic
+# of least relative error, which is the fourth Chebyshev polynomial. With 16 fraction bits.
 GUESS = tuple(round(k / 577 * 2**16) for k in (-128, 384, -544, 576))
 
 DEEPEST = -32
@@ -34,7 +46,7 @@ DEEPEST = -32
 
 
 def _polynomial(x: Any, coefficients: tuple[int, ...], shift: int) -> Any:
-    """Return a polynomial by Horner's rule, the highest power's coefficient first; x has ``shift`` fraction bits."""
+    """Return a polynomial of a word with ``shift`` fraction bits; highest power first."""
     result: Any = coefficients[0]
     for coefficient in coefficients[1:]:
         result = product(x, result, shift) + coefficient
@@ -42,7 +54,7 @@ def _polynomial(x: Any, coefficients: tuple[int, ...], shift: int) -> Any:
 
 
 class _Angle(NamedTuple):
-    """Sine and cosine of where an angle is in its quadrant, with 31 fraction bits, and which quadrant that is."""
+    """Sine and cosine of a place in a quadrant, with 31 fraction bits, and which quadrant that is."""
 
     sine: Any
     cosine: Any
@@ -104,7 +116,7 @@ def quotient(numerator: Any, divisor: Any, fraction: int) -> Any:
         The divisor is 0.
     ArgumentError
         The divisor is a word that can be 0, or it has more bits than this can do.
-    TooWide
+    TooWideError
         The quotient has more than 64 bits.
     """
     low, high = limits(divisor)
@@ -188,7 +200,7 @@ def exponential(word: Any, fraction: int, result: int) -> Any:
 
     Raises
     ------
-    TooWide
+    TooWideError
         The result has more than 64 bits.
     """
     word = greatest(word, DEEPEST << fraction)
@@ -200,7 +212,8 @@ def exponential(word: Any, fraction: int, result: int) -> Any:
 
 
 def hyperbolic_tangent(word: Any, fraction: int) -> Any:
-    """Return the hyperbolic tangent, ``(1 - e**-2x) / (1 + e**-2x)`` for ``x`` from 0; with the same fraction."""
+    """Return the hyperbolic tangent, with the same fraction."""
+    # From 0 up it is (1 - e**-2x) / (1 + e**-2x).
     low = exponential(-2 * absolute(word), fraction, 30)
     # Where that is 1, the numerator is 0.
     size = least(product(ONE - low, reciprocal(low & (ONE - 1)), 31 + 30 - fraction), 1 << fraction)

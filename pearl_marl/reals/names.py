@@ -62,7 +62,8 @@ def _extreme(original: Any, method: Callable[[Real, Any], Real], of_words: Calla
 
     @functools.wraps(original)
     def replacement(*arguments: Any, **keywords: Any) -> Any:
-        values = arguments[0] if len(arguments) == 1 and isinstance(arguments[0], (list, tuple)) else arguments
+        alone = len(arguments) == 1 and isinstance(arguments[0], (list, tuple))
+        values = arguments[0] if alone else arguments
         if keywords or not any(isinstance(x, (Real, Choice, Word)) for x in values):
             return original(*arguments, **keywords)
         return functools.reduce(one, values)
@@ -90,7 +91,7 @@ def _whole(function: Callable[[Real], Any]) -> Callable[[Real], Real]:
     return lambda x: Real.of(function(x), x.fraction)
 
 
-_FLOATS = {
+_FLOATS: dict[tuple[Any, ...], Callable[..., Any]] = {
     (math.sin, np.sin): Real.sin,
     (math.cos, np.cos): Real.cos,
     (math.sqrt, np.sqrt): Real.sqrt,
@@ -107,15 +108,18 @@ _FLOATS = {
 for _names, _method in _FLOATS.items():
     for _name in _names:
         _replaced(_name, _method)
-for _name, _method in ((np.abs, abs), (np.power, operator.pow), (np.square, lambda x: x * x)):
-    _replaced(_name, _method, "itself")
-for _name in (math.floor, math.ceil, math.trunc, round):
-    _replaced(_name, _name, "stay")
+_replaced(np.abs, abs, "itself")
+_replaced(np.power, operator.pow, "itself")
+_replaced(np.square, lambda x: x * x, "itself")
+_replaced(math.floor, math.floor, "stay")
+_replaced(math.ceil, math.ceil, "stay")
+_replaced(math.trunc, math.trunc, "stay")
 _replaced(int, math.trunc, "stay")
-for _name in (min, np.minimum):
-    _extreme(_name, Real.minimum, least)
-for _name in (max, np.maximum):
-    _extreme(_name, Real.maximum, greatest)
+_replaced(round, round, "stay")
+_extreme(min, Real.minimum, least)
+_extreme(np.minimum, Real.minimum, least)
+_extreme(max, Real.maximum, greatest)
+_extreme(np.maximum, Real.maximum, greatest)
 _register(np.clip, clip)
 _register(np.where, select)
 NUMPY.update(

@@ -16,7 +16,17 @@ import numpy as np
 from pearl_marl.errors import ArgumentError
 from pearl_marl.reals import functions
 from pearl_marl.reals.dispatch import Number
-from pearl_marl.reals.words import TooWide, absolute, either, fits, greatest, least, limits, noted, product
+from pearl_marl.reals.words import (
+    TooWideError,
+    absolute,
+    either,
+    fits,
+    greatest,
+    least,
+    limits,
+    noted,
+    product,
+)
 from pearl_marl.tracing.words import Word
 
 FIELD_BITS = 32
@@ -40,14 +50,16 @@ def fraction_for(bounds: Iterable[tuple[float, float]]) -> int:
     """
     ends = [float(end) for pair in bounds for end in pair]
     if not all(math.isfinite(end) for end in ends):
-        raise ArgumentError("a real's bounds are finite: state the range that matters; beyond it, it saturates")
+        raise ArgumentError(
+            "a real's bounds are finite: give the range that matters, beyond which it saturates"
+        )
     most = 1 << FIELD_BITS - 1
     for fraction in range(MOST_FRACTION, LEAST_FRACTION - 1, -1):
         if all(-most <= constant(end, fraction) < most for end in ends):
             return fraction
     raise ArgumentError(
-        f"reals from {min(ends):g} to {max(ends):g} leave fewer than {LEAST_FRACTION} of {FIELD_BITS} bits to "
-        "fractions; measure in a larger unit"
+        f"reals from {min(ends):g} to {max(ends):g} leave fewer than {LEAST_FRACTION} of {FIELD_BITS} bits "
+        "to fractions; measure in a larger unit"
     )
 
 
@@ -135,14 +147,14 @@ class Real(Number):
     def _too_great(self, low: int, high: int) -> ArgumentError:
         ends = [f"{end / 2**self.fraction:.4g}" for end in (low, high, 1 << 63)]
         return ArgumentError(
-            f"this can be {ends[0]} to {ends[1]}, and reals end at {ends[2]} here, as they have {self.fraction} "
-            "fraction bits; np.clip what it is made of"
+            f"this can be {ends[0]} to {ends[1]}, and reals end at {ends[2]} here, as they have "
+            f"{self.fraction} fraction bits; np.clip what it is made of"
         )
 
     def _made(self, function: Callable[..., Any], *words: Any) -> Real:
         try:
             return Real(function(*words), self.fraction)
-        except TooWide as error:
+        except TooWideError as error:
             raise self._too_great(error.low, error.high) from None
 
     # Sums and comparisons.
@@ -301,7 +313,7 @@ class Real(Number):
 
     def __float__(self) -> float:
         if isinstance(self.word, Word):
-            raise ArgumentError("float() of a real; a real has no value before hardware runs, and is one already")
+            raise ArgumentError("float() of a real; it has no value before hardware runs")
         return float(math.ldexp(self.word, -self.fraction))
 
     def __repr__(self) -> str:

@@ -15,7 +15,7 @@ MOST_BITS = 64
 """The widest word that a graph may have: kernels compute in this many bits."""
 
 
-class TooWide(ArgumentError):
+class TooWideError(ArgumentError):
     """A word would need more than :data:`MOST_BITS`; it would be from ``low`` to ``high``."""
 
     def __init__(self, low: int, high: int) -> None:
@@ -81,12 +81,12 @@ def absolute(word: Any) -> Any:
 def product(a: Any, b: Any, shift: int) -> Any:
     """Return ``(a * b + half) >> shift``: to nearest, halves upwards; ``shift`` from 0.
 
-    A product of more than 64 bits is made of two or three that have fewer, by splitting the factors; the result
-    is the same.
+    A product of more than 64 bits is made of two or three that have fewer, by splitting the factors; the
+    result is the same.
 
     Raises
     ------
-    TooWide
+    TooWideError
         The result has more than 64 bits.
     """
     return _sum_shifted(a, b, 1 << shift >> 1, shift)
@@ -105,12 +105,14 @@ def _sum_shifted(a: Any, b: Any, addend: int, shift: int) -> Any:
     if cut < 1 or not fits(*_limits_of_product(wide >> cut, narrow)):
         cut = shift
     if bits_of(*limits(wide)) <= cut:
-        raise TooWide(low >> shift, high >> shift)
+        raise TooWideError(low >> shift, high >> shift)
     carried = _sum_shifted(wide & ((1 << cut) - 1), narrow, addend, cut)
     whole = _limits_of_product(wide >> cut, narrow)
     if not fits(whole[0] + limits(carried)[0], whole[1] + limits(carried)[1]):
-        raise TooWide(low >> shift, high >> shift)
-    return noted(((wide >> cut) * narrow + carried) >> (shift - cut), (low + addend) >> shift, (high + addend) >> shift)
+        raise TooWideError(low >> shift, high >> shift)
+    return noted(
+        ((wide >> cut) * narrow + carried) >> (shift - cut), (low + addend) >> shift, (high + addend) >> shift
+    )
 
 
 def _limits_of_product(a: Any, b: Any) -> tuple[int, int]:
@@ -124,7 +126,7 @@ def shifted_product(a: Any, b: Any, shift: Any) -> Any:
 
     Raises
     ------
-    TooWide
+    TooWideError
         As :func:`product` does.
     """
     fixed = limits(shift)[0] - 1
@@ -143,10 +145,10 @@ def scaled(word: Any, shift: Any) -> Any:
 
     Raises
     ------
-    TooWide
+    TooWideError
         The result has more than 64 bits.
     """
     more = max(0, 1 - limits(shift)[0])
     if isinstance(shift, Word) and not fits(0, limits(word)[1] << more):
-        raise TooWide(0, limits(word)[1] << more)
+        raise TooWideError(0, limits(word)[1] << more)
     return rounded(word << more, least(shift, 33) + more)

@@ -147,7 +147,9 @@ class Word:
             return NotImplemented
         floats = self.graph.floats
         if floats is not None and any(isinstance(x, float) for x in inputs):
-            return getattr(ufunc, method)(*(floats(x) if isinstance(x, Word) else x for x in inputs), **keywords)
+            return getattr(ufunc, method)(
+                *(floats(x) if isinstance(x, Word) else x for x in inputs), **keywords
+            )
         made = _UFUNCS.get(ufunc.__name__)
         if made is None or method != "__call__" or keywords:
             _no(ufunc.__name__)
