@@ -50,6 +50,12 @@ def _shift(operation: str) -> tuple[Callable[[Any, Any], Any], Callable[[Any, An
     return checked, lambda self, value: checked(word_of(self.graph, value), self)
 
 
+class Beyond:
+    """A number that words leave arithmetic with them to: it has the methods for a word on its left."""
+
+    __slots__ = ()
+
+
 class Word:
     """A word whose value is not known yet: what a golden function is called with to be traced."""
 
@@ -148,13 +154,22 @@ class Word:
     def __invert__(self) -> Word:
         return Word(self.graph, self.graph.invert(node_of(self.graph, self)))
 
-    def __array_ufunc__(self, ufunc: Any, method: str, *inputs: Any, **keywords: Any) -> Word:
+    def __array_ufunc__(self, ufunc: Any, method: str, *inputs: Any, **keywords: Any) -> Any:
+        if any(isinstance(x, Beyond) for x in inputs):
+            return NotImplemented
+        floats = self.graph.floats
+        if floats is not None and any(isinstance(x, float) for x in inputs):
+            return getattr(ufunc, method)(
+                *(floats(x) if isinstance(x, Word) else x for x in inputs), **keywords
+            )
         made = _UFUNCS.get(ufunc.__name__)
         if made is None or method != "__call__" or keywords:
             _no(ufunc.__name__)
         return word_of(self.graph, made(*(word_of(self.graph, x) for x in inputs)))
 
-    def __array_function__(self, function: Any, types_: Any, args: Any, keywords: Any) -> Word:
+    def __array_function__(self, function: Any, types_: Any, args: Any, keywords: Any) -> Any:
+        if any(isinstance(x, Beyond) for x in args):
+            return NotImplemented
         if function is np.where and len(args) == 3:
             flag, a, b = (node_of(self.graph, x) for x in args)
             return Word(self.graph, self.graph.choose(flag_of(self.graph, flag), a, b))
@@ -163,6 +178,27 @@ class Word:
             return Word(self.graph, self.graph.minimum(self.graph.maximum(value, low), high))
         _no(function.__name__)
 
+
+def _leaving(name: str) -> Callable[[Any, Any], Any]:
+    """Return a method of words that leaves numbers beyond them, and floats where there are any, to others."""
+    own = getattr(Word, name)
+
+    def method(self: Word, other: object) -> Any:
+        if isinstance(other, Beyond):
+            return NotImplemented
+        floats = self.graph.floats
+        if floats is not None and (isinstance(other, float) or name in ("__truediv__", "__rtruediv__")):
+            return getattr(floats(self), name)(other)
+        return own(self, other)
+
+    return method
+
+
+for _name in ("add", "sub", "mul", "truediv", "mod"):
+    for _method in (f"__{_name}__", f"__r{_name}__"):
+        setattr(Word, _method, _leaving(_method))
+for _name in ("eq", "ne", "lt", "le", "gt", "ge", "pow"):
+    setattr(Word, f"__{_name}__", _leaving(f"__{_name}__"))
 
 _UFUNCS: dict[str, Any] = {
     "minimum": _binary("minimum"),
