@@ -21,7 +21,7 @@ import numpy as np
 from pearl_marl.errors import ArgumentError
 from pearl_marl.tracing.graph import Graph
 from pearl_marl.tracing.nodes import Node
-from pearl_marl.tracing.words import Word, chosen_entry, flag_of, node_of
+from pearl_marl.tracing.words import Beyond, Word, chosen_entry, flag_of, node_of
 
 MOST_ROUNDS = 1000
 """Rounds after which a ``while`` counts as one without a bound."""
@@ -303,6 +303,8 @@ class Runtime:
 
     def truth(self, value: Any) -> bool | Node:
         """Return whether a value counts as true: a flag, where that depends on a word."""
+        if isinstance(value, Beyond):
+            value = value != 0
         if not isinstance(value, Word):
             return bool(value)
         flag = flag_of(self.graph, node_of(self.graph, value))
@@ -457,6 +459,8 @@ class Runtime:
         if not isinstance(index, Word):
             found = of[index]
             return self.listed(found) if isinstance(found, list) and isinstance(index, slice) else found
+        if isinstance(of, (tuple, list)) and any(isinstance(one, (float, Beyond)) for one in of):
+            return self._floats().chosen(Word(self.graph, self.place(of, index)), of)
         if isinstance(of, (tuple, list, range)):
             return _chosen(chosen_entry(self.graph, of, self.place(of, index)))
         raise ArgumentError(f"a word chooses from {type(of).__name__}; it chooses from lists and tuples")
@@ -553,6 +557,8 @@ class Runtime:
 
     def _least(self, native: Any, operation: str, values: Sequence[Any], keywords: dict[str, Any]) -> Any:
         every = list(values[0]) if len(values) == 1 else list(values)
+        if any(isinstance(value, (float, Beyond)) for value in every):
+            return self._floats().functions[native](every, **keywords)
         if not any(isinstance(value, Word) for value in every):
             return native(every, **keywords)
         if keywords:
@@ -562,6 +568,12 @@ class Runtime:
         for node in nodes[1:]:
             result = getattr(self.graph, operation)(result, node)
         return Word(self.graph, result)
+
+    def _floats(self) -> Any:
+        """Return what floats do, where the environment has reals."""
+        if self.graph.floats is None:
+            raise ArgumentError("a float where words are; its state has no reals, such as Real[-1, 1]")
+        return self.graph.floats
 
     def _sorted(self, values: Iterable[Any], **keywords: Any) -> Any:
         every = list(values)
@@ -888,9 +900,10 @@ def joined(graph: Graph, flag: Node, a: Any, b: Any) -> Any:
             one._raise()
     if _is_number(a) and _is_number(b):
         return Word(graph, graph.choose(flag, node_of(graph, a), node_of(graph, b)))
-    choose = getattr(a, "joined", None) or getattr(b, "joined", None)
-    if choose is not None:
-        return choose(graph, flag, a, b)
+    if graph.floats is not None and all(
+        isinstance(one, (float, Beyond)) or _is_number(one) for one in (a, b)
+    ):
+        return graph.floats.select(Word(graph, flag), a, b)
     if isinstance(a, (tuple, list)) and isinstance(b, (tuple, list)):
         if len(a) != len(b):
             raise ArgumentError(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 from pearl_marl.tracing.nodes import Node, Nodes
@@ -18,8 +18,8 @@ class Graph(Nodes):
     def __init__(self, exact: bool = True, early: bool = True) -> None:
         super().__init__(exact)
         self.early = early
-        self.floats: Callable[[Any], Any] | None = None
-        """Makes of a word the number that meets a float, where golden functions have those."""
+        self.floats: Any = None
+        """What words do that meet floats: see :func:`pearl_marl.reals.admitted`. ``None`` where none do."""
 
     def flag_of_mask(self, a: Node) -> Node | None:
         """Return the flag that ``a`` is 0 or -1 by, if it is."""

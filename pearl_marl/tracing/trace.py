@@ -57,9 +57,12 @@ def trace(graph: Graph, function: Callable[..., Any], arguments: Sequence[Node],
 
 def _traced(graph: Graph, function: types.FunctionType) -> Callable[..., Any]:
     """Return a function made again over words, with calls in the place of decisions."""
-    runtime = Runtime(graph)
+    if hasattr(function, "admits"):  # floats, as those of an environment with reals do
+        function.admits(graph)
+    runtime, functions = Runtime(graph), graph.floats.functions if graph.floats else {}
     names = {**runtime.builtins(), RUNTIME: runtime}
-    made: Callable[..., Any] = remade(function, Vocabulary(Cast, table).meaning, code=_code, names=names)
+    meaning = Vocabulary(Cast, table, functions).meaning
+    made: Callable[..., Any] = remade(function, meaning, code=_code, names=names)
     return made
 
 
