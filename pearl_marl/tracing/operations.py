@@ -7,7 +7,7 @@ a table.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, Protocol
 
 import numpy as np
@@ -130,6 +130,13 @@ def _wrap(imm: Any, a: Any) -> Any:
     return ((a - low) & ((1 << bits) - 1)) + low
 
 
+def _entry(entries: Sequence[int], index: Any) -> Any:
+    if not isinstance(index, np.ndarray):
+        return entries[index]
+    # Values that a word cannot have may be beyond the table: not all that is known of it is in its function.
+    return np.array(entries)[np.clip(index, 0, len(entries) - 1)]
+
+
 VALUES: dict[str, Callable[..., Any]] = {
     "add": lambda _, a, b: a + b,
     "sub": lambda _, a, b: a - b,
@@ -149,7 +156,7 @@ VALUES: dict[str, Callable[..., Any]] = {
     "equal": lambda _, a, b: 1 * (a == b),
     "less": lambda _, a, b: 1 * (a < b),
     "choose": lambda _, c, a, b: np.where(c == 1, a, b) if isinstance(c, np.ndarray) else (a if c else b),
-    "table": lambda entries, i: np.array(entries)[i] if isinstance(i, np.ndarray) else entries[i],
+    "table": _entry,
     "wrap": _wrap,
     "sum": lambda imm, *args: sum(
         (s * (x << k) for (s, k), x in zip(imm[1], args, strict=True)), start=imm[0]
