@@ -1,9 +1,9 @@
 """What becomes of an author's decisions on words while a function is traced.
 
 A *path* is the condition under which the statement at hand runs. A :class:`Fork` runs both sides of an
-``if``, each on its path, and joins the variables that they leave. A ``return``, ``break`` or ``continue`` ends
-a path; what it takes along is joined where it arrives, in the order in which paths ended. An element of a list
-is written under the condition of its path, so lists need not be joined.
+``if``, each on its path, and joins the variables that they leave. A ``return``, ``break`` or ``continue``
+ends a path; what it takes along is joined where it arrives, in the order in which paths ended. An element of
+a list is written under the condition of its path, so a list that keeps its name need not be joined.
 
 On a path more is known of words: under ``x == 3`` it is 3, and under ``x > 0`` not 0.
 """
@@ -11,6 +11,7 @@ On a path more is known of words: under ``x == 3`` it is 3, and under ``x > 0`` 
 from __future__ import annotations
 
 import dataclasses
+import functools
 import operator
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, NamedTuple, NoReturn
@@ -20,6 +21,7 @@ import numpy as np
 from pearl_marl.errors import ArgumentError
 from pearl_marl.tracing.graph import Graph
 from pearl_marl.tracing.nodes import Node
+from pearl_marl.tracing.twins import Twins
 from pearl_marl.tracing.words import Word, chosen_entry, flag_of, node_of
 
 MOST_ROUNDS = 1000
@@ -195,10 +197,8 @@ class Listed(list[Any]):
     runtime: Runtime | None = None
 
     def _grow(self) -> None:
-        if self.runtime is not None and self.runtime.condition_since(self.path) is not None:
-            raise ArgumentError(
-                "a list grows or shrinks where a word decides whether it does; give it its full length before"
-            )
+        if self.runtime is not None:
+            self.runtime.growing(self)
 
 
 def _growing(name: str) -> Callable[..., Any]:
@@ -209,7 +209,18 @@ def _growing(name: str) -> Callable[..., Any]:
     return method
 
 
-for _name in ("append", "extend", "insert", "pop", "remove", "clear", "sort", "reverse", "__delitem__"):
+for _name in (
+    "append",
+    "extend",
+    "insert",
+    "pop",
+    "remove",
+    "clear",
+    "sort",
+    "reverse",
+    "__delitem__",
+    "__iadd__",
+):
     setattr(Listed, _name, _growing(_name))
 
 
@@ -218,6 +229,7 @@ class Runtime:
 
     def __init__(self, graph: Graph) -> None:
         self.graph = graph
+        self.twins = graph.twins = Twins(graph)
         self.root = Path(graph, graph.constant(1))
         self.exits: list[Any] = []
         """What has ended paths, in order, until it is joined."""
@@ -325,8 +337,8 @@ class Runtime:
             "LtE": operator.le,
             "Gt": operator.gt,
             "GtE": operator.ge,
-            "Is": operator.is_,
-            "IsNot": operator.is_not,
+            "Is": self.same,
+            "IsNot": self.other,
         }
         return mine[name](a, b)
 
@@ -358,13 +370,29 @@ class Runtime:
         """Return ``value not in among``."""
         return self.negation(self.contains(value, among))
 
+    def same(self, a: Any, b: Any) -> bool:
+        """Return ``a is b``."""
+        if (isinstance(a, Word) and b is not None) or (isinstance(b, Word) and a is not None):
+            raise ArgumentError("`is` on a word; use `==`")
+        return a is b
+
+    def other(self, a: Any, b: Any) -> bool:
+        """Return ``a is not b``."""
+        return not self.same(a, b)
+
+    def count(self, among: Any, value: Any) -> Any:
+        """Return ``among.count(value)``."""
+        if not isinstance(among, (tuple, list)) or not (_has_words(value) or _has_words(among)):
+            return among.count(value)
+        return sum(self.flag(self.equal(one, value)) for one in among)
+
     def index(self, among: Any, value: Any) -> Any:
         """Return ``among.index(value)``: where a value is, which is there."""
         if not isinstance(among, (tuple, list)) or not (_has_words(value) or _has_words(among)):
             return among.index(value)
         result: Any = len(among) - 1
         for place in range(len(among) - 2, -1, -1):
-            result = self.either(self.equal(among[place], value), lambda k=place: k, lambda r=result: r)
+            result = self.either(self.equal(among[place], value), lambda: place, lambda: result)  # noqa: B023
         return result
 
     def every(self, values: Iterable[Any]) -> Any:
@@ -431,27 +459,50 @@ class Runtime:
             for k in range(max(node.low, 0), min(node.high, len(of) - 1) + 1):
                 here = graph.equal(node, graph.constant(k))
                 if not here.is_constant(0):
-                    self.store(of, k, joined(graph, here, value, of[k]))
+                    self.store(of, k, value, here)
             return
         if isinstance(index, Word):
             raise ArgumentError(f"a word chooses what is written in {type(of).__name__}; it takes a list")
         self.store(of, index, value)
 
-    def store(self, of: Any, key: Any, value: Any) -> None:
-        """Write one element."""
-        condition = self.condition_since(getattr(of, "path", None))
-        if condition is not None:
-            if isinstance(key, slice):
+    def store(self, of: Any, key: Any, value: Any, where: Node | None = None) -> None:
+        """Write one element, where a flag is set, and in all that may be the same list."""
+        for one, flags in self._same(of, where):
+            if isinstance(key, slice) and flags:
                 raise ArgumentError("a slice is written where a word decides; write its elements")
-            value = joined(self.graph, condition, value, of[key])
-        of[key] = value
+            one[key] = self._changed(flags, value, one[key]) if flags else value
 
     def set_attribute(self, of: Any, name: str, value: Any) -> None:
-        """Write an attribute, where the path at hand is taken."""
-        condition = self.condition_since(None)
-        if condition is not None:
-            value = joined(self.graph, condition, value, getattr(of, name))
-        setattr(of, name, value)
+        """Write an attribute, where the path at hand is taken, and in all that may be the same object."""
+        for one, flags in self._same(of):
+            setattr(one, name, self._changed(flags, value, getattr(one, name)) if flags else value)
+
+    def _same(self, of: Any, where: Node | None = None) -> list[tuple[Any, list[Node]]]:
+        """Return what a write goes to, each with the flags under which it does."""
+        result = []
+        for one, flag in [(of, None), *self.twins.others(of)]:
+            flags = [self.condition_since(getattr(one, "path", None) if isinstance(one, Listed) else None)]
+            result.append((one, [f for f in (*flags, where, flag) if f is not None and not f.is_constant(1)]))
+        return result
+
+    def _changed(self, flags: Sequence[Node], value: Any, old: Any) -> Any:
+        """Return a value where all flags are set, and an old one where not."""
+        return joined(self.graph, functools.reduce(self.graph.and_, flags), value, old)
+
+    def growing(self, of: Any, verb: str = "") -> Any:
+        """Return a list, which is about to become longer or shorter: that is no word's to decide."""
+        if isinstance(of, list):
+            if verb in ("sort", "remove") and _has_words(of):
+                raise ArgumentError(
+                    f"{verb}() of a list of words: their order is not known before hardware runs"
+                )
+            for _, flags in self._same(of):
+                if flags:
+                    raise ArgumentError(
+                        "a list grows or shrinks where a word decides whether it does; give it its full "
+                        "length before"
+                    )
+        return of
 
     def listed(self, values: Iterable[Any]) -> Listed:
         """Return a list whose elements may be written by words."""
@@ -465,10 +516,25 @@ class Runtime:
             raise ArgumentError("`for` goes over a word, which is no sequence")
         return values
 
+    def keeps(self, value: Any) -> bool:
+        """Return whether a comprehension keeps an element, which is no word's to decide."""
+        flag = self.truth(value)
+        if not isinstance(flag, bool):
+            raise ArgumentError(
+                "a word decides whether an element is left out, and a length depends on no word; "
+                "any(), all() and sum() take such an `if`"
+            )
+        return flag
+
+    def raises(self) -> None:
+        """Refuse an exception where a word decides whether it is raised."""
+        if not self.here.condition.is_constant(1):
+            raise ArgumentError("a `raise` where a word decides; hardware has nobody to tell")
+
     def asserts(self, value: Any) -> None:
         """Check what is no word."""
         flag = self.truth(value)
-        if not isinstance(flag, bool):
+        if not isinstance(flag, bool) or not (flag or self.here.condition.is_constant(1)):
             raise ArgumentError("an `assert` on a word; hardware has nobody to tell")
         if not flag:
             raise AssertionError("an `assert` does not hold")
@@ -506,7 +572,7 @@ class Runtime:
         every = list(values)
         if not any(map(_has_words, every)):
             return self.listed(sorted(every, **keywords))
-        raise ArgumentError("sorted() of words; golden functions have pearl_marl.golden.inserted")
+        raise ArgumentError("sorted() of words; pearl_marl.golden.inserted puts one into its place")
 
 
 class _Type:
@@ -634,7 +700,8 @@ class Fork:
             return values
         (one, a, exits_a), (other, b, exits_b) = self.left
         one_start, other_start = self.sides
-        assert one_start is not None and other_start is not None
+        assert one_start is not None
+        assert other_start is not None
         if one is None or other is None:
             # The side that is left goes on; that it was this one tells what the other has ended.
             runtime.path = other if one is None else one
@@ -647,7 +714,8 @@ class Fork:
         else:
             left = graph.choose(flag, one.since(one_start), other.since(other_start))
             runtime.path = self.start.where(left, exits_a | exits_b)
-        return runtime.at(self.start, lambda: _variables(graph, flag, a, b))
+        after: tuple[Any, ...] = runtime.at(self.start, lambda: _variables(graph, flag, a, b))
+        return after
 
 
 def _retagged(path: Path, place: int, exits: Exits) -> Path:
@@ -835,19 +903,29 @@ def joined(graph: Graph, flag: Node, a: Any, b: Any) -> Any:
                 "a length cannot depend on a word"
             )
         parts = [joined(graph, flag, x, y) for x, y in zip(a, b, strict=True)]
-        kind = type(a) if type(a) is type(b) else (tuple if isinstance(a, tuple) else list)
-        if kind is Listed:
+        if isinstance(a, list) and isinstance(b, list):
             new = Listed(parts)
-            new.path, new.runtime = a.path, a.runtime  # type: ignore[attr-defined]
-            return new
+            new.path, new.runtime = getattr(a, "path", None), getattr(a, "runtime", None)
+            return _chosen(graph, flag, new, a, b)
+        kind = type(a) if type(a) is type(b) else tuple
         return kind(*parts) if hasattr(kind, "_fields") else kind(parts)
     if dataclasses.is_dataclass(a) and type(a) is type(b):
         names = [f.name for f in dataclasses.fields(a)]
         values = {name: joined(graph, flag, getattr(a, name), getattr(b, name)) for name in names}
-        return dataclasses.replace(a, **values)  # type: ignore[type-var]
+        return _chosen(graph, flag, dataclasses.replace(a, **values), a, b)  # type: ignore[type-var]
     if type(a) is type(b) and not isinstance(a, float) and a == b:
         return a
+    for one in (a, b):
+        if isinstance(one, float):
+            node_of(graph, one)  # says so
     raise ArgumentError(f"one side of a branch leaves {_told(a)} and the other {_told(b)}")
+
+
+def _chosen(graph: Graph, flag: Node, new: Any, a: Any, b: Any) -> Any:
+    """Return what is ``a`` where a flag is set and ``b`` where it is not."""
+    if graph.twins is not None:
+        graph.twins.chosen(new, [(flag, a), (graph.logical_not(flag), b)])
+    return new
 
 
 def _is_number(value: Any) -> bool:
@@ -859,4 +937,6 @@ def _told(value: Any) -> str:
         return "a word"
     if isinstance(value, (tuple, list)):
         return f"{len(value)} elements"
-    return "nothing" if value is None else repr(value)
+    if value is None:
+        return "nothing"
+    return repr(value) if isinstance(value, (int, str, float)) else f"a {type(value).__name__}"
