@@ -3,7 +3,7 @@
 A *path* is the condition under which the statement at hand runs. A :class:`Fork` runs both sides of an
 ``if``, each on its path, and joins the variables that they leave. A ``return``, ``break`` or ``continue``
 ends a path; what it takes along is joined where it arrives, in the order in which paths ended. An element of
-a list is written under the condition of its path, so lists need not be joined.
+a list is written under the condition of its path, so a list that keeps its name need not be joined.
 
 On a path more is known of words: under ``x == 3`` it is 3, and under ``x > 0`` not 0.
 """
@@ -21,6 +21,7 @@ import numpy as np
 from pearl_marl.errors import ArgumentError
 from pearl_marl.tracing.graph import Graph
 from pearl_marl.tracing.nodes import Node
+from pearl_marl.tracing.twins import Twins
 from pearl_marl.tracing.words import Beyond, Word, chosen_entry, flag_of, node_of
 
 MOST_ROUNDS = 1000
@@ -195,17 +196,9 @@ class Listed(list[Any]):
     """The path on which it was made."""
     runtime: Runtime | None = None
 
-    def like(self, values: Iterable[Any]) -> Listed:
-        """Return another list as if it had been made where this one was."""
-        new = Listed(values)
-        new.path, new.runtime = self.path, self.runtime
-        return new
-
     def _grow(self) -> None:
-        if self.runtime is not None and self.runtime.condition_since(self.path) is not None:
-            raise ArgumentError(
-                "a list grows or shrinks where a word decides whether it does; give it its full length before"
-            )
+        if self.runtime is not None:
+            self.runtime.growing(self)
 
 
 def _growing(name: str) -> Callable[..., Any]:
@@ -231,46 +224,12 @@ for _name in (
     setattr(Listed, _name, _growing(_name))
 
 
-class Chosen(list[Any]):
-    """A list that a word has chosen among others, to be read: it is none of them."""
-
-    def refuse(self, *_: Any, **__: Any) -> NoReturn:
-        """Refuse to be written."""
-        raise ArgumentError(
-            "a list that a word has chosen is written; write where it is chosen: `board[row][column] = 1`"
-        )
-
-
-for _name in (
-    "append",
-    "extend",
-    "insert",
-    "pop",
-    "remove",
-    "clear",
-    "sort",
-    "reverse",
-    "__delitem__",
-    "__iadd__",
-):
-    setattr(Chosen, _name, Chosen.refuse)
-
-
-def _chosen(value: Any) -> Any:
-    """Return what a word has chosen, its lists to be read only."""
-    if isinstance(value, list):
-        return Chosen(map(_chosen, value))
-    if isinstance(value, tuple) and any(isinstance(part, (list, tuple)) for part in value):
-        parts = map(_chosen, value)
-        return type(value)(*parts) if hasattr(value, "_fields") else type(value)(parts)
-    return value
-
-
 class Runtime:
     """What rewritten functions call: see :mod:`pearl_marl.tracing.rewriting`."""
 
     def __init__(self, graph: Graph) -> None:
         self.graph = graph
+        self.twins = graph.twins = Twins(graph)
         self.root = Path(graph, graph.constant(1))
         self.exits: list[Any] = []
         """What has ended paths, in order, until it is joined."""
@@ -304,7 +263,7 @@ class Runtime:
     def truth(self, value: Any) -> bool | Node:
         """Return whether a value counts as true: a flag, where that depends on a word."""
         if isinstance(value, Beyond):
-            value = value != 0
+            value = value.__ne__(0)
         if not isinstance(value, Word):
             return bool(value)
         flag = flag_of(self.graph, node_of(self.graph, value))
@@ -361,12 +320,13 @@ class Runtime:
         flag = self.truth(value)
         return not flag if isinstance(flag, bool) else Word(self.graph, self.graph.logical_not(flag))
 
-    def chain(self, names: str, first: Any, *later: Callable[[], Any]) -> Any:
-        """Return a chain of comparisons, given the names of their nodes."""
-        name, _, others = names.partition(" ")
+    def chain(self, names: Sequence[str], first: Any, *later: Callable[[], Any]) -> Any:
+        """Return a chain of comparisons."""
         second = later[0]()
-        result = self.compared(name, first, second)
-        return self.both(result, lambda: self.chain(others, second, *later[1:])) if others else result
+        result = self.compared(names[0], first, second)
+        if len(names) == 1:
+            return result
+        return self.both(result, lambda: self.chain(names[1:], second, *later[1:]))
 
     def compared(self, name: str, a: Any, b: Any) -> Any:
         """Return one comparison, by the name of its node."""
@@ -379,8 +339,8 @@ class Runtime:
             "LtE": operator.le,
             "Gt": operator.gt,
             "GtE": operator.ge,
-            "Is": operator.is_,
-            "IsNot": operator.is_not,
+            "Is": self.same,
+            "IsNot": self.other,
         }
         return mine[name](a, b)
 
@@ -412,18 +372,30 @@ class Runtime:
         """Return ``value not in among``."""
         return self.negation(self.contains(value, among))
 
+    def same(self, a: Any, b: Any) -> bool:
+        """Return ``a is b``."""
+        if (isinstance(a, Word) and b is not None) or (isinstance(b, Word) and a is not None):
+            raise ArgumentError("`is` on a word; use `==`")
+        return a is b
+
+    def other(self, a: Any, b: Any) -> bool:
+        """Return ``a is not b``."""
+        return not self.same(a, b)
+
+    def count(self, among: Any, value: Any) -> Any:
+        """Return ``among.count(value)``."""
+        if not isinstance(among, (tuple, list)) or not (_has_words(value) or _has_words(among)):
+            return among.count(value)
+        return sum(self.flag(self.equal(one, value)) for one in among)
+
     def index(self, among: Any, value: Any) -> Any:
         """Return ``among.index(value)``: where a value is, which is there."""
         if not isinstance(among, (tuple, list)) or not (_has_words(value) or _has_words(among)):
             return among.index(value)
-        here = [self.equal(one, value) for one in among]
         result: Any = len(among) - 1
         for place in range(len(among) - 2, -1, -1):
-            result = self._pick(here[place], place, result)
+            result = self.either(self.equal(among[place], value), lambda: place, lambda: result)  # noqa: B023
         return result
-
-    def _pick(self, test: Any, a: Any, b: Any) -> Any:
-        return self.either(test, lambda: a, lambda: b)
 
     def every(self, values: Iterable[Any]) -> Any:
         """Return whether all values are true."""
@@ -462,7 +434,7 @@ class Runtime:
         if isinstance(of, (tuple, list)) and any(isinstance(one, (float, Beyond)) for one in of):
             return self._floats().chosen(Word(self.graph, self.place(of, index)), of)
         if isinstance(of, (tuple, list, range)):
-            return _chosen(chosen_entry(self.graph, of, self.place(of, index)))
+            return chosen_entry(self.graph, of, self.place(of, index))
         raise ArgumentError(f"a word chooses from {type(of).__name__}; it chooses from lists and tuples")
 
     def place(self, of: Sequence[Any], index: Word) -> Node:
@@ -480,43 +452,61 @@ class Runtime:
             )
         return node
 
-    def put(self, of: Any, path: tuple[Any, ...], value: Any) -> None:
-        """Write an element by its index in a list, in an element of that list, and so on."""
-        index, *rest = path
-        if isinstance(of, dict):
-            self.store(of, path if rest else index, value)
-        elif not isinstance(index, Word):
-            if rest:
-                self.put(of[index], tuple(rest), value)
-            else:
-                self.store(of, index, value)
-        elif isinstance(of, list):
-            node = self.place(of, index)
+    def put(self, of: Any, index: Any, value: Any) -> None:
+        """Write an element, where the path at hand is taken."""
+        if isinstance(index, tuple) and isinstance(of, list) and index:
+            *before, index = index
+            for part in before:
+                of = self.item(of, part)
+        if isinstance(index, Word) and isinstance(of, list):
+            node, graph = self.place(of, index), self.graph
             for k in range(max(node.low, 0), min(node.high, len(of) - 1) + 1):
-                here = self.graph.equal(node, self.graph.constant(k))
-                if self.here.decided(here) is not False:
-                    other = (k, *rest)
-                    self.on(here, functools.partial(self.put, of, other, value))
-        else:
+                here = graph.equal(node, graph.constant(k))
+                if not here.is_constant(0):
+                    self.store(of, k, value, here)
+            return
+        if isinstance(index, Word):
             raise ArgumentError(f"a word chooses what is written in {type(of).__name__}; it takes a list")
+        self.store(of, index, value)
 
-    def store(self, of: Any, key: Any, value: Any) -> None:
-        """Write one element."""
-        if isinstance(of, Chosen):
-            of.refuse()
-        condition = self.condition_since(getattr(of, "path", None))
-        if condition is not None:
-            if isinstance(key, slice):
+    def store(self, of: Any, key: Any, value: Any, where: Node | None = None) -> None:
+        """Write one element, where a flag is set, and in all that may be the same list."""
+        for one, flags in self._same(of, where):
+            if isinstance(key, slice) and flags:
                 raise ArgumentError("a slice is written where a word decides; write its elements")
-            value = joined(self.graph, condition, value, of[key])
-        of[key] = value
+            one[key] = self._changed(flags, value, one[key]) if flags else value
 
     def set_attribute(self, of: Any, name: str, value: Any) -> None:
-        """Write an attribute, where the path at hand is taken."""
-        condition = self.condition_since(None)
-        if condition is not None:
-            value = joined(self.graph, condition, value, getattr(of, name))
-        setattr(of, name, value)
+        """Write an attribute, where the path at hand is taken, and in all that may be the same object."""
+        for one, flags in self._same(of):
+            setattr(one, name, self._changed(flags, value, getattr(one, name)) if flags else value)
+
+    def _same(self, of: Any, where: Node | None = None) -> list[tuple[Any, list[Node]]]:
+        """Return what a write goes to, each with the flags under which it does."""
+        result = []
+        for one, flag in [(of, None), *self.twins.others(of)]:
+            flags = [self.condition_since(getattr(one, "path", None) if isinstance(one, Listed) else None)]
+            result.append((one, [f for f in (*flags, where, flag) if f is not None and not f.is_constant(1)]))
+        return result
+
+    def _changed(self, flags: Sequence[Node], value: Any, old: Any) -> Any:
+        """Return a value where all flags are set, and an old one where not."""
+        return joined(self.graph, functools.reduce(self.graph.and_, flags), value, old)
+
+    def growing(self, of: Any, verb: str = "") -> Any:
+        """Return a list, which is about to become longer or shorter: that is no word's to decide."""
+        if isinstance(of, list):
+            if verb in ("sort", "remove") and _has_words(of):
+                raise ArgumentError(
+                    f"{verb}() of a list of words: their order is not known before hardware runs"
+                )
+            for _, flags in self._same(of):
+                if flags:
+                    raise ArgumentError(
+                        "a list grows or shrinks where a word decides whether it does; give it its full "
+                        "length before"
+                    )
+        return of
 
     def listed(self, values: Iterable[Any]) -> Listed:
         """Return a list whose elements may be written by words."""
@@ -530,10 +520,25 @@ class Runtime:
             raise ArgumentError("`for` goes over a word, which is no sequence")
         return values
 
+    def keeps(self, value: Any) -> bool:
+        """Return whether a comprehension keeps an element, which is no word's to decide."""
+        flag = self.truth(value)
+        if not isinstance(flag, bool):
+            raise ArgumentError(
+                "a word decides whether an element is left out, and a length depends on no word; "
+                "any(), all() and sum() take such an `if`"
+            )
+        return flag
+
+    def raises(self) -> None:
+        """Refuse an exception where a word decides whether it is raised."""
+        if not self.here.condition.is_constant(1):
+            raise ArgumentError("a `raise` where a word decides; hardware has nobody to tell")
+
     def asserts(self, value: Any) -> None:
         """Check what is no word."""
         flag = self.truth(value)
-        if not isinstance(flag, bool):
+        if not isinstance(flag, bool) or not (flag or self.here.condition.is_constant(1)):
             raise ArgumentError("an `assert` on a word; hardware has nobody to tell")
         if not flag:
             raise AssertionError("an `assert` does not hold")
@@ -579,7 +584,7 @@ class Runtime:
         every = list(values)
         if not any(map(_has_words, every)):
             return self.listed(sorted(every, **keywords))
-        raise ArgumentError("sorted() of words; golden functions have pearl_marl.golden.inserted")
+        raise ArgumentError("sorted() of words; pearl_marl.golden.inserted puts one into its place")
 
 
 class _Type:
@@ -721,8 +726,8 @@ class Fork:
         else:
             left = graph.choose(flag, one.since(one_start), other.since(other_start))
             runtime.path = self.start.where(left, exits_a | exits_b)
-        result: tuple[Any, ...] = runtime.at(self.start, lambda: _variables(graph, flag, a, b))
-        return result
+        after: tuple[Any, ...] = runtime.at(self.start, lambda: _variables(graph, flag, a, b))
+        return after
 
 
 def _retagged(path: Path, place: int, exits: Exits) -> Path:
@@ -900,9 +905,7 @@ def joined(graph: Graph, flag: Node, a: Any, b: Any) -> Any:
             one._raise()
     if _is_number(a) and _is_number(b):
         return Word(graph, graph.choose(flag, node_of(graph, a), node_of(graph, b)))
-    if graph.floats is not None and all(
-        isinstance(one, (float, Beyond)) or _is_number(one) for one in (a, b)
-    ):
+    if graph.floats is not None and all(isinstance(x, (float, Beyond)) or _is_number(x) for x in (a, b)):
         return graph.floats.select(Word(graph, flag), a, b)
     if isinstance(a, (tuple, list)) and isinstance(b, (tuple, list)):
         if len(a) != len(b):
@@ -911,17 +914,29 @@ def joined(graph: Graph, flag: Node, a: Any, b: Any) -> Any:
                 "a length cannot depend on a word"
             )
         parts = [joined(graph, flag, x, y) for x, y in zip(a, b, strict=True)]
-        if isinstance(a, Listed):
-            return a.like(parts)
-        kind = type(a) if type(a) is type(b) else (tuple if isinstance(a, tuple) else list)
+        if isinstance(a, list) and isinstance(b, list):
+            new = Listed(parts)
+            new.path, new.runtime = getattr(a, "path", None), getattr(a, "runtime", None)
+            return _chosen(graph, flag, new, a, b)
+        kind = type(a) if type(a) is type(b) else tuple
         return kind(*parts) if hasattr(kind, "_fields") else kind(parts)
     if dataclasses.is_dataclass(a) and type(a) is type(b):
         names = [f.name for f in dataclasses.fields(a)]
         values = {name: joined(graph, flag, getattr(a, name), getattr(b, name)) for name in names}
-        return dataclasses.replace(a, **values)  # type: ignore[type-var]
+        return _chosen(graph, flag, dataclasses.replace(a, **values), a, b)  # type: ignore[type-var]
     if type(a) is type(b) and not isinstance(a, float) and a == b:
         return a
+    for one in (a, b):
+        if isinstance(one, float):
+            node_of(graph, one)  # says so
     raise ArgumentError(f"one side of a branch leaves {_told(a)} and the other {_told(b)}")
+
+
+def _chosen(graph: Graph, flag: Node, new: Any, a: Any, b: Any) -> Any:
+    """Return what is ``a`` where a flag is set and ``b`` where it is not."""
+    if graph.twins is not None:
+        graph.twins.chosen(new, [(flag, a), (graph.logical_not(flag), b)])
+    return new
 
 
 def _is_number(value: Any) -> bool:
@@ -933,4 +948,6 @@ def _told(value: Any) -> str:
         return "a word"
     if isinstance(value, (tuple, list)):
         return f"{len(value)} elements"
-    return "nothing" if value is None else repr(value)
+    if value is None:
+        return "nothing"
+    return repr(value) if isinstance(value, (int, str, float)) else f"a {type(value).__name__}"

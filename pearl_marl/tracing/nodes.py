@@ -86,6 +86,8 @@ class Nodes:
         """Nodes of which more is known where the author is, as narrower ones."""
         self.certain = True
         """Whether the author's function always comes to where it is."""
+        self.twins: Any = None
+        """The lists of an author that may be one another: :class:`pearl_marl.tracing.twins.Twins`."""
         self._nodes: dict[tuple[Any, ...], Node] = {}
         self._same: dict[tuple[Any, ...], Node] = {}
         self._domains: list[npt.NDArray[np.int64]] = []

@@ -19,7 +19,7 @@ from pearl_marl.remaking import Vocabulary, remade
 from pearl_marl.tracing.branches import Runtime
 from pearl_marl.tracing.graph import Graph
 from pearl_marl.tracing.nodes import Node
-from pearl_marl.tracing.rewriting import RUNTIME, rewritten
+from pearl_marl.tracing.rewriting import RUNTIME, Refusal, rewritten
 from pearl_marl.tracing.words import Cast, Word, node_of, table
 
 
@@ -46,6 +46,13 @@ def trace(graph: Graph, function: Callable[..., Any], arguments: Sequence[Node],
     with _watched(graph, author_of(function).__code__.co_filename):
         try:
             result = _traced(graph, function)(*words)
+        except Refusal:
+            raise
+        except RecursionError as error:
+            raise ArgumentError(
+                f"{_place_of(error, function)}: a function calls itself without end: nothing that is known "
+                "of words stops it; use `for` and `break`"
+            ) from None
         except Exception as error:
             kind = "" if isinstance(error, ArgumentError) else f"{type(error).__name__}: "
             raise ArgumentError(f"{_place_of(error, function)}: {kind}{error}") from error

@@ -85,8 +85,8 @@ class Word:
 
     def __bool__(self) -> NoReturn:
         raise ArgumentError(
-            "a word decides what Python does next, where its source is not at hand; write the function in a "
-            "file (or a notebook's cell), not in an interactive shell, by exec() or in a library"
+            "a word decides what Python does next, where its source is not at hand, as in a library's "
+            "function; write it in a file (or a notebook's cell), not in an interactive shell or by exec()"
         )
 
     def asked(self) -> None:
@@ -111,6 +111,12 @@ class Word:
 
     def __float__(self) -> NoReturn:
         raise ArgumentError("a word becomes a float; golden functions work on integers")
+
+    def __format__(self, specification: str) -> NoReturn:
+        raise ArgumentError("a word becomes text, and it has no value before hardware runs")
+
+    def __str__(self) -> NoReturn:
+        self.__format__("")
 
     def __iter__(self) -> NoReturn:
         raise ArgumentError("a word is taken apart like a sequence")
@@ -308,7 +314,11 @@ def chosen_entry(graph: Graph, entries: Sequence[Any], index: Node) -> Any:
             raise ArgumentError("a word chooses from sequences of different lengths")
         parts = [chosen_entry(graph, column, index) for column in zip(*entries, strict=True)]
         kind = type(entries[0])
-        return kind(*parts) if hasattr(kind, "_fields") else kind(parts)
+        new = kind(*parts) if hasattr(kind, "_fields") else kind(parts)
+        if isinstance(new, list) and graph.twins is not None:
+            places = range(max(index.low, 0), min(index.high, len(entries) - 1) + 1)
+            graph.twins.chosen(new, [(graph.equal(index, graph.constant(k)), entries[k]) for k in places])
+        return new
     nodes = [node_of(graph, entry) for entry in entries]
     if all(node.is_constant() for node in nodes):
         return Word(graph, graph.table([node.imm for node in nodes], index))
