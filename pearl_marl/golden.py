@@ -104,7 +104,10 @@ class Draws:
         return self.bits() * n >> 32
 
     def chance(self, numerator: float, denominator: float = 1) -> Word:
-        """Return 1 with a probability: ``chance(0.3)``, ``chance(1, 3)``, rounded to a multiple of ``2**-32``."""
+        """Return 1 with a probability, such as ``chance(0.3)`` or ``chance(1, 3)``.
+
+        It is rounded to a multiple of ``2**-32``.
+        """
         share = numerator / denominator
         if not 0 <= share <= 1:
             raise ArgumentError(f"draws.chance({numerator!r}, {denominator!r}): a probability is 0 to 1")
@@ -197,8 +200,8 @@ def reference(function: GoldenFunction, *agent: int) -> Callable[..., tuple[Any,
     """Return what runs a golden function itself, as Python runs it, and always returns a tuple.
 
     Arguments are numbers, or arrays of any shapes that go together: then the function runs for one element
-    after the other, and results are arrays. ``agent`` is what :attr:`pearl_marl.spec.EnvSpec.views` has for it,
-    the last argument of a function that tells what one agent of a world sees.
+    after the other, and results are arrays. ``agent`` is what :attr:`pearl_marl.spec.EnvSpec.views` has for
+    it, the last argument of a function that tells what one agent of a world sees.
     Results are NumPy's integers of 64 bits; where those do not hold one, Python's integers.
     """
     again = as_python_runs_it(function)
@@ -214,7 +217,9 @@ def reference(function: GoldenFunction, *agent: int) -> Callable[..., tuple[Any,
         if not shape:
             return tuple(_array([word])[0] for word in once(*(int(array[()]) for array in given)))
         rows = zip(*(np.broadcast_to(array, shape).ravel().tolist() for array in given), strict=True)
-        return tuple(_array(column).reshape(shape) for column in zip(*(once(*row) for row in rows), strict=True))
+        return tuple(
+            _array(column).reshape(shape) for column in zip(*(once(*row) for row in rows), strict=True)
+        )
 
     return run
 
@@ -222,7 +227,7 @@ def reference(function: GoldenFunction, *agent: int) -> Callable[..., tuple[Any,
 def _array(words: Sequence[int]) -> Any:
     """Return an array of 64 bits, or of Python's integers where those do not hold them."""
     low, high = min(words), max(words)
-    if -(1 << 63) <= low and high < 1 << 64 and (low >= 0 or high < 1 << 63):
+    if low >= -(1 << 63) and high < 1 << 64 and (low >= 0 or high < 1 << 63):
         return np.array(words, np.int64 if high < 1 << 63 else np.uint64)
     return np.array(words, object)
 

@@ -124,6 +124,8 @@ class Layout:
         ArgumentError
             It is none, or an array has another length: names which.
         """
+        if not isinstance(value, self.cls):
+            raise ArgumentError(f"a {self.cls.__name__} is due, and {_told(value)} is returned")
         result: list[Any] = []
         self._tree.flatten(value, self.cls.__name__, result)
         return result
@@ -223,4 +225,6 @@ def leaves(value: Any) -> list[Any]:
 def _told(value: Any) -> str:
     if isinstance(value, (tuple, list)):
         return f"a {type(value).__name__} of {len(value)}"
-    return "nothing" if value is None else f"{value!r}" if isinstance(value, (int, str)) else type(value).__name__
+    if value is None:
+        return "nothing"
+    return repr(value) if isinstance(value, (int, str)) else f"a {type(value).__name__}"
