@@ -67,6 +67,8 @@ class Path:
             return bool(flag.imm)
         if flag in self.facts:
             return self.facts[flag]
+        if not _depend(self.condition, flag):
+            return None
         if graph.and_(self.condition, flag).is_constant(0):
             return False
         if graph.and_(self.condition, graph.logical_not(flag)).is_constant(0):
@@ -80,6 +82,11 @@ class Path:
             if not literal.exits or not literal.exits <= but:
                 result = self.graph.and_(result, literal.flag)
         return result
+
+
+def _depend(a: Node, b: Node) -> bool:
+    """Return whether two nodes are known to depend on the same words."""
+    return not (a.function is None or b.function is None or set(a.function.axes).isdisjoint(b.function.axes))
 
 
 def _facts(graph: Graph, flag: Node, value: bool) -> list[tuple[Node, bool]]:
@@ -297,7 +304,7 @@ class Runtime:
         flag = self.truth(a)
         if isinstance(flag, bool):
             return b() if flag else a
-        return joined(self.graph, flag, self.on(flag, b), False if a.node.is_flag else a)
+        return joined(self.graph, flag, self.on(flag, b), False)
 
     def any_of_two(self, a: Any, b: Callable[[], Any]) -> Any:
         """Return ``a or b()``."""
@@ -380,7 +387,7 @@ class Runtime:
         """Return whether all values are true."""
         result: Any = True
         for value in values:
-            result = self.both(result, lambda value=value: self.flag(value))  # type: ignore[misc]
+            result = self.flag(value) & result
             if result is False:
                 break
         return result
@@ -389,7 +396,7 @@ class Runtime:
         """Return whether any value is true."""
         result: Any = False
         for value in values:
-            result = self.any_of_two(result, lambda value=value: self.flag(value))  # type: ignore[misc]
+            result = self.flag(value) | result
             if result is True:
                 break
         return result
