@@ -450,10 +450,11 @@ class Runtime:
                 of = self.item(of, part)
         if isinstance(index, Word) and isinstance(of, list):
             node, graph = self.place(of, index), self.graph
+            condition = self.condition_since(getattr(of, "path", None)) or graph.constant(1)
             for k in range(max(node.low, 0), min(node.high, len(of) - 1) + 1):
-                here = graph.equal(node, graph.constant(k))
+                here = graph.and_(condition, graph.equal(node, graph.constant(k)))
                 if not here.is_constant(0):
-                    self.store(of, k, joined(graph, here, value, of[k]))
+                    of[k] = joined(graph, here, value, of[k])
             return
         if isinstance(index, Word):
             raise ArgumentError(f"a word chooses what is written in {type(of).__name__}; it takes a list")
