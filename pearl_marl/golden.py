@@ -56,13 +56,6 @@ OUTCOMES = 1 << 16
 """How many outcomes the digits of one draw have at most."""
 
 
-def another(rank: Word, taken: Sequence[Word]) -> Word:
-    """Return the number of this rank among those that are not taken; ``taken`` is in order."""
-    for number in taken:
-        rank = rank + (rank >= number)
-    return rank
-
-
 def inserted(numbers: Sequence[Word], number: Word) -> list[Word]:
     """Put a number into its place among others, which are in order."""
     result = []
@@ -70,6 +63,14 @@ def inserted(numbers: Sequence[Word], number: Word) -> list[Word]:
         result.append(min(other, number))
         number = max(other, number)
     return [*result, number]
+
+
+def another(draws: Draws, n: int, taken: Sequence[Word]) -> tuple[Word, list[Word]]:
+    """Draw a number below ``n`` that is not taken; return it, and all that are taken then, in order."""
+    number = draws.digit(n - len(taken))
+    for other in taken:
+        number += number >= other
+    return number, inserted(taken, number)
 
 
 class Draws:

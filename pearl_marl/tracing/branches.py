@@ -43,24 +43,27 @@ class Path:
     """The condition under which a statement runs, and what it tells of words."""
 
     graph: Graph
-    condition: Node
     literals: tuple[Literal, ...] = ()
     facts: Mapping[Node, bool] = dataclasses.field(default_factory=dict)
     """Flags that are known here."""
     known: Mapping[Node, Node] = dataclasses.field(default_factory=dict)
     """Nodes of which more is known here, as nodes of narrower ranges."""
 
+    @functools.cached_property
+    def condition(self) -> Node:
+        """The condition as a flag."""
+        return functools.reduce(self.graph.and_, (lit.flag for lit in self.literals), self.graph.constant(1))
+
     def where(self, flag: Node, exits: Exits = frozenset()) -> Path:
         """Return the path on which a flag is set, too."""
         if flag.is_constant(1):
             return self
         facts, known = dict(self.facts), dict(self.known)
-        for node, value in _facts(self.graph, flag, True):
+        for node, value in _facts(flag, True):
             facts[node] = value
             for word, low, high in _bounds(node, value):
                 _narrow(self.graph, known, word, low, high)
-        condition = self.graph.and_(self.condition, flag)
-        return Path(self.graph, condition, (*self.literals, Literal(flag, exits)), facts, known)
+        return Path(self.graph, (*self.literals, Literal(flag, exits)), facts, known)
 
     def decided(self, flag: Node) -> bool | None:
         """Return what a flag is here, if that is known."""
@@ -69,6 +72,10 @@ class Path:
             return bool(flag.imm)
         if flag in self.facts:
             return self.facts[flag]
+        if flag.op == "not" and flag.args[0] in self.facts:
+            return not self.facts[flag.args[0]]
+        if not _depend(self.condition, flag):
+            return None
         if graph.and_(self.condition, flag).is_constant(0):
             return False
         if graph.and_(self.condition, graph.logical_not(flag)).is_constant(0):
@@ -84,15 +91,20 @@ class Path:
         return result
 
 
-def _facts(graph: Graph, flag: Node, value: bool) -> list[tuple[Node, bool]]:
+def _depend(a: Node, b: Node) -> bool:
+    """Return whether two nodes are known to depend on the same words."""
+    return not (a.function is None or b.function is None or set(a.function.axes).isdisjoint(b.function.axes))
+
+
+def _facts(flag: Node, value: bool) -> list[tuple[Node, bool]]:
     """Return the flags that follow from one."""
-    found = [(flag, value), (graph.logical_not(flag), not value)]
+    found = [(flag, value)]
     if flag.op == "not":
-        found += _facts(graph, flag.args[0], not value)
+        found += _facts(flag.args[0], not value)
     if (flag.op == "and" and value) or (flag.op == "or" and not value):
         for arg in flag.args:
             if arg.is_flag:
-                found += _facts(graph, arg, value)
+                found += _facts(arg, value)
     return found
 
 
@@ -230,7 +242,7 @@ class Runtime:
     def __init__(self, graph: Graph) -> None:
         self.graph = graph
         self.twins = graph.twins = Twins(graph)
-        self.root = Path(graph, graph.constant(1))
+        self.root = Path(graph)
         self.exits: list[Any] = []
         """What has ended paths, in order, until it is joined."""
         self._path: Path | None = self.root
@@ -244,7 +256,7 @@ class Runtime:
     def path(self, path: Path | None) -> None:
         self._path = path
         self.graph.known = path.known if path is not None else {}
-        self.graph.certain = path is not None and path.condition.is_constant(1)
+        self.graph.certain = path is not None and not path.literals
 
     @property
     def here(self) -> Path:
@@ -305,7 +317,7 @@ class Runtime:
         flag = self.truth(a)
         if isinstance(flag, bool):
             return b() if flag else a
-        return joined(self.graph, flag, self.on(flag, b), False if a.node.is_flag else a)
+        return joined(self.graph, flag, self.on(flag, b), False)
 
     def any_of_two(self, a: Any, b: Callable[[], Any]) -> Any:
         """Return ``a or b()``."""
@@ -401,7 +413,7 @@ class Runtime:
         """Return whether all values are true."""
         result: Any = True
         for value in values:
-            result = self.both(result, lambda value=value: self.flag(value))  # type: ignore[misc]
+            result = self.flag(value) & result
             if result is False:
                 break
         return result
@@ -410,7 +422,7 @@ class Runtime:
         """Return whether any value is true."""
         result: Any = False
         for value in values:
-            result = self.any_of_two(result, lambda value=value: self.flag(value))  # type: ignore[misc]
+            result = self.flag(value) | result
             if result is True:
                 break
         return result

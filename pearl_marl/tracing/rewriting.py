@@ -142,11 +142,11 @@ def _stored(nodes: Sequence[ast.AST]) -> list[str]:
 
 
 def _inside(nodes: Sequence[ast.AST]) -> Iterator[ast.AST]:
-    """Yield the nodes of statements, without those of functions inside them."""
+    """Yield statements and those inside them, without those of functions."""
     for node in nodes:
         yield node
-        if not isinstance(node, (ast.FunctionDef, ast.Lambda, ast.ClassDef)):
-            yield from _inside(list(ast.iter_child_nodes(node)))
+        if not isinstance(node, (ast.FunctionDef, ast.ClassDef)):
+            yield from _inside([*getattr(node, "body", ()), *getattr(node, "orelse", ())])
 
 
 def _leaves(nodes: Sequence[ast.AST]) -> bool:

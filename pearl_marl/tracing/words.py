@@ -330,5 +330,8 @@ def chosen_entry(graph: Graph, entries: Sequence[Any], index: Node) -> Any:
 
 
 def table(values: Iterable[Any]) -> Table:
-    """Return a table of numbers, or of tables."""
-    return Table(table(v) if isinstance(v, (list, tuple)) else v for v in values)
+    """Return a table of numbers, or of tables; entries that are objects of a class stay such."""
+    return Table(
+        type(v)(*table(v)) if hasattr(v, "_fields") else table(v) if isinstance(v, (list, tuple)) else v
+        for v in values
+    )
