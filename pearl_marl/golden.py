@@ -52,31 +52,7 @@ def uniform_below(draw: Word, n: Word) -> Word:
 
 
 OUTCOMES = 1 << 16
-"""How many outcomes one draw decides at most: each is off by less than ``2**-16`` of its probability."""
-
-
-def draws_of(outcomes: Iterable[int]) -> list[int]:
-    """Return which draw makes each of several decisions, given how many outcomes each has."""
-    draw, together, result = 0, 1, []
-    for n in outcomes:
-        together *= n
-        if together > OUTCOMES:
-            draw, together = draw + 1, n
-        result.append(draw)
-    return result
-
-
-def digits(draws: Iterable[Word], outcomes: Sequence[int]) -> list[Word]:
-    """Return several decisions, each below its number of outcomes, of the draws that :func:`draws_of` tells.
-
-    The upper half of a product is one; its lower half serves as the next draw.
-    """
-    left, result = list(draws), []
-    for n, k in zip(outcomes, draws_of(outcomes), strict=True):
-        product = left[k] * n
-        left[k] = u32(product)
-        result.append(product >> 32)
-    return result
+"""How many outcomes the digits of one draw have at most."""
 
 
 def another(rank: Word, taken: Sequence[Word]) -> Word:
@@ -90,8 +66,8 @@ def inserted(numbers: Sequence[Word], number: Word) -> list[Word]:
     """Put a number into its place among others, which are in order."""
     result = []
     for other in numbers:
-        result.append(np.minimum(other, number))
-        number = np.maximum(other, number)
+        result.append(min(other, number))
+        number = max(other, number)
     return [*result, number]
 
 
@@ -105,6 +81,8 @@ class Draws:
 
     def __init__(self, words: Iterable[Word]) -> None:
         self._words = iter(words)
+        self._left: Word = 0
+        self._outcomes = OUTCOMES
 
     def bits(self, count: int = 32) -> Word:
         """Return a uniform number of so many bits, 1 to 32."""
@@ -114,9 +92,7 @@ class Draws:
             word = next(self._words)
         except StopIteration:
             raise ArgumentError(f"a golden function asks for more than {MOST_DRAWS} draws") from None
-        asked = getattr(word, "asked", None)  # a symbol says whether it may be
-        if asked is not None:
-            asked()
+        _asked(word)
         return word >> (32 - count)
 
     def below(self, n: Word) -> Word:
@@ -127,7 +103,10 @@ class Draws:
         return self.bits() * n >> 32
 
     def chance(self, numerator: float, denominator: float = 1) -> Word:
-        """Return 1 with a probability: ``chance(0.3)``, ``chance(1, 3)``, rounded to a multiple of ``2**-32``."""
+        """Return 1 with a probability, such as ``chance(0.3)`` or ``chance(1, 3)``.
+
+        It is rounded to a multiple of ``2**-32``.
+        """
         share = numerator / denominator
         if not 0 <= share <= 1:
             raise ArgumentError(f"draws.chance({numerator!r}, {denominator!r}): a probability is 0 to 1")
@@ -148,9 +127,25 @@ class Draws:
             result.append(last)
         return result
 
+    def digit(self, n: Word, most: int | None = None) -> Word:
+        """Return a number below ``n``, of the same draw as the digits before as long as that suffices.
+
+        It suffices for up to 65,536 outcomes of all of them together, so that each is off by less than ``2**-16``
+        of its probability. Where ``n`` is a word, ``most`` is the most that it can be.
+        """
+        most = n if most is None else most
+        self._outcomes *= most
+        if self._outcomes > OUTCOMES:
+            self._left, self._outcomes = self.bits(), most
+        _asked(self._left)
+        # The upper half of the product is the digit; the lower half serves as the next draw.
+        product = self._left * n
+        self._left = product & 0xFFFFFFFF
+        return product >> 32
+
     def several(self, *outcomes: int) -> list[Word]:
-        """Return a number below each of ``outcomes``, of as few draws as :func:`draws_of` tells."""
-        return digits([self.bits() for _ in range(draws_of(outcomes)[-1] + 1)], outcomes)
+        """Return a number below each of ``outcomes``, as :meth:`digit` makes them."""
+        return [self.digit(n) for n in outcomes]
 
 
 class CountingDraws(Draws):
@@ -168,6 +163,12 @@ class CountingDraws(Draws):
 
 MOST_DRAWS = 256
 """Draws of a reset, or of a step."""
+
+
+def _asked(word: Word) -> None:
+    """Let a symbol say whether it may be asked for."""
+    if hasattr(word, "asked"):
+        word.asked()
 
 
 def _entry(entries: Sequence[Any], place: Word) -> Any:
@@ -198,8 +199,8 @@ def reference(function: GoldenFunction, *agent: int) -> Callable[..., tuple[Any,
     """Return what runs a golden function itself, as Python runs it, and always returns a tuple.
 
     Arguments are numbers, or arrays of any shapes that go together: then the function runs for one element
-    after the other, and results are arrays. ``agent`` is what :attr:`pearl_marl.spec.EnvSpec.views` has for it,
-    the last argument of a function that tells what one agent of a world sees.
+    after the other, and results are arrays. ``agent`` is what :attr:`pearl_marl.spec.EnvSpec.views` has for
+    it, the last argument of a function that tells what one agent of a world sees.
     Results are NumPy's integers of 64 bits; where those do not hold one, Python's integers.
     """
     again = as_python_runs_it(function)
@@ -215,7 +216,9 @@ def reference(function: GoldenFunction, *agent: int) -> Callable[..., tuple[Any,
         if not shape:
             return tuple(_array([word])[0] for word in once(*(int(array[()]) for array in given)))
         rows = zip(*(np.broadcast_to(array, shape).ravel().tolist() for array in given), strict=True)
-        return tuple(_array(column).reshape(shape) for column in zip(*(once(*row) for row in rows), strict=True))
+        return tuple(
+            _array(column).reshape(shape) for column in zip(*(once(*row) for row in rows), strict=True)
+        )
 
     return run
 
@@ -223,7 +226,7 @@ def reference(function: GoldenFunction, *agent: int) -> Callable[..., tuple[Any,
 def _array(words: Sequence[int]) -> Any:
     """Return an array of 64 bits, or of Python's integers where those do not hold them."""
     low, high = min(words), max(words)
-    if -(1 << 63) <= low and high < 1 << 64 and (low >= 0 or high < 1 << 63):
+    if low >= -(1 << 63) and high < 1 << 64 and (low >= 0 or high < 1 << 63):
         return np.array(words, np.int64 if high < 1 << 63 else np.uint64)
     return np.array(words, object)
 

@@ -44,7 +44,10 @@ class Several:
 
 
 class _Bits:
-    """``Bits[n]``: a word of n bits, from 0. ``Bits[n, f]`` has f of them behind the binary point."""
+    """``Bits[n]``: a word of n bits, from 0. ``Bits[n, f]`` has f of them behind the binary point.
+
+    ``Bits[0]``, where an option makes a word needless, keeps nothing: it is 0 when it is read.
+    """
 
     def __getitem__(self, sizes: int | tuple[int, int]) -> Any:
         bits, fraction = sizes if isinstance(sizes, tuple) else (sizes, 0)
@@ -121,6 +124,8 @@ class Layout:
         ArgumentError
             It is none, or an array has another length: names which.
         """
+        if not isinstance(value, self.cls):
+            raise ArgumentError(f"a {self.cls.__name__} is due, and {_told(value)} is returned")
         result: list[Any] = []
         self._tree.flatten(value, self.cls.__name__, result)
         return result
@@ -132,15 +137,17 @@ class _Leaf:
 
     def fields(self, name: str) -> Iterator[Field]:
         s = self.scalar
-        yield Field(name, s.bits, s.signed, s.fraction, s.least, s.most)
+        if s.bits:
+            yield Field(name, s.bits, s.signed, s.fraction, s.least, s.most)
 
     def built(self, words: Iterator[Any]) -> Any:
-        return next(words)
+        return next(words) if self.scalar.bits else 0
 
     def flatten(self, value: Any, where: str, result: list[Any]) -> None:
         if isinstance(value, (tuple, list, str)) or value is None:
             raise ArgumentError(f"{where} is {_told(value)}; it must be one word")
-        result.append(value)
+        if self.scalar.bits:
+            result.append(value)
 
 
 class _Several:
@@ -218,4 +225,6 @@ def leaves(value: Any) -> list[Any]:
 def _told(value: Any) -> str:
     if isinstance(value, (tuple, list)):
         return f"a {type(value).__name__} of {len(value)}"
-    return "nothing" if value is None else f"{value!r}" if isinstance(value, (int, str)) else type(value).__name__
+    if value is None:
+        return "nothing"
+    return repr(value) if isinstance(value, (int, str)) else f"a {type(value).__name__}"

@@ -61,7 +61,12 @@ def packed(spec: EnvSpec) -> EnvSpec:
     # A spec is pickled as what made it.
     made = partial(packed, spec) if whole is None else update_wrapper(partial(_packed, whole), whole)
     return replace(
-        spec, observation_space=space, unpack=_packer(spec.observation), roles=roles, configure=made
+        spec,
+        golden=spec.golden._replace(view=None),  # words are written as they are
+        observation_space=space,
+        unpack=_packer(spec.observation),
+        roles=roles,
+        configure=made,
     )
 
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from numbers import Real
 from pathlib import Path
-from typing import Any, NamedTuple, SupportsInt, TypeGuard
+from typing import Any, NamedTuple, TypeGuard
 
 import numpy as np
 import numpy.typing as npt
@@ -25,7 +25,7 @@ from pearl_marl.fields import word_bits as word_bits
 from pearl_marl.golden import MOST_DRAWS, CountingDraws, GoldenFunction, as_python_runs_it
 from pearl_marl.layout import Layout
 from pearl_marl.pickling import reduced
-from pearl_marl.positional import Positional, initial_of, step_of, view_of
+from pearl_marl.positional import Positional, initial_of, step_of, takes_agent, unpack_of, view_of
 from pearl_marl.tracing.checks import Argument, Result, check
 from pearl_marl.tracing.operations import word_range
 from pearl_marl.tracing.records import RULES, record
@@ -49,13 +49,15 @@ class Golden(NamedTuple):
     ``draws`` are :class:`~pearl_marl.golden.Draws`; ``terminated`` is 0 or 1. Options are constants of the
     enclosing scope.
 
-    In a world of several agents ``step`` takes a list of their actions and returns a list of their rewards and
-    one of their flags ``terminated``, agent 0 first; and ``observe`` and ``masks`` take the agent that they are
-    about, a plain ``int``::
+    In a world of several agents ``step`` takes a list of their actions and returns a list of their rewards
+    and one of their flags ``terminated``, agent 0 first; and ``observe`` and ``masks`` take the agent that
+    they are about, a plain ``int``::
 
         step(state, actions, draws) -> State, rewards, terminated
         observe(state, agent)
         masks(state, agent)
+
+    Where options may leave one agent alone, the functions are the same: ``observe`` takes it.
 
     ``step`` takes any action of the action space, masked or not.
     """
@@ -140,9 +142,10 @@ class EnvSpec:
         states; ``"refused"`` makes a step with one raise ActionError, and nothing has moved. An agent whose
         masks are all 0 may send anything.
     unpack
-        For a ``Box`` whose elements are not the observation's fields: ``unpack(*observation, row)`` writes
-        the observation of one slot into ``row``, a flat array (of 0 and 1 in ``uint8`` where the space's
-        dtype is ``bool``). Numba compiles it.
+        For a ``Box`` whose elements are not the observation's fields: ``unpack(seen, row)`` writes what one
+        slot sees, a ``golden.view``, into ``row``, a flat array (of 0 and 1 in ``uint8`` where the space's
+        dtype is ``bool``). Without a view it is ``unpack(*observation, row)``. Numba compiles it: the view is
+        a ``NamedTuple``, and arrays in it are tuples.
     max_cycles
         Steps after which an episode is truncated; ``None`` for no limit.
     options, configure
@@ -240,7 +243,9 @@ class EnvSpec:
             derive("observation", Layout(view).fields if view else _fields_of(self.observation_space))
         if self.action is None:
             if not isinstance(self.action_space, Discrete):
-                raise ArgumentError(f"{self.name}: the action space is {self.action_space}; give action=Field(...)")
+                raise ArgumentError(
+                    f"{self.name}: the action space is {self.action_space}; give action=Field(...)"
+                )
             derive("action", Field("action", _width(int(self.action_space.n))))
         if self.reward is None:
             if self.rewards is None:
@@ -260,20 +265,25 @@ class EnvSpec:
     @cached_property
     def positional(self) -> Positional:
         """The golden functions as functions of words."""
-        state, golden, n = self.layout, self.golden, self.agents
+        state, golden, n, world = self.layout, self.golden, self.agents, self._is_world
         return Positional(
             initial_of(state, golden.initial),
-            step_of(state, golden.step, n),
-            view_of(state, golden.observe, n),
-            None if golden.masks is None else view_of(state, golden.masks, n),
+            step_of(state, golden.step, n, world=world),
+            view_of(state, golden.observe, n, world=world),
+            None if golden.masks is None else view_of(state, golden.masks, n, world=world),
+            None if self.unpack is None else unpack_of(golden.view, self.unpack, self.observation),
         )
+
+    @property
+    def _is_world(self) -> bool:
+        return self.agents > 1 or takes_agent(self.golden.observe)
 
     @cached_property
     def _draws(self) -> tuple[int, int]:
         # No path through a golden function changes how many it asks for: any state will do.
         first, second = CountingDraws(), CountingDraws()
         state = as_python_runs_it(self.golden.initial)(first)
-        actions = 0 if self.agents == 1 else [0] * self.agents
+        actions = [0] * self.agents if self._is_world else 0
         as_python_runs_it(self.golden.step)(state, actions, second)
         return first.count, second.count
 
@@ -394,7 +404,8 @@ class EnvSpec:
     @cached_property
     def functions(self) -> tuple[GoldenFunction, ...]:
         """The positional golden functions that there are."""
-        return tuple(function for function in self.positional if function is not None)
+        golden = self.positional[:4]
+        return tuple(function for function in golden if function is not None)
 
     @cached_property
     def behaviour(self) -> str:
@@ -544,7 +555,9 @@ def _fields_of(space: Space[Any]) -> tuple[Field, ...]:
     if isinstance(space, Box) and np.issubdtype(space.dtype, np.integer) and space.low.min() >= 0:
         widths = [_width(int(high) + 1) for high in space.high.ravel()]
         return tuple(Field(f"observation_{k}", bits) for k, bits in enumerate(widths))
-    raise ArgumentError(f"observation space {space} does not say how wide its words are; give Golden(view=...)")
+    raise ArgumentError(
+        f"observation space {space} does not say how wide its words are; give Golden(view=...)"
+    )
 
 
 def _width(count: int) -> int:
@@ -555,7 +568,9 @@ def _width(count: int) -> int:
 def _result(word: Field) -> Result:
     low, high = word.range
     wraps = f"{'i' if word.signed else 'u'}{word.bits}()" if word.bits in (8, 16, 32, 64) else f"& {high}"
-    fix = "clip() keeps it in" + (f", and `{wraps}` lets it wrap around" if "(" in wraps or low == 0 else "")
+    fix = "`min` and `max` keep it in" + (
+        f", and `{wraps}` lets it wrap around" if "(" in wraps or low == 0 else ""
+    )
     limit = f"{word.bits} bits hold" if word.bits > 1 else "1 bit holds"
     if (low, high) != word_range(word.bits, word.signed):
         limit = "its range is"

@@ -99,8 +99,8 @@ def compile_kernels(spec: EnvSpec, counter: np.dtype[Any] | None = None) -> Kern
         calling: dict[str, Any] = {
             name: llvm_functions.inlined(function) for name, function in DRAWING.items()
         }
-        if spec.unpack is not None:
-            calling["unpack"] = _compiled(spec.unpack)
+        if spec.positional.unpack is not None:
+            calling["unpack"] = _compiled(spec.positional.unpack)
         module, path = load(
             name,
             source,
@@ -129,8 +129,8 @@ def _kernel(name: str, function: Callable[..., None]) -> Any:
 
 def functions(spec: EnvSpec) -> dict[str, GoldenFunction]:
     """Return the functions that a kernel's source calls, by the names it has for them."""
-    unpack = {} if spec.unpack is None else {"unpack": spec.unpack}
-    return DRAWING | unpack
+    unpack = spec.positional.unpack
+    return DRAWING if unpack is None else DRAWING | {"unpack": unpack}
 
 
 def kernel_name(spec: EnvSpec, source: str, versions: Iterable[str]) -> str:

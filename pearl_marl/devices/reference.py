@@ -121,10 +121,15 @@ class Reference(Device):
         return self._random_start(tick, slots) if self._stored is None else self._stored.state
 
     def _random_start(self, tick: int, slots: Array) -> list[Array]:
-        spec, columns = self.config.spec, [np.zeros(len(self._slots), f.dtype) for f in self.config.spec.state]
+        spec, columns = (
+            self.config.spec,
+            [np.zeros(len(self._slots), f.dtype) for f in self.config.spec.state],
+        )
         if slots.any():
             draws = self._draws(tick, 0, spec.reset_draws, slots)
-            for column, words in zip(columns, self._words(spec.positional.initial, draws, spec.state), strict=True):
+            for column, words in zip(
+                columns, self._words(spec.positional.initial, draws, spec.state), strict=True
+            ):
                 column[slots] = words if draws else words[slots]
         return columns
 
@@ -181,9 +186,10 @@ class Reference(Device):
         spec = self.config.spec
         dtype: Any = spec.observation_dtype
         words = self._words(spec.positional.observe, state, spec.observation, *agent)
-        if spec.unpack is not None:
+        unpack = spec.positional.unpack
+        if unpack is not None:
             shown = zip(*(column.tolist() for column in words), strict=True)
-            rows = [_row(spec.unpack, numbers, spec.observation_size, dtype) for numbers in shown]
+            rows = [_row(unpack, numbers, spec.observation_size, dtype) for numbers in shown]
             return np.stack(rows).reshape(-1, *spec.observation_shape)
         values = [
             word.astype(dtype) * dtype.type(2.0**-f.fraction) if f.fraction else word.astype(dtype)

@@ -1,9 +1,9 @@
 """What becomes of an author's decisions on words while a function is traced.
 
-A *path* is the condition under which the statement at hand runs. A :class:`Fork` runs both sides of an ``if``,
-each on its path, and joins the variables that they leave. A ``return``, ``break`` or ``continue`` ends a path;
-what it takes along is joined where it arrives, in the order in which paths ended. An element of a list is
-written under the condition of its path, so lists need not be joined.
+A *path* is the condition under which the statement at hand runs. A :class:`Fork` runs both sides of an
+``if``, each on its path, and joins the variables that they leave. A ``return``, ``break`` or ``continue`` ends
+a path; what it takes along is joined where it arrives, in the order in which paths ended. An element of a list
+is written under the condition of its path, so lists need not be joined.
 
 On a path more is known of words: under ``x == 3`` it is 3, and under ``x > 0`` not 0.
 """
@@ -11,7 +11,6 @@ On a path more is known of words: under ``x == 3`` it is 3, and under ``x > 0`` 
 from __future__ import annotations
 
 import dataclasses
-import itertools
 import operator
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, NamedTuple, NoReturn
@@ -139,11 +138,52 @@ class Undefined:
     __getattr__ = __setattr__ = _raise
 
 
-for _name in (
-    "add radd sub rsub mul rmul floordiv rfloordiv truediv rtruediv mod rmod pow rpow and rand or ror xor rxor "
-    "lshift rlshift rshift rrshift eq ne lt le gt ge bool index int float iter len getitem setitem call neg pos "
-    "abs invert contains"
-).split():
+for _name in [
+    "add",
+    "radd",
+    "sub",
+    "rsub",
+    "mul",
+    "rmul",
+    "floordiv",
+    "rfloordiv",
+    "truediv",
+    "rtruediv",
+    "mod",
+    "rmod",
+    "pow",
+    "rpow",
+    "and",
+    "rand",
+    "or",
+    "ror",
+    "xor",
+    "rxor",
+    "lshift",
+    "rlshift",
+    "rshift",
+    "rrshift",
+    "eq",
+    "ne",
+    "lt",
+    "le",
+    "gt",
+    "ge",
+    "bool",
+    "index",
+    "int",
+    "float",
+    "iter",
+    "len",
+    "getitem",
+    "setitem",
+    "call",
+    "neg",
+    "pos",
+    "abs",
+    "invert",
+    "contains",
+]:
     setattr(Undefined, f"__{_name}__", Undefined._raise)
 
 
@@ -153,6 +193,12 @@ class Listed(list[Any]):
     path: Path | None = None
     """The path on which it was made."""
     runtime: Runtime | None = None
+
+    def like(self, values: Iterable[Any]) -> Listed:
+        """Return another list as if it had been made where this one was."""
+        new = Listed(values)
+        new.path, new.runtime = self.path, self.runtime
+        return new
 
     def _grow(self) -> None:
         if self.runtime is not None and self.runtime.condition_since(self.path) is not None:
@@ -266,13 +312,12 @@ class Runtime:
         flag = self.truth(value)
         return not flag if isinstance(flag, bool) else Word(self.graph, self.graph.logical_not(flag))
 
-    def chain(self, names: Sequence[str], first: Any, *later: Callable[[], Any]) -> Any:
-        """Return a chain of comparisons."""
+    def chain(self, names: str, first: Any, *later: Callable[[], Any]) -> Any:
+        """Return a chain of comparisons, given the names of their nodes."""
+        name, _, others = names.partition(" ")
         second = later[0]()
-        result = self.compared(names[0], first, second)
-        if len(names) == 1:
-            return result
-        return self.both(result, lambda: self.chain(names[1:], second, *later[1:]))
+        result = self.compared(name, first, second)
+        return self.both(result, lambda: self.chain(others, second, *later[1:])) if others else result
 
     def compared(self, name: str, a: Any, b: Any) -> Any:
         """Return one comparison, by the name of its node."""
@@ -317,6 +362,19 @@ class Runtime:
     def lacks(self, value: Any, among: Any) -> Any:
         """Return ``value not in among``."""
         return self.negation(self.contains(value, among))
+
+    def index(self, among: Any, value: Any) -> Any:
+        """Return ``among.index(value)``: where a value is, which is there."""
+        if not isinstance(among, (tuple, list)) or not (_has_words(value) or _has_words(among)):
+            return among.index(value)
+        here = [self.equal(one, value) for one in among]
+        result: Any = len(among) - 1
+        for place in range(len(among) - 2, -1, -1):
+            result = self._chosen(here[place], place, result)
+        return result
+
+    def _chosen(self, test: Any, a: Any, b: Any) -> Any:
+        return self.either(test, lambda: a, lambda: b)
 
     def every(self, values: Iterable[Any]) -> Any:
         """Return whether all values are true."""
@@ -494,6 +552,15 @@ def _no_set(values: Iterable[Any] = ()) -> set[Any]:
     return set(every)
 
 
+def _defined(value: Any) -> None:
+    """Refuse what holds a variable without a value."""
+    if isinstance(value, Undefined):
+        value._raise()
+    if isinstance(value, (tuple, list)):
+        for part in value:
+            _defined(part)
+
+
 def _has_words(value: Any) -> bool:
     if isinstance(value, (tuple, list)):
         return any(map(_has_words, value))
@@ -521,6 +588,7 @@ class Frame:
 
     def returns(self, value: Any) -> None:
         """End a path by ``return``."""
+        _defined(value)
         self.results.append((self.runtime.here, value))
         self.runtime.exits.append(self)
         self.runtime.path = None
@@ -588,7 +656,8 @@ class Fork:
         else:
             left = graph.choose(flag, one.since(one_start), other.since(other_start))
             runtime.path = self.start.where(left, exits_a | exits_b)
-        return runtime.at(self.start, lambda: _variables(graph, flag, a, b))
+        result: tuple[Any, ...] = runtime.at(self.start, lambda: _variables(graph, flag, a, b))
+        return result
 
 
 def _retagged(path: Path, place: int, exits: Exits) -> Path:
@@ -630,8 +699,8 @@ class Loop:
         self.round = self.runtime.here
         if self.rounds > MOST_ROUNDS:
             raise ArgumentError(
-                f"a `while` goes round more than {MOST_ROUNDS} times: nothing that is known of its words ends "
-                "it; use `for` and `break`"
+                f"a `while` goes round more than {MOST_ROUNDS} times: nothing that is known of its words "
+                "ends it; use `for` and `break`"
             )
         return True
 
@@ -666,7 +735,9 @@ class Loop:
     def _after(self, start: Path, ends: Sequence[tuple[Path, Any]], resolved: Exits) -> Path:
         """Return the path on which any of some ends was reached."""
         graph = self.runtime.graph
-        exits = frozenset(e for path, _ in ends for lit in path.literals[len(start.literals) :] for e in lit.exits)
+        exits = frozenset(
+            e for path, _ in ends for lit in path.literals[len(start.literals) :] for e in lit.exits
+        )
         lost = exits - resolved
         if not lost and not self._left_otherwise(start, ends):
             return start
@@ -774,15 +845,14 @@ def joined(graph: Graph, flag: Node, a: Any, b: Any) -> Any:
                 "a length cannot depend on a word"
             )
         parts = [joined(graph, flag, x, y) for x, y in zip(a, b, strict=True)]
+        if isinstance(a, Listed):
+            return a.like(parts)
         kind = type(a) if type(a) is type(b) else (tuple if isinstance(a, tuple) else list)
-        if kind is Listed:
-            new = Listed(parts)
-            new.path, new.runtime = a.path, a.runtime  # type: ignore[attr-defined]
-            return new
         return kind(*parts) if hasattr(kind, "_fields") else kind(parts)
     if dataclasses.is_dataclass(a) and type(a) is type(b):
         names = [f.name for f in dataclasses.fields(a)]
-        return dataclasses.replace(a, **{n: joined(graph, flag, getattr(a, n), getattr(b, n)) for n in names})  # type: ignore[type-var]
+        values = {name: joined(graph, flag, getattr(a, name), getattr(b, name)) for name in names}
+        return dataclasses.replace(a, **values)  # type: ignore[type-var]
     if type(a) is type(b) and not isinstance(a, float) and a == b:
         return a
     raise ArgumentError(f"one side of a branch leaves {_told(a)} and the other {_told(b)}")

@@ -1,8 +1,8 @@
 """An author's function as Python to be traced: every decision on a word becomes a call of a :class:`Frame`.
 
-Python decides by values, and a word has none before hardware runs. So a function is compiled once more from its
-source, in which an ``if`` runs both its sides and joins what they leave behind, a loop joins what its rounds
-leave, and ``return``, ``break`` and ``continue`` note under which condition they were reached. Every statement
+Python decides by values, and a word has none before hardware runs. So a function is compiled once more from
+its source, in which an ``if`` runs both its sides and joins what they leave behind, a loop joins what its rounds
+leave, and ``return``, ``break`` and ``continue`` note under which condition they were reached. Each statement
 stands there once, so what is traced grows with the length of the function, not with its number of paths.
 
 Lines stay the author's. :mod:`pearl_marl.tracing.branches` is what the calls do.
@@ -15,7 +15,7 @@ import functools
 import linecache
 import types
 from collections.abc import Iterator, Sequence
-from typing import NoReturn, TypeVar
+from typing import Any, NoReturn, TypeVar, cast
 
 from pearl_marl.errors import ArgumentError
 from pearl_marl.places import place_of
@@ -94,6 +94,8 @@ def _compiled(node: ast.FunctionDef, code: types.CodeType) -> types.CodeType:
     assert isinstance(outer, ast.FunctionDef)
     outer.args.args = [ast.arg(name) for name in code.co_freevars]
     outer.body = [node, *outer.body]
+    # By its own name it would be a variable there, and what calls itself names itself as its module does.
+    node.name = "_pearl_function"
     module = ast.fix_missing_locations(ast.Module([outer], []))
     whole = compile(module, code.co_filename, "exec", dont_inherit=True)
     inner = _constants(_constants(whole, "_outer"), node.name)
@@ -231,7 +233,9 @@ class _Function:
             case ast.Match():
                 self.refuse(node, "golden functions have no `match`; use `if`, `elif` and `else`")
             case ast.Try() | ast.With() | ast.AsyncFor() | ast.AsyncWith() | ast.AsyncFunctionDef():
-                word = type(node).__name__.lower().removeprefix("async").removesuffix("functiondef") or "async"
+                word = (
+                    type(node).__name__.lower().removeprefix("async").removesuffix("functiondef") or "async"
+                )
                 self.refuse(node, f"golden functions have no `{word}`")
         new = expressions.visit(node)
         assert isinstance(new, ast.stmt)
@@ -256,9 +260,11 @@ class _Function:
     def while_(self, node: ast.While, expressions: _Expressions) -> list[ast.stmt]:
         """Return a ``while``, which goes round until no word can want it."""
         loop, names = self.name("loop"), _stored([node])
-        again = _statement(f"while {loop}.again(): pass", node)
-        assert isinstance(again, ast.While) and isinstance(again.test, ast.Call)
-        again.test.args = [expressions.visit(node.test), _tuple(names)]
+        again = _statement(f"while {_FRAME}.lives(): pass", node)
+        assert isinstance(again, ast.While)
+        # A round may leave no path on which there is a test.
+        wanted = _expression(f"{loop}.again", [expressions.visit(node.test), _tuple(names)], node)
+        again.test = ast.copy_location(ast.BoolOp(ast.And(), [again.test, wanted]), node)
         again.body = self.round(node.body, loop, names, expressions, node)
         return self.looped(node, loop, names, again, expressions)
 
@@ -266,7 +272,8 @@ class _Function:
         """Return a ``for``."""
         loop, names = self.name("loop"), _stored([node])
         over = _statement(f"for _ in {RUNTIME}.items(0): pass", node)
-        assert isinstance(over, ast.For) and isinstance(over.iter, ast.Call)
+        assert isinstance(over, ast.For)
+        assert isinstance(over.iter, ast.Call)
         over.iter.args = [expressions.visit(node.iter)]
         over.target = expressions.visit(node.target)
         over.body = self.round(node.body, loop, names, expressions, node)
@@ -330,7 +337,11 @@ class _Function:
         target, whole, part = node.target, self.name("of"), self.name("at")
         assert isinstance(target, (ast.Subscript, ast.Attribute))
         is_item = isinstance(target, ast.Subscript)
-        key = expressions.visit(target.slice) if isinstance(target, ast.Subscript) else ast.Constant(target.attr)
+        key = (
+            expressions.visit(target.slice)
+            if isinstance(target, ast.Subscript)
+            else ast.Constant(target.attr)
+        )
         loads = [ast.Name(whole, ast.Load()), ast.Name(part, ast.Load())]
         getter = f"{RUNTIME}.item" if is_item else "getattr"
         old = _expression(getter, loads, node)
@@ -348,28 +359,46 @@ class _Expressions(ast.NodeTransformer):
     def __init__(self, function: _Function) -> None:
         self.function = function
 
-    def visit_BoolOp(self, node: ast.BoolOp) -> ast.AST:
+    def visit(self, node: ast.AST) -> Any:
+        """Return what takes the place of an expression."""
+        match node:
+            case ast.BoolOp():
+                return self.bool_op(node)
+            case ast.UnaryOp(op=ast.Not()):
+                return _expression(f"{RUNTIME}.negation", [self.visit(node.operand)], node)
+            case ast.IfExp():
+                return self.conditional(node)
+            case ast.Compare():
+                return self.comparison(node)
+            case ast.Subscript():
+                return self.element(node)
+            case ast.List() if isinstance(node.ctx, ast.Load):
+                return _expression(f"{RUNTIME}.listed", [cast(ast.expr, self.generic_visit(node))], node)
+            case ast.ListComp():
+                return _expression(f"{RUNTIME}.listed", [cast(ast.expr, self.generic_visit(node))], node)
+            case ast.Call():
+                return self.call(node)
+            case ast.FunctionDef():
+                return _Function(self.function.file).of(node)
+            case ast.Yield() | ast.YieldFrom() | ast.Await():
+                self.function.refuse(node, "golden functions are no generators; return a list")
+        return self.generic_visit(node)
+
+    def bool_op(self, node: ast.BoolOp) -> Any:
         """Let the later operands wait, as Python does."""
         values = [self.visit(v) for v in node.values]
         verb = "both" if isinstance(node.op, ast.And) else "any_of_two"
         result = values[0]
         for value in values[1:]:
             result = _expression(f"{RUNTIME}.{verb}", [result, self.later(value)], node)
-        return result  # type: ignore[no-any-return]
+        return result
 
-    def visit_UnaryOp(self, node: ast.UnaryOp) -> ast.AST:
-        """Return ``not`` as a call."""
-        operand = self.visit(node.operand)
-        if isinstance(node.op, ast.Not):
-            return _expression(f"{RUNTIME}.negation", [operand], node)
-        return ast.copy_location(ast.UnaryOp(node.op, operand), node)
-
-    def visit_IfExp(self, node: ast.IfExp) -> ast.AST:
+    def conditional(self, node: ast.IfExp) -> Any:
         """Return ``a if test else b`` as a call."""
         sides = [self.later(self.visit(node.body)), self.later(self.visit(node.orelse))]
         return _expression(f"{RUNTIME}.either", [self.visit(node.test), *sides], node)
 
-    def visit_Compare(self, node: ast.Compare) -> ast.AST:
+    def comparison(self, node: ast.Compare) -> Any:
         """Return chains as calls, and what compares sequences."""
         values = [self.visit(v) for v in (node.left, *node.comparators)]
         names = [type(op).__name__ for op in node.ops]
@@ -378,50 +407,26 @@ class _Expressions(ast.NodeTransformer):
                 verb = {"Eq": "equal", "NotEq": "differ", "In": "contains", "NotIn": "lacks"}[names[0]]
                 return _expression(f"{RUNTIME}.{verb}", values, node)
             return ast.copy_location(ast.Compare(values[0], node.ops, values[1:]), node)
-        result = [ast.Constant(tuple(names)), values[0], *map(self.later, values[1:])]
+        result = [ast.Constant(" ".join(names)), values[0], *map(self.later, values[1:])]
         return _expression(f"{RUNTIME}.chain", result, node)
 
-    def visit_Subscript(self, node: ast.Subscript) -> ast.AST:
+    def element(self, node: ast.Subscript) -> Any:
         """Return an element by a call; a word may choose it."""
         value, index = self.visit(node.value), self.visit(node.slice)
         if isinstance(node.ctx, ast.Load):
             return _expression(f"{RUNTIME}.item", [value, index], node)
         return ast.copy_location(ast.Subscript(value, index, node.ctx), node)
 
-    def visit_List(self, node: ast.List) -> ast.AST:
-        """Return a list whose elements a word may choose and write."""
-        new = ast.copy_location(ast.List([self.visit(e) for e in node.elts], node.ctx), node)
-        return _expression(f"{RUNTIME}.listed", [new], node) if isinstance(node.ctx, ast.Load) else new
-
-    def visit_ListComp(self, node: ast.ListComp) -> ast.AST:
-        """Do the same for a comprehension."""
-        return _expression(f"{RUNTIME}.listed", [self.generic_visit(node)], node)
-
-    def visit_Call(self, node: ast.Call) -> ast.AST:
+    def call(self, node: ast.Call) -> Any:
         """Count what fits, in place of leaving out what does not: that is no word's to decide."""
         if isinstance(node.func, ast.Name) and node.func.id in _REDUCTIONS and len(node.args) == 1:
             inner = node.args[0]
             if isinstance(inner, (ast.GeneratorExp, ast.ListComp)):
                 node = _unfiltered(node, inner)
+        if isinstance(node.func, ast.Attribute) and node.func.attr == "index" and len(node.args) == 1:
+            args = [self.visit(node.func.value), self.visit(node.args[0])]
+            return _expression(f"{RUNTIME}.index", args, node)
         return self.generic_visit(node)
-
-    def visit_Lambda(self, node: ast.Lambda) -> ast.AST:
-        """Keep what is a function of its own, its body rewritten."""
-        return self.generic_visit(node)
-
-    def visit_NamedExpr(self, node: ast.NamedExpr) -> ast.AST:
-        """Return ``:=`` as it is."""
-        return self.generic_visit(node)
-
-    def visit_FunctionDef(self, node: ast.FunctionDef) -> ast.AST:
-        """Rewrite a function inside of another statement."""
-        return _Function(self.function.file).of(node)
-
-    def visit_Yield(self, node: ast.Yield) -> ast.AST:
-        """Refuse it."""
-        self.function.refuse(node, "golden functions are no generators; return a list")
-
-    visit_YieldFrom = visit_Await = visit_Yield  # type: ignore[assignment]
 
     def later(self, node: ast.expr) -> ast.expr:
         """Return a function of no arguments that evaluates an expression."""

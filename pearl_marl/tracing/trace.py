@@ -56,7 +56,7 @@ def trace(graph: Graph, function: Callable[..., Any], arguments: Sequence[Node],
 
 
 def _traced(graph: Graph, function: types.FunctionType) -> Callable[..., Any]:
-    """Return a function made again over words: its source, where it has decisions, with calls in their place."""
+    """Return a function made again over words, with calls in the place of decisions."""
     runtime = Runtime(graph)
     names = {**runtime.builtins(), RUNTIME: runtime}
     made: Callable[..., Any] = remade(function, Vocabulary(Cast, table).meaning, code=_code, names=names)

@@ -123,21 +123,16 @@ class Word:
         return Word(self.graph, node)
 
     def __floordiv__(self, other: object) -> Word:
-        return Word(self.graph, self.graph.floor_divide(node_of(self.graph, self), self._divisor(other)))
+        return Word(self.graph, self.graph.floor_divide(node_of(self.graph, self), _divisor(self.graph, other)))
 
     def __mod__(self, other: object) -> Word:
-        return Word(self.graph, self.graph.modulo(node_of(self.graph, self), self._divisor(other)))
+        return Word(self.graph, self.graph.modulo(node_of(self.graph, self), _divisor(self.graph, other)))
 
-    def _divisor(self, other: object) -> Node:
-        node = node_of(self.graph, other)
-        if not node.is_constant() or node.imm < 1:
-            raise ArgumentError("`//` and `%` take a constant divisor from 1")
-        return node
+    def __rfloordiv__(self, other: object) -> Word:
+        return word_of(self.graph, other) // self
 
-    def __rfloordiv__(self, other: object) -> NoReturn:
-        raise ArgumentError("`//` and `%` take a constant divisor from 1")
-
-    __rmod__ = __rfloordiv__
+    def __rmod__(self, other: object) -> Word:
+        return word_of(self.graph, other) % self
 
     def __neg__(self) -> Word:
         return Word(self.graph, self.graph.sub(self.graph.constant(0), node_of(self.graph, self)))
@@ -175,6 +170,8 @@ _UFUNCS: dict[str, Any] = {
     "add": operator.add,
     "subtract": operator.sub,
     "multiply": operator.mul,
+    "floor_divide": operator.floordiv,
+    "remainder": operator.mod,
     "left_shift": operator.lshift,
     "right_shift": operator.rshift,
     "equal": operator.eq,
@@ -184,6 +181,16 @@ _UFUNCS: dict[str, Any] = {
     "greater": operator.gt,
     "greater_equal": operator.ge,
 }
+
+
+def _divisor(graph: Graph, value: object) -> Node:
+    node = node_of(graph, value)
+    if node.low < 1:
+        found = f"{node.low}" if node.low == node.high else f"{node.low} to {node.high}"
+        raise ArgumentError(
+            f"a divisor can be {found}, and `//` and `%` take one from 1; `max(n, 1)` keeps it in"
+        )
+    return node
 
 
 def _no(name: str) -> NoReturn:
@@ -196,7 +203,7 @@ def word_of(graph: Graph, value: object) -> Word:
 
 
 def node_of(graph: Graph, value: object) -> Node:
-    """Return the node of a word, or of a number; the one that is known to be narrower here, if there is one."""
+    """Return the node of a word, a narrower one if more is known of it here, or of a number."""
     if isinstance(value, Word):
         return graph.known.get(value.node, value.node)
     return graph.constant(_integer(value))
