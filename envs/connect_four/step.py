@@ -76,8 +76,8 @@ def observe(state: State, agent: int) -> View:
 
 def masks(state: State, agent: int) -> list[Word]:
     """Return which columns have room; none for who is not on turn."""
-    taken = state.boards[0] | state.boards[1]
-    return [state.turn == agent and not taken >> column & 1 for column in range(COLUMNS)]
+    room = ~(state.boards[0] | state.boards[1]) if state.turn == agent else 0
+    return [room >> column & 1 for column in range(COLUMNS)]
 
 
 def has_four(board: Word) -> Word:
