@@ -115,9 +115,9 @@ def test_quotient_and_remainder_share_a_divider() -> None:
 
 def test_a_word_is_narrowed_down_by_a_cut() -> None:
     graph = Graph()
-    a = graph.input("a", 20, signed=True)
-    known = graph.and_(graph.less(graph.constant(-70), a), graph.less(a, graph.constant(-60)))
-    inside = graph.narrow(graph.add(a, graph.constant(66)), -3, 5)
+    a = graph.input("a", 5, signed=True)
+    known = graph.and_(graph.less(graph.constant(-12), a), graph.less(a, graph.constant(-2)))
+    inside = graph.narrow(graph.add(a, graph.constant(8)), -3, 5)
     entry = graph.table(range(100, 1000, 100), graph.add(inside, graph.constant(3)))
     for node in (graph.mul(inside, inside), entry):
         made(graph, graph.choose(known, node, graph.constant(7)), 10, XC7)
