@@ -96,7 +96,7 @@ class Lowering:
                 return self._total(terms, constant, bits)
             case "narrow":
                 return args[0]  # its own bits are cut out of it like those of any other
-            case "table" if node.loose:
+            case "table" if node.args[0].loose:
                 return graph.table(node.imm, args[0])  # as long as its index is wide
             case "divide_by" | "modulo_by":
                 return self._divided(*args)[node.op == "modulo_by"]
