@@ -418,6 +418,8 @@ class Graph(Nodes):
                 result = self.table(node.imm, args[0])
             case op:
                 result = getattr(self, _METHODS.get(op, op))(*args)
+        if not node.loose:
+            self.settle(result)
         if result.name is None and result.op != "constant":
             result.name, result.line = node.name, node.line
         return result
