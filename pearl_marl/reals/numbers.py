@@ -114,8 +114,9 @@ class Real(Number):
     __slots__ = ("fraction", "word")
 
     def __init__(self, word: Any, fraction: int) -> None:
-        self.word, self.fraction = word, fraction
-        low, high = limits(word)
+        self.word: Any = word if isinstance(word, Word) else int(word)  # not NumPy's, which overflow
+        self.fraction = fraction
+        low, high = limits(self.word)
         if isinstance(word, Word) and not fits(low, high):
             raise self._too_great(low, high)
 
