@@ -227,6 +227,7 @@ def test_functions_take_the_names_of_pythons_and_numpys() -> None:
         (min, (y, 3, x), -0.75),
         (max, ([x, 0.25, y],), 0.5),
         (int, (x,), 0),
+        (float, (x,), -0.75),
         (round, (x,), -1),
     ]
     for function, arguments, truth in cases:
@@ -277,6 +278,7 @@ def test_what_is_refused(function: Callable[[], Any], kind: type[Exception], sen
 
 
 def test_a_real_says_what_it_is() -> None:
+    assert type(Real(np.int32(5), 27).word) is int
     assert repr(X) == "Real(0.5, fraction=27)"
     assert bool(X)
     assert not X - 0.5

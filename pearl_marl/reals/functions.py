@@ -133,6 +133,8 @@ def quotient(numerator: Any, divisor: Any, fraction: int) -> Any:
     mantissa, shift = normalised(size)
     signed = either(divisor < 0, -numerator, numerator)
     found = shifted_product(signed, reciprocal(mantissa & (ONE - 1)), (61 - fraction) - shift)
+    if not isinstance(found, Word):
+        return found
     ends = [(end << fraction) // by for end in limits(numerator) for by in (low, high)]
     error = max(map(abs, ends)) >> 28
     return noted(found, min(ends) - error - 2, max(ends) + error + 2)
@@ -143,6 +145,9 @@ def normalised(size: Any) -> tuple[Any, Any]:
 
     The shift is to the left; where it is negative, to the right, bits get lost.
     """
+    if not isinstance(size, Word):
+        by = 31 - size.bit_length()
+        return (size << by if by >= 0 else size >> -by), by
     shift: Any = 0
     for step in (16, 8, 4, 2, 1):
         small = size < 1 << (30 + step)

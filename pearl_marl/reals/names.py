@@ -99,6 +99,7 @@ _FLOATS: dict[tuple[Any, ...], Callable[..., Any]] = {
     (math.tanh, np.tanh): Real.tanh,
     (math.hypot, np.hypot): lambda x, y: (x * x + y * y) ** 0.5,
     (math.fabs, np.fabs): abs,
+    (float,): operator.pos,
     (math.pow,): operator.pow,
     (np.floor,): _whole(math.floor),
     (np.ceil,): _whole(math.ceil),

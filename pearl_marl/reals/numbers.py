@@ -6,6 +6,7 @@ no result depends on the range of a word or on which branch was taken, so that a
 
 from __future__ import annotations
 
+import functools
 import math
 import operator
 from collections.abc import Callable, Iterable
@@ -63,6 +64,7 @@ def fraction_for(bounds: Iterable[tuple[float, float]]) -> int:
     )
 
 
+@functools.lru_cache(1 << 12)
 def constant(value: float, fraction: int) -> int:
     """Return the word of a constant.
 
@@ -76,6 +78,7 @@ def constant(value: float, fraction: int) -> int:
     return round(math.ldexp(value, fraction))
 
 
+@functools.lru_cache(1 << 12)
 def factor(value: float) -> tuple[int, int]:
     """Return a constant as a factor and the shift to the right that comes after it: -1023 to 62.
 
@@ -114,10 +117,12 @@ class Real(Number):
     __slots__ = ("fraction", "word")
 
     def __init__(self, word: Any, fraction: int) -> None:
-        self.word, self.fraction = word, fraction
-        low, high = limits(word)
-        if isinstance(word, Word) and not fits(low, high):
-            raise self._too_great(low, high)
+        self.word: Any = word
+        self.fraction = fraction
+        if not isinstance(word, Word):
+            self.word = int(word)  # not NumPy's, which overflow
+        elif not fits(*limits(word)):
+            raise self._too_great(*limits(word))
 
     @staticmethod
     def of(value: object, fraction: int) -> Real:

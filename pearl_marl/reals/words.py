@@ -94,9 +94,9 @@ def product(a: Any, b: Any, shift: int) -> Any:
 
 def _sum_shifted(a: Any, b: Any, addend: int, shift: int) -> Any:
     """Return ``(a * b + addend) >> shift``, rounded down."""
-    low, high = _limits_of_product(a, b)
     if not isinstance(a, Word) and not isinstance(b, Word):
         return (a * b + addend) >> shift
+    low, high = _limits_of_product(a, b)
     if fits(low, high + addend):
         return (a * b + addend) >> shift
     narrow, wide = sorted((a, b), key=lambda word: bits_of(*limits(word)))

@@ -20,7 +20,9 @@ from pearl_marl.tracing.branches import Runtime
 from pearl_marl.tracing.graph import Graph
 from pearl_marl.tracing.nodes import Node
 from pearl_marl.tracing.rewriting import RUNTIME, Refusal, rewritten
-from pearl_marl.tracing.words import Cast, Word, node_of, table
+from pearl_marl.tracing.words import Beyond, Cast, Word, node_of, table
+
+_INSIDE = "pearl_marl.tracing.", "pearl_marl.reals.", "pearl_marl.remaking", "numpy"
 
 
 def trace(graph: Graph, function: Callable[..., Any], arguments: Sequence[Node], *agent: int) -> list[Node]:
@@ -117,8 +119,9 @@ def _watched(graph: Graph, own: str) -> Iterator[None]:
         if event in ("line", "return"):
             authors = frame.f_code.co_filename == own
             for name, value in frame.f_locals.items():
-                if isinstance(value, Word) and not name.startswith("_"):
-                    node = value.node
+                word = getattr(value, "word", None) if isinstance(value, Beyond) else value
+                if isinstance(word, Word) and not name.startswith("_"):
+                    node = word.node
                     if node.op not in ("constant", "input") and (
                         node not in named or (authors and not named[node])
                     ):
@@ -126,9 +129,9 @@ def _watched(graph: Graph, own: str) -> Iterator[None]:
         return watch
 
     def enter(frame: types.FrameType, event: str, _: Any) -> Any:
-        # The names inside of words and of NumPy's functions are nobody's.
+        # The names inside of words, of reals and of NumPy's functions are nobody's.
         module = frame.f_globals.get("__name__", "")
-        return None if module.startswith(("pearl_marl.tracing.", "pearl_marl.remaking", "numpy")) else watch
+        return None if module.startswith(_INSIDE) else watch
 
     def line() -> int | None:
         frame = inspect.currentframe()

@@ -18,6 +18,7 @@ from pearl_marl.reals import FUNCTIONS, Choice, Real, admitted, select, stored
 from pearl_marl.reals.numbers import constant
 from pearl_marl.tracing.graph import Graph
 from pearl_marl.tracing.nodes import in_order, values
+from pearl_marl.tracing.trace import trace
 from pearl_marl.tracing.words import Word
 
 FRACTION = 27
@@ -159,6 +160,18 @@ def test_any_expression_is_the_same_traced(tree: Any, generator: random.Random) 
         traced.agrees(*words, generator.randrange(4), generator.randrange(2))
 
 
+def test_reals_have_the_names_of_the_authors_variables() -> None:
+    def step(a: Any) -> Any:
+        x = Real(a, FRACTION)
+        pushed = x * 0.02
+        turned = pushed.sin()
+        return turned.word
+
+    graph = Graph()
+    nodes = in_order(trace(graph, step, [graph.input("a", 32, signed=True)]))
+    assert {node.name for node in nodes} == {None, "pushed", "turned"}
+
+
 NARROW = [(0.3, 8.0), (1.2, 1.3), (-8.0, -0.1), (2.0**-27, 8.0), (0.0, 0.001), (-0.5, 0.5)]
 
 
@@ -249,7 +262,15 @@ def test_floats_of_branches_stay_floats_until_reals_come() -> None:
                 b / (third + 1),
                 of(np.clip)(angle, 0, 0.2),
             ),
-            *(+third, of(math.floor)(third * 9), of(math.ceil)(angle), of(math.trunc)(angle), angle > 2.0),
+            *(
+                +third,
+                of(float)(n) / 3,
+                of(float)(angle),
+                of(math.floor)(third * 9),
+                of(math.ceil)(angle),
+                of(math.trunc)(angle),
+                angle > 2.0,
+            ),
         )
 
     Traced(function).agrees_at_random()
