@@ -8,44 +8,56 @@ somewhere in the middle; on a slippery floor it stays where it is now and then::
 
 It is plain Python, and the kernels for CPU and GPU and the hardware are made of it. Four things to know:
 
-- A word is an integer, which never overflows. Whatever the state and the action, the next state has to fit
-  the fields of the spec; if it may not, building the spec says so, with an example.
-- There is no ``if`` on a word. A comparison is 0 or 1: combine such flags by ``&`` and ``|`` (with
-  parentheses around each), and choose by ``np.where``.
-- There are no floats. Numbers with a fraction are integers whose field in the spec has ``fraction`` bits.
-- Random numbers come as arguments, uniform in 32 bits; the spec says how many.
+- Numbers are integers that never overflow. Whatever the state and the action, the next state has to fit
+  the widths that ``State`` declares; if it may not, building the spec says so, with an example.
+- Hardware takes both sides of an ``if`` at the same time, and chooses; it has all rounds of a loop side by
+  side. So there are as many as can be known beforehand, and a list keeps its length.
+- There are no floats. A field such as ``Signed[16, 8]`` is an integer of which 8 bits are a fraction.
+- Random numbers come from ``draws``. Ask for one before an ``if``, not inside it.
 """
 
-import numpy as np
-from pearl_marl.golden import GoldenFunction, Word, uniform_below
+from typing import NamedTuple
+
+from pearl_marl.golden import Draws, GoldenFunction, Word
+from pearl_marl.layout import Range
 
 LEFT, RIGHT = 0, 1
 PIT, GOAL = 0, 15
 FIRST_START, STARTS = 4, 8
+STEP, REACHED, FELL = 0, 1, 2
+"""Categories of reward; the spec says what each is worth."""
 
 
-def initial(draw: Word) -> Word:
-    """Return the state of a new episode; takes as many draws as ``reset_draws`` in the spec."""
-    return FIRST_START + uniform_below(draw, STARTS)
+class State(NamedTuple):
+    """What the environment remembers from one step to the next: here where the robot is, in four bits."""
+
+    cell: Range[PIT, GOAL]
+
+
+def initial(draws: Draws) -> State:
+    """Return the state of a new episode."""
+    return State(FIRST_START + draws.below(STARTS))
 
 
 def make_step(slip: int) -> GoldenFunction:
-    """Return the step for one choice of options, which are constants of the enclosing scope."""
+    """Return the step for one choice of options, which are constants in it."""
 
-    def step(cell: Word, action: Word, draw: Word) -> tuple[Word, Word, Word]:
-        """Take the state, the action and ``step_draws`` draws; return state, reward and terminated."""
-        slips = uniform_below(draw, 8) < slip
-        move = np.where(slips, 0, np.where(action == RIGHT, 1, -1))
-        cell = np.clip(cell + move, PIT, GOAL)
+    def step(state: State, action: Word, draws: Draws) -> tuple[State, Word, Word]:
+        """Return the next state, the reward and whether the episode has terminated."""
+        move = 1 if action == RIGHT else -1
+        if draws.below(8) < slip:
+            move = 0
+        cell = min(max(state.cell + move, PIT), GOAL)
 
-        goal, pit = cell == GOAL, cell == PIT
-        # A category of the spec's table of rewards: 0 for a step, 1 for the goal, 2 for the pit.
-        reward = goal + 2 * pit
-        return cell, reward, goal | pit
+        if cell == GOAL:
+            return State(cell), REACHED, True
+        if cell == PIT:
+            return State(cell), FELL, True
+        return State(cell), STEP, False
 
     return step
 
 
-def observe(cell: Word) -> Word:
-    """Return the observation: a word for each field that the spec lists."""
-    return cell
+def observe(state: State) -> Word:
+    """Return what the agent sees."""
+    return state.cell

@@ -3,9 +3,9 @@
 import numpy as np
 from gymnasium.spaces import Box, Discrete
 from pearl_marl.errors import ArgumentError
-from pearl_marl.spec import EnvSpec, Field, Golden
+from pearl_marl.spec import EnvSpec, Golden
 
-from .step import AGENTS, GOAL, initial, make_step, masks, observe
+from .step import AGENTS, GOAL, State, View, initial, make_step, masks, observe
 
 
 def configure(slip: int = 1) -> EnvSpec:
@@ -23,19 +23,12 @@ def configure(slip: int = 1) -> EnvSpec:
         version=0,  # a new one for every change of the dynamics
         summary="Pull a cart to the goal together, though each would rather rest",
         agents=AGENTS,  # that share the state; what follows of actions and observations is one agent's
-        # The words, field by field, the first in the lowest bits. These widths are the hardware's.
-        state=(Field("cell", 4), *(Field(f"strength_{k}", 2) for k in range(AGENTS))),
-        action=Field("action", 2),
-        observation=(Field("cell", 4), Field("strength", 2)),
-        reward=Field("category", 2),
-        rewards=(0.0, -1.0, 20.0, -20.0),  # by category; None where the reward field is the value itself
-        # What an agent sees of it: a field a Discrete, a field an element of a Box.
+        rewards=(0.0, -1.0, 20.0, -20.0),  # by category; None where the step computes the value itself
+        # What an agent sees: an element for each field of View.
         observation_space=Box(0, GOAL, (2,), np.uint8),
         action_space=Discrete(3),
-        golden=Golden(initial, make_step(slip), observe, masks),
+        golden=Golden(State, initial, make_step(slip), observe, masks, View),
         masked="stay",  # masked actions are the step's affair; "refused" has the platform refuse them
-        reset_draws=1,
-        step_draws=1,
         max_cycles=50,  # steps after which an episode is truncated; None for no limit
         options={"slip": slip},
         configure=configure,

@@ -11,70 +11,90 @@ turns, but each would rather that the others pull: resting costs nothing.
 
 It is plain Python, and the kernels for CPU and GPU and the hardware are made of it. Five things to know:
 
-- A word is an integer, which never overflows. Whatever the state and the actions, the next state has to fit
-  the fields of the spec; if it may not, building the spec says so, with an example.
-- There is no ``if`` on a word. A comparison is 0 or 1: combine such flags by ``&`` and ``|`` (with
-  parentheses around each), and choose by ``np.where``. An ``if`` on ``agent`` is fine: it is a number.
-- There are no floats. Numbers with a fraction are integers whose field in the spec has ``fraction`` bits.
-- Random numbers come as arguments, uniform in 32 bits; the spec says how many. They are the world's.
+- Numbers are integers that never overflow. Whatever the state and the actions, the next state has to fit
+  the widths that ``State`` declares; if it may not, building the spec says so, with an example.
+- Hardware takes both sides of an ``if`` at the same time, and chooses; it has all rounds of a loop side by
+  side. So there are as many as can be known beforehand, and a list keeps its length.
+- There are no floats. A field such as ``Signed[16, 8]`` is an integer of which 8 bits are a fraction.
+- Random numbers come from ``draws``, and are the world's. Ask for one before an ``if``, not inside it.
 - An agent that has ended before its world is out of the game: nothing may depend on its action any more.
   Here all end together.
 """
 
-import numpy as np
-from pearl_marl.golden import GoldenFunction, Word, uniform_below
+from typing import NamedTuple
+
+from pearl_marl.golden import Draws, GoldenFunction, Word
+from pearl_marl.layout import Array, Range
 
 AGENTS = 2
 REST, LEFT, RIGHT = 0, 1, 2
 PIT, GOAL = 0, 15
 FIRST_START, STARTS = 4, 8
 STRONGEST = 3
+RESTED, PULLED, REACHED, FELL = 0, 1, 2, 3
+"""Categories of reward; the spec says what each is worth."""
 
 
-def initial(draw: Word) -> tuple[Word, ...]:
-    """Return the state of a new episode: the cart's cell, and each robot's strength."""
-    return FIRST_START + uniform_below(draw, STARTS), *(STRONGEST for _ in range(AGENTS))
+class State(NamedTuple):
+    """What the world remembers from one step to the next: where the cart is, and how strong each robot."""
+
+    cell: Range[PIT, GOAL]
+    strengths: Array[Range[0, STRONGEST], AGENTS]
+
+
+class View(NamedTuple):
+    """What one robot sees: the cart, and its own strength."""
+
+    cell: Range[PIT, GOAL]
+    strength: Range[0, STRONGEST]
+
+
+def initial(draws: Draws) -> State:
+    """Return the state of a new episode."""
+    return State(FIRST_START + draws.below(STARTS), [STRONGEST] * AGENTS)
 
 
 def make_step(slip: int) -> GoldenFunction:
-    """Return the step for one choice of options, which are constants of the enclosing scope."""
+    """Return the step for one choice of options, which are constants in it."""
 
-    def step(*words: Word) -> tuple[Word, ...]:
-        """Take the state, the actions and ``step_draws`` draws.
+    def step(state: State, actions: list[Word], draws: Draws) -> tuple[State, list[Word], list[Word]]:
+        """Return the next state, and for each robot its reward and whether it has ended.
 
-        Return the state, all rewards, and for each agent whether it has ended. Who is too tired to pull
-        rests, as the masks say.
+        Who is too tired to pull rests, as the masks say.
         """
-        cell, strengths = words[0], words[1 : 1 + AGENTS]
-        actions, draw = words[1 + AGENTS : 1 + 2 * AGENTS], words[-1]
-        pull: Word = 0
-        after, pulling = [], []
-        for strength, action in zip(strengths, actions, strict=True):  # unrolls: the robots side by side
-            left = (action == LEFT) & (strength > 0)
-            right = (action == RIGHT) & (strength > 0)
-            pull = pull + right - left
-            pulling.append(left | right)
-            after.append(np.where(left | right, strength - 1, np.minimum(strength + 1, STRONGEST)))
-        moves = (pull > 0) - (pull < 0)
-        slips = uniform_below(draw, 8) < slip
-        cell = np.clip(cell + np.where(slips, 0, moves), PIT, GOAL)
+        cell, strengths = state.cell, list(state.strengths)
+        rewards = [RESTED] * AGENTS
+        pull = 0
+        for k, action in enumerate(actions):
+            if action in (LEFT, RIGHT) and strengths[k] > 0:
+                pull += 1 if action == RIGHT else -1
+                strengths[k] -= 1
+                rewards[k] = PULLED
+            else:
+                strengths[k] = min(strengths[k] + 1, STRONGEST)
 
-        goal, pit = cell == GOAL, cell == PIT
-        # Categories of the spec's table of rewards: 0 to rest, 1 to pull, 2 for the goal, 3 for the pit.
-        rewards = [np.where(goal, 2, np.where(pit, 3, pulls)) for pulls in pulling]
-        return cell, *after, *rewards, *[goal | pit] * AGENTS
+        slips = draws.below(8) < slip
+        if pull > 0 and not slips:
+            cell = min(cell + 1, GOAL)
+        elif pull < 0 and not slips:
+            cell = max(cell - 1, PIT)
+
+        if cell == GOAL:
+            rewards = [REACHED] * AGENTS
+        elif cell == PIT:
+            rewards = [FELL] * AGENTS
+        ended = cell in (PIT, GOAL)
+        return State(cell, strengths), rewards, [ended] * AGENTS
 
     return step
 
 
-def observe(*words: Word) -> tuple[Word, Word]:
-    """Return what an agent, the last of the words, observes: the cart's cell and its own strength."""
-    *state, agent = words
-    return state[0], state[1 + agent]
+def observe(state: State, agent: int) -> View:
+    """Return what a robot sees."""
+    return View(state.cell, state.strengths[agent])
 
 
-def masks(*words: Word) -> tuple[Word, Word, Word]:
-    """Return which actions an agent, the last of the words, may take: who is tired may only rest."""
-    *state, agent = words
-    strong = state[1 + agent] > 0
-    return 1, strong, strong
+def masks(state: State, agent: int) -> tuple[Word, Word, Word]:
+    """Return which actions a robot may take: who is tired may only rest."""
+    strong = state.strengths[agent] > 0
+    return True, strong, strong

@@ -1,13 +1,15 @@
 """MyEnvironment: the contract that every environment keeps, and its own rules."""
 
-import numpy as np
+import random
+
 import pytest
 from pearl_marl import get_spec
-from pearl_marl.golden import call_reference
+from pearl_marl.golden import Draws
 from pearl_marl.testing import ContractSuite
 
+from my_environment.step import AGENTS, State, masks
+
 ENVIRONMENT = "my_environment:MyEnvironment"
-AGENTS = get_spec(ENVIRONMENT).agents
 
 
 class TestContract(ContractSuite):
@@ -17,7 +19,9 @@ class TestContract(ContractSuite):
     devices = ("native", "rtl")
 
 
-def expected(slip: int, cell: int, strengths: list[int], actions: list[int], eighth: int) -> list[float]:
+def expected(
+    slip: int, cell: int, strengths: list[int], actions: list[int], eighth: int
+) -> tuple[State, list[float], bool]:
     """Say the rules a second time, as one would tell them: the oracle.
 
     Where somebody else's implementation exists, compare with that one instead.
@@ -32,38 +36,28 @@ def expected(slip: int, cell: int, strengths: list[int], actions: list[int], eig
         for strength, pull in zip(strengths, pulls, strict=True)
     ]
     rewards = [{0: -20.0, 15: 20.0}.get(cell, -1.0 if pull else 0.0) for pull in pulls]
-    return [cell, *after, *rewards, *[cell in (0, 15)] * AGENTS]
+    return State(cell, after), rewards, cell in (0, 15)
 
 
 @pytest.mark.parametrize("slip", [0, 1, 7])
 def test_many_states_actions_and_draws(slip: int) -> None:
     spec = get_spec(ENVIRONMENT).with_options(slip=slip)
     assert spec.rewards is not None
-    rng = np.random.default_rng(slip)
-    n = 2000
-    cells, eighths = rng.integers(16, size=n), rng.integers(8, size=n)
-    strengths, actions = rng.integers(4, size=(AGENTS, n)), rng.integers(3, size=(AGENTS, n))
-    # All cases at once: golden functions take whole arrays. An eighth is the draw's upper three bits.
-    draws = (eighths << 29) + 12345
-    words = np.array(call_reference(spec.positional.step, (cells, *strengths, *actions, draws))).astype(float)
-    first = 1 + AGENTS
-    words[first : first + AGENTS] = np.take(spec.rewards, words[first : first + AGENTS].astype(int))
-    for case in range(n):
-        told = expected(
-            slip, cells[case], strengths[:, case].tolist(), actions[:, case].tolist(), eighths[case]
-        )
-        assert words[:, case].tolist() == told
+    chance = random.Random(slip)
+    for _ in range(2000):
+        cell, eighth = chance.randrange(16), chance.randrange(8)
+        strengths = [chance.randrange(4) for _ in range(AGENTS)]
+        actions = [chance.randrange(3) for _ in range(AGENTS)]
+        # One random draw of 32 bits; the upper three are an eighth of all that there are.
+        draws = Draws([(eighth << 29) + 12345])
+        state, rewards, ends = spec.golden.step(State(cell, strengths), actions, draws)
+        due, worth, end = expected(slip, cell, strengths, actions, eighth)
+        assert (state, [spec.rewards[reward] for reward in rewards], ends) == (due, worth, [end] * AGENTS)
 
 
 def test_who_is_tired_may_only_rest() -> None:
-    spec = get_spec(ENVIRONMENT)
-    assert spec.positional.masks is not None
     for agent in range(AGENTS):
-        tired = [1] * AGENTS
-        tired[agent] = 0
-        flags = [int(flag) for flag in call_reference(spec.positional.masks, (7, *tired), agent)]
-        assert flags == [1, 0, 0]
-        rested = [0] * AGENTS
-        rested[agent] = 1
-        flags = [int(flag) for flag in call_reference(spec.positional.masks, (7, *rested), agent)]
-        assert flags == [1, 1, 1]
+        tired = [int(k != agent) for k in range(AGENTS)]
+        assert masks(State(7, tired), agent) == (True, False, False)
+        rested = [int(k == agent) for k in range(AGENTS)]
+        assert masks(State(7, rested), agent) == (True, True, True)
