@@ -75,7 +75,7 @@ def unpack_of(view: type | None, function: GoldenFunction, words: Iterable[Field
     """
     if view is None or len(inspect.signature(function).parameters) != 2:
         return _called_with(function, *(word.name for word in words), "row")
-    scope = {"function": function, "__name__": function.__module__}
+    scope: dict[str, Any] = {"function": function, "__name__": function.__module__}
     names = [f"word_{word.name}" for word in words]  # whatever else a field is named like
     seen = _written(Layout(view).built(names), scope)
     exec(f"def unpack({', '.join(names)}, row):\n    function({seen}, row)", scope)
@@ -89,7 +89,7 @@ def _written(value: Any, scope: dict[str, Any]) -> str:
         return value
     kind = type(value)
     if not isinstance(value, (list, tuple)):
-        raise ArgumentError(f"unpack() takes a {kind.__name__}, which is no NamedTuple, and Numba has no other")
+        raise ArgumentError(f"unpack() takes a {kind.__name__}; Numba knows NamedTuples only")
     parts = "".join(f"{_written(part, scope)}, " for part in value)
     if kind is list:
         return f"({parts})"
