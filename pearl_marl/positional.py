@@ -126,9 +126,7 @@ def _written(value: Any, scope: dict[str, Any]) -> str:
         return value
     kind = type(value)
     if not isinstance(value, (list, tuple)):
-        raise ArgumentError(
-            f"unpack() takes a {kind.__name__}, which is no NamedTuple, and Numba has no other"
-        )
+        raise ArgumentError(f"unpack() takes a {kind.__name__}; Numba knows NamedTuples only")
     parts = "".join(f"{_written(part, scope)}, " for part in value)
     if kind is list:
         return f"({parts})"

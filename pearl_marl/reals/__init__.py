@@ -37,6 +37,6 @@ class _Floats:
 
 
 def admitted(graph: Graph) -> Graph:
-    """Let integers of a graph meet floats, and return it: the golden functions of this environment have reals."""
+    """Let integers of a graph meet floats, as in the golden functions of an environment with reals."""
     graph.floats = _Floats()
     return graph

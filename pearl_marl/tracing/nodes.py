@@ -110,7 +110,8 @@ class Nodes:
         if key not in self._nodes:
             least, most = word_range(bits, signed)
             low, high = least if low is None else low, most if high is None else high
-            node = self._nodes[key] = self._new("input", (), name, (low, high), high)
+            ones = (1 << max(high, 0).bit_length()) - 1
+            node = self._nodes[key] = self._new("input", (), name, (low, high), ones)
             self.free(node)
         return self._nodes[key]
 
