@@ -123,9 +123,7 @@ class Word:
         return Word(self.graph, node)
 
     def __floordiv__(self, other: object) -> Word:
-        return Word(
-            self.graph, self.graph.floor_divide(node_of(self.graph, self), _divisor(self.graph, other))
-        )
+        return Word(self.graph, self.graph.floor_divide(node_of(self.graph, self), _divisor(self.graph, other)))
 
     def __mod__(self, other: object) -> Word:
         return Word(self.graph, self.graph.modulo(node_of(self.graph, self), _divisor(self.graph, other)))

@@ -17,7 +17,7 @@ from pearl_marl.golden import call_reference, reference
 from pearl_marl.rendering import renderer
 
 Array = np.ndarray[Any, Any]
-initial, step, observe, masks = pearl_marl.get_spec("ConnectFour").positional
+initial, step, observe, masks = pearl_marl.get_spec("ConnectFour").positional[:4]
 PLAYERS = ("player_0", "player_1")
 MASKS = 2
 """Where the masks of both stand in a record of a move."""

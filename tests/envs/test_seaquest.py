@@ -96,9 +96,7 @@ class Match:
 
     def step(self, actions: Array, draw_0: Array, draw_1: Array) -> None:
         actions = np.asarray(actions, np.uint8)
-        *after, rewards, ends = call_reference(
-            self.spec.positional.step, [*self.ours, actions, draw_0, draw_1]
-        )
+        *after, rewards, ends = call_reference(self.spec.positional.step, [*self.ours, actions, draw_0, draw_1])
         seen = np.empty((self.n, 10, 10, 10), bool)
         self.deliver(*call_reference(self.spec.positional.observe, after), seen)
         for k, environment in enumerate(self.theirs):
