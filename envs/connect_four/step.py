@@ -49,9 +49,7 @@ def initial(draws: Draws) -> State:
     return State([0, 0], 0)
 
 
-def step(
-    state: State, actions: list[Word], draws: Draws
-) -> tuple[State, list[Word], list[Word]]:
+def step(state: State, actions: list[Word], draws: Draws) -> tuple[State, list[Word], list[Word]]:
     """Drop a disc of the player on turn.
 
     Who chooses a column that is full loses one point and ends the game, and his opponent wins nothing.

@@ -54,8 +54,8 @@ def make_step(goal: int) -> GoldenFunction:
         velocity += (action - 1) * FORCE - multiply(cosine, GRAVITY, 39)
         velocity = min(max(velocity, -MAX_SPEED), MAX_SPEED)
         position = min(max(position + velocity, LEFT_END), RIGHT_END)
-        if position == LEFT_END:
-            velocity = max(velocity, 0)
+        if position == LEFT_END and velocity < 0:
+            velocity = 0
         return State(position, velocity), 0, position >= GOAL and velocity >= goal
 
     return step

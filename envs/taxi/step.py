@@ -23,6 +23,7 @@ STANDS = "RGYB"
 SIDE, LAST = 5, 4
 SOUTH, NORTH, EAST, WEST, PICKUP, DROPOFF = 0, 1, 2, 3, 4, 5
 LEFT_OF, RIGHT_OF = (EAST, WEST, NORTH, SOUTH), (WEST, EAST, SOUTH, NORTH)
+DOWN, RIGHT = (1, -1, 0, 0), (0, 0, 1, -1)
 ABOARD, NOWHERE = 4, 5
 """Where a passenger is who is at none of the stands; and what is no stand."""
 THIRD, TWO_THIRDS = 0x55555556, 0xAAAAAAAB
@@ -97,25 +98,25 @@ def make_step(is_rainy: bool, is_fickle: bool, forward_below: int, left_below: i
         third, rest = (draw >= THIRD) + (draw >= TWO_THIRDS), u32(draw * 3)
         free, stand = WAYS[WIDE * row + column], STAND[WIDE * row + column]
 
-        if action <= WEST:
+        if action <= WEST and free >> action & 1:
             direction = action
             if is_rainy and rest >= forward_below:
                 direction = LEFT_OF[action] if rest < left_below else RIGHT_OF[action]
-            if free >> action & free >> direction & 1:
-                row += (direction == SOUTH) - (direction == NORTH)
-                column += (direction == EAST) - (direction == WEST)
+            if free >> direction & 1:
+                row += DOWN[direction]
+                column += RIGHT[direction]
                 # At the first move with him a fickle passenger changes his mind, once.
                 if is_fickle and fickle and passenger == ABOARD:
                     destination, fickle = another(third, [destination]), False
-            return State(row, column, passenger, destination, fickle), ROUTINE, False
-        if action == PICKUP:
-            if passenger != stand:
-                return state, ILLEGAL, False
-            return state._replace(passenger=ABOARD), ROUTINE, False
-        if passenger != ABOARD or stand == NOWHERE:
-            return state, ILLEGAL, False
-        delivered = stand == destination
-        return state._replace(passenger=stand), DELIVERED if delivered else ROUTINE, delivered
+        reward, delivered = ROUTINE, False
+        if action == PICKUP and passenger == stand:
+            passenger = ABOARD
+        elif action == DROPOFF and passenger == ABOARD and stand != NOWHERE:
+            passenger, delivered = stand, stand == destination
+            reward = DELIVERED if delivered else ROUTINE
+        elif action >= PICKUP:
+            reward = ILLEGAL
+        return State(row, column, passenger, destination, fickle), reward, delivered
 
     return step
 
