@@ -759,7 +759,9 @@ class Loop:
         """Where the loop was left, by a break or because it stopped."""
         self.stopped: list[tuple[Path, tuple[Any, ...]]] = []
         self.continued: list[tuple[Path, tuple[Any, ...]]] = []
-        self.broken, self.passed = (self, "break"), (self, "continue")
+        self.broken, self.passed, self.over = (self, "break"), (self, "continue"), (self, "stop")
+        self.first = frozenset([self.frame, self.broken, self.over])
+        """What ends of this loop need not say that it did not happen: it would come first among them."""
 
     def again(self, test: Any, values: tuple[Any, ...]) -> bool:
         """Return whether a ``while`` may go round once more."""
@@ -772,8 +774,8 @@ class Loop:
         stop = runtime.here.where(runtime.graph.logical_not(flag))
         self.ended.append((stop, values))
         self.stopped.append((stop, values))
-        runtime.exits.append(self.broken)
-        runtime.path = self.round = runtime.here.where(flag, frozenset([self.broken]))
+        runtime.exits.append(self.over)
+        runtime.path = self.round = runtime.here.where(flag, frozenset([self.over]))
         return self._count()
 
     def _count(self) -> bool:
@@ -849,7 +851,8 @@ class Loop:
         self.stopped = []
         if not ends:
             return values
-        values = self._merged(ends, self.start, frozenset([self.frame, self.broken]))
+        values = self._merged(ends, self.start, self.first)
+        self.first -= {self.over}  # which come last now
         condition = runtime.graph.constant(0)
         for path, _ in ends:
             condition = runtime.graph.or_(condition, path.since(self.start))
@@ -861,11 +864,13 @@ class Loop:
         runtime, ends = self.runtime, list(self.ended)
         if runtime.path is not None:
             ends.append((runtime.path, values))
-        runtime.exits[self.mark :] = [e for e in runtime.exits[self.mark :] if e is not self.broken]
+        runtime.exits[self.mark :] = [
+            e for e in runtime.exits[self.mark :] if e is not self.broken and e is not self.over
+        ]
         if not ends:
             runtime.path = None
             return values
-        values = self._merged(ends, self.start, frozenset([self.frame, self.broken]))
+        values = self._merged(ends, self.start, self.first)
         returned = bool(runtime.exits[self.mark :])
         if not returned:
             runtime.path = self.start

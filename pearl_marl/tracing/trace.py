@@ -59,7 +59,7 @@ def trace(graph: Graph, function: Callable[..., Any], arguments: Sequence[Node],
             kind = "" if isinstance(error, ArgumentError) else f"{type(error).__name__}: "
             raise ArgumentError(f"{_place_of(error, function)}: {kind}{error}") from error
     try:
-        return [node_of(graph, value) for value in (result if isinstance(result, tuple) else (result,))]
+        return [node_of(graph, value) for value in (result if isinstance(result, (tuple, list)) else (result,))]
     except ArgumentError as error:
         raise ArgumentError(f"{place(function)}: {function.__name__}() returns {error}") from None
 
