@@ -6,7 +6,7 @@ rounds leave, and ``return``, ``break`` and ``continue`` note under which condit
 statement stands there once, so what is traced grows with the length of the function, not with its number of
 paths.
 
-Lines stay the author's. :mod:`pearl_marl.tracing.branches` is what the calls do.
+Lines stay the author's. :mod:`pearl_marl.tracing.runtime` is what the calls do.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from pearl_marl.errors import ArgumentError
 from pearl_marl.places import place_of
 
 RUNTIME = "__pearl__"
-"""The name by which rewritten functions know :class:`pearl_marl.tracing.branches.Runtime`."""
+"""The name by which rewritten functions know :class:`pearl_marl.tracing.runtime.Runtime`."""
 _FRAME = "_pearl_frame"
 
 _Node = TypeVar("_Node", bound=ast.AST)

@@ -16,10 +16,10 @@ from typing import Any
 from pearl_marl.errors import ArgumentError
 from pearl_marl.places import author_of, place_of
 from pearl_marl.remaking import Vocabulary, remade
-from pearl_marl.tracing.branches import Runtime
 from pearl_marl.tracing.graph import Graph
 from pearl_marl.tracing.nodes import Node
 from pearl_marl.tracing.rewriting import RUNTIME, Refusal, rewritten
+from pearl_marl.tracing.runtime import Runtime
 from pearl_marl.tracing.words import Beyond, Cast, Word, node_of, table
 
 _INSIDE = "pearl_marl.tracing.", "pearl_marl.reals.", "pearl_marl.remaking", "numpy"
@@ -59,7 +59,9 @@ def trace(graph: Graph, function: Callable[..., Any], arguments: Sequence[Node],
             kind = "" if isinstance(error, ArgumentError) else f"{type(error).__name__}: "
             raise ArgumentError(f"{_place_of(error, function)}: {kind}{error}") from error
     try:
-        return [node_of(graph, value) for value in (result if isinstance(result, (tuple, list)) else (result,))]
+        return [
+            node_of(graph, value) for value in (result if isinstance(result, (tuple, list)) else (result,))
+        ]
     except ArgumentError as error:
         raise ArgumentError(f"{place(function)}: {function.__name__}() returns {error}") from None
 
