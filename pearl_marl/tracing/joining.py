@@ -169,7 +169,10 @@ def joined(graph: Graph, flag: Node, a: Any, b: Any) -> Any:
         if isinstance(one, Undefined):
             one._raise()
     if _is_number(a) and _is_number(b):
-        return Word(graph, graph.choose(flag, node_of(graph, a), node_of(graph, b)))
+        node = graph.choose(flag, node_of(graph, a), node_of(graph, b))
+        if graph.certain:  # outside of all branches nothing depends on where somebody looks at it
+            graph.settle(node)
+        return Word(graph, node)
     if graph.floats is not None and all(isinstance(x, (float, Beyond)) or _is_number(x) for x in (a, b)):
         return graph.floats.select(Word(graph, flag), a, b)
     if isinstance(a, (tuple, list)) and isinstance(b, (tuple, list)):
