@@ -15,6 +15,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from pearl_marl.errors import ArgumentError
+from pearl_marl.reals import BUILTINS, FUNCTIONS, Real, constant
 from pearl_marl.remaking import Vocabulary, remade
 
 u8 = np.uint8
@@ -52,47 +53,24 @@ def uniform_below(draw: Word, n: Word) -> Word:
 
 
 OUTCOMES = 1 << 16
-"""How many outcomes one draw decides at most: each is off by less than ``2**-16`` of its probability."""
-
-
-def draws_of(outcomes: Iterable[int]) -> list[int]:
-    """Return which draw makes each of several decisions, given how many outcomes each has."""
-    draw, together, result = 0, 1, []
-    for n in outcomes:
-        together *= n
-        if together > OUTCOMES:
-            draw, together = draw + 1, n
-        result.append(draw)
-    return result
-
-
-def digits(draws: Iterable[Word], outcomes: Sequence[int]) -> list[Word]:
-    """Return several decisions, each below its number of outcomes, of the draws that :func:`draws_of` tells.
-
-    The upper half of a product is one; its lower half serves as the next draw.
-    """
-    left, result = list(draws), []
-    for n, k in zip(outcomes, draws_of(outcomes), strict=True):
-        product = left[k] * n
-        left[k] = u32(product)
-        result.append(product >> 32)
-    return result
-
-
-def another(rank: Word, taken: Sequence[Word]) -> Word:
-    """Return the number of this rank among those that are not taken; ``taken`` is in order."""
-    for number in taken:
-        rank = rank + (rank >= number)
-    return rank
+"""How many outcomes the digits of one draw have at most."""
 
 
 def inserted(numbers: Sequence[Word], number: Word) -> list[Word]:
     """Put a number into its place among others, which are in order."""
     result = []
     for other in numbers:
-        result.append(np.minimum(other, number))
-        number = np.maximum(other, number)
+        result.append(min(other, number))
+        number = max(other, number)
     return [*result, number]
+
+
+def another(draws: Draws, n: int, taken: Sequence[Word]) -> tuple[Word, list[Word]]:
+    """Draw a number below ``n`` that is not taken; return it, and all that are taken then, in order."""
+    number = draws.digit(n - len(taken))
+    for other in taken:
+        number += number >= other
+    return number, inserted(taken, number)
 
 
 class Draws:
@@ -103,8 +81,10 @@ class Draws:
     needed costs nothing.
     """
 
-    def __init__(self, words: Iterable[Word]) -> None:
-        self._words = iter(words)
+    def __init__(self, words: Iterable[Word], fraction: int | None = None) -> None:
+        self._words, self._fraction = iter(words), fraction
+        self._left: Word = 0
+        self._outcomes = OUTCOMES
 
     def bits(self, count: int = 32) -> Word:
         """Return a uniform number of so many bits, 1 to 32."""
@@ -114,9 +94,7 @@ class Draws:
             word = next(self._words)
         except StopIteration:
             raise ArgumentError(f"a golden function asks for more than {MOST_DRAWS} draws") from None
-        asked = getattr(word, "asked", None)  # a symbol says whether it may be
-        if asked is not None:
-            asked()
+        _asked(word)
         return word >> (32 - count)
 
     def below(self, n: Word) -> Word:
@@ -127,11 +105,23 @@ class Draws:
         return self.bits() * n >> 32
 
     def chance(self, numerator: float, denominator: float = 1) -> Word:
-        """Return 1 with a probability: ``chance(0.3)``, ``chance(1, 3)``, rounded to a multiple of ``2**-32``."""
+        """Return 1 with a probability, such as ``chance(0.3)`` or ``chance(1, 3)``.
+
+        It is rounded to a multiple of ``2**-32``.
+        """
         share = numerator / denominator
         if not 0 <= share <= 1:
             raise ArgumentError(f"draws.chance({numerator!r}, {denominator!r}): a probability is 0 to 1")
         return self.bits() < round(share * 2**32)
+
+    def uniform(self, low: float, high: float) -> Real:
+        """Return a real number from ``low`` to below ``high``; for environments whose state has reals."""
+        if self._fraction is None:
+            raise ArgumentError("draws.uniform() makes a real, and the state has none, such as Real[-1, 1]")
+        first, end = constant(low, self._fraction), constant(high, self._fraction)
+        if first >= end:
+            raise ArgumentError(f"draws.uniform({low!r}, {high!r}): the first is the least")
+        return Real(first + (self.bits() * (end - first) >> 32), self._fraction)
 
     def choice(self, options: Sequence[Any]) -> Any:
         """Return one of several, all equally likely."""
@@ -148,17 +138,33 @@ class Draws:
             result.append(last)
         return result
 
+    def digit(self, n: Word, most: int | None = None) -> Word:
+        """Return a number below ``n``, of the same draw as the digits before as long as that suffices.
+
+        It suffices for up to 65,536 outcomes of all of them together, so that each is off by less than ``2**-16``
+        of its probability. Where ``n`` is a word, ``most`` is the most that it can be.
+        """
+        most = n if most is None else most
+        self._outcomes *= most
+        if self._outcomes > OUTCOMES:
+            self._left, self._outcomes = self.bits(), most
+        _asked(self._left)
+        # The upper half of the product is the digit; the lower half serves as the next draw.
+        product = self._left * n
+        self._left = product & 0xFFFFFFFF
+        return product >> 32
+
     def several(self, *outcomes: int) -> list[Word]:
-        """Return a number below each of ``outcomes``, of as few draws as :func:`draws_of` tells."""
-        return digits([self.bits() for _ in range(draws_of(outcomes)[-1] + 1)], outcomes)
+        """Return a number below each of ``outcomes``, as :meth:`digit` makes them."""
+        return [self.digit(n) for n in outcomes]
 
 
 class CountingDraws(Draws):
     """Draws that are all 0, and counted."""
 
-    def __init__(self) -> None:
+    def __init__(self, fraction: int | None = None) -> None:
         self.count = 0
-        super().__init__(self._zeros())
+        super().__init__(self._zeros(), fraction)
 
     def _zeros(self) -> Iterator[int]:
         while True:
@@ -168,6 +174,12 @@ class CountingDraws(Draws):
 
 MOST_DRAWS = 256
 """Draws of a reset, or of a step."""
+
+
+def _asked(word: Word) -> None:
+    """Let a symbol say whether it may be asked for."""
+    if hasattr(word, "asked"):
+        word.asked()
 
 
 def _entry(entries: Sequence[Any], place: Word) -> Any:
@@ -189,17 +201,21 @@ PLAIN = Vocabulary(_Wrap, lambda values: values)
 """What golden functions name, on Python's integers."""
 
 
-def as_python_runs_it(function: GoldenFunction) -> GoldenFunction:
-    """Return a golden function on Python's integers: itself, with casts that wrap."""
-    return remade(function, PLAIN.meaning) if isinstance(function, types.FunctionType) else function
+def as_python_runs_it(function: GoldenFunction, reals: bool = False) -> GoldenFunction:
+    """Return a golden function on Python's integers: itself, with casts that wrap, and functions of reals."""
+    if not isinstance(function, types.FunctionType):
+        return function
+    if reals or hasattr(function, "admits"):
+        return remade(function, PLAIN._replace(functions=FUNCTIONS).meaning, names=BUILTINS)  # type: ignore[no-any-return]
+    return remade(function, PLAIN.meaning)  # type: ignore[no-any-return]
 
 
 def reference(function: GoldenFunction, *agent: int) -> Callable[..., tuple[Any, ...]]:
     """Return what runs a golden function itself, as Python runs it, and always returns a tuple.
 
     Arguments are numbers, or arrays of any shapes that go together: then the function runs for one element
-    after the other, and results are arrays. ``agent`` is what :attr:`pearl_marl.spec.EnvSpec.views` has for it,
-    the last argument of a function that tells what one agent of a world sees.
+    after the other, and results are arrays. ``agent`` is what :attr:`pearl_marl.spec.EnvSpec.views` has for
+    it, the last argument of a function that tells what one agent of a world sees.
     Results are NumPy's integers of 64 bits; where those do not hold one, Python's integers.
     """
     again = as_python_runs_it(function)
@@ -215,7 +231,9 @@ def reference(function: GoldenFunction, *agent: int) -> Callable[..., tuple[Any,
         if not shape:
             return tuple(_array([word])[0] for word in once(*(int(array[()]) for array in given)))
         rows = zip(*(np.broadcast_to(array, shape).ravel().tolist() for array in given), strict=True)
-        return tuple(_array(column).reshape(shape) for column in zip(*(once(*row) for row in rows), strict=True))
+        return tuple(
+            _array(column).reshape(shape) for column in zip(*(once(*row) for row in rows), strict=True)
+        )
 
     return run
 
@@ -223,7 +241,7 @@ def reference(function: GoldenFunction, *agent: int) -> Callable[..., tuple[Any,
 def _array(words: Sequence[int]) -> Any:
     """Return an array of 64 bits, or of Python's integers where those do not hold them."""
     low, high = min(words), max(words)
-    if -(1 << 63) <= low and high < 1 << 64 and (low >= 0 or high < 1 << 63):
+    if low >= -(1 << 63) and high < 1 << 64 and (low >= 0 or high < 1 << 63):
         return np.array(words, np.int64 if high < 1 << 63 else np.uint64)
     return np.array(words, object)
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from numbers import Real
 from pathlib import Path
-from typing import Any, NamedTuple, SupportsInt, TypeGuard
+from typing import Any, NamedTuple, TypeGuard
 
 import numpy as np
 import numpy.typing as npt
@@ -23,9 +23,9 @@ from pearl_marl.errors import ArgumentError
 from pearl_marl.fields import Field as Field
 from pearl_marl.fields import word_bits as word_bits
 from pearl_marl.golden import MOST_DRAWS, CountingDraws, GoldenFunction, as_python_runs_it
-from pearl_marl.layout import Layout
+from pearl_marl.layout import Interval, Layout, real_field
 from pearl_marl.pickling import reduced
-from pearl_marl.positional import Positional, initial_of, step_of, unpack_of, view_of
+from pearl_marl.positional import Positional, initial_of, step_of, takes_agent, unpack_of, view_of
 from pearl_marl.tracing.checks import Argument, Result, check
 from pearl_marl.tracing.operations import word_range
 from pearl_marl.tracing.records import RULES, record
@@ -49,13 +49,15 @@ class Golden(NamedTuple):
     ``draws`` are :class:`~pearl_marl.golden.Draws`; ``terminated`` is 0 or 1. Options are constants of the
     enclosing scope.
 
-    In a world of several agents ``step`` takes a list of their actions and returns a list of their rewards and
-    one of their flags ``terminated``, agent 0 first; and ``observe`` and ``masks`` take the agent that they are
-    about, a plain ``int``::
+    In a world of several agents ``step`` takes a list of their actions and returns a list of their rewards
+    and one of their flags ``terminated``, agent 0 first; and ``observe`` and ``masks`` take the agent that
+    they are about, a plain ``int``::
 
         step(state, actions, draws) -> State, rewards, terminated
         observe(state, agent)
         masks(state, agent)
+
+    Where options may leave one agent alone, the functions are the same: ``observe`` takes it.
 
     ``step`` takes any action of the action space, masked or not.
     """
@@ -236,13 +238,24 @@ class EnvSpec:
         def derive(name: str, value: Any) -> None:
             object.__setattr__(self, name, value)
 
+        fraction = self.layout.fraction
         if not self.observation:
-            view = self.golden.view
-            derive("observation", Layout(view).fields if view else _fields_of(self.observation_space))
+            view = self._view
+            derive("observation", view.fields if view else _fields_of(self.observation_space))
+        if self.action is None and isinstance(self.action_space, Box) and fraction is not None:
+            ends = Interval(float(self.action_space.low.min()), float(self.action_space.high.max()))
+            derive("action", real_field("action", ends, fraction))
         if self.action is None:
             if not isinstance(self.action_space, Discrete):
-                raise ArgumentError(f"{self.name}: the action space is {self.action_space}; give action=Field(...)")
+                raise ArgumentError(
+                    f"{self.name}: the action space is {self.action_space}; give action=Field(...)"
+                )
             derive("action", Field("action", _width(int(self.action_space.n))))
+        interval = next(
+            (x for x in getattr(self.reward, "__metadata__", ()) if isinstance(x, Interval)), None
+        )
+        if interval is not None:
+            derive("reward", real_field("reward", interval, fraction or 0))
         if self.reward is None:
             if self.rewards is None:
                 raise ArgumentError(f"{self.name}: there is no table of rewards; give reward=Field(...)")
@@ -254,6 +267,10 @@ class EnvSpec:
         return Layout(self.golden.state)
 
     @property
+    def _view(self) -> Layout | None:
+        return None if self.golden.view is None else Layout(self.golden.view, self.layout.fraction)
+
+    @property
     def state(self) -> tuple[Field, ...]:
         """The fields of the state word, least significant first."""
         return self.layout.fields
@@ -261,22 +278,28 @@ class EnvSpec:
     @cached_property
     def positional(self) -> Positional:
         """The golden functions as functions of words."""
-        state, golden, n = self.layout, self.golden, self.agents
+        state, golden, n, world = self.layout, self.golden, self.agents, self._is_world
         return Positional(
             initial_of(state, golden.initial),
-            step_of(state, golden.step, n),
-            view_of(state, golden.observe, n),
-            None if golden.masks is None else view_of(state, golden.masks, n),
+            step_of(state, golden.step, n, (self.action,), self.reward, world=world),
+            view_of(state, golden.observe, n, self._view, world=world),
+            None if golden.masks is None else view_of(state, golden.masks, n, world=world),
             None if self.unpack is None else unpack_of(golden.view, self.unpack, self.observation),
         )
+
+    @property
+    def _is_world(self) -> bool:
+        return self.agents > 1 or takes_agent(self.golden.observe)
 
     @cached_property
     def _draws(self) -> tuple[int, int]:
         # No path through a golden function changes how many it asks for: any state will do.
-        first, second = CountingDraws(), CountingDraws()
-        state = as_python_runs_it(self.golden.initial)(first)
-        actions = 0 if self.agents == 1 else [0] * self.agents
-        as_python_runs_it(self.golden.step)(state, actions, second)
+        fraction, functions = self.layout.fraction, (self.golden.initial, self.golden.step)
+        initial, step = (as_python_runs_it(function, fraction is not None) for function in functions)
+        first, second = CountingDraws(fraction), CountingDraws(fraction)
+        state = initial(first)
+        actions = [0] * self.agents if self._is_world else 0
+        step(state, actions, second)
         return first.count, second.count
 
     @property
@@ -547,7 +570,9 @@ def _fields_of(space: Space[Any]) -> tuple[Field, ...]:
     if isinstance(space, Box) and np.issubdtype(space.dtype, np.integer) and space.low.min() >= 0:
         widths = [_width(int(high) + 1) for high in space.high.ravel()]
         return tuple(Field(f"observation_{k}", bits) for k, bits in enumerate(widths))
-    raise ArgumentError(f"observation space {space} does not say how wide its words are; give Golden(view=...)")
+    raise ArgumentError(
+        f"observation space {space} does not say how wide its words are; give Golden(view=...)"
+    )
 
 
 def _width(count: int) -> int:
@@ -558,7 +583,9 @@ def _width(count: int) -> int:
 def _result(word: Field) -> Result:
     low, high = word.range
     wraps = f"{'i' if word.signed else 'u'}{word.bits}()" if word.bits in (8, 16, 32, 64) else f"& {high}"
-    fix = "clip() keeps it in" + (f", and `{wraps}` lets it wrap around" if "(" in wraps or low == 0 else "")
+    fix = "`min` and `max` keep it in" + (
+        f", and `{wraps}` lets it wrap around" if "(" in wraps or low == 0 else ""
+    )
     limit = f"{word.bits} bits hold" if word.bits > 1 else "1 bit holds"
     if (low, high) != word_range(word.bits, word.signed):
         limit = "its range is"

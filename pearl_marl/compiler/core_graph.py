@@ -43,7 +43,10 @@ def core_graph(spec: EnvSpec) -> CoreGraph:
     graph = Graph()
     first, hold = graph.input("first_i", 1), graph.input("hold_i", 1)
     fields = [graph.input(f"state_i.{f.name}", f.bits, f.signed, *f.range) for f in spec.state]
-    actions = [graph.input(name, spec.action.bits, spec.action.signed, *spec.action.range) for name in action_ports(spec)]
+    actions = [
+        graph.input(name, spec.action.bits, spec.action.signed, *spec.action.range)
+        for name in action_ports(spec)
+    ]
     draws = [graph.input(f"rng_i[{k}]", 32) for k in range(spec.reset_draws + spec.step_draws)]
     fresh = _narrowed(graph, trace(graph, spec.positional.initial, draws[: spec.reset_draws]), spec.state)
     start = [graph.choose(first, new, old) for new, old in zip(fresh, fields, strict=True)]

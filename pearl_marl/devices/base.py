@@ -12,7 +12,7 @@ from __future__ import annotations
 import secrets
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from concurrent.futures import Future
 from contextlib import contextmanager
 from dataclasses import replace
@@ -359,6 +359,22 @@ class Device(ABC):
             self.reward_table = reward_tables.padded(self.config.spec, saved.rewards)
             self.ready = True
             return self._shown(self._write(saved.memory, saved.stored))
+
+    @uninterrupted
+    def put(self, start: Mapping[str, Array], mask: npt.ArrayLike | None = None) -> Array:
+        """Set fields of states, in the masked slots or all; return every agent's observation.
+
+        ``start`` is what :func:`pearl_marl.batch.starts.checked_start` returns. Where slots replay stored
+        initial states, these are set, too.
+        """
+        saved = self.snapshot()
+        where = slice(None) if mask is None else np.asarray(mask)
+        for slots in (saved.memory, saved.stored):
+            if slots.size:
+                columns = SlotMemory(self.config.spec, self.config.n_envs, slots).columns
+                for name, words in start.items():
+                    columns[name][where] = words[where]
+        return self.restore(saved)
 
     @uninterrupted
     def recover(self) -> None:

@@ -1,4 +1,4 @@
-"""The golden functions as a device: plain NumPy over all slots, written to be read.
+"""The golden functions as a device: Python itself runs them, one slot after the other; written to be read.
 
 It is what every other device is held against, so it shares with them no more than the golden
 functions, ``unpack``, the random draws, the table of rewards, the layout of a saved state, and what checks
@@ -26,7 +26,7 @@ from pearl_marl.spec import TERMINATED, Field
 
 
 class Reference(Device):
-    """The golden functions themselves, some hundred times slower than :class:`Native`.
+    """The golden functions themselves, some thousand times slower than :class:`Native`.
 
     It also holds them to the widths that the spec promises: a word that does not fit its field
     raises :class:`~pearl_marl.errors.DeviceError`, where hardware would lose the upper bits.
@@ -47,12 +47,12 @@ class Reference(Device):
     def _reset(self, mask: Array | None, seed: int | None) -> Seen:
         memory = self._memory
         if mask is None:
-            self._put(self._random_start(self.tick))
+            self._put(self._random_start(self.tick, np.ones(len(self._slots), np.bool_)))
             memory.elapsed[:] = memory.ended[:] = 0
             if self._stored is not None:
                 self._stored.bytes[:] = memory.bytes
         else:
-            self._put(_chosen(mask, self._start(self.tick), memory.state))
+            self._put(_chosen(mask, self._start(self.tick, mask), memory.state))
             memory.elapsed[mask] = memory.ended[mask] = 0
         return self._see(self._results.take(), memory.state, memory.gone)
 
@@ -70,7 +70,7 @@ class Reference(Device):
         # Agents that have ended while their world goes on have no part in it any more.
         idle = memory.gone | resetting[:, None]
         if resetting.any():
-            state = _chosen(resetting, self._start(self.tick), state)
+            state = _chosen(resetting, self._start(self.tick, resetting), state)
         elapsed = np.where(resetting, 0, memory.elapsed + 1) if limit else memory.elapsed
         terminations = terminated.astype(np.bool_) & ~idle
         late = (elapsed >= limit if limit else np.zeros_like(resetting)) & ~resetting
@@ -82,7 +82,7 @@ class Reference(Device):
         self._see(results, state, gone, final_obs)
         # SAME_STEP: it begins at once, with the draws of the next step.
         if not self._next_step and ended.any():
-            state = _chosen(ended, self._start(rng.following(self.tick)), state)
+            state = _chosen(ended, self._start(rng.following(self.tick), ended), state)
             elapsed = np.where(ended, 0, elapsed)
             self._see(results, state, gone)
 
@@ -116,16 +116,25 @@ class Reference(Device):
         for column, words in zip(self._memory.state, state, strict=True):
             column[:] = words
 
-    def _start(self, tick: int) -> list[Array]:
-        """Return what every slot's next episode begins from, if it begins at ``tick``."""
-        return self._random_start(tick) if self._stored is None else self._stored.state
+    def _start(self, tick: int, slots: Array) -> list[Array]:
+        """Return what the next episode of some slots begins from, if it begins at ``tick``; others hold 0."""
+        return self._random_start(tick, slots) if self._stored is None else self._stored.state
 
-    def _random_start(self, tick: int) -> list[Array]:
-        spec = self.config.spec
-        return self._words(spec.positional.initial, self._draws(tick, 0, spec.reset_draws), spec.state)
+    def _random_start(self, tick: int, slots: Array) -> list[Array]:
+        spec, columns = (
+            self.config.spec,
+            [np.zeros(len(self._slots), f.dtype) for f in self.config.spec.state],
+        )
+        if slots.any():
+            draws = self._draws(tick, 0, spec.reset_draws, slots)
+            for column, words in zip(
+                columns, self._words(spec.positional.initial, draws, spec.state), strict=True
+            ):
+                column[slots] = words if draws else words[slots]
+        return columns
 
-    def _draws(self, tick: int, first: int, count: int) -> list[Array]:
-        return [rng.draws(self.seed, self._slots, tick, first + k) for k in range(count)]
+    def _draws(self, tick: int, first: int, count: int, slots: Any = slice(None)) -> list[Array]:
+        return [rng.draws(self.seed, self._slots[slots], tick, first + k) for k in range(count)]
 
     def _words(
         self, function: GoldenFunction, arguments: list[Array], fields: tuple[Field, ...], *agent: int
@@ -134,8 +143,7 @@ class Reference(Device):
         words = []
         for word, field in zip(self._call(function, *agent)(*arguments), fields, strict=True):
             word = np.asarray(word)
-            low = -(1 << field.bits - 1) if field.signed else 0
-            high = (1 << field.bits - field.signed) - 1
+            low, high = field.range
             for value in (int(word.min()), int(word.max())):
                 if not low <= value <= high:
                     raise DeviceError(
@@ -144,7 +152,8 @@ class Reference(Device):
                         f"{low} to {high}; fix {function.__name__}() or widen the field in the spec"
                     )
             # Without arguments a golden function gives scalars.
-            words.append(np.broadcast_to(word, self.config.n_envs).astype(field.dtype))
+            shape = arguments[0].shape if arguments else (self.config.n_envs,)
+            words.append(np.broadcast_to(word, shape).astype(field.dtype))
         return words
 
     def _see(

@@ -16,6 +16,7 @@ from pearl_marl.batch.config import worlds_of
 from pearl_marl.batch.results import check_memory
 from pearl_marl.batch.saved_state import SavedState
 from pearl_marl.batch.slot_memory import state_dtype
+from pearl_marl.batch.starts import checked_start
 from pearl_marl.batch.step import Array, on_host
 from pearl_marl.deferral import uninterrupted
 from pearl_marl.devices import BatchConfig, BatchStep, Device, make_device
@@ -79,6 +80,7 @@ class PearlParallelEnv(ParallelInterface):
         self._all = np.ones(config.n_agents, np.bool_)
         self._live = ~self._all
         self.np_random = np.random.default_rng()
+        self._start: dict[str, Array] | None = None
         self._renderer: Renderer | None = None
         self._rendered_world = 0
 
@@ -103,10 +105,17 @@ class PearlParallelEnv(ParallelInterface):
     def max_cycles(self, value: int | None) -> None:
         self.device.set_max_cycles(value)
 
+    def start_from(self, state: object) -> None:
+        """Let the next reset set fields of states: see :meth:`reset`, whose ``options["state"]`` this is."""
+        self._start = checked_start(self.spec, state, self.n_worlds)
+
     @uninterrupted
     def reset_batch(self, seed: int | None = None) -> Array:
         """Begin an episode for every agent; return observations of shape ``(n_agents, ...)``."""
+        start, self._start = self._start, None
         obs = self.device.reset(seed)
+        if start:
+            obs = self.device.put(start)
         if seed is not None:
             self.np_random = np.random.default_rng(checked_seed(seed))
         self._live = self._all

@@ -178,9 +178,13 @@ class ParallelInterface(pettingzoo.ParallelEnv, Batch):  # type: ignore[misc]
     ) -> tuple[dict[str, Any], dict[str, Any]]:
         """Begin an episode for every agent; return observations and infos by agent, the latter empty.
 
-        ``seed`` is a non-negative integer; ``None`` goes on with the random numbers in use. ``options`` are
-        accepted as PettingZoo asks, and not used.
+        ``seed`` is a non-negative integer; ``None`` goes on with the random numbers in use.
+        ``options={"state": {"field": values}}`` sets fields of the states that episodes begin with: a number,
+        or an array of shape ``(n_worlds,)``. Other options are accepted as PettingZoo asks, and not used.
         """
+        state = (options or {}).get("state")
+        if state is not None:
+            self.unwrapped.start_from(state)
         obs = on_host(self.reset_batch(seed))
         masks = on_host(self.action_masks) if self.world.masked else None
         nobody = np.zeros(len(obs), np.bool_)

@@ -10,6 +10,7 @@ import numpy.typing as npt
 from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode
 
+from pearl_marl.batch.starts import checked_start
 from pearl_marl.batch.step import Array
 from pearl_marl.deferral import uninterrupted
 from pearl_marl.devices import BatchConfig, BatchStep, Device, make_device
@@ -48,14 +49,22 @@ class PearlVectorEnv(VectorInterface):
     ) -> None:
         spec = config.spec
         self.device = device.open(config, rewards)
+        self._start: dict[str, Array] | None = None
         # Copies, or seeding one environment's spaces would seed another's.
         spaces = deepcopy(spec.observation_space), deepcopy(spec.action_space)
         super().__init__(config.n_envs, *spaces, autoreset_mode, World.of(spec))
 
+    def start_from(self, state: object) -> None:
+        """Let the next reset set fields of states: see :meth:`reset`, whose ``options["state"]`` this is."""
+        self._start = checked_start(self.device.config.spec, state, self.device.config.n_envs)
+
     @uninterrupted
     def reset_batch(self, seed: int | None = None, mask: npt.ArrayLike | None = None) -> Array:
         """See :class:`VectorInterface`."""
+        start, self._start = self._start, None
         obs = self.device.reset(seed, mask)
+        if start:
+            obs = self.device.put(start, mask)
         if seed is not None:
             self._np_random, self._np_random_seed = seeding.np_random(int(seed))
         return self.began(obs, mask)

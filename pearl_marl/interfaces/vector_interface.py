@@ -118,6 +118,10 @@ class VectorInterface(VectorEnv[Any, Any, Any], Batch):
             raise ArgumentError("mask is None; reset_batch() begins an episode in every slot")
         return self.reset_batch(mask=mask)
 
+    @abstractmethod
+    def start_from(self, state: object) -> None:
+        """Let the next reset set fields of states: ``options["state"]`` of :meth:`reset`."""
+
     @uninterrupted
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -125,19 +129,23 @@ class VectorInterface(VectorEnv[Any, Any, Any], Batch):
         """Begin new episodes; return the observations of all sub-environments, and empty infos.
 
         ``seed`` is a non-negative integer for the whole batch; ``None`` goes on with the random numbers in
-        use. ``options={"reset_mask": mask}``, ``bool`` of shape ``(num_envs,)``, resets some only.
+        use. ``options={"reset_mask": mask}``, ``bool`` of shape ``(num_envs,)``, resets some only, and
+        ``options={"state": {"field": values}}`` sets fields of the states that episodes begin with: a number,
+        or an array of shape ``(num_envs,)``.
         """
         options = {} if options is None else options
         if not isinstance(options, Mapping):
             raise ArgumentError(
                 f"options is {options!r}; it must be a dict, as {{'reset_mask': mask}}, or None"
             )
-        unknown = [name for name in options if name != "reset_mask"]
+        unknown = [name for name in options if name not in ("reset_mask", "state")]
         if unknown:
-            raise ArgumentError(f"unknown reset option {unknown[0]!r}; the only one is 'reset_mask'")
+            raise ArgumentError(f"unknown reset option {unknown[0]!r}; there are 'reset_mask' and 'state'")
         mask = options.get("reset_mask")
         if mask is not None and not (mask := checked_mask(mask, self.num_envs)).any():
             raise ArgumentError("reset_mask resets nothing: at least one element must be True")
+        if options.get("state") is not None:
+            self.start_from(options["state"])
         obs = on_host(self.reset_batch(seed, mask))
         if self._mode is AutoresetMode.DISABLED:
             obs = self._seen.copy()

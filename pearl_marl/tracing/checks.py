@@ -6,11 +6,9 @@ Of every result the graph knows a range, over all states that fit their fields, 
 from __future__ import annotations
 
 import functools
-import inspect
 import itertools
 import math
 import random
-import types
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -99,6 +97,9 @@ def _cases(inputs: Mapping[str, Node], constants: Sequence[int], count: int) -> 
         name: list(dict.fromkeys(c for c in (*near, word.low, word.high) if word.low <= c <= word.high))
         for name, word in inputs.items()
     }
+    # Sums and conjunctions of many words are at their ends where all words are.
+    for value in sorted(set(itertools.chain.from_iterable(edges.values()))):
+        yield {name: min(max(value, word.low), word.high) for name, word in inputs.items()}
     for case in itertools.islice(itertools.product(*edges.values()), count // 2):
         yield dict(zip(inputs, case, strict=True))
     for _ in range(count // 2):

@@ -1,11 +1,12 @@
 """An author's function as Python to be traced: every decision on a word becomes a call of a :class:`Frame`.
 
-Python decides by values, and a word has none before hardware runs. So a function is compiled once more from its
-source, in which an ``if`` runs both its sides and joins what they leave behind, a loop joins what its rounds
-leave, and ``return``, ``break`` and ``continue`` note under which condition they were reached. Every statement
-stands there once, so what is traced grows with the length of the function, not with its number of paths.
+Python decides by values, and a word has none before hardware runs. So a function is compiled once more from
+its source, in which an ``if`` runs both its sides and joins what they leave behind, a loop joins what its
+rounds leave, and ``return``, ``break`` and ``continue`` note under which condition they were reached. Each
+statement stands there once, so what is traced grows with the length of the function, not with its number of
+paths.
 
-Lines stay the author's. :mod:`pearl_marl.tracing.branches` is what the calls do.
+Lines stay the author's. :mod:`pearl_marl.tracing.runtime` is what the calls do.
 """
 
 from __future__ import annotations
@@ -15,16 +16,20 @@ import functools
 import linecache
 import types
 from collections.abc import Iterator, Sequence
-from typing import NoReturn, TypeVar
+from typing import Any, NoReturn, TypeVar
 
 from pearl_marl.errors import ArgumentError
 from pearl_marl.places import place_of
 
 RUNTIME = "__pearl__"
-"""The name by which rewritten functions know :class:`pearl_marl.tracing.branches.Runtime`."""
+"""The name by which rewritten functions know :class:`pearl_marl.tracing.runtime.Runtime`."""
 _FRAME = "_pearl_frame"
 
 _Node = TypeVar("_Node", bound=ast.AST)
+
+
+class Refusal(ArgumentError):  # noqa: N818 - no error of its own, but one that is said already
+    """What names its line already."""
 
 
 @functools.lru_cache(1 << 12)
@@ -137,11 +142,11 @@ def _stored(nodes: Sequence[ast.AST]) -> list[str]:
 
 
 def _inside(nodes: Sequence[ast.AST]) -> Iterator[ast.AST]:
-    """Yield the nodes of statements, without those of functions inside them."""
+    """Yield statements and those inside them, without those of functions."""
     for node in nodes:
         yield node
-        if not isinstance(node, (ast.FunctionDef, ast.Lambda, ast.ClassDef)):
-            yield from _inside(list(ast.iter_child_nodes(node)))
+        if not isinstance(node, (ast.FunctionDef, ast.ClassDef)):
+            yield from _inside([*getattr(node, "body", ()), *getattr(node, "orelse", ())])
 
 
 def _leaves(nodes: Sequence[ast.AST]) -> bool:
@@ -182,7 +187,7 @@ class _Function:
 
     def refuse(self, node: ast.AST, why: str) -> NoReturn:
         """Raise ArgumentError for a line."""
-        raise ArgumentError(f"{place_of(self.file, getattr(node, 'lineno', 1))}: {why}")
+        raise Refusal(f"{place_of(self.file, getattr(node, 'lineno', 1))}: {why}")
 
     def block(self, statements: Sequence[ast.stmt], expressions: _Expressions) -> list[ast.stmt]:
         """Return statements of which those after a possible exit run only if something is left to run."""
@@ -223,6 +228,14 @@ class _Function:
                 return self.stores(node, expressions)
             case ast.AugAssign() if isinstance(node.target, (ast.Subscript, ast.Attribute)):
                 return self.changes(node, expressions)
+            case ast.AugAssign(target=ast.Name(id=name)):
+                # In place, a list would grow.
+                return [
+                    _call(f"{RUNTIME}.growing", [ast.Name(name, ast.Load())], node),
+                    expressions.visit(node),
+                ]
+            case ast.Delete():
+                return self.removal(node, expressions)
             case ast.AnnAssign():
                 if node.value is None:
                     return [_statement("pass", node)]
@@ -230,14 +243,33 @@ class _Function:
                 return self.statement(plain, expressions)
             case ast.Assert():
                 return [_call(f"{RUNTIME}.asserts", [expressions.visit(node.test)], node)]
+            case ast.Raise():
+                return [_call(f"{RUNTIME}.raises", [], node), expressions.visit(node)]
+            case ast.Nonlocal() | ast.Global():
+                self.refuse(
+                    node, f"`{node.names[0]}` of a function around it is assigned to; return it instead"
+                )
+            case ast.Import() | ast.ImportFrom():
+                self.refuse(node, "golden functions have no `import`; import where the file begins")
             case ast.Match():
                 self.refuse(node, "golden functions have no `match`; use `if`, `elif` and `else`")
             case ast.Try() | ast.With() | ast.AsyncFor() | ast.AsyncWith() | ast.AsyncFunctionDef():
-                word = type(node).__name__.lower().removeprefix("async").removesuffix("functiondef") or "async"
+                word = (
+                    type(node).__name__.lower().removeprefix("async").removesuffix("functiondef") or "async"
+                )
                 self.refuse(node, f"golden functions have no `{word}`")
         new = expressions.visit(node)
         assert isinstance(new, ast.stmt)
         return [new]
+
+    def removal(self, node: ast.Delete, expressions: _Expressions) -> list[ast.stmt]:
+        """Return the removal of elements, of lists that may become shorter."""
+        lists = []
+        for target in node.targets:
+            if not isinstance(target, ast.Subscript):
+                self.refuse(node, "golden functions have no `del` of variables")
+            lists.append(_call(f"{RUNTIME}.growing", [expressions.visit(target.value)], node))
+        return [*lists, expressions.visit(node)]
 
     def branch(self, node: ast.If, expressions: _Expressions) -> list[ast.stmt]:
         """Return an ``if``: each side runs if it may be taken, and then they are joined."""
@@ -258,9 +290,11 @@ class _Function:
     def while_(self, node: ast.While, expressions: _Expressions) -> list[ast.stmt]:
         """Return a ``while``, which goes round until no word can want it."""
         loop, names = self.name("loop"), _stored([node])
-        again = _statement(f"while {loop}.again(): pass", node)
-        assert isinstance(again, ast.While) and isinstance(again.test, ast.Call)
-        again.test.args = [expressions.visit(node.test), _tuple(names)]
+        again = _statement(f"while {_FRAME}.lives(): pass", node)
+        assert isinstance(again, ast.While)
+        # A round may leave no path on which there is a test.
+        wanted = _expression(f"{loop}.again", [expressions.visit(node.test), _tuple(names)], node)
+        again.test = ast.copy_location(ast.BoolOp(ast.And(), [again.test, wanted]), node)
         again.body = self.round(node.body, loop, names, expressions, node)
         return self.looped(node, loop, names, again, expressions)
 
@@ -268,7 +302,8 @@ class _Function:
         """Return a ``for``."""
         loop, names = self.name("loop"), _stored([node])
         over = _statement(f"for _ in {RUNTIME}.items(0): pass", node)
-        assert isinstance(over, ast.For) and isinstance(over.iter, ast.Call)
+        assert isinstance(over, ast.For)
+        assert isinstance(over.iter, ast.Call)
         over.iter.args = [expressions.visit(node.iter)]
         over.target = expressions.visit(node.target)
         over.body = self.round(node.body, loop, names, expressions, node)
@@ -332,7 +367,11 @@ class _Function:
         target, whole, part = node.target, self.name("of"), self.name("at")
         assert isinstance(target, (ast.Subscript, ast.Attribute))
         is_item = isinstance(target, ast.Subscript)
-        key = expressions.visit(target.slice) if isinstance(target, ast.Subscript) else ast.Constant(target.attr)
+        key = (
+            expressions.visit(target.slice)
+            if isinstance(target, ast.Subscript)
+            else ast.Constant(target.attr)
+        )
         loads = [ast.Name(whole, ast.Load()), ast.Name(part, ast.Load())]
         getter = f"{RUNTIME}.item" if is_item else "getattr"
         old = _expression(getter, loads, node)
@@ -350,80 +389,81 @@ class _Expressions(ast.NodeTransformer):
     def __init__(self, function: _Function) -> None:
         self.function = function
 
-    def visit_BoolOp(self, node: ast.BoolOp) -> ast.AST:
+    def visit(self, node: ast.AST) -> Any:
+        """Return what takes the place of an expression."""
+        match node:
+            case ast.BoolOp():
+                return self.bool_op(node)
+            case ast.UnaryOp(op=ast.Not()):
+                return _expression(f"{RUNTIME}.negation", [self.visit(node.operand)], node)
+            case ast.IfExp():
+                return self.conditional(node)
+            case ast.Compare():
+                return self.comparison(node)
+            case ast.Subscript():
+                return self.element(node)
+            case ast.List(ctx=ast.Load()) | ast.ListComp():
+                self.generic_visit(node)
+                return _expression(f"{RUNTIME}.listed", [node], node)
+            case ast.Call():
+                return self.call(node)
+            case ast.FunctionDef():
+                return _Function(self.function.file).of(node)
+            case ast.comprehension():
+                node.ifs = [_expression(f"{RUNTIME}.keeps", [test], test) for test in node.ifs]
+            case ast.Yield() | ast.YieldFrom() | ast.Await():
+                self.function.refuse(node, "golden functions are no generators; return a list")
+        return self.generic_visit(node)
+
+    def bool_op(self, node: ast.BoolOp) -> Any:
         """Let the later operands wait, as Python does."""
-        values = [self.visit(v) for v in node.values]
+        values: list[ast.expr] = [self.visit(v) for v in node.values]
         verb = "both" if isinstance(node.op, ast.And) else "any_of_two"
         result = values[0]
         for value in values[1:]:
             result = _expression(f"{RUNTIME}.{verb}", [result, self.later(value)], node)
-        return result  # type: ignore[no-any-return]
+        return result
 
-    def visit_UnaryOp(self, node: ast.UnaryOp) -> ast.AST:
-        """Return ``not`` as a call."""
-        operand = self.visit(node.operand)
-        if isinstance(node.op, ast.Not):
-            return _expression(f"{RUNTIME}.negation", [operand], node)
-        return ast.copy_location(ast.UnaryOp(node.op, operand), node)
-
-    def visit_IfExp(self, node: ast.IfExp) -> ast.AST:
+    def conditional(self, node: ast.IfExp) -> Any:
         """Return ``a if test else b`` as a call."""
         sides = [self.later(self.visit(node.body)), self.later(self.visit(node.orelse))]
         return _expression(f"{RUNTIME}.either", [self.visit(node.test), *sides], node)
 
-    def visit_Compare(self, node: ast.Compare) -> ast.AST:
+    def comparison(self, node: ast.Compare) -> Any:
         """Return chains as calls, and what compares sequences."""
         values = [self.visit(v) for v in (node.left, *node.comparators)]
         names = [type(op).__name__ for op in node.ops]
         if len(names) == 1:
-            if names[0] in ("Eq", "NotEq", "In", "NotIn"):
-                verb = {"Eq": "equal", "NotEq": "differ", "In": "contains", "NotIn": "lacks"}[names[0]]
-                return _expression(f"{RUNTIME}.{verb}", values, node)
+            if names[0] in _COMPARISONS:
+                return _expression(f"{RUNTIME}.{_COMPARISONS[names[0]]}", values, node)
             return ast.copy_location(ast.Compare(values[0], node.ops, values[1:]), node)
-        result = [ast.Constant(tuple(names)), values[0], *map(self.later, values[1:])]
+        each = ast.Tuple([ast.Constant(name) for name in names], ast.Load())
+        result = [each, values[0], *map(self.later, values[1:])]
         return _expression(f"{RUNTIME}.chain", result, node)
 
-    def visit_Subscript(self, node: ast.Subscript) -> ast.AST:
+    def element(self, node: ast.Subscript) -> Any:
         """Return an element by a call; a word may choose it."""
         value, index = self.visit(node.value), self.visit(node.slice)
         if isinstance(node.ctx, ast.Load):
             return _expression(f"{RUNTIME}.item", [value, index], node)
         return ast.copy_location(ast.Subscript(value, index, node.ctx), node)
 
-    def visit_List(self, node: ast.List) -> ast.AST:
-        """Return a list whose elements a word may choose and write."""
-        new = ast.copy_location(ast.List([self.visit(e) for e in node.elts], node.ctx), node)
-        return _expression(f"{RUNTIME}.listed", [new], node) if isinstance(node.ctx, ast.Load) else new
-
-    def visit_ListComp(self, node: ast.ListComp) -> ast.AST:
-        """Do the same for a comprehension."""
-        return _expression(f"{RUNTIME}.listed", [self.generic_visit(node)], node)
-
-    def visit_Call(self, node: ast.Call) -> ast.AST:
+    def call(self, node: ast.Call) -> Any:
         """Count what fits, in place of leaving out what does not: that is no word's to decide."""
         if isinstance(node.func, ast.Name) and node.func.id in _REDUCTIONS and len(node.args) == 1:
             inner = node.args[0]
             if isinstance(inner, (ast.GeneratorExp, ast.ListComp)):
                 node = _unfiltered(node, inner)
+        if isinstance(node.func, ast.Attribute):
+            of, verb = self.visit(node.func.value), node.func.attr
+            if verb in ("index", "count") and len(node.args) == 1:
+                return _expression(f"{RUNTIME}.{verb}", [of, self.visit(node.args[0])], node)
+            if verb in _GROWING:
+                of = _expression(f"{RUNTIME}.growing", [of, ast.Constant(verb)], node)
+            node.func.value = of
+            node.args, node.keywords = list(map(self.visit, node.args)), list(map(self.visit, node.keywords))
+            return node
         return self.generic_visit(node)
-
-    def visit_Lambda(self, node: ast.Lambda) -> ast.AST:
-        """Keep what is a function of its own, its body rewritten."""
-        return self.generic_visit(node)
-
-    def visit_NamedExpr(self, node: ast.NamedExpr) -> ast.AST:
-        """Return ``:=`` as it is."""
-        return self.generic_visit(node)
-
-    def visit_FunctionDef(self, node: ast.FunctionDef) -> ast.AST:
-        """Rewrite a function inside of another statement."""
-        return _Function(self.function.file).of(node)
-
-    def visit_Yield(self, node: ast.Yield) -> ast.AST:
-        """Refuse it."""
-        self.function.refuse(node, "golden functions are no generators; return a list")
-
-    visit_YieldFrom = visit_Await = visit_Yield  # type: ignore[assignment]
 
     def later(self, node: ast.expr) -> ast.expr:
         """Return a function of no arguments that evaluates an expression."""
@@ -439,6 +479,15 @@ class _Expressions(ast.NodeTransformer):
 
 
 _REDUCTIONS = "any", "all", "sum"
+_GROWING = "append", "extend", "insert", "pop", "remove", "clear", "sort", "reverse"
+_COMPARISONS = {
+    "Eq": "equal",
+    "NotEq": "differ",
+    "In": "contains",
+    "NotIn": "lacks",
+    "Is": "same",
+    "IsNot": "other",
+}
 
 
 def _unfiltered(call: ast.Call, inner: ast.GeneratorExp | ast.ListComp) -> ast.Call:

@@ -349,7 +349,11 @@ def test_types_of_the_new_package(installed: Installed) -> None:
 
 BREAKS = {
     # A word that does not fit its field, and a category that the table of rewards does not have.
-    "width": ("min(max(state.cell + move, PIT), GOAL)", "state.cell + move", "step() returns -1 to 16 for cell"),
+    "width": (
+        "min(max(state.cell + move, PIT), GOAL)",
+        "state.cell + move",
+        "step() returns -1 to 16 for cell",
+    ),
     "reward": ("REACHED, FELL = 0, 1, 2", "REACHED, FELL = 0, 1, 3", "step() returns 0 to 3 for reward"),
     # A rule that is not the one that the tests tell.
     "rule": ("move = 1 if", "move = 2 if", "test_every_state_action_and_draw"),

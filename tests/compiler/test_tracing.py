@@ -182,7 +182,7 @@ def sine(a: Any) -> Any:
 
 
 def divided(a: Any) -> Any:
-    return 7 // a
+    return 7 // (a - 1)
 
 
 def beyond(a: Any) -> Any:
@@ -220,7 +220,7 @@ REFUSED = {
     floats: "0.5 is a float; golden functions work on integers",
     returned_float: r"returned_float\(\) returns 1.5 is a float",
     sine: "golden functions have no np.sin",
-    divided: "`//` and `%` take a constant divisor from 1",
+    divided: r"a divisor can be -1 to 2, and `//` and `%` take one from 1; `max\(n, 1\)` keeps it in",
     beyond: "an index can be 1 to 4, and the table has 4 entries",
     drawn: "golden functions cannot use random.randint; random draws come as arguments",
     unknown: "NameError: name 'heights' is not defined",

@@ -59,12 +59,27 @@ PATTERNS = [
     "({} & {}) | ({} ^ {c})",
 ]
 
+DIVISIONS = [
+    "{} // np.maximum({}, 1)",
+    "{} % np.maximum({}, 1)",
+    "{} // (({} & 7) + 1)",
+    "{} % (({} & 31) + 1)",
+    "{} // np.maximum({} >> {n}, {d})",
+    "{} - {} % np.maximum(np.int16({}), {d})",
+    "np.int16({}) // ((np.uint8({}) & 15) | 1)",
+    "np.uint8({}) % ((np.uint8({}) & 15) | 1)",
+    "{c} // (({} & 7) + 2)",
+    "{c} % np.maximum(np.int16({}), 1)",
+    "TABLE[{} % (({} & 7) + 1)]",
+]
+"""By words."""
 
-def operations(chance: random.Random, words: list[str], count: int) -> list[str]:
+
+def operations(chance: random.Random, words: list[str], count: int, patterns: list[str]) -> list[str]:
     """Return assignments of so many operations to ``v0``, ``v1`` and so on."""
     lines = []
     for k in range(count):
-        pattern = chance.choice(PATTERNS)
+        pattern = chance.choice(patterns)
         # Recent words more often, so that chains get long.
         known = words + words[-3:] * 2
         values = [f"np.int32({chance.choice(known)})" for _ in range(pattern.count("{}"))]
@@ -74,7 +89,7 @@ def operations(chance: random.Random, words: list[str], count: int) -> list[str]
     return lines
 
 
-def source(chance: random.Random, fields: list[Field]) -> str:
+def source(chance: random.Random, fields: list[Field], patterns: list[str]) -> str:
     """Return the text of three golden functions over a state of these fields."""
     names = [f.name for f in fields]
     state = ", ".join(names)
@@ -85,28 +100,32 @@ def source(chance: random.Random, fields: list[Field]) -> str:
 
     count = chance.randint(4, 14)
     every = [f"v{k}" for k in range(count)]
-    step = operations(chance, [*names, "action", "draw"], count)
+    step = operations(chance, [*names, "action", "draw"], count, patterns)
     moved = ", ".join(result(f) for f in fields)
     end = f"np.uint8(({every[-1]} & 3) == 0)"
     text = [f"def step({state}, action, draw):", *step, f"    return {moved}, np.uint8({every[-1]}), {end}"]
     every = ["v0", "v1"]
     names = []
     fresh = ", ".join(result(f) for f in fields)
-    text += ["def initial(draw):", *operations(chance, ["draw"], 2), f"    return {fresh}"]
-    seen = operations(chance, [f.name for f in fields], 2)
+    text += ["def initial(draw):", *operations(chance, ["draw"], 2, patterns), f"    return {fresh}"]
+    seen = operations(chance, [f.name for f in fields], 2, patterns)
     text += [f"def observe({state}):", *seen, "    return np.int32(v0), np.int32(v1)"]
     return "\n".join(text) + "\n"
 
 
-def random_spec(seed: int | random.Random) -> EnvSpec:
-    """Return an environment of random golden functions; of one seed always the same."""
+def random_spec(seed: int | random.Random, divided: bool = False) -> EnvSpec:
+    """Return an environment of random golden functions; of one seed always the same.
+
+    Where words are ``divided`` by words, every other operation is such a division.
+    """
     chance = random.Random(seed) if isinstance(seed, int) else seed
     fields = [
         Field(f"word_{k}", chance.choice([1, 2, 3, 5, 8, 13, 16]), signed=chance.random() < 0.4)
         for k in range(chance.randint(1, 4))
     ]
     scope: dict[str, Any] = {"np": np, "TABLE": TABLE, "FAR": FAR, "HIGH": HIGH}
-    text = source(chance, fields)
+    often = len(PATTERNS) // len(DIVISIONS)
+    text = source(chance, fields, PATTERNS + DIVISIONS * often if divided else PATTERNS)
     exec(compile(text, "<a random step>", "exec"), scope)
     number = Field("first", 32, signed=True), Field("second", 32, signed=True)
     return EnvSpec(
