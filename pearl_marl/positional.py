@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any, NamedTuple
 
 from pearl_marl.errors import ArgumentError
@@ -11,6 +11,8 @@ from pearl_marl.fields import Field
 from pearl_marl.golden import Draws, GoldenFunction, Word
 from pearl_marl.layout import Layout, leaves
 from pearl_marl.places import place_of
+from pearl_marl.reals import Choice, Real, admitted, stored
+from pearl_marl.reals.words import rounded
 
 
 class Positional(NamedTuple):
@@ -36,40 +38,66 @@ class Positional(NamedTuple):
 
 def initial_of(state: Layout, function: GoldenFunction) -> GoldenFunction:
     """Return ``initial(draws)`` as a function of draws."""
-    flat, draws_of = state.flat, Draws
+    flat, draws_of, fraction = state.flat, Draws, state.fraction
 
     def initial(*draws: Word) -> tuple[Word, ...]:
-        return tuple(flat(function(draws_of(draws))))
+        return tuple(flat(function(draws_of(draws, fraction))))
 
-    return _as(function, initial, "draws")
+    return _as(state, function, initial, "draws")
 
 
 def step_of(
-    state: Layout, function: GoldenFunction, agents: int, fields: int = 1, *, world: bool
+    state: Layout,
+    function: GoldenFunction,
+    agents: int,
+    action: Sequence[Field],
+    reward: Field,
+    *,
+    world: bool,
 ) -> GoldenFunction:
-    """Return ``step(state, action, draws)`` as a function of words; an action has so many fields."""
+    """Return ``step(state, action, draws)`` as a function of words, given the fields of actions and rewards."""
     count, flat, built, draws_of, taken = len(state.fields), state.flat, state.built, Draws, _outcome
-    given = agents * fields
+    fields, fraction = len(action), state.fraction
+    given, number, word_of = agents * fields, _number, _word
 
     def step(*words: Word) -> tuple[Word, ...]:
-        own = words[count : count + given]
-        actions = own if fields == 1 else [own[k : k + fields] for k in range(0, given, fields)]
-        action = list(actions) if world else actions[0]
-        result = function(built(words[:count]), action, draws_of(words[count + given :]))
+        own = [
+            number(word, action[k % fields], fraction) for k, word in enumerate(words[count : count + given])
+        ]
+        actions = own if fields == 1 else [tuple(own[k : k + fields]) for k in range(0, given, fields)]
+        acts = actions if world else actions[0]
+        result = function(built(words[:count]), acts, draws_of(words[count + given :], fraction))
         after, rewards, ends = taken(result, agents, world)
-        return (*flat(after), *rewards, *ends)
+        return (*flat(after), *[word_of(one, reward) for one in rewards], *ends)
 
-    return _as(function, step, "state", "actions" if world else "action", "draws")
+    return _as(state, function, step, "state", "actions" if world else "action", "draws")
 
 
-def view_of(state: Layout, function: GoldenFunction, agents: int, *, world: bool) -> GoldenFunction:
+def _number(word: Word, field: Field, fraction: int | None) -> Any:
+    """Return an action's number: a real, where the environment has them and the field has a fraction."""
+    if fraction is None or not field.fraction:
+        return word
+    by = fraction - field.fraction
+    return Real(word << by if by >= 0 else rounded(word, -by), fraction)
+
+
+def _word(number: Any, field: Field) -> Word:
+    """Return the word of a reward."""
+    is_real = isinstance(number, (Real, Choice, float))
+    return stored(number, field.low, field.high, field.fraction) if is_real else number
+
+
+def view_of(
+    state: Layout, function: GoldenFunction, agents: int, view: Layout | None = None, *, world: bool
+) -> GoldenFunction:
     """Return ``observe(state[, agent])``, or ``masks``, as a function of words."""
-    count, built, words_of, alone = len(state.fields), state.built, leaves, (0,) * (world and agents == 1)
+    words_of = leaves if view is None or view.fraction is None else view.flat
+    count, built, alone = len(state.fields), state.built, (0,) * (world and agents == 1)
 
-    def view(*words: Word) -> tuple[Word, ...]:
+    def seen(*words: Word) -> tuple[Word, ...]:
         return tuple(words_of(function(built(words[:count]), *words[count:], *alone)))
 
-    return _as(function, view, "state", *["agent"] * world)
+    return _as(state, function, seen, "state", *["agent"] * world)
 
 
 def takes_agent(observe: GoldenFunction) -> bool:
@@ -98,9 +126,7 @@ def _written(value: Any, scope: dict[str, Any]) -> str:
         return value
     kind = type(value)
     if not isinstance(value, (list, tuple)):
-        raise ArgumentError(
-            f"unpack() takes a {kind.__name__}, which is no NamedTuple, and Numba has no other"
-        )
+        raise ArgumentError(f"unpack() takes a {kind.__name__}; Numba knows NamedTuples only")
     parts = "".join(f"{_written(part, scope)}, " for part in value)
     if kind is list:
         return f"({parts})"
@@ -123,13 +149,15 @@ def _outcome(result: Any, agents: int, world: bool) -> tuple[Any, list[Word], li
     return after, list(others[0]), list(others[1])
 
 
-def _as(function: GoldenFunction, wrapper: Callable[..., Any], *given: str) -> GoldenFunction:
+def _as(state: Layout, function: GoldenFunction, wrapper: Callable[..., Any], *given: str) -> GoldenFunction:
     """Return a wrapper that messages name like the function in it."""
     if not inspect.isfunction(function):
         raise ArgumentError(f"{function!r} is no plain Python function, and a golden function is one")
     _called_with(function, *given)
     wrapper.__name__, wrapper.__module__ = function.__name__, function.__module__
     wrapper.author = function  # type: ignore[attr-defined]
+    if state.fraction is not None:
+        wrapper.admits = admitted  # type: ignore[attr-defined]
     return wrapper
 
 

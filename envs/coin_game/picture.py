@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from .step import BLUE, BLUE_COIN, RED, RED_COIN, SIZE
+from .step import SIZE
 
 CELL = 64
 """Width and height of a cell, in pixels."""
@@ -27,15 +27,15 @@ def draw(state: tuple[int, ...]) -> npt.NDArray[np.uint8]:
         pen.line((0, at, side, at), LINE)
     # Each has a corner of its cell to itself, since all four may be in one.
     for place, colour, right, down in (
-        (RED_COIN, RED_COLOUR, 0.27, 0.73),
-        (BLUE_COIN, BLUE_COLOUR, 0.73, 0.73),
-        (RED, RED_COLOUR, 0.27, 0.27),
-        (BLUE, BLUE_COLOUR, 0.73, 0.27),
+        (4, RED_COLOUR, 0.27, 0.73),
+        (6, BLUE_COLOUR, 0.73, 0.73),
+        (0, RED_COLOUR, 0.27, 0.27),
+        (2, BLUE_COLOUR, 0.73, 0.27),
     ):
         row, column = state[place : place + 2]
         left, top = (column + right) * CELL, (SIZE - 1 - row + down) * CELL
         _disc(pen, left, top, CELL * 0.2, colour)
-        if place in (RED_COIN, BLUE_COIN):
+        if place >= 4:
             _disc(pen, left, top, CELL * 0.11, GROUND)
     return np.asarray(image)
 

@@ -12,7 +12,7 @@ from pearl_marl.golden import Word
 from pearl_marl.planes import interleave
 from pearl_marl.spec import EnvSpec, Field, Golden
 
-from .step import CELLS, COLUMNS, ROWS, initial, masks, observe, step
+from .step import CELLS, COLUMNS, ROWS, State, View, initial, masks, observe, step
 
 
 def unpack(own: Word, other: Word, row: Any) -> None:
@@ -33,14 +33,11 @@ def configure() -> EnvSpec:
         name="ConnectFour",
         version=0,
         summary="Two players drop discs in turn, and four in a row win",
-        state=(Field("first", CELLS), Field("second", CELLS), Field("turn", 1)),
-        action=Field("column", 3),
-        observation=(Field("own", CELLS), Field("other", CELLS)),
         reward=Field("reward", 2, signed=True),
         rewards=None,
         observation_space=Box(0, 1, (ROWS, COLUMNS, 2), np.int8),
         action_space=Discrete(COLUMNS),
-        golden=Golden(initial, step, observe, masks),
+        golden=Golden(State, initial, step, observe, masks, view=View),
         agents=2,
         turns=True,
         masked="refused",

@@ -43,7 +43,7 @@ def _steps(graph: Graph, a: Node, by: Node, total: Total) -> tuple[Node, Node]:
         if whole.high < by.low:  # it fits in nowhere
             rest, fits = whole, graph.constant(0)
         else:
-            bits = max(whole.bits, by.bits) + 1
+            bits = by.bits + 1  # it is from -by to by - 1, since what was left is less than the divisor
             less = total([(1, whole), (-1, by)], 0, bits)
             below = graph.wrap(graph.right(less, bits - 1), 1, False)
             bits = min(whole.bits, by.bits)

@@ -2,8 +2,8 @@
 
 The result is a graph of the same integers, modulo the bits that somebody uses. ``add``, ``sub``, ``mul``
 and ``divide`` have become ``sum``, of shifted and signed words and a constant, ``join``, of words side by
-side, and ``mul`` of words that one multiplier takes; ``narrow`` is a ``wrap``, so that every node is within
-its range again, and a division by a word (:mod:`~pearl_marl.compiler.dividing`) a subtraction a bit.
+side, and ``mul`` of words that one multiplier takes; ``narrow`` is a ``wrap`` at most, so that every node is
+within its range again, and a division by a word (:mod:`~pearl_marl.compiler.dividing`) a subtraction a bit.
 """
 
 from __future__ import annotations
@@ -95,8 +95,8 @@ class Lowering:
                 constant = self._flatten(node, 1, 0, terms, bits, whole=True)
                 return self._total(terms, constant, bits)
             case "narrow":
-                return graph.wrap(args[0], node.bits, node.low < 0)
-            case "table" if node.loose:
+                return args[0]  # its own bits are cut out of it like those of any other
+            case "table" if node.args[0].loose:
                 return graph.table(node.imm, args[0])  # as long as its index is wide
             case "divide_by" | "modulo_by":
                 return self._divided(*args)[node.op == "modulo_by"]

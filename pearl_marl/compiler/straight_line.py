@@ -104,7 +104,8 @@ def _with_merged_sums(graph: Graph, results: Sequence[Node]) -> list[Node]:
     users = Counter(arg for node in order for arg in node.args)
     new: dict[Node, Node] = {}
     for node in order:
-        new[node] = again = graph.again(node, [new[arg] for arg in node.args])
+        again = graph.within(graph.again(node, [new[arg] for arg in node.args]), node.low, node.high)
+        new[node] = again
         if node.op == again.op == "add" and again.args[1].is_constant() and users[node.args[0]] == 1:
             shifted, constant = again.args
             if shifted.op == "right":

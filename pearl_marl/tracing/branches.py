@@ -1,584 +1,26 @@
-"""What becomes of an author's decisions on words while a function is traced.
+"""What becomes of an author's branches while a function is traced.
 
 A *path* is the condition under which the statement at hand runs. A :class:`Fork` runs both sides of an
-``if``, each on its path, and joins the variables that they leave. A ``return``, ``break`` or ``continue`` ends
-a path; what it takes along is joined where it arrives, in the order in which paths ended. An element of a list
-is written under the condition of its path, so lists need not be joined.
-
-On a path more is known of words: under ``x == 3`` it is 3, and under ``x > 0`` not 0.
+``if``, each on its path, and joins the variables that they leave. A ``return``, ``break`` or ``continue``
+ends a path; what it takes along is joined where it arrives, in the order in which paths ended. An element of
+a list is written under the condition of its path, so a list that keeps its name need not be joined.
 """
 
 from __future__ import annotations
 
 import dataclasses
-import functools
-import operator
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import Any, NamedTuple, NoReturn
-
-import numpy as np
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
 
 from pearl_marl.errors import ArgumentError
-from pearl_marl.tracing.graph import Graph
-from pearl_marl.tracing.nodes import Node
-from pearl_marl.tracing.words import Word, chosen_entry, flag_of, node_of
+from pearl_marl.tracing.joining import check_defined, joined, merged, variables
+from pearl_marl.tracing.paths import Exits, Literal, Path
+
+if TYPE_CHECKING:
+    from pearl_marl.tracing.runtime import Runtime
 
 MOST_ROUNDS = 1000
 """Rounds after which a ``while`` counts as one without a bound."""
-
-Exits = frozenset[Any]
-
-
-class Literal(NamedTuple):
-    """A flag that is set on a path."""
-
-    flag: Node
-    exits: Exits
-    """What ended the paths on which it is not set; empty where it is a side of an ``if``."""
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class Path:
-    """The condition under which a statement runs, and what it tells of words."""
-
-    graph: Graph
-    literals: tuple[Literal, ...] = ()
-    facts: Mapping[Node, bool] = dataclasses.field(default_factory=dict)
-    """Flags that are known here."""
-    known: Mapping[Node, Node] = dataclasses.field(default_factory=dict)
-    """Nodes of which more is known here, as nodes of narrower ranges."""
-
-    @functools.cached_property
-    def condition(self) -> Node:
-        """The condition as a flag."""
-        return functools.reduce(self.graph.and_, (lit.flag for lit in self.literals), self.graph.constant(1))
-
-    def where(self, flag: Node, exits: Exits = frozenset()) -> Path:
-        """Return the path on which a flag is set, too."""
-        if flag.is_constant(1):
-            return self
-        facts, known = dict(self.facts), dict(self.known)
-        for node, value in _facts(flag, True):
-            facts[node] = value
-            for word, low, high in _bounds(node, value):
-                _narrow(self.graph, known, word, low, high)
-        return Path(self.graph, (*self.literals, Literal(flag, exits)), facts, known)
-
-    def decided(self, flag: Node) -> bool | None:
-        """Return what a flag is here, if that is known."""
-        graph = self.graph
-        if flag.is_constant():
-            return bool(flag.imm)
-        if flag in self.facts:
-            return self.facts[flag]
-        if flag.op == "not" and flag.args[0] in self.facts:
-            return not self.facts[flag.args[0]]
-        if not _depend(self.condition, flag):
-            return None
-        if graph.and_(self.condition, flag).is_constant(0):
-            return False
-        if graph.and_(self.condition, graph.logical_not(flag)).is_constant(0):
-            return True
-        return None
-
-    def since(self, start: Path, but: Exits = frozenset()) -> Node:
-        """Return the condition that leads here from another path, without what ``but`` alone has ended."""
-        result = self.graph.constant(1)
-        for literal in self.literals[len(start.literals) :]:
-            if not literal.exits or not literal.exits <= but:
-                result = self.graph.and_(result, literal.flag)
-        return result
-
-
-def _depend(a: Node, b: Node) -> bool:
-    """Return whether two nodes are known to depend on the same words."""
-    return not (a.function is None or b.function is None or set(a.function.axes).isdisjoint(b.function.axes))
-
-
-def _facts(flag: Node, value: bool) -> list[tuple[Node, bool]]:
-    """Return the flags that follow from one."""
-    found = [(flag, value)]
-    if flag.op == "not":
-        found += _facts(flag.args[0], not value)
-    if (flag.op == "and" and value) or (flag.op == "or" and not value):
-        for arg in flag.args:
-            if arg.is_flag:
-                found += _facts(arg, value)
-    return found
-
-
-def _bounds(flag: Node, value: bool) -> list[tuple[Node, int, int]]:
-    """Return between what words are where a comparison has come out so."""
-    if flag.op == "equal":
-        a, b = flag.args
-        if value:
-            return [(a, b.low, b.high), (b, a.low, a.high)]
-        if b.is_constant():
-            return [(a, a.low + (a.low == b.imm), a.high - (a.high == b.imm))]
-    if flag.op == "less":
-        a, b = flag.args
-        if value:
-            return [(a, a.low, b.high - 1), (b, a.low + 1, b.high)]
-        return [(a, b.low, a.high), (b, b.low, a.high)]
-    return []
-
-
-def _narrow(graph: Graph, known: dict[Node, Node], word: Node, low: int, high: int) -> None:
-    """Note that a word is within a range."""
-    if word.is_constant():
-        return
-    # A word of few values needs no other node: what is made of it is joined exactly.
-    if low != high and word.function is not None:
-        return
-    low, high = max(low, word.low), min(high, word.high)
-    if (low, high) == (word.low, word.high) or low > high:
-        return
-    new = graph.narrow(word, low, high)
-    for old in [node for node, now in known.items() if now is word]:
-        known[old] = new
-    known[word] = new
-
-
-class Undefined:
-    """What a variable holds where it has no value on some path, or values that cannot be one."""
-
-    def __init__(self, why: str) -> None:
-        object.__setattr__(self, "_why", why)
-
-    def _raise(self, *_: Any, **__: Any) -> NoReturn:
-        raise ArgumentError(object.__getattribute__(self, "_why"))
-
-    __getattr__ = __setattr__ = _raise
-
-
-for _name in [
-    "add",
-    "radd",
-    "sub",
-    "rsub",
-    "mul",
-    "rmul",
-    "floordiv",
-    "rfloordiv",
-    "truediv",
-    "rtruediv",
-    "mod",
-    "rmod",
-    "pow",
-    "rpow",
-    "and",
-    "rand",
-    "or",
-    "ror",
-    "xor",
-    "rxor",
-    "lshift",
-    "rlshift",
-    "rshift",
-    "rrshift",
-    "eq",
-    "ne",
-    "lt",
-    "le",
-    "gt",
-    "ge",
-    "bool",
-    "index",
-    "int",
-    "float",
-    "iter",
-    "len",
-    "getitem",
-    "setitem",
-    "call",
-    "neg",
-    "pos",
-    "abs",
-    "invert",
-    "contains",
-]:
-    setattr(Undefined, f"__{_name}__", Undefined._raise)
-
-
-class Listed(list[Any]):
-    """A list of a golden function: a word may choose its elements, and its length depends on no word."""
-
-    path: Path | None = None
-    """The path on which it was made."""
-    runtime: Runtime | None = None
-
-    def like(self, values: Iterable[Any]) -> Listed:
-        """Return another list as if it had been made where this one was."""
-        new = Listed(values)
-        new.path, new.runtime = self.path, self.runtime
-        return new
-
-    def _grow(self) -> None:
-        if self.runtime is not None and self.runtime.condition_since(self.path) is not None:
-            raise ArgumentError(
-                "a list grows or shrinks where a word decides whether it does; give it its full length before"
-            )
-
-
-def _growing(name: str) -> Callable[..., Any]:
-    def method(self: Listed, *args: Any, **keywords: Any) -> Any:
-        self._grow()
-        return getattr(list, name)(self, *args, **keywords)
-
-    return method
-
-
-for _name in ("append", "extend", "insert", "pop", "remove", "clear", "sort", "reverse", "__delitem__"):
-    setattr(Listed, _name, _growing(_name))
-
-
-class Runtime:
-    """What rewritten functions call: see :mod:`pearl_marl.tracing.rewriting`."""
-
-    def __init__(self, graph: Graph) -> None:
-        self.graph = graph
-        self.root = Path(graph)
-        self.exits: list[Any] = []
-        """What has ended paths, in order, until it is joined."""
-        self._path: Path | None = self.root
-
-    @property
-    def path(self) -> Path | None:
-        """The path at hand; ``None`` where none is left."""
-        return self._path
-
-    @path.setter
-    def path(self, path: Path | None) -> None:
-        self._path = path
-        self.graph.known = path.known if path is not None else {}
-        self.graph.certain = path is not None and not path.literals
-
-    @property
-    def here(self) -> Path:
-        """The path at hand, where one is."""
-        assert self._path is not None
-        return self._path
-
-    def frame(self) -> Frame:
-        """Return what keeps the paths of a call."""
-        return Frame(self)
-
-    def unbound(self, name: str) -> Undefined:
-        """Return a variable's value before it has one."""
-        return Undefined(f"`{name}` has no value on every path that leads here; give it one before")
-
-    def truth(self, value: Any) -> bool | Node:
-        """Return whether a value counts as true: a flag, where that depends on a word."""
-        if not isinstance(value, Word):
-            return bool(value)
-        flag = flag_of(self.graph, node_of(self.graph, value))
-        decided = self.here.decided(flag)
-        return flag if decided is None else decided
-
-    def condition_since(self, start: Path | None) -> Node | None:
-        """Return the condition that has come about since a path; ``None`` where there is none."""
-        start = start or self.root
-        if self._path is None or len(self._path.literals) <= len(start.literals):
-            return None
-        # A list that was made on a side that has been left is seen by its own path only.
-        if self._path.literals[: len(start.literals)] != start.literals:
-            start = self.root
-        condition = self._path.since(start)
-        return None if condition.is_constant(1) else condition
-
-    def either(self, test: Any, a: Callable[[], Any], b: Callable[[], Any]) -> Any:
-        """Return ``a() if test else b()``."""
-        flag = self.truth(test)
-        if isinstance(flag, bool):
-            return a() if flag else b()
-        return joined(self.graph, flag, self.on(flag, a), self.on(self.graph.logical_not(flag), b))
-
-    def on(self, flag: Node, function: Callable[[], Any]) -> Any:
-        """Return what a function gives where a flag is set."""
-        return self.at(self.here.where(flag), function)
-
-    def at(self, path: Path, function: Callable[[], Any]) -> Any:
-        """Return what a function gives on a path."""
-        before, self.path = self.path, path
-        try:
-            return function()
-        finally:
-            self.path = before
-
-    def both(self, a: Any, b: Callable[[], Any]) -> Any:
-        """Return ``a and b()``."""
-        flag = self.truth(a)
-        if isinstance(flag, bool):
-            return b() if flag else a
-        return joined(self.graph, flag, self.on(flag, b), False)
-
-    def any_of_two(self, a: Any, b: Callable[[], Any]) -> Any:
-        """Return ``a or b()``."""
-        flag = self.truth(a)
-        if isinstance(flag, bool):
-            return a if flag else b()
-        there = True if a.node.is_flag else a
-        return joined(self.graph, flag, there, self.on(self.graph.logical_not(flag), b))
-
-    def negation(self, value: Any) -> Any:
-        """Return ``not value``."""
-        flag = self.truth(value)
-        return not flag if isinstance(flag, bool) else Word(self.graph, self.graph.logical_not(flag))
-
-    def chain(self, names: str, first: Any, *later: Callable[[], Any]) -> Any:
-        """Return a chain of comparisons, given the names of their nodes."""
-        name, _, others = names.partition(" ")
-        second = later[0]()
-        result = self.compared(name, first, second)
-        return self.both(result, lambda: self.chain(others, second, *later[1:])) if others else result
-
-    def compared(self, name: str, a: Any, b: Any) -> Any:
-        """Return one comparison, by the name of its node."""
-        mine: dict[str, Callable[[Any, Any], Any]] = {
-            "Eq": self.equal,
-            "NotEq": self.differ,
-            "In": self.contains,
-            "NotIn": self.lacks,
-            "Lt": operator.lt,
-            "LtE": operator.le,
-            "Gt": operator.gt,
-            "GtE": operator.ge,
-            "Is": operator.is_,
-            "IsNot": operator.is_not,
-        }
-        return mine[name](a, b)
-
-    def equal(self, a: Any, b: Any) -> Any:
-        """Return ``a == b``, of sequences of words, too."""
-        if isinstance(a, (tuple, list)) and isinstance(b, (tuple, list)):
-            if len(a) != len(b) or isinstance(a, tuple) != isinstance(b, tuple):
-                return False
-            return self.every(self.equal(x, y) for x, y in zip(a, b, strict=True))
-        return a == b
-
-    def differ(self, a: Any, b: Any) -> Any:
-        """Return ``a != b``."""
-        if isinstance(a, (tuple, list)) and isinstance(b, (tuple, list)):
-            return self.negation(self.equal(a, b))
-        return a != b
-
-    def contains(self, value: Any, among: Any) -> Any:
-        """Return ``value in among``."""
-        if isinstance(among, Word):
-            raise ArgumentError("`in` looks into a word, which is no sequence")
-        if isinstance(among, range) and isinstance(value, Word) and among.step == 1:
-            return (value >= among.start) & (value < among.stop)
-        if not _has_words(value) and not (isinstance(among, (tuple, list)) and _has_words(among)):
-            return value in among
-        return self.some(self.equal(value, other) for other in among)
-
-    def lacks(self, value: Any, among: Any) -> Any:
-        """Return ``value not in among``."""
-        return self.negation(self.contains(value, among))
-
-    def index(self, among: Any, value: Any) -> Any:
-        """Return ``among.index(value)``: where a value is, which is there."""
-        if not isinstance(among, (tuple, list)) or not (_has_words(value) or _has_words(among)):
-            return among.index(value)
-        here = [self.equal(one, value) for one in among]
-        result: Any = len(among) - 1
-        for place in range(len(among) - 2, -1, -1):
-            result = self._chosen(here[place], place, result)
-        return result
-
-    def _chosen(self, test: Any, a: Any, b: Any) -> Any:
-        return self.either(test, lambda: a, lambda: b)
-
-    def every(self, values: Iterable[Any]) -> Any:
-        """Return whether all values are true."""
-        result: Any = True
-        for value in values:
-            result = self.flag(value) & result
-            if result is False:
-                break
-        return result
-
-    def some(self, values: Iterable[Any]) -> Any:
-        """Return whether any value is true."""
-        result: Any = False
-        for value in values:
-            result = self.flag(value) | result
-            if result is True:
-                break
-        return result
-
-    def flag(self, value: Any) -> Any:
-        """Return ``bool(value)``."""
-        flag = self.truth(value)
-        return flag if isinstance(flag, bool) else Word(self.graph, flag)
-
-    def item(self, of: Any, index: Any) -> Any:
-        """Return an element, which a word may choose."""
-        if isinstance(index, tuple) and isinstance(of, (tuple, list)):
-            for part in index:
-                of = self.item(of, part)
-            return of
-        if isinstance(of, Word):
-            raise ArgumentError("a word has no elements; its bits are `word >> k & 1`")
-        if not isinstance(index, Word):
-            found = of[index]
-            return self.listed(found) if isinstance(found, list) and isinstance(index, slice) else found
-        if isinstance(of, (tuple, list, range)):
-            return chosen_entry(self.graph, of, self.place(of, index))
-        raise ArgumentError(f"a word chooses from {type(of).__name__}; it chooses from lists and tuples")
-
-    def place(self, of: Sequence[Any], index: Word) -> Node:
-        """Return the node of an index, which is within a sequence."""
-        node = node_of(self.graph, index)
-        low, high = node.low, node.high
-        if self._path is not None and (low < 0 or high >= len(of)):
-            # What is known here may say more than the word itself.
-            inside = self.graph.choose(self.here.condition, node, self.graph.constant(max(low, 0)))
-            low, high = max(low, inside.low), min(high, inside.high)
-        if low < 0 or high >= len(of):
-            raise ArgumentError(
-                f"an index can be {low} to {high}, and there are {len(of)} elements; "
-                "`min`, `max` or an `if` keeps it in"
-            )
-        return node
-
-    def put(self, of: Any, index: Any, value: Any) -> None:
-        """Write an element, where the path at hand is taken."""
-        if isinstance(index, tuple) and isinstance(of, list) and index:
-            *before, index = index
-            for part in before:
-                of = self.item(of, part)
-        if isinstance(index, Word) and isinstance(of, list):
-            node, graph = self.place(of, index), self.graph
-            condition = self.condition_since(getattr(of, "path", None)) or graph.constant(1)
-            for k in range(max(node.low, 0), min(node.high, len(of) - 1) + 1):
-                here = graph.and_(condition, graph.equal(node, graph.constant(k)))
-                if not here.is_constant(0):
-                    of[k] = joined(graph, here, value, of[k])
-            return
-        if isinstance(index, Word):
-            raise ArgumentError(f"a word chooses what is written in {type(of).__name__}; it takes a list")
-        self.store(of, index, value)
-
-    def store(self, of: Any, key: Any, value: Any) -> None:
-        """Write one element."""
-        condition = self.condition_since(getattr(of, "path", None))
-        if condition is not None:
-            if isinstance(key, slice):
-                raise ArgumentError("a slice is written where a word decides; write its elements")
-            value = joined(self.graph, condition, value, of[key])
-        of[key] = value
-
-    def set_attribute(self, of: Any, name: str, value: Any) -> None:
-        """Write an attribute, where the path at hand is taken."""
-        condition = self.condition_since(None)
-        if condition is not None:
-            value = joined(self.graph, condition, value, getattr(of, name))
-        setattr(of, name, value)
-
-    def listed(self, values: Iterable[Any]) -> Listed:
-        """Return a list whose elements may be written by words."""
-        result = Listed(values)
-        result.path, result.runtime = self._path, self
-        return result
-
-    def items(self, values: Any) -> Any:
-        """Return what a ``for`` goes over."""
-        if isinstance(values, Word):
-            raise ArgumentError("`for` goes over a word, which is no sequence")
-        return values
-
-    def asserts(self, value: Any) -> None:
-        """Check what is no word."""
-        flag = self.truth(value)
-        if not isinstance(flag, bool):
-            raise ArgumentError("an `assert` on a word; hardware has nobody to tell")
-        if not flag:
-            raise AssertionError("an `assert` does not hold")
-
-    def builtins(self) -> dict[str, Any]:
-        """Return what Python's functions become, by their names."""
-        return {
-            "min": lambda *values, **keywords: self._least(min, "minimum", values, keywords),
-            "max": lambda *values, **keywords: self._least(max, "maximum", values, keywords),
-            "any": self.some,
-            "all": self.every,
-            "bool": _Type((bool, Word), self.flag),
-            "int": _Type((int, Word), lambda value=0: value if isinstance(value, Word) else int(value)),
-            "list": _Type(list, lambda values=(): self.listed(values)),
-            "divmod": lambda a, b: (a // b, a % b),
-            "range": _Type(range, _range),
-            "sorted": self._sorted,
-            "print": _print,
-            "set": _Type(set, _no_set),
-        }
-
-    def _least(self, native: Any, operation: str, values: Sequence[Any], keywords: dict[str, Any]) -> Any:
-        every = list(values[0]) if len(values) == 1 else list(values)
-        if not any(isinstance(value, Word) for value in every):
-            return native(every, **keywords)
-        if keywords:
-            raise ArgumentError(f"{native.__name__}() of words takes no {next(iter(keywords))}=")
-        nodes = [node_of(self.graph, value) for value in every]
-        result = nodes[0]
-        for node in nodes[1:]:
-            result = getattr(self.graph, operation)(result, node)
-        return Word(self.graph, result)
-
-    def _sorted(self, values: Iterable[Any], **keywords: Any) -> Any:
-        every = list(values)
-        if not any(map(_has_words, every)):
-            return self.listed(sorted(every, **keywords))
-        raise ArgumentError("sorted() of words; golden functions have pearl_marl.golden.inserted")
-
-
-class _Type:
-    """What a type of Python's becomes: called, it makes something else, and ``isinstance`` knows it."""
-
-    def __init__(self, types: Any, make: Callable[..., Any]) -> None:
-        self._types, self._make = types, make
-
-    def __call__(self, *args: Any) -> Any:
-        return self._make(*args)
-
-    def __instancecheck__(self, value: Any) -> bool:
-        return isinstance(value, self._types)
-
-
-def _range(*args: Any) -> range:
-    if any(isinstance(a, Word) and not a.node.is_constant() for a in args):
-        raise ArgumentError(
-            "range() of a word; go over all rounds that there can be, and `break` where it is enough"
-        )
-    return range(*args)
-
-
-def _print(*values: Any, **keywords: Any) -> None:
-    if any(map(_has_words, values)):
-        raise ArgumentError("print() of a word, which has no value before hardware runs")
-    print(*values, **keywords)
-
-
-def _no_set(values: Iterable[Any] = ()) -> set[Any]:
-    every = list(values)
-    if any(map(_has_words, every)):
-        raise ArgumentError("a set of words; golden functions have lists and tuples of them")
-    return set(every)
-
-
-def _defined(value: Any) -> None:
-    """Refuse what holds a variable without a value."""
-    if isinstance(value, Undefined):
-        value._raise()
-    if isinstance(value, (tuple, list)):
-        for part in value:
-            _defined(part)
-
-
-def _has_words(value: Any) -> bool:
-    if isinstance(value, (tuple, list)):
-        return any(map(_has_words, value))
-    return isinstance(value, Word)
 
 
 class Frame:
@@ -602,7 +44,7 @@ class Frame:
 
     def returns(self, value: Any) -> None:
         """End a path by ``return``."""
-        _defined(value)
+        check_defined(value)
         self.results.append((self.runtime.here, value))
         self.runtime.exits.append(self)
         self.runtime.path = None
@@ -614,7 +56,7 @@ class Frame:
             self.results.append((runtime.path, None))
         runtime.path = self.entry
         del runtime.exits[self.mark :]
-        return _merged(runtime.graph, self.results, self.entry, frozenset([self]), joined)
+        return merged(runtime.graph, self.results, self.entry, frozenset([self]), joined)
 
 
 class Fork:
@@ -657,7 +99,8 @@ class Fork:
             return values
         (one, a, exits_a), (other, b, exits_b) = self.left
         one_start, other_start = self.sides
-        assert one_start is not None and other_start is not None
+        assert one_start is not None
+        assert other_start is not None
         if one is None or other is None:
             # The side that is left goes on; that it was this one tells what the other has ended.
             runtime.path = other if one is None else one
@@ -670,8 +113,8 @@ class Fork:
         else:
             left = graph.choose(flag, one.since(one_start), other.since(other_start))
             runtime.path = self.start.where(left, exits_a | exits_b)
-        result: tuple[Any, ...] = runtime.at(self.start, lambda: _variables(graph, flag, a, b))
-        return result
+        after: tuple[Any, ...] = runtime.at(self.start, lambda: variables(graph, flag, a, b))
+        return after
 
 
 def _retagged(path: Path, place: int, exits: Exits) -> Path:
@@ -691,7 +134,9 @@ class Loop:
         """Where the loop was left, by a break or because it stopped."""
         self.stopped: list[tuple[Path, tuple[Any, ...]]] = []
         self.continued: list[tuple[Path, tuple[Any, ...]]] = []
-        self.broken, self.passed = (self, "break"), (self, "continue")
+        self.broken, self.passed, self.over = (self, "break"), (self, "continue"), (self, "stop")
+        self.first = frozenset([self.frame, self.broken, self.over])
+        """What ends of this loop need not say that it did not happen: it would come first among them."""
 
     def again(self, test: Any, values: tuple[Any, ...]) -> bool:
         """Return whether a ``while`` may go round once more."""
@@ -704,8 +149,8 @@ class Loop:
         stop = runtime.here.where(runtime.graph.logical_not(flag))
         self.ended.append((stop, values))
         self.stopped.append((stop, values))
-        runtime.exits.append(self.broken)
-        runtime.path = self.round = runtime.here.where(flag, frozenset([self.broken]))
+        runtime.exits.append(self.over)
+        runtime.path = self.round = runtime.here.where(flag, frozenset([self.over]))
         return self._count()
 
     def _count(self) -> bool:
@@ -766,10 +211,10 @@ class Loop:
 
     def _merged(self, ends: Sequence[tuple[Path, Any]], start: Path, but: Exits) -> tuple[Any, ...]:
         # What is known where the last of them ended is not known of the others.
-        merged: tuple[Any, ...] = self.runtime.at(
-            start, lambda: _merged(self.runtime.graph, ends, start, but, _variables)
+        values: tuple[Any, ...] = self.runtime.at(
+            start, lambda: merged(self.runtime.graph, ends, start, but, variables)
         )
-        return merged
+        return values
 
     def finished(self, values: tuple[Any, ...]) -> tuple[Any, ...]:
         """Return the variables where the loop was not broken, for its ``else``."""
@@ -781,7 +226,8 @@ class Loop:
         self.stopped = []
         if not ends:
             return values
-        values = self._merged(ends, self.start, frozenset([self.frame, self.broken]))
+        values = self._merged(ends, self.start, self.first)
+        self.first -= {self.over}  # which come last now
         condition = runtime.graph.constant(0)
         for path, _ in ends:
             condition = runtime.graph.or_(condition, path.since(self.start))
@@ -793,11 +239,13 @@ class Loop:
         runtime, ends = self.runtime, list(self.ended)
         if runtime.path is not None:
             ends.append((runtime.path, values))
-        runtime.exits[self.mark :] = [e for e in runtime.exits[self.mark :] if e is not self.broken]
+        runtime.exits[self.mark :] = [
+            e for e in runtime.exits[self.mark :] if e is not self.broken and e is not self.over
+        ]
         if not ends:
             runtime.path = None
             return values
-        values = self._merged(ends, self.start, frozenset([self.frame, self.broken]))
+        values = self._merged(ends, self.start, self.first)
         returned = bool(runtime.exits[self.mark :])
         if not returned:
             runtime.path = self.start
@@ -807,78 +255,3 @@ class Loop:
                 condition = runtime.graph.or_(condition, path.since(self.start))
             runtime.path = self.start.where(condition, frozenset(runtime.exits[self.mark :]))
         return values
-
-
-def _merged(
-    graph: Graph,
-    ends: Sequence[tuple[Path, Any]],
-    start: Path,
-    but: Exits,
-    join: Callable[[Graph, Node, Any, Any], Any],
-) -> Any:
-    """Return the value of the first of several ends whose path was taken; one was."""
-    value = ends[-1][1]
-    for path, earlier in reversed(ends[:-1]):
-        value = join(graph, path.since(start, but), earlier, value)
-    return value
-
-
-def _variables(graph: Graph, flag: Node, a: Sequence[Any], b: Sequence[Any]) -> tuple[Any, ...]:
-    """Return variables after a choice; one that cannot be joined may be used no more."""
-    result: list[Any] = []
-    for x, y in zip(a, b, strict=True):
-        try:
-            result.append(x if x is y else joined(graph, flag, x, y))
-        except ArgumentError as error:
-            result.append(Undefined(str(error)))
-    return tuple(result)
-
-
-def joined(graph: Graph, flag: Node, a: Any, b: Any) -> Any:
-    """Return ``a`` where a flag is set and ``b`` where it is not: words, numbers, and sequences of them.
-
-    Raises
-    ------
-    ArgumentError
-        They have different shapes, or are of no kind that a word can choose.
-    """
-    if a is b or flag.is_constant():
-        return a if a is b or flag.imm else b
-    for one in (a, b):
-        if isinstance(one, Undefined):
-            one._raise()
-    if _is_number(a) and _is_number(b):
-        return Word(graph, graph.choose(flag, node_of(graph, a), node_of(graph, b)))
-    choose = getattr(a, "joined", None) or getattr(b, "joined", None)
-    if choose is not None:
-        return choose(graph, flag, a, b)
-    if isinstance(a, (tuple, list)) and isinstance(b, (tuple, list)):
-        if len(a) != len(b):
-            raise ArgumentError(
-                f"one side of a branch leaves {len(a)} elements and the other {len(b)}; "
-                "a length cannot depend on a word"
-            )
-        parts = [joined(graph, flag, x, y) for x, y in zip(a, b, strict=True)]
-        if isinstance(a, Listed):
-            return a.like(parts)
-        kind = type(a) if type(a) is type(b) else (tuple if isinstance(a, tuple) else list)
-        return kind(*parts) if hasattr(kind, "_fields") else kind(parts)
-    if dataclasses.is_dataclass(a) and type(a) is type(b):
-        names = [f.name for f in dataclasses.fields(a)]
-        values = {name: joined(graph, flag, getattr(a, name), getattr(b, name)) for name in names}
-        return dataclasses.replace(a, **values)  # type: ignore[type-var]
-    if type(a) is type(b) and not isinstance(a, float) and a == b:
-        return a
-    raise ArgumentError(f"one side of a branch leaves {_told(a)} and the other {_told(b)}")
-
-
-def _is_number(value: Any) -> bool:
-    return isinstance(value, (Word, int, np.integer, np.bool_))
-
-
-def _told(value: Any) -> str:
-    if isinstance(value, Word):
-        return "a word"
-    if isinstance(value, (tuple, list)):
-        return f"{len(value)} elements"
-    return "nothing" if value is None else repr(value)

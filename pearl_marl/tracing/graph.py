@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 from pearl_marl.tracing.nodes import Node, Nodes
 from pearl_marl.tracing.operations import word_range, wrapped
@@ -17,6 +18,8 @@ class Graph(Nodes):
     def __init__(self, exact: bool = True, early: bool = True) -> None:
         super().__init__(exact)
         self.early = early
+        self.floats: Any = None
+        """What words do that meet floats: see :func:`pearl_marl.reals.admitted`. ``None`` where none do."""
 
     def flag_of_mask(self, a: Node) -> Node | None:
         """Return the flag that ``a`` is 0 or -1 by, if it is."""
@@ -415,6 +418,8 @@ class Graph(Nodes):
                 result = self.table(node.imm, args[0])
             case op:
                 result = getattr(self, _METHODS.get(op, op))(*args)
+        if not node.loose:
+            self.settle(result)
         if result.name is None and result.op != "constant":
             result.name, result.line = node.name, node.line
         return result

@@ -86,6 +86,8 @@ class Nodes:
         """Nodes of which more is known where the author is, as narrower ones."""
         self.certain = True
         """Whether the author's function always comes to where it is."""
+        self.twins: Any = None
+        """The lists of an author that may be one another: :class:`pearl_marl.tracing.twins.Twins`."""
         self._nodes: dict[tuple[Any, ...], Node] = {}
         self._same: dict[tuple[Any, ...], Node] = {}
         self._domains: list[npt.NDArray[np.int64]] = []
@@ -108,19 +110,21 @@ class Nodes:
         if key not in self._nodes:
             least, most = word_range(bits, signed)
             low, high = least if low is None else low, most if high is None else high
-            node = self._nodes[key] = self._new("input", (), name, (low, high), high)
+            ones = (1 << max(high, 0).bit_length()) - 1
+            node = self._nodes[key] = self._new("input", (), name, (low, high), ones)
             self.free(node)
         return self._nodes[key]
 
     def free(self, node: Node) -> None:
-        """Forget how a node of few values came about: what is made of it has it as a free word.
-
-        It is right everywhere, whatever it is made of.
-        """
-        node.loose = False
+        """Forget how a node of few values came about: what is made of it has it as a free word."""
+        self.settle(node)
         self._make_axis(node)
         if node.axis is not None:
             node.function = Function((node.axis,), self._domains[node.axis])
+
+    def settle(self, node: Node) -> None:
+        """Note that a node is right everywhere, as a choice outside of all branches is, of whatever it is."""
+        node.loose = False
 
     def within(self, node: Node, low: int, high: int) -> Node:
         """Note that a node's values are within a range, which what it is made of does not tell."""

@@ -11,7 +11,7 @@ make anything of it.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, Protocol
 
 import numpy as np
@@ -153,6 +153,13 @@ def _divisor(by: Any) -> Any:
     return np.maximum(by, 1) if isinstance(by, np.ndarray) else max(by, 1)
 
 
+def _entry(entries: Sequence[int], index: Any) -> Any:
+    if not isinstance(index, np.ndarray):
+        return entries[index]
+    # Values that a word cannot have may be beyond the table: not all that is known of it is in its function.
+    return np.array(entries)[np.clip(index, 0, len(entries) - 1)]
+
+
 VALUES: dict[str, Callable[..., Any]] = {
     "add": lambda _, a, b: a + b,
     "sub": lambda _, a, b: a - b,
@@ -174,7 +181,7 @@ VALUES: dict[str, Callable[..., Any]] = {
     "equal": lambda _, a, b: 1 * (a == b),
     "less": lambda _, a, b: 1 * (a < b),
     "choose": lambda _, c, a, b: np.where(c == 1, a, b) if isinstance(c, np.ndarray) else (a if c else b),
-    "table": lambda entries, i: np.array(entries)[i] if isinstance(i, np.ndarray) else entries[i],
+    "table": _entry,
     "wrap": _wrap,
     "narrow": lambda imm, a: min(max(a, imm[0]), imm[1]),
     "sum": lambda imm, *args: sum(

@@ -1,11 +1,12 @@
 """An author's function as Python to be traced: every decision on a word becomes a call of a :class:`Frame`.
 
 Python decides by values, and a word has none before hardware runs. So a function is compiled once more from
-its source, in which an ``if`` runs both its sides and joins what they leave behind, a loop joins what its rounds
-leave, and ``return``, ``break`` and ``continue`` note under which condition they were reached. Each statement
-stands there once, so what is traced grows with the length of the function, not with its number of paths.
+its source, in which an ``if`` runs both its sides and joins what they leave behind, a loop joins what its
+rounds leave, and ``return``, ``break`` and ``continue`` note under which condition they were reached. Each
+statement stands there once, so what is traced grows with the length of the function, not with its number of
+paths.
 
-Lines stay the author's. :mod:`pearl_marl.tracing.branches` is what the calls do.
+Lines stay the author's. :mod:`pearl_marl.tracing.runtime` is what the calls do.
 """
 
 from __future__ import annotations
@@ -15,16 +16,20 @@ import functools
 import linecache
 import types
 from collections.abc import Iterator, Sequence
-from typing import Any, NoReturn, TypeVar, cast
+from typing import Any, NoReturn, TypeVar
 
 from pearl_marl.errors import ArgumentError
 from pearl_marl.places import place_of
 
 RUNTIME = "__pearl__"
-"""The name by which rewritten functions know :class:`pearl_marl.tracing.branches.Runtime`."""
+"""The name by which rewritten functions know :class:`pearl_marl.tracing.runtime.Runtime`."""
 _FRAME = "_pearl_frame"
 
 _Node = TypeVar("_Node", bound=ast.AST)
+
+
+class Refusal(ArgumentError):  # noqa: N818 - no error of its own, but one that is said already
+    """What names its line already."""
 
 
 @functools.lru_cache(1 << 12)
@@ -182,7 +187,7 @@ class _Function:
 
     def refuse(self, node: ast.AST, why: str) -> NoReturn:
         """Raise ArgumentError for a line."""
-        raise ArgumentError(f"{place_of(self.file, getattr(node, 'lineno', 1))}: {why}")
+        raise Refusal(f"{place_of(self.file, getattr(node, 'lineno', 1))}: {why}")
 
     def block(self, statements: Sequence[ast.stmt], expressions: _Expressions) -> list[ast.stmt]:
         """Return statements of which those after a possible exit run only if something is left to run."""
@@ -223,6 +228,14 @@ class _Function:
                 return self.stores(node, expressions)
             case ast.AugAssign() if isinstance(node.target, (ast.Subscript, ast.Attribute)):
                 return self.changes(node, expressions)
+            case ast.AugAssign(target=ast.Name(id=name)):
+                # In place, a list would grow.
+                return [
+                    _call(f"{RUNTIME}.growing", [ast.Name(name, ast.Load())], node),
+                    expressions.visit(node),
+                ]
+            case ast.Delete():
+                return self.removal(node, expressions)
             case ast.AnnAssign():
                 if node.value is None:
                     return [_statement("pass", node)]
@@ -230,6 +243,14 @@ class _Function:
                 return self.statement(plain, expressions)
             case ast.Assert():
                 return [_call(f"{RUNTIME}.asserts", [expressions.visit(node.test)], node)]
+            case ast.Raise():
+                return [_call(f"{RUNTIME}.raises", [], node), expressions.visit(node)]
+            case ast.Nonlocal() | ast.Global():
+                self.refuse(
+                    node, f"`{node.names[0]}` of a function around it is assigned to; return it instead"
+                )
+            case ast.Import() | ast.ImportFrom():
+                self.refuse(node, "golden functions have no `import`; import where the file begins")
             case ast.Match():
                 self.refuse(node, "golden functions have no `match`; use `if`, `elif` and `else`")
             case ast.Try() | ast.With() | ast.AsyncFor() | ast.AsyncWith() | ast.AsyncFunctionDef():
@@ -240,6 +261,15 @@ class _Function:
         new = expressions.visit(node)
         assert isinstance(new, ast.stmt)
         return [new]
+
+    def removal(self, node: ast.Delete, expressions: _Expressions) -> list[ast.stmt]:
+        """Return the removal of elements, of lists that may become shorter."""
+        lists = []
+        for target in node.targets:
+            if not isinstance(target, ast.Subscript):
+                self.refuse(node, "golden functions have no `del` of variables")
+            lists.append(_call(f"{RUNTIME}.growing", [expressions.visit(target.value)], node))
+        return [*lists, expressions.visit(node)]
 
     def branch(self, node: ast.If, expressions: _Expressions) -> list[ast.stmt]:
         """Return an ``if``: each side runs if it may be taken, and then they are joined."""
@@ -372,21 +402,22 @@ class _Expressions(ast.NodeTransformer):
                 return self.comparison(node)
             case ast.Subscript():
                 return self.element(node)
-            case ast.List() if isinstance(node.ctx, ast.Load):
-                return _expression(f"{RUNTIME}.listed", [cast(ast.expr, self.generic_visit(node))], node)
-            case ast.ListComp():
-                return _expression(f"{RUNTIME}.listed", [cast(ast.expr, self.generic_visit(node))], node)
+            case ast.List(ctx=ast.Load()) | ast.ListComp():
+                self.generic_visit(node)
+                return _expression(f"{RUNTIME}.listed", [node], node)
             case ast.Call():
                 return self.call(node)
             case ast.FunctionDef():
                 return _Function(self.function.file).of(node)
+            case ast.comprehension():
+                node.ifs = [_expression(f"{RUNTIME}.keeps", [test], test) for test in node.ifs]
             case ast.Yield() | ast.YieldFrom() | ast.Await():
                 self.function.refuse(node, "golden functions are no generators; return a list")
         return self.generic_visit(node)
 
     def bool_op(self, node: ast.BoolOp) -> Any:
         """Let the later operands wait, as Python does."""
-        values = [self.visit(v) for v in node.values]
+        values: list[ast.expr] = [self.visit(v) for v in node.values]
         verb = "both" if isinstance(node.op, ast.And) else "any_of_two"
         result = values[0]
         for value in values[1:]:
@@ -403,11 +434,11 @@ class _Expressions(ast.NodeTransformer):
         values = [self.visit(v) for v in (node.left, *node.comparators)]
         names = [type(op).__name__ for op in node.ops]
         if len(names) == 1:
-            if names[0] in ("Eq", "NotEq", "In", "NotIn"):
-                verb = {"Eq": "equal", "NotEq": "differ", "In": "contains", "NotIn": "lacks"}[names[0]]
-                return _expression(f"{RUNTIME}.{verb}", values, node)
+            if names[0] in _COMPARISONS:
+                return _expression(f"{RUNTIME}.{_COMPARISONS[names[0]]}", values, node)
             return ast.copy_location(ast.Compare(values[0], node.ops, values[1:]), node)
-        result = [ast.Constant(" ".join(names)), values[0], *map(self.later, values[1:])]
+        each = ast.Tuple([ast.Constant(name) for name in names], ast.Load())
+        result = [each, values[0], *map(self.later, values[1:])]
         return _expression(f"{RUNTIME}.chain", result, node)
 
     def element(self, node: ast.Subscript) -> Any:
@@ -423,9 +454,15 @@ class _Expressions(ast.NodeTransformer):
             inner = node.args[0]
             if isinstance(inner, (ast.GeneratorExp, ast.ListComp)):
                 node = _unfiltered(node, inner)
-        if isinstance(node.func, ast.Attribute) and node.func.attr == "index" and len(node.args) == 1:
-            args = [self.visit(node.func.value), self.visit(node.args[0])]
-            return _expression(f"{RUNTIME}.index", args, node)
+        if isinstance(node.func, ast.Attribute):
+            of, verb = self.visit(node.func.value), node.func.attr
+            if verb in ("index", "count") and len(node.args) == 1:
+                return _expression(f"{RUNTIME}.{verb}", [of, self.visit(node.args[0])], node)
+            if verb in _GROWING:
+                of = _expression(f"{RUNTIME}.growing", [of, ast.Constant(verb)], node)
+            node.func.value = of
+            node.args, node.keywords = list(map(self.visit, node.args)), list(map(self.visit, node.keywords))
+            return node
         return self.generic_visit(node)
 
     def later(self, node: ast.expr) -> ast.expr:
@@ -442,6 +479,15 @@ class _Expressions(ast.NodeTransformer):
 
 
 _REDUCTIONS = "any", "all", "sum"
+_GROWING = "append", "extend", "insert", "pop", "remove", "clear", "sort", "reverse"
+_COMPARISONS = {
+    "Eq": "equal",
+    "NotEq": "differ",
+    "In": "contains",
+    "NotIn": "lacks",
+    "Is": "same",
+    "IsNot": "other",
+}
 
 
 def _unfiltered(call: ast.Call, inner: ast.GeneratorExp | ast.ListComp) -> ast.Call:

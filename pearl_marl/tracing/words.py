@@ -50,6 +50,12 @@ def _shift(operation: str) -> tuple[Callable[[Any, Any], Any], Callable[[Any, An
     return checked, lambda self, value: checked(word_of(self.graph, value), self)
 
 
+class Beyond:
+    """A number that words leave arithmetic with them to: it has the methods for a word on its left."""
+
+    __slots__ = ()
+
+
 class Word:
     """A word whose value is not known yet: what a golden function is called with to be traced."""
 
@@ -79,8 +85,8 @@ class Word:
 
     def __bool__(self) -> NoReturn:
         raise ArgumentError(
-            "a word decides what Python does next, where its source is not at hand; write the function in a "
-            "file (or a notebook's cell), not in an interactive shell, by exec() or in a library"
+            "a word decides what Python does next, where its source is not at hand, as in a library's "
+            "function; write it in a file (or a notebook's cell), not in an interactive shell or by exec()"
         )
 
     def asked(self) -> None:
@@ -106,6 +112,12 @@ class Word:
     def __float__(self) -> NoReturn:
         raise ArgumentError("a word becomes a float; golden functions work on integers")
 
+    def __format__(self, specification: str) -> NoReturn:
+        raise ArgumentError("a word becomes text, and it has no value before hardware runs")
+
+    def __str__(self) -> NoReturn:
+        self.__format__("")
+
     def __iter__(self) -> NoReturn:
         raise ArgumentError("a word is taken apart like a sequence")
 
@@ -123,7 +135,9 @@ class Word:
         return Word(self.graph, node)
 
     def __floordiv__(self, other: object) -> Word:
-        return Word(self.graph, self.graph.floor_divide(node_of(self.graph, self), _divisor(self.graph, other)))
+        return Word(
+            self.graph, self.graph.floor_divide(node_of(self.graph, self), _divisor(self.graph, other))
+        )
 
     def __mod__(self, other: object) -> Word:
         return Word(self.graph, self.graph.modulo(node_of(self.graph, self), _divisor(self.graph, other)))
@@ -146,13 +160,22 @@ class Word:
     def __invert__(self) -> Word:
         return Word(self.graph, self.graph.invert(node_of(self.graph, self)))
 
-    def __array_ufunc__(self, ufunc: Any, method: str, *inputs: Any, **keywords: Any) -> Word:
+    def __array_ufunc__(self, ufunc: Any, method: str, *inputs: Any, **keywords: Any) -> Any:
+        if any(isinstance(x, Beyond) for x in inputs):
+            return NotImplemented
+        floats = self.graph.floats
+        if floats is not None and any(isinstance(x, float) for x in inputs):
+            return getattr(ufunc, method)(
+                *(floats(x) if isinstance(x, Word) else x for x in inputs), **keywords
+            )
         made = _UFUNCS.get(ufunc.__name__)
         if made is None or method != "__call__" or keywords:
             _no(ufunc.__name__)
         return word_of(self.graph, made(*(word_of(self.graph, x) for x in inputs)))
 
-    def __array_function__(self, function: Any, types_: Any, args: Any, keywords: Any) -> Word:
+    def __array_function__(self, function: Any, types_: Any, args: Any, keywords: Any) -> Any:
+        if any(isinstance(x, Beyond) for x in args):
+            return NotImplemented
         if function is np.where and len(args) == 3:
             flag, a, b = (node_of(self.graph, x) for x in args)
             return Word(self.graph, self.graph.choose(flag_of(self.graph, flag), a, b))
@@ -161,6 +184,27 @@ class Word:
             return Word(self.graph, self.graph.minimum(self.graph.maximum(value, low), high))
         _no(function.__name__)
 
+
+def _leaving(name: str) -> Callable[[Any, Any], Any]:
+    """Return a method of words that leaves numbers beyond them, and floats where there are any, to others."""
+    own = getattr(Word, name)
+
+    def method(self: Word, other: object) -> Any:
+        if isinstance(other, Beyond):
+            return NotImplemented
+        floats = self.graph.floats
+        if floats is not None and (isinstance(other, float) or name in ("__truediv__", "__rtruediv__")):
+            return getattr(floats(self), name)(other)
+        return own(self, other)
+
+    return method
+
+
+for _name in ("add", "sub", "mul", "truediv", "mod"):
+    for _method in (f"__{_name}__", f"__r{_name}__"):
+        setattr(Word, _method, _leaving(_method))
+for _name in ("eq", "ne", "lt", "le", "gt", "ge", "pow"):
+    setattr(Word, f"__{_name}__", _leaving(f"__{_name}__"))
 
 _UFUNCS: dict[str, Any] = {
     "minimum": _binary("minimum"),
@@ -270,7 +314,11 @@ def chosen_entry(graph: Graph, entries: Sequence[Any], index: Node) -> Any:
             raise ArgumentError("a word chooses from sequences of different lengths")
         parts = [chosen_entry(graph, column, index) for column in zip(*entries, strict=True)]
         kind = type(entries[0])
-        return kind(*parts) if hasattr(kind, "_fields") else kind(parts)
+        new = kind(*parts) if hasattr(kind, "_fields") else kind(parts)
+        if isinstance(new, list) and graph.twins is not None:
+            places = range(max(index.low, 0), min(index.high, len(entries) - 1) + 1)
+            graph.twins.chosen(new, [(graph.equal(index, graph.constant(k)), entries[k]) for k in places])
+        return new
     nodes = [node_of(graph, entry) for entry in entries]
     if all(node.is_constant() for node in nodes):
         return Word(graph, graph.table([node.imm for node in nodes], index))

@@ -28,7 +28,7 @@ TABLES = {
     "FIVE": np.array([7, -100, 7000, 1, 12]),
     "SMALL": np.array([1, 2, 3, 0, 2, 1, 3, 0]),
     "FAR": np.array([k * k * 2654435761 % 2**30 for k in range(40)]),
-    "NEXT": np.array([0, *(k * k * 2654435761 % 2**30 for k in range(40))]),
+    "NEXT": np.array([0, *(k * k * 2654435761 % 2**30 + 1 for k in range(40))]),
 }
 
 PATTERNS = [
@@ -128,7 +128,7 @@ def flags(x: Any, y: Any) -> Any:
 def same(x: Any, y: Any) -> Any:
     """Find out in a branch what is found out behind it too, where the branch's word is anything."""
     known = within(x, 1, 40)
-    inside = ((y & 7) - NEXT[known]) + (FAR[known - 1] + 9)
+    inside = ((y & 7) - NEXT[known]) + (FAR[known - 1] + 10)
     return np.where((x > 0) & (x < 41), inside, 9) * 5 + ((y & 7) + 9)
 
 

@@ -1,0 +1,675 @@
+"""What is traced of branches, loops and lists is what Python makes of them; and mistakes are told."""
+
+from __future__ import annotations
+
+import itertools
+import random
+import re
+import textwrap
+import time
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import pytest
+
+from pearl_marl.errors import ArgumentError
+from pearl_marl.golden import Draws, i8, i16, reference, u8
+from pearl_marl.tracing.graph import Graph
+from pearl_marl.tracing.nodes import Node, in_order, values
+from pearl_marl.tracing.trace import trace
+
+from ..rtl.programs import TABLE, Program, defined
+from ..sampling import sampled
+
+WORDS = [("a", 4, False), ("b", 8, True), ("c", 2, False), ("d", 32, False)]
+
+
+def function(text: str, file: str = "pump/step.py", **scope: Any) -> Callable[..., Any]:
+    """Return the function ``f`` of a text, which is known as its source."""
+    names = {"__name__": __name__, "TABLE": TABLE, "u8": u8, "i8": i8, "i16": i16, "Draws": Draws}
+    found: Callable[..., Any] = defined(textwrap.dedent(text).lstrip("\n"), {**names, **scope}, file)["f"]
+    return found
+
+
+def traced(f: Callable[..., Any], *words: tuple[str, int, bool]) -> list[Node]:
+    graph = Graph()
+    return trace(graph, f, [graph.input(*word) for word in words])
+
+
+def assert_same(
+    f: Callable[..., Any], words: Sequence[tuple[str, int, bool]], cases: Sequence[Sequence[int]]
+) -> None:
+    """Compare what Python does with what is traced, and with what is known of it."""
+    nodes, run = traced(f, *words), reference(f)
+    for case in cases:
+        found = values(nodes, {name: value for (name, *_), value in zip(words, case, strict=True)})
+        assert [found[node] for node in nodes] == [int(word) for word in run(*case)], case
+        assert all(node.low <= found[node] <= node.high for node in nodes), case
+
+
+@pytest.mark.parametrize("seed", sampled(range(2000), range(60)))
+def test_random_programs(seed: int) -> None:
+    """With every kind of statement, some inside others."""
+    program = Program(random.Random(seed))
+    program.function("f", [name for name, *_ in WORDS], 14 + seed % 3 * 8, 3)
+    chance = random.Random(seed)
+
+    def word(bits: int, signed: bool) -> int:
+        value = chance.choice([chance.randrange(1 << bits), chance.randrange(min(1 << bits, 8)), 0])
+        return value - (signed << bits - 1)
+
+    cases = [[word(bits, signed) for _, bits, signed in WORDS] for _ in range(40)]
+    assert_same(function("\n".join(program.lines), f"<program {seed}>"), WORDS, cases)
+
+
+SMALL = [("a", 2, False), ("b", 2, False), ("c", 1, False)]
+PROGRAMS = {
+    "an early return in a helper": """
+        def helper(a, b):
+            if a == 3:
+                return 7
+            if a > b:
+                if a == 2:
+                    return b
+                b += 1
+            else:
+                return a - b
+            return b * 2
+        def f(a, b, c):
+            return helper(a, b), helper(b, a) if c else helper(c, c)
+    """,
+    "returns of loops inside others": """
+        def f(a, b, c):
+            for i in range(3):
+                for j in range(3):
+                    if i == a and j == b:
+                        return 10 * i + j, c
+                    if j > i:
+                        break
+                    if c:
+                        continue
+                    if i + j == b:
+                        return 50 + i, j
+                else:
+                    if a == 3:
+                        return 99, i
+            return 77, b
+    """,
+    "else of loops": """
+        def f(a, b, c):
+            found = 5
+            for k in range(3):
+                if k == a:
+                    found = k
+                    break
+                if c:
+                    continue
+            else:
+                found += b
+            left = b
+            while left > 0:
+                if left == a:
+                    break
+                left -= 1
+            else:
+                found += 100
+            return found, left
+    """,
+    "a while whose rounds all end it": """
+        def f(a, b, c):
+            while a > 1 and b:
+                return b, 1
+            while True:
+                a += 1
+                break
+            return a, 0
+    """,
+    "nested closures": """
+        def f(a, b, c):
+            def outer(x):
+                limit = x + c
+                def inner(y):
+                    if y > limit:
+                        return limit
+                    return y + b
+                return inner
+            first, second = outer(a), outer(b)
+            return first(b), second(a), first(second(c))
+    """,
+    "recursion that ends": """
+        def depth(n, a):
+            if n == 0:
+                return 0
+            if a == n:
+                return n + 10
+            return depth(n - 1, a) + 1
+        def f(a, b, c):
+            return depth(3, a), depth(2, b)
+    """,
+    "a list that two words index": """
+        def f(a, b, c):
+            board = [[k + 4 * j for k in range(4)] for j in range(4)]
+            board[a][b] = 99
+            board[b][a] += 1
+            board[c][1] = board[a][c]
+            if c:
+                board[a % 2][b] = board[b][b]
+            return [x for row in board for x in row]
+    """,
+    "a row with a name of its own": """
+        def f(a, b, c):
+            board = [[1, 2], [3, 4], [5, 6], [7, 8]]
+            row = board[a]
+            row[c] = 9
+            other = row if c else board[b]
+            other[0] += 10
+            board[2][1] = 40
+            return [*row, *other, *(x for each in board for x in each)]
+    """,
+    "two names that may be of one list": """
+        def f(a, b, c):
+            p, q = [1, 2], [3, 4]
+            if a == 1:
+                q = p
+            elif a == 2:
+                p, q = q, p
+            q[c] = 9
+            p[0] += b
+            return *p, *q
+    """,
+    "a name that changes hands in a loop": """
+        def f(a, b, c):
+            p, q = [1, 2], [3, 4]
+            for k in range(4):
+                if a == k:
+                    break
+                if b == k:
+                    p = q
+                p[k % 2] += 1
+            return *p, *q
+    """,
+    "a list that a helper may hand back": """
+        def kept(p, c):
+            if c:
+                return p
+            new = list(p)
+            new[0] = 5
+            return new
+        def f(a, b, c):
+            p = [1, 2, 3, 4]
+            q = kept(p, c)
+            q[a] = 9
+            p[b] += 1
+            return *p, *q
+    """,
+    "a row that is put into a list": """
+        def f(a, b, c):
+            board, row = [[1, 2], [3, 4]], [5, 6]
+            board[c] = row
+            row[a % 2] = 9
+            board[1][b % 2] += 1
+            return [*board[0], *board[1], *row]
+    """,
+    "an element of many at once": """
+        def f(a, b, c):
+            board = [0, 0, 0, 0]
+            board[a], board[b] = 1, 2
+            (x, board[c]), y = (a, 3), b
+            board[a] = board[b] = x + y
+            return board
+    """,
+    "changes under conditions that exclude each other": """
+        def f(a, b, c):
+            board = [0] * 4
+            if a == 0:
+                board[b] = 1
+            elif a == 1:
+                board[0], board[3] = board[3] + 2, 5
+            else:
+                for k in range(4):
+                    if k == b:
+                        continue
+                    board[k] = a
+                    if c:
+                        break
+            return board
+    """,
+    "records that change": """
+        from typing import NamedTuple
+        class Robot(NamedTuple):
+            row: int
+            column: int
+        def f(a, b, c):
+            robots = [Robot(0, 1), Robot(2, 3), Robot(1, 1), Robot(a, b)]
+            robots[a] = robots[a]._replace(row=b)
+            if c:
+                robots[b] = Robot(7, robots[a].row)
+            one = robots[a] if c else Robot(column=3, row=0)
+            return [word for robot in (*robots, one) for word in robot]
+    """,
+    "objects with attributes": """
+        from dataclasses import dataclass
+        @dataclass
+        class Robot:
+            row: int
+            load: int = 0
+        def f(a, b, c):
+            robots = [Robot(k) for k in range(2)]
+            robots[0].load += 1
+            for robot in robots:
+                if robot.row == a:
+                    robot.load = b
+                    continue
+                robot.row += 1
+            chosen = robots[0] if c else robots[1]
+            chosen.row = 9
+            return [word for robot in robots for word in (robot.row, robot.load)]
+    """,
+    "chains and comparisons of sequences": """
+        def f(a, b, c):
+            inside = 0 <= a < b <= 3 != c
+            equal = (a, b) == (b, a), [a, c] != [c, a], a == b == c
+            among = a in (b, 3), c not in [a, b], a in range(1, 3), a in {0, 2}
+            return [inside, *equal, *among]
+    """,
+    "and, or and not, of numbers too": """
+        def f(a, b, c):
+            return a and b, a or b, not a, a and not b or c, (a or 7) + (b and 5), bool(a) + bool(b)
+    """,
+    "reductions": """
+        def f(a, b, c):
+            board = [a, b, c, 2]
+            return [
+                any(x > 2 for x in board), all(x != a for x in board[1:]), sum(x for x in board if x > b),
+                sum(1 for x in board if x == 2), min(board), max(a, b, 1), abs(a - b), board.count(2),
+                any(x == y for x in board for y in (a, 3) if x > 1), sum(board), len(board), board.index(2),
+            ]
+    """,
+    "conditional expressions inside others": """
+        def f(a, b, c):
+            x = (a if b > 1 else b) if c else (c if a else 3)
+            y = [a, b][c] if a > b else TABLE[a + b]
+            return x, y, (x if x < y else y) + (1 if x == y else 0)
+    """,
+    "what is known in a branch": """
+        def f(a, b, c):
+            places = [5, 6, 7]
+            x = places[a] if a < 3 else -1
+            if 1 <= b <= 3:
+                x += places[b - 1]
+            if a == b:
+                x += TABLE[a + b]
+            return x, places[min(a, 2)]
+    """,
+}
+
+
+@pytest.mark.parametrize("name", PROGRAMS)
+def test_programs(name: str) -> None:
+    """For all their arguments."""
+    cases = list(itertools.product(range(4), range(4), range(2)))
+    assert_same(function(PROGRAMS[name]), SMALL, cases)
+
+
+def test_what_is_traced_grows_with_the_text() -> None:
+    """Not with the number of paths."""
+
+    def nodes(count: int) -> int:
+        lines = [
+            f"    if d >> {k % 32} & 1:\n        b = b + {k} & 255\n        x ^= b" for k in range(count)
+        ]
+        f = function("\n".join(["def f(b, d):", "    x = 0", *lines, "    return x"]), f"<{count} branches>")
+        begin = time.process_time()
+        found = traced(f, ("b", 8, False), ("d", 32, False))
+        assert count > 40 or time.process_time() - begin < 1
+        return len(in_order(found))
+
+    assert nodes(80) < 2.2 * nodes(40)
+
+
+MISTAKES = {
+    "a variable of one side": (
+        """
+        def f(a, b):
+            if a > 3:
+                v = b
+            return v
+        """,
+        (4, "`v` has no value on every path that leads here; give it one before"),
+    ),
+    "a variable of a loop that may break": (
+        """
+        def f(a, b):
+            for k in range(3):
+                if a == k:
+                    v = b
+                    break
+            return v + 1
+        """,
+        (6, "`v` has no value on every path"),
+    ),
+    "shapes that differ": (
+        """
+        def f(a, b):
+            if a > 3:
+                v = [a, b]
+            else:
+                v = [a]
+            return v[0]
+        """,
+        (6, "one side of a branch leaves 2 elements and the other 1; a length cannot depend on a word"),
+    ),
+    "a list or a number": (
+        """
+        def f(a, b):
+            v = [a, b] if a > 3 else a
+            return v
+        """,
+        (2, "one side of a branch leaves 2 elements and the other a word"),
+    ),
+    "no value on one side": (
+        """
+        def f(a, b):
+            if a > 3:
+                return b
+        """,
+        (3, "one side of a branch leaves a word and the other nothing"),
+    ),
+    "a while without a bound": (
+        """
+        def f(a, b):
+            while a > 0:
+                a = a * 5 & 15
+            return a
+        """,
+        (3, "a `while` goes round more than 1000 times: nothing that is known of its words ends it"),
+    ),
+    "a list that grows": (
+        """
+        def f(a, b):
+            v = []
+            if a > 3:
+                v.append(b)
+            return len(v)
+        """,
+        (4, "a list grows or shrinks where a word decides whether it does; give it its full length before"),
+    ),
+    "a list that grows in place": (
+        """
+        def f(a, b):
+            v = [1] + [2]
+            if a > 3:
+                v += [b]
+            return len(v)
+        """,
+        (4, "a list grows or shrinks"),
+    ),
+    "a list that shrinks": (
+        """
+        def f(a, b):
+            v = [1, 2]
+            if a > 3:
+                del v[0]
+            return v[0]
+        """,
+        (4, "a list grows or shrinks"),
+    ),
+    "a list that a word has chosen, and that grows": (
+        """
+        def f(a, b):
+            v, w = [1, 2], [3, 4]
+            x = v if a > 3 else w
+            x.append(b)
+            return len(v)
+        """,
+        (4, "a list grows or shrinks"),
+    ),
+    "a float": (
+        """
+        def f(a, b):
+            v = 1.5 if a > 3 else 0
+            return v
+        """,
+        (2, "1.5 is a float; golden functions work on integers"),
+    ),
+    "a division that makes a float": (
+        """
+        def f(a, b):
+            return round(a / 2)
+        """,
+        (2, "`/` makes a float; golden functions divide by `//`"),
+    ),
+    "an index beyond a list": (
+        """
+        def f(a, b):
+            return [1, 2, 3][a]
+        """,
+        (2, "an index can be 0 to 15, and there are 3 elements; `min`, `max` or an `if` keeps it in"),
+    ),
+    "a write beyond a list": (
+        """
+        def f(a, b):
+            v = [1, 2, 3]
+            v[a] = b
+            return v[0]
+        """,
+        (3, "an index can be 0 to 15, and there are 3 elements"),
+    ),
+    "an index that may be negative": (
+        """
+        def f(a, b):
+            return [1, 2, 3][a % 3 - 1]
+        """,
+        (2, "an index can be -1 to 1, and there are 3 elements"),
+    ),
+    "a dict": (
+        """
+        def f(a, b):
+            return {0: 1, 1: 2}[a & 1]
+        """,
+        (2, "a word chooses from dict; it chooses from lists and tuples"),
+    ),
+    "a key of a dict": (
+        """
+        def f(a, b):
+            return len({a: 1})
+        """,
+        (2, "a word is a key of a dict or in a set; golden functions have lists and tuples"),
+    ),
+    "a set": (
+        """
+        def f(a, b):
+            return len(set([a, b]))
+        """,
+        (2, "a set of words; golden functions have lists and tuples of them"),
+    ),
+    "a print": (
+        """
+        def f(a, b):
+            print("a is", a)
+            return a
+        """,
+        (2, "print() of a word, which has no value before hardware runs"),
+    ),
+    "a text": (
+        """
+        def f(a, b):
+            return len(f"{a}")
+        """,
+        (2, "a word becomes text, and it has no value before hardware runs"),
+    ),
+    "a random number": (
+        """
+        import random
+        def f(a, b):
+            return a + random.randint(0, 3)
+        """,
+        (3, "golden functions cannot use random.randint"),
+    ),
+    "a generator": (
+        """
+        def g(a):
+            yield a
+        def f(a, b):
+            return sum(g(a))
+        """,
+        (2, "golden functions are no generators; return a list"),
+    ),
+    "a range": (
+        """
+        def f(a, b):
+            v = 0
+            for k in range(a):
+                v += k
+            return v
+        """,
+        (3, "range() of a word; go over all rounds that there can be, and `break` where it is enough"),
+    ),
+    "a recursion": (
+        """
+        def g(a):
+            if a == 0:
+                return 0
+            return 1 + g(a * 3 & 15)
+        def f(a, b):
+            return g(a)
+        """,
+        (None, "a function calls itself without end: nothing that is known of words stops it"),
+    ),
+    "a match": (
+        """
+        def f(a, b):
+            match a:
+                case 0:
+                    return b
+            return a
+        """,
+        (2, "golden functions have no `match`; use `if`, `elif` and `else`"),
+    ),
+    "a draw under an if": (
+        """
+        def f(a, b):
+            draws = Draws([b])
+            if a > 3:
+                return draws.below(4)
+            return a
+        """,
+        (4, "a draw is asked for where a word decides whether it is; ask before the `if`, since a draw"),
+    ),
+    "a draw after a return": (
+        """
+        def f(a, b):
+            draws = Draws([b])
+            if a > 3:
+                return 0
+            return draws.bits(3)
+        """,
+        (5, "a draw is asked for where a word decides whether it is"),
+    ),
+    "a draw in half of an expression": (
+        """
+        def f(a, b):
+            draws = Draws([b])
+            return a > 3 and draws.chance(1, 2)
+        """,
+        (3, "a draw is asked for where a word decides whether it is"),
+    ),
+    "a try": (
+        """
+        def f(a, b):
+            try:
+                return [1, 2][a]
+            except IndexError:
+                return 0
+        """,
+        (2, "golden functions have no `try`"),
+    ),
+    "a variable of the function around": (
+        """
+        def f(a, b):
+            v = 0
+            def g():
+                nonlocal v
+                v = v + 1
+            if a:
+                g()
+            return v
+        """,
+        (4, "`v` of a function around it is assigned to; return it instead"),
+    ),
+    "an import": (
+        """
+        def f(a, b):
+            import time
+            return int(time.time())
+        """,
+        (2, "golden functions have no `import`; import where the file begins"),
+    ),
+    "an exception": (
+        """
+        def f(a, b):
+            if a > 3:
+                raise ValueError("no")
+            return a
+        """,
+        (3, "a `raise` where a word decides; hardware has nobody to tell"),
+    ),
+    "an assertion": (
+        """
+        def f(a, b):
+            if a > 3:
+                assert False
+            return a
+        """,
+        (3, "an `assert` on a word; hardware has nobody to tell"),
+    ),
+    "an identity": (
+        """
+        def f(a, b):
+            return 1 if (a > 3) is True else 0
+        """,
+        (2, "`is` on a word; use `==`"),
+    ),
+    "a comprehension that leaves out": (
+        """
+        def f(a, b):
+            return len([x for x in (a, b) if x > 3])
+        """,
+        (2, "a word decides whether an element is left out, and a length depends on no word"),
+    ),
+    "a decision of a library": (
+        """
+        def f(a, b):
+            return sum(filter(lambda x: x > 3, [a, b]))
+        """,
+        (2, "a word decides what Python does next, where its source is not at hand"),
+    ),
+    "an order": (
+        """
+        def f(a, b):
+            v = [a, b]
+            v.sort()
+            return v[0]
+        """,
+        (3, "sort() of a list of words: their order is not known before hardware runs"),
+    ),
+    "an assignment in a condition": (
+        """
+        def f(a, b):
+            if a > 3 and (v := b) > 2:
+                return v
+            return a
+        """,
+        (2, "`v :=` in what is not always evaluated; assign it before"),
+    ),
+}
+
+
+@pytest.mark.parametrize("what", MISTAKES)
+def test_mistakes(what: str) -> None:
+    text, (line, words) = MISTAKES[what]
+    place = r"pump/step.py, line \d+: " if line is None else f"pump/step.py, line {line}: "
+    with pytest.raises(ArgumentError, match=place + re.escape(words)) as found:
+        traced(function(text), ("a", 4, False), ("b", 32, False))
+    assert str(found.value).startswith("pump/step.py, line ")
+    assert "\n" not in str(found.value)
