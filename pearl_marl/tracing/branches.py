@@ -429,6 +429,8 @@ class Runtime:
         if not isinstance(index, Word):
             found = of[index]
             return self.listed(found) if isinstance(found, list) and isinstance(index, slice) else found
+        if isinstance(of, Undefined):
+            of._raise()
         if isinstance(of, (tuple, list, range)):
             return chosen_entry(self.graph, of, self.place(of, index))
         raise ArgumentError(f"a word chooses from {type(of).__name__}; it chooses from lists and tuples")
