@@ -19,6 +19,7 @@ import numpy.typing as npt
 from gymnasium import Env, Space
 from gymnasium.spaces import Box, Discrete, Tuple
 
+from pearl_marl.elements import ActionSpace, action_counts, are_numbers
 from pearl_marl.errors import ArgumentError
 from pearl_marl.golden import GoldenFunction
 from pearl_marl.pickling import reduced
@@ -91,12 +92,13 @@ class Golden(NamedTuple):
     Each takes and returns scalars, in the order in which the spec lists its fields::
 
         initial(*reset_draws)             -> *state
-        step(*state, action, *step_draws) -> *next_state, reward, terminated
+        step(*state, *action, *step_draws) -> *next_state, reward, terminated
         observe(*state)                   -> *observation
         masks(*state)                     -> a flag for each action: whether it may be taken
 
     A function of one result returns it bare. Draws are uniform ``u32``;
-    ``terminated`` is 0 or 1. Options are constants of the enclosing scope.
+    ``terminated`` is 0 or 1. Options are constants of the enclosing scope. An action is one word, or one for
+    each field where the spec has several.
 
     In a world of several agents ``step`` takes all their actions and returns all their rewards, then all
     their flags ``terminated``, agent 0 first; and ``observe`` and ``masks`` take one argument more, the agent
@@ -121,7 +123,7 @@ class Role(NamedTuple):
     name: str
     observation_space: Space[Any]
     """As the spec's; of a ``Box`` of one dimension it may be the first elements, and 0 then fills the row."""
-    action_space: Discrete | Box
+    action_space: ActionSpace
     """As the spec's; of a ``Discrete`` it may be the first actions, and masks are 0 for the others."""
 
 
@@ -158,17 +160,19 @@ class EnvSpec:
         The fields of the state word and of the observation word, least significant first. Within a word every
         name is another; a slot has columns ``elapsed`` and ``ended`` besides, so no state field is named so.
     action
-        The field of an action.
+        The field of an action; or a tuple of them, least significant first, one an element of the space.
     reward
         The field of a reward: a category code if ``rewards`` is a table, the value itself if not.
     rewards
         The reward of each category, or ``None``.
     observation_space
         One agent's, equal to the oracle's. A ``Discrete`` takes one field, a ``Tuple`` of them one each,
-        a ``Box`` one an element. Observations are delivered in the space's dtype.
+        a ``MultiDiscrete``, ``MultiBinary`` or ``Box`` one an element. Observations are delivered in the
+        space's dtype.
     action_space
-        One agent's, equal to the oracle's: a ``Discrete`` from 0, or a ``float32`` ``Box`` of shape ``(1,)``
-        whose action becomes the fixed-point word of the field ``action``.
+        One agent's, equal to the oracle's: a ``Discrete`` from 0; a ``MultiDiscrete`` from 0 or a
+        ``MultiBinary``, of one dimension; or a bounded ``float32`` ``Box`` of shape ``(n,)``, each element of
+        which becomes the fixed-point word of its field.
     golden
         The dynamics.
     agents
@@ -215,12 +219,12 @@ class EnvSpec:
     version: int
     summary: str
     state: tuple[Field, ...]
-    action: Field
+    action: Field | tuple[Field, ...]
     observation: tuple[Field, ...]
     reward: Field
     rewards: tuple[float, ...] | None
     observation_space: Space[Any]
-    action_space: Discrete | Box
+    action_space: ActionSpace
     golden: Golden
     agents: int = 1
     roles: tuple[Role, ...] = ()
@@ -243,10 +247,10 @@ class EnvSpec:
 
     def __post_init__(self) -> None:
         space = self.observation_space
-        parts = space.spaces if isinstance(space, Tuple) else (space,)
-        if not isinstance(space, Box) and not all(isinstance(part, Discrete) for part in parts):
+        if not isinstance(space, Box) and not are_numbers(space):
             raise ArgumentError(
-                f"{self.name}: observation space {space} is no Discrete, Tuple of them or Box"
+                f"{self.name}: observation space {space} is no Discrete, Tuple of them, MultiDiscrete, "
+                "MultiBinary or Box"
             )
         if self.unpack is not None and not isinstance(space, Box):
             raise ArgumentError(f"{self.name}: unpack() makes a Box, and the observation space is {space}")
@@ -299,7 +303,7 @@ class EnvSpec:
         if self.rewards is not None and len(self.rewards) <= rewards[0].high:
             high, fix = len(self.rewards) - 1, "add a reward, or change the category"
             rewards = tuple(Result(r.name, 0, high, "the table of rewards lists", fix) for r in rewards)
-        actions = arguments(self.each_agent(replace(self.action, name="action")))
+        actions = arguments(self.each_agent(*_told_apart(self.action_fields, "action")))
         golden = self.golden
         calls: list[tuple[GoldenFunction, tuple[Argument, ...], tuple[Result, ...], tuple[int, ...]]] = [
             (golden.initial, draws[: self.reset_draws], results(self.state), ()),
@@ -344,17 +348,34 @@ class EnvSpec:
             seen.add(name)
 
     def _check_action(self) -> None:
-        space, word = self.action_space, self.action
+        space, words = self.action_space, self.action_fields
         if isinstance(space, Box):
-            if space.shape != (1,) or space.dtype != np.float32 or not space.is_bounded():
-                raise ArgumentError(f"{self.name}: {space} is no bounded float32 Box of shape (1,)")
-            fits = word.low <= float(space.low[0]) and float(space.high[0]) <= word.high
-        elif isinstance(space, Discrete) and space.start == 0:
-            fits = bool(space.n <= 1 << word.bits)
+            if len(space.shape) != 1 or space.dtype != np.float32 or not space.is_bounded():
+                raise ArgumentError(f"{self.name}: {space} is no bounded float32 Box of shape (n,)")
+            ends = list(zip(space.low.tolist(), space.high.tolist(), strict=True))
+        elif counts := action_counts(space):
+            ends = [(0, n - 1) for n in counts]
         else:
-            raise ArgumentError(f"{self.name}: action space {space} is not a Discrete from 0, nor a Box")
-        if not fits:
-            raise ArgumentError(f"{self.name}: {space} does not fit {word.bits} action bits")
+            raise ArgumentError(
+                f"{self.name}: action space {space} is none of Discrete, MultiDiscrete and MultiBinary, from "
+                "0 and of one dimension at most, nor a Box"
+            )
+        if len(ends) != len(words) or not words:
+            raise ArgumentError(
+                f"{self.name}: action space {space} takes {len(ends)} fields, and at least one; the spec lists "
+                f"{len(words)}"
+            )
+        self._check_names("action", words)
+        for word, (low, high) in zip(words, ends, strict=True):
+            if not isinstance(space, Box) and (word.signed or word.fraction):
+                raise ArgumentError(
+                    f"{self.name}: action field {word.name!r} is signed or has a fraction, and {space} "
+                    "counts from 0: leave out signed and fraction"
+                )
+            if not word.low <= low <= high <= word.high:
+                of = f" of {word.name}" if len(words) > 1 else ""
+                raise ArgumentError(f"{self.name}: {space} does not fit {word.bits} action bits{of}")
+        self.action_dtype  # noqa: B018  # which there may not be
 
     def _check_world(self) -> None:
         n, masks = self.agents, self.golden.masks
@@ -377,11 +398,28 @@ class EnvSpec:
             _check_part(self, role, "observation", role.observation_space, self.observation_space)
             _check_part(self, role, "action", role.action_space, self.action_space)
 
-    def each_agent(self, one: Field) -> tuple[Field, ...]:
-        """Return a field of every agent of a world: with the agent's number, where there are several."""
+    def each_agent(self, *own: Field) -> tuple[Field, ...]:
+        """Return fields of every agent of a world: with the agent's number, where there are several."""
         if self.agents == 1:
-            return (one,)
-        return tuple(replace(one, name=f"{one.name}_{k}") for k in range(self.agents))
+            return own
+        return tuple(replace(one, name=f"{one.name}_{k}") for k in range(self.agents) for one in own)
+
+    @cached_property
+    def action_fields(self) -> tuple[Field, ...]:
+        """The fields of an agent's action, one an element of the action space, least significant first."""
+        return (self.action,) if isinstance(self.action, Field) else tuple(self.action)
+
+    @cached_property
+    def action_dtype(self) -> np.dtype[Any]:
+        """The narrowest NumPy integer that holds the word of any field of an action."""
+        signed = any(f.signed for f in self.action_fields)
+        bits = max(f.bits + (signed and not f.signed) for f in self.action_fields)
+        if bits > 64:
+            raise ArgumentError(
+                f"{self.name}: an action's fields of 64 bits, some signed and some not, have no integer in "
+                "common that holds them: take fewer bits"
+            )
+        return Field("action", bits, signed).dtype
 
     @cached_property
     def functions(self) -> tuple[GoldenFunction, ...]:
@@ -396,10 +434,11 @@ class EnvSpec:
         comment does not change it.
         """
         state, actions = (
-            [f"{word}{k}" for k in range(n)] for word, n in (("s", len(self.state)), ("a", self.agents))
+            [f"{word}{k}" for k in range(n)]
+            for word, n in (("s", len(self.state)), ("a", self.agents * len(self.action_fields)))
         )
         draws = [f"d{k}" for k in range(max(self.reset_draws, self.step_draws))]
-        golden, formats = self.golden, (self.state, (self.action,), self.observation, (self.reward,))
+        golden, formats = self.golden, (self.state, self.action_fields, self.observation, (self.reward,))
         parts = [
             (self.agents, self.reset_draws, self.step_draws),
             [[(f.bits, f.signed, f.fraction) for f in fields] for fields in formats],
@@ -496,6 +535,11 @@ _MEANT = {
 
 TERMINATED = Field("terminated", 1)
 """What ``golden.step`` tells of an agent's end."""
+
+
+def _told_apart(own: tuple[Field, ...], name: str) -> tuple[Field, ...]:
+    """Return fields as messages name them: an only one by what it is, whatever its author calls it."""
+    return own if len(own) > 1 else (replace(own[0], name=name),)
 
 
 def _elements(space: Space[Any]) -> int:

@@ -36,6 +36,7 @@ ROOMS = (
         "fixed_point",
         "planes",
         "pickling",
+        "elements",
         "spec",
         "envs",
         "registry",

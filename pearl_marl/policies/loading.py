@@ -106,7 +106,7 @@ def table_policy(table: npt.ArrayLike, spec: EnvSpec) -> Policy:
     if (missing := np.isnan(values)).any():
         place = tuple(int(index) for index in np.argwhere(missing)[0])
         raise ArgumentError(f"the table has NaN, {missing.sum():,} times, first at {place}; it takes numbers")
-    greedy = values.argmax(axis=-1).astype(spec.action.dtype)
+    greedy = values.argmax(axis=-1).astype(spec.action_dtype)
     if isinstance(spec.observation_space, Tuple):
         return lambda observations, _=None: greedy[tuple(observations.T)]
     return lambda observations, _=None: greedy[observations]
