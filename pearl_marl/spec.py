@@ -353,8 +353,8 @@ class EnvSpec:
             if len(space.shape) != 1 or space.dtype != np.float32 or not space.is_bounded():
                 raise ArgumentError(f"{self.name}: {space} is no bounded float32 Box of shape (n,)")
             ends = list(zip(space.low.tolist(), space.high.tolist(), strict=True))
-        elif counts := action_counts(space):
-            ends = [(0, n - 1) for n in counts]
+        elif self.action_counts:
+            ends = [(0, n - 1) for n in self.action_counts]
         else:
             raise ArgumentError(
                 f"{self.name}: action space {space} is none of Discrete, MultiDiscrete and MultiBinary, from "
@@ -362,8 +362,8 @@ class EnvSpec:
             )
         if len(ends) != len(words) or not words:
             raise ArgumentError(
-                f"{self.name}: action space {space} takes {len(ends)} fields, and at least one; the spec lists "
-                f"{len(words)}"
+                f"{self.name}: action space {space} takes {len(ends)} fields, and at least one; the spec "
+                f"lists {len(words)}"
             )
         self._check_names("action", words)
         for word, (low, high) in zip(words, ends, strict=True):
@@ -408,6 +408,11 @@ class EnvSpec:
     def action_fields(self) -> tuple[Field, ...]:
         """The fields of an agent's action, one an element of the action space, least significant first."""
         return (self.action,) if isinstance(self.action, Field) else tuple(self.action)
+
+    @cached_property
+    def action_counts(self) -> tuple[int, ...]:
+        """How many values each element of an action has, from 0; empty where they are in a ``Box``."""
+        return action_counts(self.action_space)
 
     @cached_property
     def action_dtype(self) -> np.dtype[Any]:

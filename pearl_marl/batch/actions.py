@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from gymnasium.spaces import Box, Discrete
 
-from pearl_marl.elements import ActionSpace, action_counts, bounds
+from pearl_marl.elements import ActionSpace, bounds
 from pearl_marl.errors import ActionError
 from pearl_marl.golden import uniform_below
 from pearl_marl.machine_code import compiled
@@ -99,43 +99,46 @@ def _encode(actions: Any, spec: EnvSpec, target: npt.NDArray[Any], first: int) -
     try:
         array = np.asarray(actions)
     except ValueError:  # a ragged list
-        raise refusal(actions, space, len(target), first) from None
-    names = [field.name for field in spec.action_fields]
-    if array.shape != (len(target), *(space.shape or ())):
-        raise refusal(actions, space, len(target), first, names)
+        raise _refusal(actions, spec, target, first) from None
+    if isinstance(space, Discrete) and are_words(array, target):
+        if _largest(array) >= space.n:
+            raise _refusal(actions, spec, target, first)
+        return array
+    fits = array.shape == (len(target), *space.shape)
+    if not fits or array.dtype.kind not in ("iuf" if isinstance(space, Box) else "iu"):
+        raise _refusal(actions, spec, target, first)
     if isinstance(space, Box):
-        if array.dtype.kind not in "iuf":
-            raise refusal(actions, space, len(target), first, names)
         if array.dtype not in _FLOATS or not array.flags.carray:
             array = np.array(array, np.float64 if array.dtype.itemsize > 4 else np.float32, order="C")
-        bounds = zip(space.low.tolist(), space.high.tolist(), spec.action_fields, strict=True)
-        for numbers, words, (low, high, field) in zip(_columns(array), _columns(target), bounds, strict=True):
+        ends = zip(space.low.tolist(), space.high.tolist(), spec.action_fields, strict=True)
+        for numbers, words, (low, high, field) in zip(_columns(array), _columns(target), ends, strict=True):
             if not _fix(numbers, words, low, high, 2.0**field.fraction):
-                raise refusal(actions, space, len(target), first, names)
+                raise _refusal(actions, spec, target, first)
         return target
-    counts = action_counts(space)
-    if are_words(array, target):
-        if any(_largest(words) >= n for words, n in zip(_columns(array), counts, strict=True)):
-            raise refusal(actions, space, len(target), first, names)
-        return array
     if not array.flags.behaved:  # read-only or unaligned: to Numba other types, and so another compilation
         array = array.copy()
-    kind = array.dtype.kind
-    if kind not in "iu":
-        raise refusal(actions, space, len(target), first, names)
     if not array.dtype.isnative or not array.flags.c_contiguous:
         array = np.ascontiguousarray(array, array.dtype.newbyteorder("="))
     # Seen as unsigned, a negative number is a large one: one comparison does for both ends.
-    unsigned = array.view(_UNSIGNED[array.itemsize]) if kind == "i" else array
-    for numbers, words, n in zip(_columns(unsigned), _columns(target), counts, strict=True):
-        if _narrow(numbers, words) >= n:
-            raise refusal(actions, space, len(target), first, names)
+    unsigned = array.view(_UNSIGNED[array.itemsize]) if array.dtype.kind == "i" else array
+    if isinstance(space, Discrete):  # which most are: a loop over columns would cost their steps more
+        inside = _narrow(unsigned, target) < space.n
+    else:
+        columns = zip(_columns(unsigned), _columns(target), spec.action_counts, strict=True)
+        inside = all(_narrow(numbers, words) < n for numbers, words, n in columns)
+    if not inside:
+        raise _refusal(actions, spec, target, first)
     return target
 
 
-def _columns(rows: npt.NDArray[Any]) -> Iterator[npt.NDArray[Any]]:
-    """Yield an array of one number a row for each number that a row has."""
-    return iter((rows,) if rows.ndim == 1 else rows.T)
+def _refusal(actions: Any, spec: EnvSpec, target: npt.NDArray[Any], first: int) -> ActionError:
+    names = [field.name for field in spec.action_fields]
+    return refusal(actions, spec.action_space, len(target), first, names)
+
+
+def _columns(rows: npt.NDArray[Any]) -> Iterable[npt.NDArray[Any]]:
+    """Return an array of one number a row for each number that a row has."""
+    return (rows,) if rows.ndim == 1 else rows.T
 
 
 def idle_action(space: ActionSpace) -> Any:
@@ -221,7 +224,7 @@ def random_actions(
     if isinstance(space, Box):
         return rng.uniform(space.low, space.high, (n, *space.shape)).astype(np.float32)
     if not isinstance(space, Discrete):
-        return rng.integers(action_counts(space), size=(n, *space.shape)).astype(spec.action_dtype)
+        return rng.integers(spec.action_counts, size=(n, *space.shape)).astype(spec.action_dtype)
     if spec.roles:
         most = np.array([role.action_space.n for role in spec.roles])  # type: ignore[union-attr]
         return rng.integers(np.resize(most, n)).astype(spec.action_dtype)
