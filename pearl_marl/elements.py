@@ -17,10 +17,10 @@ def action_counts(space: Space[Any]) -> tuple[int, ...]:
 
     Of one dimension at most, they are those of a ``Discrete``, ``MultiDiscrete`` or ``MultiBinary``.
     """
-    if not isinstance(space, (Discrete, MultiDiscrete, MultiBinary)) or len(space.shape) > 1:
+    if not isinstance(space, (Discrete, MultiDiscrete, MultiBinary)):
         return ()
     low, high = bounds(space)
-    return () if low.any() else tuple((high + 1).ravel().tolist())
+    return () if low.ndim > 1 or low.any() else tuple((high + 1).ravel().tolist())
 
 
 def bounds(space: Space[Any]) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:

@@ -324,7 +324,7 @@ class EnvSpec:
             if golden.masks is not None:
                 flags = results(self.mask_fields)
                 if role is not None:
-                    n = int(role.action_space.n)  # type: ignore[union-attr]  # else there are no masks
+                    n = action_counts(role.action_space)[0]  # a Discrete's, or there would be no masks
                     flags = _none_beyond(flags, n, f"role {role.name!r} has {n} actions, so the others hold")
                 calls.append((golden.masks, state, flags, agent))
         for function, given, due, agent in calls:

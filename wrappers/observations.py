@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from gymnasium.spaces import Box, Discrete, Space, Tuple
+from gymnasium.spaces import Box, Discrete, Space
 
 from pearl_marl.batch.recycling import Recycler
 from pearl_marl.batch.results import memory_of_machine
@@ -510,7 +510,7 @@ def _window(env: Batch, name: str, kind: type[_Window], frames: int, repeat: boo
     """Wrap an environment in a window that shows observations of the shape they have inside."""
 
     def make(batch: Batch, space: Space[Any], action_space: Any) -> Transform:
-        if isinstance(space, Tuple):
+        if space.dtype is None:
             raise ArgumentError(f"{name} takes observations that are one array, not {space}")
         one = (int(np.prod(space.shape or ())),)
         return kind(

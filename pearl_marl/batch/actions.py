@@ -104,7 +104,7 @@ def _encode(actions: Any, spec: EnvSpec, target: npt.NDArray[Any], first: int) -
         if _largest(array) >= space.n:
             raise _refusal(actions, spec, target, first)
         return array
-    fits = array.shape == (len(target), *space.shape)
+    fits = array.shape == (len(target), *(space.shape or ()))
     if not fits or array.dtype.kind not in ("iuf" if isinstance(space, Box) else "iu"):
         raise _refusal(actions, spec, target, first)
     if isinstance(space, Box):
@@ -241,7 +241,8 @@ def random_numbers(space: ActionSpace, draws: npt.NDArray[np.uint32]) -> npt.NDA
     if isinstance(space, Box):
         return (space.low + each / 2.0**32 * (space.high - space.low)).astype(space.dtype)
     low, high = bounds(space)
-    return (uniform_below(each, high - low + 1) + low).astype(space.dtype)
+    integers: npt.NDArray[Any] = (uniform_below(each, high - low + 1) + low).astype(space.dtype)
+    return integers
 
 
 def _scattered(draws: npt.NDArray[np.uint32], k: int) -> npt.NDArray[np.uint32]:

@@ -86,10 +86,11 @@ class _Dense(torch.autograd.Function):
 class Encoder(nn.Module):
     """The first layer: makes ``width`` features of an observation, whatever its space.
 
-    Numbers (``Discrete``, a ``Tuple`` of it, ``MultiDiscrete``, ``MultiBinary``) choose rows of a table, which is what a linear layer over
-    their one-hot form computes. Vectors are standardised by the statistics of all that were seen in
-    training, then go through a linear layer. Pictures (``Box`` of three axes, channels last) go through
-    a convolution, as in MinAtar's DQN. Observations that the environment ``packs`` may be given packed.
+    Numbers (``Discrete``, a ``Tuple`` of it, ``MultiDiscrete``, ``MultiBinary``) choose rows of a table,
+    which is what a linear layer over their one-hot form computes. Vectors are standardised by the statistics
+    of all that were seen in training, then go through a linear layer. Pictures (``Box`` of three axes,
+    channels last) go through a convolution, as in MinAtar's DQN. Observations that the environment ``packs``
+    may be given packed.
     """
 
     offsets: Tensor

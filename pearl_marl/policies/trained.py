@@ -70,10 +70,10 @@ class NetworkPolicy(_Trained):
     spec
         The environment that it is for.
     kind
-        ``"logits"``: an output for each action, the most probable is the best; where actions have several
-        fields, for each value of each of them, and fields are chosen independently of each other. ``"values"``:
-        an output for each action, the most valuable is the best. ``"mean"``: the outputs are the action, of a ``Box``, in units of its bounds:
-        -1 is the least and 1 the greatest.
+        ``"logits"``: an output for each action, the most probable is the best; or where actions have several
+        fields, one for each value of each, and each field is chosen for itself. ``"values"``: an output for
+        each action, the most valuable is the best. ``"mean"``: the outputs are the action, of a ``Box``,
+        whose least is -1 here, and whose greatest is 1.
     width
         Of the network's layers.
     sharing
@@ -102,9 +102,9 @@ class NetworkPolicy(_Trained):
             raise ArgumentError(
                 f"dqn chooses among numbered actions, and {spec.name}'s are in {actions}: use ppo"
             )
-        self.heads = spec.action_counts if not isinstance(actions, (Box, Discrete)) else ()
-        """How many outputs are for each field of an action; empty where an action is one number or in a ``Box``."""
-        self.outputs = sum(spec.action_counts) or int(np.prod(actions.shape))
+        self.heads = [] if isinstance(actions, (Box, Discrete)) else list(spec.action_counts)
+        """How many outputs each field of an action has, where it has fields to be chosen one by one."""
+        self.outputs = sum(spec.action_counts) or len(spec.action_fields)
         self.network = networks(spec, self.outputs, width, 1.0 if kind == "values" else 0.01, sharing)
         low, high = bounds(actions) if isinstance(actions, Box) else np.array([[-1], [1]], np.float32)
         self.register_buffer("bound", torch.from_numpy((high - low) / 2))
@@ -137,7 +137,7 @@ class NetworkPolicy(_Trained):
         """Return the numbers of the greatest outputs: ``int64``, one for each field of an action."""
         if not self.heads:
             return outputs.argmax(-1)
-        return torch.stack([part.argmax(-1) for part in outputs.split(self.heads, -1)], -1)
+        return torch.stack([part.argmax(-1) for part in torch.split(outputs, self.heads, -1)], -1)
 
     @torch.no_grad()
     def act(self, obs: Tensor, masks: Tensor | None = None) -> Tensor:

@@ -180,7 +180,7 @@ class ActorCritic(nn.Module):
 
     def _weigh_fields(self, outputs: Tensor, actions: Tensor) -> Weighed:
         """Do so with actions of several fields, which are chosen independently of each other."""
-        heads = outputs.split(self.policy.heads, -1)
+        heads = torch.split(outputs, self.policy.heads, -1)
         fields = [self._weigh_choices(*each) for each in zip(heads, actions.unbind(-1), strict=True)]
 
         def gradients(by_logs: Tensor, by_entropy: float) -> Gradients:
