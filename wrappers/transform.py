@@ -15,7 +15,7 @@ from pearl_marl.batch.actions import refusal, refuse_first
 from pearl_marl.batch.recycling import Recycler
 from pearl_marl.batch.step import Array, BatchStep
 from pearl_marl.elements import ActionSpace, bounds
-from pearl_marl.errors import OrderError
+from pearl_marl.errors import ActionError, OrderError
 from pearl_marl.interfaces.batch import Batch, Mask
 
 Slots = npt.NDArray[np.intp]
@@ -124,10 +124,10 @@ class Transform:
         try:
             array = np.asarray(actions)
         except ValueError:  # a ragged list
-            raise refusal(actions, self.action_space, self.n) from None
+            raise self._refusal(actions) from None
         shape = self.n, *(self.action_space.shape or ())
         if array.shape != shape or array.dtype.kind not in self.action_kinds:
-            raise refusal(actions, self.action_space, self.n)
+            raise self._refusal(actions)
         return array
 
     def possible(self, actions: Array) -> Mask:
@@ -145,7 +145,17 @@ class Transform:
         possible = self.possible(actions) | self.resetting  # for whom it is ignored
         if not possible.all():
             first = int(np.argmin(possible))
-            raise refuse_first([f"agent_{first}"], [actions[first].tolist()], self.action_space)
+            space, names = self.action_space, self._action_names()
+            raise refuse_first([f"agent_{first}"], [actions[first].tolist()], space, names)
+
+    def _refusal(self, actions: Any) -> ActionError:
+        return refusal(actions, self.action_space, self.n, names=self._action_names())
+
+    def _action_names(self) -> list[str]:
+        """Return the names of an action's fields, if it is what the environment inside all wrappers takes."""
+        unwrapped: Any = self.batch.unwrapped  # type: ignore[attr-defined]  # which every environment has
+        spec = unwrapped.device.config.spec
+        return [f.name for f in spec.action_fields] if self.action_space == spec.action_space else []
 
     def results(self, step: BatchStep) -> BatchStep:
         """Return the results of a step with the change."""
