@@ -45,7 +45,8 @@ def collect(quick: bool, progress: Progress) -> list[Row]:
         for what in QUANTITIES
     ]
     for spec in specs:
-        sent = spec.action.bits / (spec.action.bits + word_bits(spec.state))
+        action = word_bits(spec.action_fields)
+        sent = action / (action + word_bits(spec.state))
         rows.append(_share("measured", spec.name, sent, "bits in hardware"))
     for name, sent in paper.ACTION_SHARE.items():
         rows.append(_share("quoted", name, sent, paper.ACTION_SHARE_SOURCE))
@@ -66,7 +67,7 @@ def _share(kind: str, name: str, share: float, counts: str) -> Row:
 def _counted(spec: EnvSpec) -> list[Row]:
     as_one = isinstance(spec.observation_space, gymnasium.spaces.Discrete)
     bits = {
-        "action": (_bits(spec.action_space), spec.action.bits),
+        "action": (_bits(spec.action_space), word_bits(spec.action_fields)),
         "observation": (_bits(spec.observation_space), word_bits(spec.observation)),
         "reward": (64, spec.reward.bits),
         "ends": (2 * 8, ter_bits(spec)),

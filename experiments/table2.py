@@ -39,7 +39,8 @@ def collect(quick: bool, progress: Progress) -> list[Row]:
     for name in names():
         spec = get_spec(name)
         layout = default_map(spec, N_ENVS)
-        bits = word_bits(spec.state), spec.action.bits, word_bits(spec.observation), spec.reward.bits
+        words = spec.state, spec.action_fields, spec.observation, (spec.reward,)
+        bits = [word_bits(fields) for fields in words]
         rows.append(
             row_of(
                 "measured",

@@ -206,7 +206,7 @@ def ter_bits(spec: EnvSpec) -> int:
 def stream_bits(spec: EnvSpec) -> dict[str, int]:
     """Return the bits that a slot has in the regions of every step."""
     return {
-        "actions": spec.agents * spec.action.bits,
+        "actions": spec.agents * word_bits(spec.action_fields),
         "observations": spec.agents * word_bits(spec.seen),
         "rewards": spec.agents * spec.reward.bits,
         "ters": ter_bits(spec),

@@ -19,6 +19,7 @@ import numpy.typing as npt
 from gymnasium import Env, Space
 from gymnasium.spaces import Box, Discrete, Tuple
 
+from pearl_marl.elements import ActionSpace, action_counts, are_numbers, bounds
 from pearl_marl.errors import ArgumentError
 from pearl_marl.fields import Field as Field
 from pearl_marl.fields import word_bits as word_bits
@@ -47,7 +48,7 @@ class Golden(NamedTuple):
         masks(state)               -> a flag for each action: whether it may be taken
 
     ``draws`` are :class:`~pearl_marl.golden.Draws`; ``terminated`` is 0 or 1. Options are constants of the
-    enclosing scope.
+    enclosing scope. An action is a word, or a tuple of them where the spec has several fields.
 
     In a world of several agents ``step`` takes a list of their actions and returns a list of their rewards
     and one of their flags ``terminated``, agent 0 first; and ``observe`` and ``masks`` take the agent that
@@ -78,7 +79,7 @@ class Role(NamedTuple):
     name: str
     observation_space: Space[Any]
     """As the spec's; of a ``Box`` of one dimension it may be the first elements, and 0 then fills the row."""
-    action_space: Discrete | Box
+    action_space: ActionSpace
     """As the spec's; of a ``Discrete`` it may be the first actions, and masks are 0 for the others."""
 
 
@@ -115,7 +116,8 @@ class EnvSpec:
         The fields of the observation word, least significant first; by default those of ``golden.view``, or
         those that the observation space takes.
     action
-        The field of an action; by default as wide as the action space takes.
+        The field of an action, or a tuple of them, least significant first, one an element of the space. By
+        default as wide as the action space takes.
     reward
         The field of a reward: a category code if ``rewards`` is a table, the value itself if not. By default
         as wide as the table takes.
@@ -123,10 +125,12 @@ class EnvSpec:
         The reward of each category, or ``None``.
     observation_space
         One agent's, equal to the oracle's. A ``Discrete`` takes one field, a ``Tuple`` of them one each,
-        a ``Box`` one an element. Observations are delivered in the space's dtype.
+        a ``MultiDiscrete``, ``MultiBinary`` or ``Box`` one an element. Observations are delivered in the
+        space's dtype.
     action_space
-        One agent's, equal to the oracle's: a ``Discrete`` from 0, or a ``float32`` ``Box`` of shape ``(1,)``
-        whose action becomes the fixed-point word of the field ``action``.
+        One agent's, equal to the oracle's: a ``Discrete`` from 0; a ``MultiDiscrete`` from 0 or a
+        ``MultiBinary``, of one dimension; or a bounded ``float32`` ``Box`` of shape ``(n,)``, each element of
+        which becomes the fixed-point word of its field.
     golden
         The dynamics.
     agents
@@ -173,7 +177,7 @@ class EnvSpec:
     version: int
     summary: str
     observation_space: Space[Any]
-    action_space: Discrete | Box
+    action_space: ActionSpace
     golden: Golden
     rewards: tuple[float, ...] | None
     observation: tuple[Field, ...] = ()
@@ -199,10 +203,10 @@ class EnvSpec:
     def __post_init__(self) -> None:
         self._set_defaults()
         space = self.observation_space
-        parts = space.spaces if isinstance(space, Tuple) else (space,)
-        if not isinstance(space, Box) and not all(isinstance(part, Discrete) for part in parts):
+        if not isinstance(space, Box) and not are_numbers(space):
             raise ArgumentError(
-                f"{self.name}: observation space {space} is no Discrete, Tuple of them or Box"
+                f"{self.name}: observation space {space} is no Discrete, Tuple of them, MultiDiscrete, "
+                "MultiBinary or Box"
             )
         if self.unpack is not None and not isinstance(space, Box):
             raise ArgumentError(f"{self.name}: unpack() makes a Box, and the observation space is {space}")
@@ -243,15 +247,8 @@ class EnvSpec:
         if not self.observation:
             view = self._view
             derive("observation", view.fields if view else _fields_of(self.observation_space))
-        if self.action is None and isinstance(self.action_space, Box) and fraction is not None:
-            ends = Interval(float(self.action_space.low.min()), float(self.action_space.high.max()))
-            derive("action", real_field("action", ends, fraction))
         if self.action is None:
-            if not isinstance(self.action_space, Discrete):
-                raise ArgumentError(
-                    f"{self.name}: the action space is {self.action_space}; give action=Field(...)"
-                )
-            derive("action", Field("action", _width(int(self.action_space.n))))
+            derive("action", self._action_of(self.action_space))
         interval = next(
             (x for x in getattr(self.reward, "__metadata__", ()) if isinstance(x, Interval)), None
         )
@@ -261,6 +258,18 @@ class EnvSpec:
             if self.rewards is None:
                 raise ArgumentError(f"{self.name}: there is no table of rewards; give reward=Field(...)")
             derive("reward", Field("reward", _width(len(self.rewards))))
+
+    def _action_of(self, space: ActionSpace) -> Field | tuple[Field, ...]:
+        """Return the fields that an action space takes."""
+        fraction = self.layout.fraction
+        if isinstance(space, Box):
+            if fraction is None or not space.is_bounded():
+                raise ArgumentError(f"{self.name}: the action space is {space}; give action=Field(...)")
+            ends = zip(space.low.ravel().tolist(), space.high.ravel().tolist(), strict=True)
+            words = tuple(real_field(f"action_{k}", Interval(*pair), fraction) for k, pair in enumerate(ends))
+        else:
+            words = tuple(Field(f"action_{k}", _width(count)) for k, count in enumerate(action_counts(space)))
+        return replace(words[0], name="action") if len(words) == 1 else words
 
     @cached_property
     def layout(self) -> Layout:
@@ -282,7 +291,7 @@ class EnvSpec:
         state, golden, n, world = self.layout, self.golden, self.agents, self._is_world
         return Positional(
             initial_of(state, golden.initial),
-            step_of(state, golden.step, n, (self.action,), self.reward, world=world),
+            step_of(state, golden.step, n, self.action_fields, self.reward, world=world),
             view_of(state, golden.observe, n, self._view, world=world),
             None if golden.masks is None else view_of(state, golden.masks, n, world=world),
             None if self.unpack is None else unpack_of(golden.view, self.unpack, self.observation),
@@ -299,7 +308,8 @@ class EnvSpec:
         initial, step = (as_python_runs_it(function, fraction is not None) for function in functions)
         first, second = CountingDraws(fraction), CountingDraws(fraction)
         state = initial(first)
-        actions = [0] * self.agents if self._is_world else 0
+        one = 0 if len(self.action_fields) == 1 else (0,) * len(self.action_fields)
+        actions = [one] * self.agents if self._is_world else one
         step(state, actions, second)
         return first.count, second.count
 
@@ -333,7 +343,7 @@ class EnvSpec:
         if self.rewards is not None and len(self.rewards) <= rewards[0].high:
             high, fix = len(self.rewards) - 1, "add a reward, or change the category"
             rewards = tuple(Result(r.name, 0, high, "the table of rewards lists", fix) for r in rewards)
-        actions = arguments(self.each_agent(replace(self.action, name="action")))
+        actions = arguments(self.each_agent(*_told_apart(self.action_fields, "action")))
         golden = self.positional
         calls: list[tuple[GoldenFunction, tuple[Argument, ...], tuple[Result, ...], tuple[int, ...]]] = [
             (golden.initial, draws, results(self.state), ()),
@@ -354,7 +364,7 @@ class EnvSpec:
             if golden.masks is not None:
                 flags = results(self.mask_fields)
                 if role is not None:
-                    n = int(role.action_space.n)  # type: ignore[union-attr]  # else there are no masks
+                    n = action_counts(role.action_space)[0]  # a Discrete's, or there would be no masks
                     flags = _none_beyond(flags, n, f"role {role.name!r} has {n} actions, so the others hold")
                 calls.append((golden.masks, state, flags, agent))
         for function, given, due, agent in calls:
@@ -378,17 +388,34 @@ class EnvSpec:
             seen.add(name)
 
     def _check_action(self) -> None:
-        space, word = self.action_space, self.action
+        space, words = self.action_space, self.action_fields
         if isinstance(space, Box):
-            if space.shape != (1,) or space.dtype != np.float32 or not space.is_bounded():
-                raise ArgumentError(f"{self.name}: {space} is no bounded float32 Box of shape (1,)")
-            fits = word.low <= float(space.low[0]) and float(space.high[0]) <= word.high
-        elif isinstance(space, Discrete) and space.start == 0:
-            fits = bool(space.n <= 1 << word.bits)
+            if len(space.shape) != 1 or space.dtype != np.float32 or not space.is_bounded():
+                raise ArgumentError(f"{self.name}: {space} is no bounded float32 Box of shape (n,)")
+            ends = list(zip(space.low.tolist(), space.high.tolist(), strict=True))
+        elif self.action_counts:
+            ends = [(0, n - 1) for n in self.action_counts]
         else:
-            raise ArgumentError(f"{self.name}: action space {space} is not a Discrete from 0, nor a Box")
-        if not fits:
-            raise ArgumentError(f"{self.name}: {space} does not fit {word.bits} action bits")
+            raise ArgumentError(
+                f"{self.name}: action space {space} is none of Discrete, MultiDiscrete and MultiBinary, from "
+                "0 and of one dimension at most, nor a Box"
+            )
+        if len(ends) != len(words) or not words:
+            raise ArgumentError(
+                f"{self.name}: action space {space} takes {len(ends)} fields, and at least one; the spec "
+                f"lists {len(words)}"
+            )
+        self._check_names("action", words)
+        for word, (low, high) in zip(words, ends, strict=True):
+            if not isinstance(space, Box) and (word.signed or word.fraction):
+                raise ArgumentError(
+                    f"{self.name}: action field {word.name!r} is signed or has a fraction, and {space} "
+                    "counts from 0: leave out signed and fraction"
+                )
+            if not word.low <= low <= high <= word.high:
+                of = f" of {word.name}" if len(words) > 1 else ""
+                raise ArgumentError(f"{self.name}: {space} does not fit {word.bits} action bits{of}")
+        self.action_dtype  # noqa: B018  # which there may not be
 
     def _check_world(self) -> None:
         n, masks = self.agents, self.golden.masks
@@ -411,11 +438,33 @@ class EnvSpec:
             _check_part(self, role, "observation", role.observation_space, self.observation_space)
             _check_part(self, role, "action", role.action_space, self.action_space)
 
-    def each_agent(self, one: Field) -> tuple[Field, ...]:
-        """Return a field of every agent of a world: with the agent's number, where there are several."""
+    def each_agent(self, *own: Field) -> tuple[Field, ...]:
+        """Return fields of every agent of a world: with the agent's number, where there are several."""
         if self.agents == 1:
-            return (one,)
-        return tuple(replace(one, name=f"{one.name}_{k}") for k in range(self.agents))
+            return own
+        return tuple(replace(one, name=f"{one.name}_{k}") for k in range(self.agents) for one in own)
+
+    @cached_property
+    def action_fields(self) -> tuple[Field, ...]:
+        """The fields of an agent's action, one an element of the action space, least significant first."""
+        return (self.action,) if isinstance(self.action, Field) else tuple(self.action)
+
+    @cached_property
+    def action_counts(self) -> tuple[int, ...]:
+        """How many values each element of an action has, from 0; empty where they are in a ``Box``."""
+        return action_counts(self.action_space)
+
+    @cached_property
+    def action_dtype(self) -> np.dtype[Any]:
+        """The narrowest NumPy integer that holds the word of any field of an action."""
+        signed = any(f.signed for f in self.action_fields)
+        bits = max(f.bits + (signed and not f.signed) for f in self.action_fields)
+        if bits > 64:
+            raise ArgumentError(
+                f"{self.name}: an action's fields of 64 bits, some signed and some not, have no integer in "
+                "common that holds them: take fewer bits"
+            )
+        return Field("action", bits, signed).dtype
 
     @cached_property
     def functions(self) -> tuple[GoldenFunction, ...]:
@@ -436,8 +485,8 @@ class EnvSpec:
 
         golden, state = self.positional, formats(self.state)
         draw = (32, False, 0, (1 << 32) - 1)
-        actions = formats(self.each_agent(self.action))
-        words = (self.state, (self.action,), self.observation, (self.reward,))
+        actions = formats(self.agents * self.action_fields)
+        words = (self.state, self.action_fields, self.observation, (self.reward,))
         parts = [
             (self.agents, self.reset_draws, self.step_draws),
             [[(f.bits, f.signed, f.fraction, *f.range) for f in fields] for fields in words],
@@ -536,6 +585,11 @@ TERMINATED = Field("terminated", 1)
 """What ``golden.step`` tells of an agent's end."""
 
 
+def _told_apart(own: tuple[Field, ...], name: str) -> tuple[Field, ...]:
+    """Return fields as messages name them: an only one by what it is, whatever its author calls it."""
+    return own if len(own) > 1 else (replace(own[0], name=name),)
+
+
 def _elements(space: Space[Any]) -> int:
     return len(space.spaces) if isinstance(space, Tuple) else math.prod(space.shape or ())
 
@@ -563,17 +617,14 @@ def _check_part(spec: EnvSpec, role: Role, what: str, own: Space[Any], whole: Sp
 
 def _fields_of(space: Space[Any]) -> tuple[Field, ...]:
     """Return the fields that an observation space takes, one an element."""
-    if isinstance(space, Discrete):
-        return (Field("observation", _width(int(space.start + space.n))),)
-    if isinstance(space, Tuple):
-        parts = [_fields_of(part) for part in space.spaces if isinstance(part, Discrete)]
-        return tuple(replace(part[0], name=f"observation_{k}") for k, part in enumerate(parts))
-    if isinstance(space, Box) and np.issubdtype(space.dtype, np.integer) and space.low.min() >= 0:
-        widths = [_width(int(high) + 1) for high in space.high.ravel()]
-        return tuple(Field(f"observation_{k}", bits) for k, bits in enumerate(widths))
-    raise ArgumentError(
-        f"observation space {space} does not say how wide its words are; give Golden(view=...)"
-    )
+    whole = are_numbers(space) or (isinstance(space, Box) and np.issubdtype(space.dtype, np.integer))
+    low, high = bounds(space) if whole else (np.array([-1]), np.array([0]))
+    if low.min() < 0:
+        raise ArgumentError(
+            f"observation space {space} does not say how wide its words are; give Golden(view=...)"
+        )
+    words = [Field(f"observation_{k}", _width(int(end) + 1)) for k, end in enumerate(high.ravel())]
+    return (replace(words[0], name="observation"),) if len(words) == 1 else tuple(words)
 
 
 def _width(count: int) -> int:

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium.vector import AutoresetMode
 
-from pearl_marl.batch.actions import encode, random_actions
+from pearl_marl.batch.actions import encode, random_actions, room_for_words
 from pearl_marl.batch.config import worlds_of
 from pearl_marl.comparison.replay import Replay
 from pearl_marl.devices import BatchConfig, Lockstep
@@ -86,7 +86,7 @@ def verify(run: Run, lockstep: Lockstep, seed: int) -> Iterator[Run]:
     lockstep.open(run.config)
     try:
         lockstep.reset(seed)
-        words = np.empty(run.config.n_agents, run.config.spec.action.dtype)
+        words = room_for_words(run.config.spec, run.config.n_agents)
         half = np.random.default_rng(seed).random(run.config.n_envs) < 0.5
         for actions in sticky_actions(run.config.spec, run.config.n_agents, run.steps, seed):
             # As words, since masked actions have to do the same on both too.

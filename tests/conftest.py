@@ -31,6 +31,7 @@ import pearl_marl
 from pearl_marl import cli, registry
 
 from .toy import TOYS
+from .toy_fields import FIELDS
 from .toy_world import WORLDS
 
 
@@ -137,7 +138,7 @@ def ray_cluster() -> None:
 def toys() -> Iterator[None]:
     """Register the toy environments for one test; the list of environments is as before afterwards."""
     with mock.patch.dict(registry._specs):
-        for spec in (*TOYS, *WORLDS):
+        for spec in (*TOYS, *WORLDS, *FIELDS):
             pearl_marl.register(spec)
         yield
 

@@ -37,6 +37,7 @@ ROOMS = (
         "fixed_point",
         "planes",
         "pickling",
+        "elements",
         "spec",
         "envs",
         "registry",

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from gymnasium.spaces import Box, Discrete, MultiBinary
+from gymnasium.spaces import Box, Discrete, MultiBinary, MultiDiscrete, Text
 from gymnasium.vector import AutoresetMode
 from pearl_marl.wrappers import reward_lambda_v0
 
@@ -557,10 +557,37 @@ def test_fields(bits: int) -> None:
         ({"observation": DRIFT.observation[:2]}, "takes 3 fields.*lists 2"),
         ({"action": Field("action", 2)}, r"Discrete\(5\) does not fit 2"),
         ({"unpack": print, "observation_space": Discrete(4)}, "unpack.. makes a Box"),
-        ({"action_space": Box(-2, 2, (2,))}, r"no bounded float32 Box of shape \(1,\)"),
+        ({"action_space": Box(-2, 2, (2, 1))}, r"no bounded float32 Box of shape \(n,\)"),
+        ({"action_space": Box(-2, 2, (2,))}, r"action space Box.* takes 2 fields, .*; the spec lists 1"),
+        ({"action_space": MultiDiscrete([4, 3])}, "takes 2 fields, and at least one; the spec lists 1"),
+        ({"action_space": Box(0, 1, (0,)), "action": ()}, "takes 0 fields, and at least one"),
+        (
+            {"action_space": MultiDiscrete([4, 3]), "action": (Field("way", 2), Field("far", 1))},
+            r"MultiDiscrete\(\[4 3\]\) does not fit 1 action bits of far",
+        ),
+        (
+            {"action_space": MultiBinary(2), "action": (Field("left", 1), Field("left", 1))},
+            "two action fields are named 'left'",
+        ),
+        (
+            {"action": Field("way", 4, signed=True)},
+            r"action field 'way' is signed or has a fraction, and Discrete\(5\) counts from 0",
+        ),
+        (
+            {
+                "action_space": Box(0, 1, (2,)),
+                "action": (Field("way", 64, fraction=2), Field("far", 8, signed=True)),
+            },
+            "an action's fields of 64 bits, some signed and some not",
+        ),
+        ({"action_space": MultiDiscrete([4, 3], start=[0, 1])}, "is none of Discrete, MultiDiscrete"),
+        ({"action_space": MultiBinary((2, 2))}, "is none of Discrete, MultiDiscrete"),
         ({"action_space": Box(-8, 8, (1,))}, "does not fit 3 action bits"),
-        ({"action_space": Discrete(3, start=1)}, "not a Discrete from 0"),
-        ({"observation_space": MultiBinary(3)}, "no Discrete, Tuple of them or Box"),
+        (
+            {"action_space": Discrete(3, start=1)},
+            "is none of Discrete, MultiDiscrete and MultiBinary, from 0",
+        ),
+        ({"observation_space": Text(3)}, "no Discrete, Tuple of them, MultiDiscrete, MultiBinary or Box"),
         ({"rewards": (0.0,) * 9, "reward": Field("reward", 3)}, "9 rewards do not fit 3"),
         (
             {"rewards": (0.0,) * 4, "reward": Field("reward", 3, signed=True)},

@@ -23,8 +23,9 @@ from pearl_marl.memory_map import (
 from pearl_marl.spec import word_bits
 
 from .toy import DRIFT, LADDER
+from .toy_fields import RELAY, ROVER
 
-SPECS = [pearl_marl.get_spec(name) for name in pearl_marl.envs()] + [DRIFT, LADDER]
+SPECS = [pearl_marl.get_spec(name) for name in pearl_marl.envs()] + [DRIFT, LADDER, ROVER, RELAY]
 
 
 @st.composite
@@ -59,7 +60,7 @@ def test_regions(case: tuple[pearl_marl.EnvSpec, MemoryMap]) -> None:
         address = layout.end(region.name)
     widths = {
         "initial_states": word_bits(spec.state),
-        "actions": spec.agents * spec.action.bits,
+        "actions": spec.agents * word_bits(spec.action_fields),
         "observations": spec.agents * (word_bits(spec.observation) + len(spec.mask_fields)),
         "rewards": spec.agents * spec.reward.bits,
         "ters": spec.agents + 1,
@@ -116,7 +117,8 @@ def test_default_sizes(spec: pearl_marl.EnvSpec, n_envs: int) -> None:
     draws = spec.reset_draws + spec.step_draws
     seen = word_bits(spec.observation) + len(spec.mask_fields)
     widest = max(
-        *(spec.agents * bits for bits in (spec.action.bits, seen, spec.reward.bits)), spec.agents + 1
+        *(spec.agents * bits for bits in (word_bits(spec.action_fields), seen, spec.reward.bits)),
+        spec.agents + 1,
     )
 
     def allowed(pe_num: int) -> bool:

@@ -7,10 +7,11 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from gymnasium.spaces import Box, Discrete, Space
+from gymnasium.spaces import Box, Space
 
 from pearl_marl.batch.actions import random_allowed, random_numbers
 from pearl_marl.batch.step import Array, BatchStep
+from pearl_marl.elements import ActionSpace
 from pearl_marl.errors import ArgumentError
 from pearl_marl.interfaces.batch import Batch, Mask
 from pearl_marl.spec import is_number
@@ -43,7 +44,7 @@ class _Checked(_Mapped):
 def action_lambda_v1(
     env: Batch,
     change_action_fn: Callable[[Array, Any], Array],
-    change_space_fn: Callable[[Any], Discrete | Box],
+    change_space_fn: Callable[[Any], ActionSpace],
 ) -> Any:
     """Change actions by a function of the whole batch.
 
@@ -59,8 +60,10 @@ def action_lambda_v1(
 
     def make(batch: Batch, space: Space[Any], inside: Any) -> Transform:
         shown = change_space_fn(inside)
-        if not isinstance(shown, (Discrete, Box)):
-            raise ArgumentError(f"change_space_fn made {shown}; possible are Discrete and Box")
+        if not isinstance(shown, ActionSpace):
+            raise ArgumentError(
+                f"change_space_fn made {shown}; possible are Discrete, MultiDiscrete, MultiBinary and Box"
+            )
 
         return _Checked(batch, space, shown, partial(_by_function, change_action_fn, inside))
 
@@ -143,7 +146,7 @@ class _NoNans(Transform):
         if slots.size:
             actions = actions.copy()
             actions[slots] = self.instead(slots)
-        if not isinstance(self.action_space, Discrete):
+        if isinstance(self.action_space, Box):
             return actions
         self.check(actions)
         return actions.astype(np.int64)

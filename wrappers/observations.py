@@ -14,6 +14,7 @@ from gymnasium.spaces import Box, Discrete, Space
 from pearl_marl.batch.recycling import Recycler
 from pearl_marl.batch.results import memory_of_machine
 from pearl_marl.batch.step import Array, BatchStep
+from pearl_marl.elements import bounds
 from pearl_marl.errors import ArgumentError
 from pearl_marl.interfaces.batch import Batch
 from pearl_marl.spec import is_number
@@ -341,10 +342,8 @@ class _Window(Transform):
 
     def _range(self) -> tuple[Any, Any]:
         """Return between what the numbers of frames are, but for zeros before an episode."""
-        space: Any = self.observation_space
-        if isinstance(space, Box):
-            return space.low.min(), space.high.max()
-        return (space.start, space.start + space.n - 1) if isinstance(space, Discrete) else (-np.inf, np.inf)
+        low, high = bounds(self.observation_space)
+        return low.min(), high.max()
 
     def push(self, obs: Array) -> None:
         self._turn[...] = (self._turn + 1) % self._frames
@@ -511,8 +510,8 @@ def _window(env: Batch, name: str, kind: type[_Window], frames: int, repeat: boo
     """Wrap an environment in a window that shows observations of the shape they have inside."""
 
     def make(batch: Batch, space: Space[Any], action_space: Any) -> Transform:
-        if not isinstance(space, (Box, Discrete)):
-            raise ArgumentError(f"{name} takes observations in a Box or Discrete, not {space}")
+        if space.dtype is None:
+            raise ArgumentError(f"{name} takes observations that are one array, not {space}")
         one = (int(np.prod(space.shape or ())),)
         return kind(
             batch, space if repeat else with_zeros(space), action_space, frames, one, space.dtype, repeat

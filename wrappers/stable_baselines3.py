@@ -10,7 +10,7 @@ from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
-from gymnasium.spaces import Discrete, MultiDiscrete, Space, Tuple
+from gymnasium.spaces import Discrete, MultiBinary, MultiDiscrete, Space, Tuple
 from gymnasium.vector import AutoresetMode
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import VecEnv
@@ -131,6 +131,8 @@ class PearlVecEnv(VecEnv):
         if self._actions is None:
             raise OrderError("step_wait() without a step under way: call step_async(actions) first")
         actions, self._actions = self._actions, None
+        if isinstance(self.action_space, MultiBinary):
+            actions = _flags(actions)
         dead = ~self.env.alive if self.env.world.agents > 1 else np.False_
         step = self.env.step_batch(actions)
         dones = step.ended | (dead & step.alive) if dead.any() else step.ended
@@ -271,6 +273,13 @@ def _checked(env: Any) -> Batch:
     )
 
 
+def _flags(actions: Array) -> Array:
+    """Return flags as integers, which SB3's policies give as floats; what is none is left to be refused."""
+    given = np.asarray(actions)
+    whole = given.dtype.kind == "f" and ((given == 0) | (given == 1)).all()
+    return given.astype(np.int8) if whole else actions
+
+
 def _observations_for_sb3(space: Space[Any]) -> tuple[Callable[[Array], Array], Space[Any]]:
     """Return what makes observations SB3's, and the space of those."""
     if isinstance(space, Tuple):
@@ -279,6 +288,8 @@ def _observations_for_sb3(space: Space[Any]) -> tuple[Callable[[Array], Array], 
         shown: Space[Any] = MultiDiscrete([part.n for part in parts])
     elif isinstance(space, Discrete):
         starts, shown = np.array(space.start), Discrete(space.n)
+    elif isinstance(space, MultiDiscrete):
+        starts, shown = space.start, MultiDiscrete(space.nvec, dtype=space.dtype.type)
     else:
         return _as_they_are, space
     # SB3 encodes such numbers one-hot, from 0.

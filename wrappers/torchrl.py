@@ -16,6 +16,7 @@ from torchrl.envs import EnvBase
 from pearl_marl.batch.actions import random_allowed
 from pearl_marl.batch.step import Array
 from pearl_marl.devices.by_name import make_host_device
+from pearl_marl.elements import action_counts, bounds
 from pearl_marl.errors import ArgumentError
 from pearl_marl.interfaces.parallel_interface import ParallelInterface
 from pearl_marl.spec import Role
@@ -126,7 +127,7 @@ class TorchRLEnv(EnvBase):  # type: ignore[misc]  # torchrl has no types
             k = (len(places),)
             shown = {"observation": _spec(role.observation_space, k)}
             if self.env.world.masked:
-                shown["action_mask"] = _bools((*k, int(role.action_space.n)))  # type: ignore[union-attr]
+                shown["action_mask"] = _bools((*k, action_counts(role.action_space)[0]))
             seen[name] = Composite(shown, shape=k)
             acted[name] = Composite({"action": _spec(role.action_space, k)}, shape=k)
             rewarded[name] = Composite({"reward": Unbounded((*k, 1))}, shape=k)
@@ -261,18 +262,16 @@ def _bools(shape: tuple[int, ...]) -> TensorSpec:
 
 def _spec(space: Space[Any], agents: tuple[int, ...]) -> TensorSpec:
     """Return TorchRL's spec of a space for so many agents."""
-    if isinstance(space, (Discrete, Tuple)):
-        parts: Any = space.spaces if isinstance(space, Tuple) else (space,)
-        shape = (*agents, len(parts)) if isinstance(space, Tuple) else agents
-        first, count = ([int(getattr(part, name)) for part in parts] for name in ("start", "n"))
-        if any(first):
-            last = [a + n - 1 for a, n in zip(first, count, strict=True)]
-            low, high = (torch.tensor(bound).expand(*agents, -1).reshape(shape) for bound in (first, last))
-            return Bounded(low, high, shape=shape, dtype=torch.int64)
-        if isinstance(space, Tuple):
-            return MultiCategorical(count, shape=shape, dtype=torch.int64)
-        return Categorical(count[0], shape=shape, dtype=torch.int64)
-    assert isinstance(space, Box)
+    if not isinstance(space, Box):
+        first, last = bounds(space)
+        shape = (*agents, *first.shape)
+        dtype = torch.int64 if isinstance(space, Tuple) else getattr(torch, str(space.dtype))
+        if first.any() or first.ndim > 1:
+            low, high = (torch.from_numpy(np.broadcast_to(end, shape).copy()) for end in (first, last))
+            return Bounded(low, high, shape=shape, dtype=dtype)
+        if first.ndim:
+            return MultiCategorical((last + 1).tolist(), shape=shape, dtype=dtype)
+        return Categorical(int(last) + 1, shape=shape, dtype=dtype)
     shape = (*agents, *space.shape)
     if space.dtype == np.bool_:
         return _bools(shape)

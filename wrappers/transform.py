@@ -7,14 +7,15 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from gymnasium.spaces import Box, Discrete, Space
+from gymnasium.spaces import Box, Space
 from gymnasium.vector import AutoresetMode
 
 from pearl_marl import rng
 from pearl_marl.batch.actions import refusal, refuse_first
 from pearl_marl.batch.recycling import Recycler
 from pearl_marl.batch.step import Array, BatchStep
-from pearl_marl.errors import OrderError
+from pearl_marl.elements import ActionSpace, bounds
+from pearl_marl.errors import ActionError, OrderError
 from pearl_marl.interfaces.batch import Batch, Mask
 
 Slots = npt.NDArray[np.intp]
@@ -50,7 +51,7 @@ class Transform:
     keeps_history = False
     """Whether observations depend on earlier ones: :meth:`push`, :meth:`begin` and :meth:`show` are used."""
 
-    def __init__(self, batch: Batch, observation_space: Space[Any], action_space: Discrete | Box) -> None:
+    def __init__(self, batch: Batch, observation_space: Space[Any], action_space: ActionSpace) -> None:
         self.batch, self.n = batch, batch.batch_size
         self.observation_space, self.action_space = observation_space, action_space
         self.world = batch.world.shown(
@@ -60,7 +61,7 @@ class Transform:
         inside: Transform | None = getattr(batch, "transform", None)
         # Whom to ask about actions that are handed through.
         self._taker = inside if inside is not None and inside.action_space is action_space else None
-        self.action_kinds = "iu" if isinstance(action_space, Discrete) else "iuf"
+        self.action_kinds = "iuf" if isinstance(action_space, Box) else "iu"
         if self._taker is not None:
             self.action_kinds = self._taker.action_kinds
         self.memory: dict[str, Array] = {}
@@ -123,29 +124,38 @@ class Transform:
         try:
             array = np.asarray(actions)
         except ValueError:  # a ragged list
-            raise refusal(actions, self.action_space, self.n) from None
+            raise self._refusal(actions) from None
         shape = self.n, *(self.action_space.shape or ())
         if array.shape != shape or array.dtype.kind not in self.action_kinds:
-            raise refusal(actions, self.action_space, self.n)
+            raise self._refusal(actions)
         return array
 
     def possible(self, actions: Array) -> Mask:
         """Return which slots' actions are valid, or become valid in a wrapper inside."""
         if self._taker is not None:
             return self._taker.possible(actions)
-        space = self.action_space
-        if isinstance(space, Box):
-            within: Any = (space.low <= actions) & (actions <= space.high)
-            return np.asarray(within.reshape(self.n, -1).all(1))
-        result: Mask = (space.start <= actions) & (actions < space.start + space.n)
-        return result if actions.dtype.kind in "iu" else result & (actions == np.floor(actions))
+        low, high = bounds(self.action_space)
+        within: Any = (low <= actions) & (actions <= high)
+        if actions.dtype.kind == "f" and not isinstance(self.action_space, Box):
+            within &= actions == np.floor(actions)
+        return np.asarray(within if within.ndim == 1 else within.reshape(self.n, -1).all(1))
 
     def check(self, actions: Array) -> None:
         """Refuse actions that are not possible; for transforms that may not hand them on."""
         possible = self.possible(actions) | self.resetting  # for whom it is ignored
         if not possible.all():
             first = int(np.argmin(possible))
-            raise refuse_first([f"agent_{first}"], [actions[first].tolist()], self.action_space)
+            space, names = self.action_space, self._action_names()
+            raise refuse_first([f"agent_{first}"], [actions[first].tolist()], space, names)
+
+    def _refusal(self, actions: Any) -> ActionError:
+        return refusal(actions, self.action_space, self.n, names=self._action_names())
+
+    def _action_names(self) -> list[str]:
+        """Return the names of an action's fields, if it is what the environment inside all wrappers takes."""
+        unwrapped: Any = self.batch.unwrapped  # type: ignore[attr-defined]  # which every environment has
+        spec = unwrapped.device.config.spec
+        return [f.name for f in spec.action_fields] if self.action_space == spec.action_space else []
 
     def results(self, step: BatchStep) -> BatchStep:
         """Return the results of a step with the change."""

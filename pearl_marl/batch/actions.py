@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from gymnasium.spaces import Box, Discrete
 
+from pearl_marl.elements import ActionSpace, bounds
 from pearl_marl.errors import ActionError
 from pearl_marl.golden import uniform_below
 from pearl_marl.machine_code import compiled
@@ -24,17 +25,19 @@ def encode(actions: Any, spec: EnvSpec, target: npt.NDArray[Any], first_slot: in
     Parameters
     ----------
     actions
-        Integers of shape ``(n,)``, or for a ``Box`` numbers of shape ``(n, 1)``: an array, or what
-        ``numpy.asarray`` makes one of. A number goes to the nearest fixed-point word.
+        Integers of shape ``(n,)``, or ``(n, fields)`` where the action space has elements, in a ``Box``
+        numbers: an array, or what ``numpy.asarray`` makes one of. A number goes to the nearest fixed-point
+        word.
     spec, first_slot
         The environment; and the global number of the first slot, for the agents' names.
     target
-        Shape ``(n,)``, a row an agent, dtype ``spec.action.dtype``. Of no meaning after an error.
+        As :func:`room_for_words` makes it. Of no meaning after an error.
 
     Raises
     ------
     ActionError
-        Names the first agent whose action is not in the action space, and the action.
+        Names the first agent whose action is not in the action space, the action and, where there are
+        several, the field.
     """
     first = first_slot * spec.agents
     words = _encode(actions, spec, target, first)
@@ -48,6 +51,15 @@ def encode(actions: Any, spec: EnvSpec, target: npt.NDArray[Any], first_slot: in
     return words
 
 
+def room_for_words(spec: EnvSpec, n: int) -> npt.NDArray[Any]:
+    """Return an array for the words of ``n`` agents' actions, in ``spec.action_dtype``, a row an agent.
+
+    Its shape is ``(n,)``; of actions with several fields ``(n, fields)``.
+    """
+    fields = len(spec.action_fields)
+    return np.empty(n if fields == 1 else (n, fields), spec.action_dtype)
+
+
 def are_words(actions: Any, target: npt.NDArray[Any]) -> bool:
     """Return whether actions are an array like ``target``, as a device takes it, of whatever words."""
     return (
@@ -56,6 +68,14 @@ def are_words(actions: Any, target: npt.NDArray[Any]) -> bool:
         and actions.shape == target.shape
         and actions.flags.carray
     )
+
+
+def check_words(words: npt.NDArray[Any], spec: EnvSpec, room: npt.NDArray[Any], first_slot: int) -> None:
+    """Raise ActionError for words that are none of actions in the action space; ``room`` is written over."""
+    numbers = words.reshape(len(words), -1) * 2.0 ** -np.array([f.fraction for f in spec.action_fields])
+    space = spec.action_space
+    given = numbers if isinstance(space, Box) else words.reshape(len(words), *(space.shape or ()))
+    encode(given, spec, room, first_slot)
 
 
 def refuse_masked(
@@ -79,63 +99,99 @@ def _encode(actions: Any, spec: EnvSpec, target: npt.NDArray[Any], first: int) -
     try:
         array = np.asarray(actions)
     except ValueError:  # a ragged list
-        raise refusal(actions, space, len(target), first) from None
-    if isinstance(space, Box):
-        scale = 2.0**spec.action.fraction
-        if array.shape != (len(target), 1) or array.dtype.kind not in "iuf":
-            raise refusal(actions, space, len(target), first)
-        numbers = array.reshape(-1)
-        if array.dtype not in _FLOATS or not array.flags.carray:
-            numbers = np.array(numbers, np.float64 if array.dtype.itemsize > 4 else np.float32)
-        if not _fix(numbers, target, float(space.low[0]), float(space.high[0]), scale):
-            raise refusal(actions, space, len(target), first)
-        return target
-    if are_words(array, target):
+        raise _refusal(actions, spec, target, first) from None
+    if isinstance(space, Discrete) and are_words(array, target):
         if _largest(array) >= space.n:
-            raise refusal(actions, space, len(target), first)
+            raise _refusal(actions, spec, target, first)
         return array
+    fits = array.shape == (len(target), *(space.shape or ()))
+    if not fits or array.dtype.kind not in ("iuf" if isinstance(space, Box) else "iu"):
+        raise _refusal(actions, spec, target, first)
+    if isinstance(space, Box):
+        if array.dtype not in _FLOATS or not array.flags.carray:
+            array = np.array(array, np.float64 if array.dtype.itemsize > 4 else np.float32, order="C")
+        ends = zip(space.low.tolist(), space.high.tolist(), spec.action_fields, strict=True)
+        for numbers, words, (low, high, field) in zip(_columns(array), _columns(target), ends, strict=True):
+            if not _fix(numbers, words, low, high, 2.0**field.fraction):
+                raise _refusal(actions, spec, target, first)
+        return target
     if not array.flags.behaved:  # read-only or unaligned: to Numba other types, and so another compilation
         array = array.copy()
-    kind = array.dtype.kind
-    if array.shape != target.shape or kind not in "iu":
-        raise refusal(actions, space, len(target), first)
     if not array.dtype.isnative or not array.flags.c_contiguous:
         array = np.ascontiguousarray(array, array.dtype.newbyteorder("="))
     # Seen as unsigned, a negative number is a large one: one comparison does for both ends.
-    unsigned = array.view(_UNSIGNED[array.itemsize]) if kind == "i" else array
-    if _narrow(unsigned, target) >= space.n:
-        raise refusal(actions, space, len(target), first)
+    unsigned = array.view(_UNSIGNED[array.itemsize]) if array.dtype.kind == "i" else array
+    if isinstance(space, Discrete):  # which most are: a loop over columns would cost their steps more
+        inside = _narrow(unsigned, target) < space.n
+    else:
+        columns = zip(_columns(unsigned), _columns(target), spec.action_counts, strict=True)
+        inside = all(_narrow(numbers, words) < n for numbers, words, n in columns)
+    if not inside:
+        raise _refusal(actions, spec, target, first)
     return target
 
 
-def refuse_first(agents: Iterable[str], actions: Iterable[Any], space: Discrete | Box) -> ActionError:
+def _refusal(actions: Any, spec: EnvSpec, target: npt.NDArray[Any], first: int) -> ActionError:
+    names = [field.name for field in spec.action_fields]
+    return refusal(actions, spec.action_space, len(target), first, names)
+
+
+def _columns(rows: npt.NDArray[Any]) -> Iterable[npt.NDArray[Any]]:
+    """Return an array of one number a row for each number that a row has."""
+    return (rows,) if rows.ndim == 1 else rows.T
+
+
+def idle_action(space: ActionSpace) -> Any:
+    """Return an action that is possible, for whom nobody has one: the least."""
+    return int(space.start) if isinstance(space, Discrete) else bounds(space)[0]
+
+
+def refuse_first(
+    agents: Iterable[str], actions: Iterable[Any], space: ActionSpace, names: Sequence[str] = ()
+) -> ActionError:
     """Return the error for actions that are not all in ``space``; it names the first that is not.
 
-    Where all are, their dtype is what was wrong, and the first stands for it.
+    Where all are, their dtype is what was wrong, and the first stands for it. ``names`` are those of the
+    elements of an action, where there are several.
     """
     pairs = list(zip(agents, actions, strict=True))
     agent, action = next((pair for pair in pairs if why_not(pair[1], space)), pairs[0])
-    why = why_not(action, space) or "is of the wrong dtype"
+    why = why_not(action, space, names) or "is of the wrong dtype"
     return ActionError(f"{agent}: action {action!r} {why}; {limits(space)}")
 
 
-def why_not(action: Any, space: Discrete | Box) -> str:
+def why_not(action: Any, space: ActionSpace, names: Sequence[str] = ()) -> str:
     """Return why one action is not in ``space``, in words; empty if it is."""
-    if isinstance(space, Box):
-        try:
-            array = np.asarray(action)
-        except ValueError:
-            return "is no array"
-        if array.dtype.kind not in "iuf" or array.shape != space.shape:
-            return f"is no number in an array of shape {space.shape}"
-        return "" if ((space.low <= array) & (array <= space.high)).all() else "is out of range"
-    if isinstance(action, (bool, np.bool_)) or not isinstance(action, (int, np.integer)):
-        return "is no integer"
-    return "" if 0 <= action < space.n else "is out of range"
+    if isinstance(space, Discrete):
+        if isinstance(action, (bool, np.bool_)) or not isinstance(action, (int, np.integer)):
+            return "is no integer"
+        return "" if 0 <= action < space.n else "is out of range"
+    box = isinstance(space, Box)
+    try:
+        array = np.asarray(action)
+    except ValueError:
+        return "is no array"
+    if array.dtype.kind not in ("iuf" if box else "iu") or array.shape != space.shape:
+        return f"is no {'number' if box else 'integers'} in an array of shape {space.shape}"
+    low, high = bounds(space)
+    inside = (low <= array) & (array <= high)
+    if inside.all():
+        return ""
+    if array.size == 1:
+        return "is out of range"
+    k = int(inside.argmin())  # of one dimension, or a wrapper's
+    name = names[k] if len(names) == array.size else f"element {k}"
+    value, least, most = (part.ravel()[k] for part in (array, low, high))
+    return f"is out of range: {name} is {value}, and {least} to {most} is possible"
 
 
-def refusal(actions: Any, space: Discrete | Box, n: int, first: int = 0) -> ActionError:
-    """Return the error for a batch of actions that ``n`` agents from number ``first`` on cannot take."""
+def refusal(
+    actions: Any, space: ActionSpace, n: int, first: int = 0, names: Sequence[str] = ()
+) -> ActionError:
+    """Return the error for a batch of actions that ``n`` agents from number ``first`` on cannot take.
+
+    ``names`` are those of the fields of an action.
+    """
     whole = (n, *(space.shape or ()))
     if actions is None or isinstance(actions, (Mapping, str)):
         what = f"a {type(actions).__name__}" if actions is not None else "None"
@@ -151,7 +207,7 @@ def refusal(actions: Any, space: Discrete | Box, n: int, first: int = 0) -> Acti
         shape = (len(actions),)
     if shape != whole:
         return ActionError(f"actions have shape {shape}; {n} agents take {whole}: {limits(space)}")
-    return refuse_first((f"agent_{first + i}" for i in range(n)), values, space)
+    return refuse_first((f"agent_{first + i}" for i in range(n)), values, space, names)
 
 
 def random_actions(
@@ -164,22 +220,39 @@ def random_actions(
     """
     space = spec.action_space
     if masks is not None:
-        return random_allowed(masks, rng.integers(1 << 32, size=n, dtype=np.uint32), spec.action.dtype)
+        return random_allowed(masks, rng.integers(1 << 32, size=n, dtype=np.uint32), spec.action_dtype)
     if isinstance(space, Box):
-        return rng.uniform(space.low, space.high, (n, 1)).astype(np.float32)
+        return rng.uniform(space.low, space.high, (n, *space.shape)).astype(np.float32)
+    if not isinstance(space, Discrete):
+        return rng.integers(spec.action_counts, size=(n, *space.shape)).astype(spec.action_dtype)
     if spec.roles:
         most = np.array([role.action_space.n for role in spec.roles])  # type: ignore[union-attr]
-        return rng.integers(np.resize(most, n)).astype(spec.action.dtype)
-    return rng.integers(space.n, size=n, dtype=spec.action.dtype)
+        return rng.integers(np.resize(most, n)).astype(spec.action_dtype)
+    return rng.integers(space.n, size=n, dtype=spec.action_dtype)
 
 
-def random_numbers(space: Discrete | Box, draws: npt.NDArray[np.uint32]) -> npt.NDArray[Any]:
+def random_numbers(space: ActionSpace, draws: npt.NDArray[np.uint32]) -> npt.NDArray[Any]:
     """Return an action for each uniform ``u32``, shape ``(n, *space.shape)``, in ``space.dtype``."""
+    if isinstance(space, Discrete):
+        numbers: npt.NDArray[Any] = uniform_below(draws, space.n).astype(np.int64) + space.start
+        return numbers
+    count = math.prod(space.shape)
+    each = np.stack([_scattered(draws, k) for k in range(count)], -1).reshape(-1, *space.shape)
     if isinstance(space, Box):
-        share = (draws / 2.0**32).reshape(-1, *(1,) * len(space.shape))
-        return (space.low + share * (space.high - space.low)).astype(space.dtype)
-    numbers: npt.NDArray[Any] = uniform_below(draws, space.n).astype(np.int64) + space.start
-    return numbers
+        return (space.low + each / 2.0**32 * (space.high - space.low)).astype(space.dtype)
+    low, high = bounds(space)
+    integers: npt.NDArray[Any] = (uniform_below(each, high - low + 1) + low).astype(space.dtype)
+    return integers
+
+
+def _scattered(draws: npt.NDArray[np.uint32], k: int) -> npt.NDArray[np.uint32]:
+    """Return draws for element ``k`` of an action that seem to be others; for element 0 they are the same."""
+    if k == 0:
+        return draws
+    words = draws + np.uint32(k * 0x9E3779B9 & 0xFFFFFFFF)  # as MurmurHash3 ends
+    for shift, factor in ((16, 0x85EBCA6B), (13, 0xC2B2AE35)):
+        words = (words ^ words >> np.uint32(shift)) * np.uint32(factor)
+    return words ^ words >> np.uint32(16)
 
 
 def random_allowed(
@@ -189,12 +262,13 @@ def random_allowed(
     return _allowed(masks, draws, np.empty(len(masks), dtype))  # type: ignore[no-any-return]
 
 
-def limits(space: Discrete | Box) -> str:
+def limits(space: ActionSpace) -> str:
     """Return in words what a space takes."""
-    if isinstance(space, Box):
-        low, high = space.low[0], space.high[0]
-        return f"{space} takes arrays of shape {space.shape} with numbers from {low} to {high}"
-    return f"{space} takes integers from 0 to {space.n - 1}"
+    if isinstance(space, Discrete):
+        return f"{space} takes integers from 0 to {space.n - 1}"
+    kind = "numbers" if isinstance(space, Box) else "integers"
+    low, high = (end.ravel()[0] if (end == end.ravel()[0]).all() else end.tolist() for end in bounds(space))
+    return f"{space} takes arrays of shape {space.shape} with {kind} from {low} to {high}"
 
 
 _FLOATS = (np.float32, np.float64)

@@ -7,11 +7,12 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from gymnasium.spaces import Box, Discrete, Tuple
+from gymnasium.spaces import Box
 from gymnasium.vector import AutoresetMode
 
 from pearl_marl.batch.config import BatchConfig
 from pearl_marl.batch.slot_memory import SlotMemory
+from pearl_marl.elements import are_numbers, bounds
 from pearl_marl.errors import SavedStateError
 from pearl_marl.spec import MAX_CYCLES, EnvSpec
 from pearl_marl.tracing.graph import Graph
@@ -55,8 +56,8 @@ def check_counters(config: BatchConfig, slots: SlotMemory) -> None:
 def check_observations(config: BatchConfig, slots: SlotMemory) -> None:
     """Raise SavedStateError where a state shows an agent what its observation space does not have."""
     spec = config.spec
-    bounds = _bounds(spec)
-    if bounds is None:
+    limits = _bounds(spec)
+    if limits is None:
         return
     for k, agent in enumerate(spec.views):
         graph = Graph()
@@ -64,9 +65,9 @@ def check_observations(config: BatchConfig, slots: SlotMemory) -> None:
         seen = trace(graph, spec.positional.observe, inputs, *agent)
         # Most observations cannot be wrong, whatever the state.
         due = [
-            (field, node, limits)
-            for field, node, limits in zip(spec.observation, seen, bounds, strict=True)
-            if node.low < limits[0] or node.high > limits[1]
+            (field, node, ends)
+            for field, node, ends in zip(spec.observation, seen, limits, strict=True)
+            if node.low < ends[0] or node.high > ends[1]
         ]
         for first in range(0, config.n_envs, _AT_ONCE) if due else ():
             some = slice(first, first + _AT_ONCE)
@@ -89,25 +90,19 @@ def _bounds(spec: EnvSpec) -> list[tuple[int, int]] | None:
     """Return between what the words of an observation are, if they are its elements, one by one."""
     space = spec.observation_space
     limits = [field.range for field in spec.observation]
-    if isinstance(space, Box):
-        if spec.unpack is not None:
-            return None
-        ends = list(zip(space.low.ravel().tolist(), space.high.ravel().tolist(), strict=True))
-    else:
-        parts: Any = space.spaces if isinstance(space, Tuple) else (space,)
-        if not all(isinstance(part, Discrete) for part in parts):
-            return None
-        ends = [(int(part.start), int(part.start + part.n - 1)) for part in parts]
-    bounds = []
+    if spec.unpack is not None or not (isinstance(space, Box) or are_numbers(space)):
+        return None
+    found = []
+    ends = zip(*(end.ravel().tolist() for end in bounds(space)), strict=True)
     for (least, most), (low, high), field in zip(limits, ends, spec.observation, strict=True):
         unit = 1 << field.fraction
-        bounds.append(
+        found.append(
             (
                 max(least, math.ceil(low * unit)) if low > -math.inf else least,
                 min(most, math.floor(high * unit)) if high < math.inf else most,
             )
         )
-    return bounds
+    return found
 
 
 def _check_range(config: BatchConfig, name: str, column: Array, low: int, high: int) -> None:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from pearl_marl.batch.actions import encode, random_actions
+from pearl_marl.batch.actions import encode, random_actions, room_for_words
 from pearl_marl.batch.config import worlds_of
 from pearl_marl.batch.results import check_memory
 from pearl_marl.batch.rewards import padded
@@ -68,7 +68,7 @@ def contenders(spec: EnvSpec, n: int) -> list[Contender]:
 
 def _kernel(spec: EnvSpec, actions: Array) -> Step:
     n, worlds = len(actions), worlds_of(spec, len(actions))
-    words = encode(actions, spec, np.empty(n, spec.action.dtype))
+    words = encode(actions, spec, room_for_words(spec, n)).reshape(-1)
     kernels = compile_kernels(spec)
     memory = SlotMemory(spec, worlds).bytes
     table = padded(spec, spec.rewards or ())
@@ -104,7 +104,7 @@ def _batch(
     env = parallel_env(spec.name, len(actions), device=device(), copy=copy, **spec.options)
     env.reset_batch(seed=0)
     return _repeated(
-        spec, env, actions, env.step_batch, lambda given: given.astype(dtype or spec.action.dtype)
+        spec, env, actions, env.step_batch, lambda given: given.astype(dtype or spec.action_dtype)
     )
 
 
@@ -176,7 +176,7 @@ def _gpu_kernel(spec: EnvSpec, actions: Array) -> Step:
     module, n, worlds = _gpu(), len(actions), worlds_of(spec, len(actions))
     advance = cuda_kernels.compile_cuda_kernels(spec).advance
     memory = module.to_device(SlotMemory(spec, worlds).bytes)
-    words = module.to_device(encode(actions, spec, np.empty(n, spec.action.dtype)))
+    words = module.to_device(encode(actions, spec, room_for_words(spec, n)).reshape(-1))
     table = module.to_device(padded(spec, spec.rewards or ()) if spec.rewards else np.zeros(1, np.float32))
     rewards, terminations = module.device_array(n, np.float32), module.device_array(n, np.uint8)
     launch = advance[cuda.grid(module, worlds)]

@@ -97,7 +97,9 @@ def _world(row: dict[str, Any]) -> str:
 
 
 def _widths(spec: EnvSpec) -> tuple[int, int, int, int]:
-    return word_bits(spec.state), spec.action.bits, word_bits(spec.observation), spec.reward.bits
+    words = spec.state, spec.action_fields, spec.observation, (spec.reward,)
+    state, action, observation, reward = map(word_bits, words)
+    return state, action, observation, reward
 
 
 def markdown(specs: list[EnvSpec]) -> str:

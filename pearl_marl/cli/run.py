@@ -31,8 +31,8 @@ ActionFile = Annotated[
     typer.Option(
         "--actions",
         metavar="FILE",
-        help="A .npy file of actions, of shape (steps, n_agents), or (steps, n_agents, 1) if an action is an "
-        "array of shape (1,), as in Pendulum; without it, actions are random.",
+        help="A .npy file of actions, of shape (steps, n_agents), or (steps, n_agents, n) if an action is an "
+        "array of shape (n,), as in Pendulum, where n is 1; without it, actions are random.",
     ),
 ]
 VideoFile = Annotated[

@@ -16,10 +16,9 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from gymnasium.spaces import Box
 from gymnasium.vector import AutoresetMode
 
-from pearl_marl.batch.actions import encode
+from pearl_marl.batch.actions import check_words, room_for_words
 from pearl_marl.batch.config import GOLDEN, BatchConfig, worlds_of
 from pearl_marl.batch.results import check_memory
 from pearl_marl.batch.saved_state import SavedState
@@ -121,9 +120,10 @@ class Replay:
         check_memory(config)
         _check_divergence(value["divergence"], config)
         # What they take in memory follows from the batch; only the header of a state is not known so well.
+        room = room_for_words(spec, config.n_agents)
         most = {
             "before": 3 * size(spec, config.n_envs) + len(json.dumps(batch)) + 10_000,
-            "actions": config.n_agents * spec.action.dtype.itemsize,
+            "actions": room.nbytes,
             "mask": config.n_envs,
         }
         before, actions, mask = (
@@ -133,15 +133,14 @@ class Replay:
             raise ArgumentError(f"its mask is none of {config.n_envs} worlds")
         saved = None if before is None else SavedState.from_bytes(before, config)
         call = value["divergence"]["call"]
-        words = None if actions is None else np.frombuffer(actions, spec.action.dtype)
+        words = None if actions is None else np.frombuffer(actions, room.dtype)
         if (words is not None) != (call == "step") or (before is None and call != "reset"):
             raise ArgumentError(f"it lacks what a {call} begins with, or has what that does not take")
         if call != "reset" and (value["seed"], mask) != (None, None):
             raise ArgumentError(f"a {call} has no seed and no mask")
         if words is not None:
-            numbers = words * 2.0**-spec.action.fraction  # of the action space, where words are fixed-point
-            given = numbers.reshape(-1, 1) if isinstance(spec.action_space, Box) else words
-            encode(given, spec, np.empty_like(words, shape=config.n_agents), config.first_slot)  # or refuse
+            words = words.reshape(-1, *room.shape[1:])
+            check_words(words, spec, room, config.first_slot)
         return cls(
             config=config,
             divergence=Divergence.from_json(value["divergence"]),

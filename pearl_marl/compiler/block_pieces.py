@@ -99,7 +99,7 @@ class BlockPieces(Pieces):
             "N": self.column("memory", self.ended),
             "O": part("observations", self.dtype, self.whole),
             "F": part("final_observations", self.dtype, self.whole),
-            "A": part("actions", spec.action.dtype, agents),
+            "A": part("actions", spec.action_dtype, agents * len(spec.action_fields)),
             "R": part("rewards", "float32", agents),
             "T": part("terminations", "uint8", agents),
             "U": part("truncations", "uint8", agents),
@@ -327,7 +327,7 @@ class BlockPieces(Pieces):
     def stepped(self, sources: Sequence[str], results: Sequence[str]) -> list[str]:
         """Return the loop over the golden step, from words of the state to words of the next one."""
         outcome = [*self.each_agent("r"), *self.each_agent("t")]
-        given = [*sources, *self.of_agents("A"), *each("draw_{}[i]", self.step_draws)]
+        given = [*sources, *self.actions("A"), *each("draw_{}[i]", self.step_draws)]
         step = call("golden_step", given, [*self.new, *outcome])
         targets = [*self.block, *self.of_agents("code"), *self.of_agents("T")]
         return self.over_slots("step_all", step, *assign(targets, [*results, *outcome]))

@@ -43,10 +43,8 @@ def core_graph(spec: EnvSpec) -> CoreGraph:
     graph = Graph()
     first, hold = graph.input("first_i", 1), graph.input("hold_i", 1)
     fields = [graph.input(f"state_i.{f.name}", f.bits, f.signed, *f.range) for f in spec.state]
-    actions = [
-        graph.input(name, spec.action.bits, spec.action.signed, *spec.action.range)
-        for name in action_ports(spec)
-    ]
+    words = zip(action_ports(spec), spec.agents * spec.action_fields, strict=True)
+    actions = [graph.input(name, f.bits, f.signed, *f.range) for name, f in words]
     draws = [graph.input(f"rng_i[{k}]", 32) for k in range(spec.reset_draws + spec.step_draws)]
     fresh = _narrowed(graph, trace(graph, spec.positional.initial, draws[: spec.reset_draws]), spec.state)
     start = [graph.choose(first, new, old) for new, old in zip(fresh, fields, strict=True)]
@@ -77,8 +75,11 @@ def core_graph(spec: EnvSpec) -> CoreGraph:
 
 
 def action_ports(spec: EnvSpec) -> list[str]:
-    """Return where a core finds the actions of a slot's agents."""
-    return ["action_i"] if spec.agents == 1 else [f"action_i[{k}]" for k in range(spec.agents)]
+    """Return where a core finds the words of the actions of a slot's agents, agent by agent."""
+    ports = ["action_i"] if spec.agents == 1 else [f"action_i[{k}]" for k in range(spec.agents)]
+    if len(spec.action_fields) == 1:
+        return ports
+    return [f"{port}.{field.name}" for port in ports for field in spec.action_fields]
 
 
 def _narrowed(graph: Graph, nodes: Sequence[Node], fields: Sequence[Field]) -> list[Node]:

@@ -48,7 +48,7 @@ KEYWORDS = frozenset(
 TAKEN = frozenset(
     """
     clk_i rst_ni valid_i first_i hold_i state_i action_i rng_i valid_o state_o obs_o reward_o terminated_o
-    valid_q state_t unused LATENCY II STATE_BITS ACTION_BITS OBS_BITS REWARD_BITS
+    valid_q state_t action_t unused LATENCY II STATE_BITS ACTION_BITS OBS_BITS REWARD_BITS
     """.split()  # noqa: SIM905
 )
 """Names that every core has."""

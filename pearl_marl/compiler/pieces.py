@@ -109,15 +109,24 @@ class Pieces:
         pad = slot_memory.ALIGNMENT
         self.padded = f"p = (n + {pad - 1}) // {pad} * {pad}  # slots of a column, padded"
 
-    def each_agent(self, name: str) -> list[str]:
-        """Return the names of a variable of every agent of a slot: numbered, where there are several."""
-        return [name] if self.agents == 1 else [f"{name}{k}" for k in range(self.agents)]
+    def each_agent(self, name: str, own: int = 1) -> list[str]:
+        """Return the names of a variable of every agent of a slot: numbered, where there are several.
 
-    def of_agents(self, array: str) -> list[str]:
-        """Return where a slot's agents have their elements of an array."""
-        if self.agents == 1:
-            return [f"{array}[i]"]
-        return [f"{array}[{self.agents} * i + {k}]" for k in range(self.agents)]
+        ``own`` is how many such variables an agent has, one after the other.
+        """
+        count = self.agents * own
+        return [name] if count == 1 else [f"{name}{k}" for k in range(count)]
+
+    def of_agents(self, array: str, own: int = 1) -> list[str]:
+        """Return where a slot's agents have their elements of an array, of which each has ``own``."""
+        count = self.agents * own
+        return [f"{array}[i]"] if count == 1 else [f"{array}[{count} * i + {k}]" for k in range(count)]
+
+    def actions(self, array: str) -> list[str]:
+        """Return the words of a slot's actions in an array of them, each in its field's dtype."""
+        fields, common = self.spec.action_fields, self.spec.action_dtype
+        places = zip(self.agents * fields, self.of_agents(array, len(fields)), strict=True)
+        return [at if f.dtype == common else f"np.{f.dtype}({at})" for f, at in places]
 
     def reward(self, code: str, index: str) -> str:
         """Return the reward of a code, which is ``index`` where rewards are looked up."""

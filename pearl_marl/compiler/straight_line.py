@@ -45,7 +45,7 @@ def golden_functions(spec: EnvSpec) -> list[str]:
     """
     draws = [Field(f"draw_{k}", 32) for k in range(spec.reset_draws + spec.step_draws)]
     reset, step = draws[: spec.reset_draws], draws[spec.reset_draws :]
-    given = [*spec.state, *spec.each_agent(spec.action), *step]
+    given = [*spec.state, *spec.each_agent(*spec.action_fields), *step]
     results = *spec.state, *spec.each_agent(spec.reward), *spec.each_agent(TERMINATED)
     lines = [
         *_function("initial", spec.positional.initial, reset, spec.state),

@@ -12,7 +12,7 @@ from collections.abc import Iterable, Sequence
 from pearl_marl.compiler.core_graph import Output, action_ports
 from pearl_marl.compiler.expressions import Expressions, bare, identifier, literal
 from pearl_marl.compiler.scheduling import Schedule
-from pearl_marl.spec import EnvSpec, word_bits
+from pearl_marl.spec import EnvSpec, Field, word_bits
 
 LINE = 110
 
@@ -43,7 +43,7 @@ package {name}_pkg;
   typedef struct packed {{
 {struct}
   }} state_t;
-
+{action_struct}
 endpackage
 
 // What of a sum or product nobody needs, such as the bits below its rounding, is left to synthesis.
@@ -59,7 +59,7 @@ module {name}_pe
     // Do not step: the result is the state started from and its observation.
     input logic hold_i,
     input state_t state_i,
-    input logic {actions} action_i,
+    input {actions} action_i,
     // The random draws of this slot and step, those for the initial state first.
     input logic [{draws}:0][31:0] rng_i,
 
@@ -83,6 +83,13 @@ endmodule
 // verilator lint_on SYMRSVDWORD
 """
 
+ACTION_STRUCT = """
+  // The action of an agent, likewise.
+  typedef struct packed {{
+{struct}
+  }} action_t;
+"""
+
 
 def system_verilog(
     spec: EnvSpec, name: str, outputs: Sequence[Output], schedule: Schedule, about: Sequence[str] = ()
@@ -94,18 +101,32 @@ def system_verilog(
         name=name,
         latency=schedule.latency,
         state_bits=word_bits(spec.state),
-        action_bits=spec.agents * spec.action.bits,
+        action_bits=spec.agents * word_bits(spec.action_fields),
         obs_bits=spec.agents * word_bits(spec.seen),
         reward_bits=spec.agents * spec.reward.bits,
-        actions="[ACTION_BITS-1:0]"
-        if spec.agents == 1
-        else f"[{spec.agents - 1}:0][{spec.action.bits - 1}:0]",
+        actions=_action_type(spec),
+        action_struct=ACTION_STRUCT.format(struct=_struct(spec.action_fields))
+        if len(spec.action_fields) > 1
+        else "",
         ends=_range(spec.agents),
-        struct="\n".join(f"    logic {_range(f.bits)}{identifier(f.name)};" for f in reversed(spec.state)),
+        struct=_struct(spec.state),
         draws=max(1, spec.reset_draws + spec.step_draws) - 1,
         valid="{valid_q[LATENCY-2:0], valid_i}" if schedule.latency > 1 else "valid_i",
         body=_Body(spec, outputs, schedule).text(),
     )
+
+
+def _struct(fields: Sequence[Field]) -> str:
+    return "\n".join(f"    logic {_range(f.bits)}{identifier(f.name)};" for f in reversed(fields))
+
+
+def _action_type(spec: EnvSpec) -> str:
+    """Return the type of the port of a slot's actions."""
+    agents = spec.agents
+    if len(spec.action_fields) > 1:
+        return "action_t" if agents == 1 else f"action_t [{agents - 1}:0]"
+    bits = spec.action_fields[0].bits
+    return "logic [ACTION_BITS-1:0]" if agents == 1 else f"logic [{agents - 1}:0][{bits - 1}:0]"
 
 
 def _range(bits: int) -> str:
@@ -202,8 +223,6 @@ class _Body:
         state = (f"state_i.{f.name}" for f in self.spec.state)
         every = ["first_i", "hold_i", *action_ports(self.spec), *state]
         every += (f"rng_i[{k}]" for k in range(draws))
-        names = (
-            f"state_i.{identifier(n[8:])}" if n.startswith("state_i.") else n for n in every if n not in known
-        )
-        left = ", ".join(names)
+        parts = (n.partition(".") for n in every if n not in known)
+        left = ", ".join(f"{port}{dot}{identifier(field)}" for port, dot, field in parts)
         return ["", "  logic unused;", f"  assign unused = ^{{{left}}};"] if left else []

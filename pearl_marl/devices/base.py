@@ -20,12 +20,11 @@ from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
-from gymnasium.spaces import Box
 from gymnasium.vector import AutoresetMode
 
 from pearl_marl import rng
 from pearl_marl.batch import rewards as reward_tables
-from pearl_marl.batch.actions import encode, refuse_masked
+from pearl_marl.batch.actions import encode, idle_action, refuse_masked, room_for_words
 from pearl_marl.batch.config import BatchConfig, checked_mask
 from pearl_marl.batch.recycling import Recycler
 from pearl_marl.batch.results import Layout
@@ -121,7 +120,7 @@ class Device(ABC):
         self.reward_table = table
         self.seed = (0, 0)
         self.tick = 0
-        self._actions = np.empty(config.n_agents, config.spec.action.dtype)
+        self._actions = room_for_words(config.spec, config.n_agents)
         self.alive = np.ones(config.n_agents, np.bool_)
         # Of one agent without masks nothing has to be remembered from one step to the next.
         self._remembers = config.spec.agents > 1 or bool(config.spec.mask_fields)
@@ -201,7 +200,7 @@ class Device(ABC):
 
     @uninterrupted
     def step_words(self, words: Array) -> BatchStep:
-        """Step every slot once by its actions' words, a row an agent in ``spec.action.dtype``; unchecked."""
+        """Step every slot once by its actions' words, as ``room_for_words`` has room for them; unchecked."""
         recovery, tick = self.recovery, self.tick
         if recovery is not None:
             recovery.before(self, "step_words")
@@ -269,10 +268,10 @@ class Device(ABC):
         resetting = np.flatnonzero((ended & 1).repeat(spec.agents))
         if not resetting.size:
             return None
-        given, space, masks = list(actions), spec.action_space, self.action_masks
+        given, masks, least = list(actions), self.action_masks, idle_action(spec.action_space)
         idle = None if masks is None else on_host(masks).argmax(1)
         for row in resetting.tolist():
-            given[row] = space.low if isinstance(space, Box) else 0 if idle is None else idle[row]
+            given[row] = least if idle is None else idle[row]
         return given
 
     def _encoded(self, actions: Any) -> Array:

@@ -175,14 +175,22 @@ class CommBram(Device):
             self._ended[self._mask] = 0
             base = self._write_base
             pack(self._mask.view(np.uint8), 1, self._mask_stream, 1)
-        action = self.config.spec.action
-        pack(actions, action.bits, self._action_stream, action.bits)
+        self._pack(actions)
         self._do_step(base, mode)
         results = self._unpack()
         if self._resets_all or mode & Mode.RESET_MASK:
             self._resets_all = False
             self._mask[:] = False
         return results
+
+    def _pack(self, actions: Array) -> None:
+        """Bring actions to what is written, each agent's fields side by side."""
+        fields = self.config.spec.action_fields
+        offset, stride = 0, word_bits(fields)
+        for k, field in enumerate(fields):
+            words = actions if len(fields) == 1 else np.ascontiguousarray(actions[:, k])
+            pack(words, field.bits, self._action_stream, stride, offset)
+            offset += field.bits
 
     def _do_step(self, base: int, mode: Mode) -> None:
         """Ring the doorbell with what is packed, and come back with the results of that step, or not."""

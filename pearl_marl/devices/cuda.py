@@ -52,9 +52,9 @@ class Cuda(Device):
         ``"numpy"``: results are copied to the host, as those of any other device. ``"torch"``: they are
         tensors on the GPU, and so may actions be (a tensor, or anything with ``__cuda_array_interface__``, of
         any dtype of integers, or for a ``Box`` of numbers). Nothing waits for the GPU then. So actions on
-        the GPU are checked there: where one is out of range the slot takes the least action instead, and
-        the next call that waits for the GPU raises ActionError (:meth:`synchronize`, :meth:`reset`,
-        :meth:`state`, :meth:`snapshot`).
+        the GPU are checked there: where one is out of range the slot takes the least action instead (of one
+        with several fields, the least of each that is out of range), and the next call that waits for the
+        GPU raises ActionError (:meth:`synchronize`, :meth:`reset`, :meth:`state`, :meth:`snapshot`).
     """
 
     name = "cuda"
@@ -110,7 +110,8 @@ class Cuda(Device):
             # Without stored initial states the kernels get the memory itself, and do not look.
             stored = config.initial_states == "stored"
             self._stored = self._gpu.to_device(SlotMemory(spec, n).bytes) if stored else self._memory
-            self._words = self._gpu.device_array(config.n_agents, spec.action.dtype)
+            count = config.n_agents * len(spec.action_fields)
+            self._words = self._gpu.device_array(count, spec.action_dtype)
             self._wrong = self._gpu.to_device(np.array([NOTHING_REFUSED]))
             if self._torch is None:
                 self._arrays = ResultArrays(config)
@@ -165,7 +166,7 @@ class Cuda(Device):
             if isinstance(actions, _OnGpu):
                 words, numbers = actions
             else:
-                self._words.copy_to_device(actions, stream=self._stream())
+                self._words.copy_to_device(actions.reshape(-1), stream=self._stream())
                 words, numbers = self._words, False
             block = self._block if self._block is not None else self._new_block()
             self._launch(
@@ -267,7 +268,7 @@ class Cuda(Device):
         box = isinstance(space, Box)
         if array.dtype.kind not in ("iuf" if box else "iu"):
             raise ActionError(f"actions are {array.dtype}; {limits(space)}")
-        return _OnGpu(array.reshape(n), box)
+        return _OnGpu(array.reshape(array.size), box)
 
 
 def available() -> Any:
@@ -311,7 +312,8 @@ def memory_needed(config: BatchConfig, results: str = "numpy") -> int:
     # Tensors that are kept for one step only are two blocks: the last step's, and those of the next.
     blocks = 2 if results == "torch" and config.copy else 1
     # Actions, and a reset's mask.
-    others = config.n_agents * config.spec.action.dtype.itemsize + config.n_envs
+    spec = config.spec
+    others = config.n_agents * len(spec.action_fields) * spec.action_dtype.itemsize + config.n_envs
     return slots + stored + blocks * Layout(config).size + others
 
 

@@ -253,6 +253,7 @@ class Lockstep(Device):
 
 
 def _told(spec: EnvSpec, actions: Array, slot: int) -> float | list[float]:
-    """Return what a slot was told to do: a list where it has several agents."""
-    told = [spec.action.value(word) for word in actions[slot * spec.agents : (slot + 1) * spec.agents]]
-    return told[0] if spec.agents == 1 else told
+    """Return what a slot was told to do: a list where it has several agents, or actions several fields."""
+    words = actions[slot * spec.agents : (slot + 1) * spec.agents].ravel()
+    told = [field.value(word) for field, word in zip(spec.agents * spec.action_fields, words, strict=True)]
+    return told[0] if len(told) == 1 else told

@@ -15,7 +15,7 @@ from gymnasium.spaces import Discrete
 from gymnasium.vector import AutoresetMode
 
 from pearl_marl import rng
-from pearl_marl.batch.actions import are_words, refusal
+from pearl_marl.batch.actions import are_words, refusal, room_for_words
 from pearl_marl.batch.config import BatchConfig
 from pearl_marl.batch.results import ResultArrays
 from pearl_marl.batch.slot_memory import SlotMemory, aligned_bytes, counter_dtype
@@ -79,7 +79,7 @@ class Native(Device):
         self._stored = SlotMemory(spec, n).bytes if config.initial_states == "stored" else self._memory
         shown = ("action_masks",) * bool(spec.mask_fields) + ("alive",) * (spec.agents > 1)
         self._places = np.array([GIVEN.index(name) for name in (*RESULTS, *shown)])
-        self._words = np.empty(config.n_agents, spec.action.dtype)  # as the kernel takes them
+        self._words = room_for_words(spec, config.n_agents)  # as the kernel takes them
         # Others are checked by what the kernel does not know: roles, and what was seen before the step. Of a
         # class that does more in a step, the tick moves after that.
         whole = type(self)._step is Native._step
@@ -183,6 +183,8 @@ class Native(Device):
             given[self._places] = self._addresses = addresses
         if self.seed is not self._seed:
             given[_SEEDS] = self._seed = self.seed
+        if actions.ndim > 1:  # to the kernel, fields of one agent are like more agents of a slot
+            actions = actions.reshape(-1)
         if not self._run(self._kernels.step, (given, actions, self.reward_table)):
             space: Any = self.config.spec.action_space
             raise refusal(actions, space, len(actions), self.config.first_slot)

@@ -57,10 +57,11 @@ class Reference(Device):
         return self._see(self._results.take(), memory.state, memory.gone)
 
     def _step(self, actions: Array) -> BatchStep:
-        spec, limit, memory = self.config.spec, self.config.limit, self._memory
+        config, memory = self.config, self._memory
+        spec, limit = config.spec, config.limit
         draws = self._draws(self.tick, spec.reset_draws, spec.step_draws)
         fields = (*spec.state, *spec.each_agent(spec.reward), *spec.each_agent(TERMINATED))
-        given = actions.reshape(-1, spec.agents).T
+        given = actions.reshape(config.n_envs, -1).T
         words = self._words(spec.positional.step, [*memory.state, *given, *draws], fields)
         state, outcome = words[: len(spec.state)], words[len(spec.state) :]
         reward, terminated = (np.stack(part, 1) for part in (outcome[: spec.agents], outcome[spec.agents :]))

@@ -65,7 +65,8 @@ def core_path(spec: EnvSpec, target: Target = TARGET) -> Path:
 
 
 def _generated_core(spec: EnvSpec, target: Target) -> Path:
-    words = spec.state, spec.action, spec.seen, spec.reward, spec.reset_draws, spec.step_draws, spec.agents
+    drawn = spec.reset_draws, spec.step_draws
+    words = spec.state, spec.action_fields, spec.seen, spec.reward, *drawn, spec.agents
     functions = [fingerprint(function) for function in spec.functions]
     key = repr((spec.id, spec.options, words, functions, target))
     if key not in _generated:

@@ -15,7 +15,7 @@ from gymnasium.spaces import Box, Space
 from pettingzoo import AECEnv
 from pettingzoo.utils.wrappers import OrderEnforcingWrapper
 
-from pearl_marl.batch.actions import refuse_first, refuse_masked, why_not
+from pearl_marl.batch.actions import idle_action, refuse_first, refuse_masked, why_not
 from pearl_marl.batch.step import Array, on_host
 from pearl_marl.deferral import uninterrupted
 from pearl_marl.errors import ActionError, ArgumentError, OrderError
@@ -165,7 +165,8 @@ class PearlAECEnv(AECEnv):  # type: ignore[misc]  # pettingzoo has no types
             return
         space: Any = self.env.action_space(agent)
         if why_not(action, space):
-            raise refuse_first([agent], [action], space)
+            names = [field.name for field in self.env.spec.action_fields]
+            raise refuse_first([agent], [action], space, names)
         if self.env.spec.masked == "refused":
             slot = self.env.slots[agent]
             refuse_masked(np.array([action]), on_host(self.env.action_masks)[slot : slot + 1], slot)
@@ -212,8 +213,8 @@ class PearlAECEnv(AECEnv):  # type: ignore[misc]  # pettingzoo has no types
 
     def _actions(self) -> dict[str, Any]:
         """Return an action for everybody that is there, of whom some are not on turn, or have left here."""
-        space, slots = self.env.slot_action_space, self.env.slots
-        idle = {agent: space.low if isinstance(space, Box) else 0 for agent in self.env.agents}
+        slots = self.env.slots
+        idle = dict.fromkeys(self.env.agents, idle_action(self.env.slot_action_space))
         if self.env.action_masks is not None:
             allowed = on_host(self.env.action_masks).argmax(1).tolist()
             idle = {agent: allowed[slots[agent]] for agent in idle}

@@ -9,10 +9,11 @@ from typing import Any, NamedTuple, Self
 
 import numpy as np
 import numpy.typing as npt
-from gymnasium.spaces import Box, Discrete, Space
+from gymnasium.spaces import Space
 from gymnasium.vector import AutoresetMode
 
 from pearl_marl.batch.step import Array, BatchStep
+from pearl_marl.elements import ActionSpace
 from pearl_marl.spec import EnvSpec, Role
 
 Mask = npt.NDArray[np.bool_]
@@ -33,7 +34,7 @@ class World(NamedTuple):
         """Return the worlds of an environment."""
         return cls(spec.agents, spec.roles, spec.masked if spec.mask_fields else "")
 
-    def shown(self, observations: Space[Any] | None, actions: Discrete | Box | None) -> World:
+    def shown(self, observations: Space[Any] | None, actions: ActionSpace | None) -> World:
         """Return the same worlds with these spaces for every agent; ``None`` keeps those of the roles."""
         roles = (
             Role(role.name, observations or role.observation_space, actions or role.action_space)
@@ -67,7 +68,7 @@ class Batch:
     slot_observation_space: Space[Any]
     """The space of one slot's observation."""
 
-    slot_action_space: Discrete | Box
+    slot_action_space: ActionSpace
     """The space of one slot's action."""
 
     slot_autoreset_mode: AutoresetMode

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from gymnasium.spaces import Box, Discrete
+from gymnasium.spaces import Box
 
 from pearl_marl.batch.config import worlds_of
 from pearl_marl.batch.results import check_memory
@@ -63,7 +63,7 @@ class PearlParallelEnv(ParallelInterface):
             config.n_agents,
             # Copies, or seeding one environment's spaces would seed another's.
             *deepcopy((spec.observation_space, spec.action_space)),
-            "iu" if isinstance(spec.action_space, Discrete) else "iuf",
+            "iuf" if isinstance(spec.action_space, Box) else "iu",
             autoreset,
             deepcopy(World.of(spec)),
         )

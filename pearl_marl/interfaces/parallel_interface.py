@@ -10,11 +10,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pettingzoo
-from gymnasium.spaces import Box, Dict, Discrete, Space
+from gymnasium.spaces import Box, Dict, Space
 from gymnasium.vector import AutoresetMode
 
-from pearl_marl.batch.actions import refuse_first
+from pearl_marl.batch.actions import idle_action, refuse_first
 from pearl_marl.batch.step import Array, BatchStep, on_host
+from pearl_marl.elements import ActionSpace
 from pearl_marl.errors import ActionError, ArgumentError, OrderError
 from pearl_marl.interfaces.agent_dict import AgentDict, ended_infos, observations_in, python_values
 from pearl_marl.interfaces.agent_spaces import AgentSpaces
@@ -37,7 +38,7 @@ class ParallelInterface(pettingzoo.ParallelEnv, Batch):  # type: ignore[misc]
         self,
         count: int,
         observation_space: Space[Any],
-        action_space: Discrete | Box,
+        action_space: ActionSpace,
         action_kinds: str,
         autoreset: bool,
         world: World,
@@ -54,7 +55,7 @@ class ParallelInterface(pettingzoo.ParallelEnv, Batch):  # type: ignore[misc]
         self._rows = observations_in(observation_space)
         self._action_shape, self._action_kinds = action_space.shape or (), action_kinds
         # An action that is possible, for whom nobody has one.
-        self._idle: Any = action_space.low if isinstance(action_space, Box) else int(action_space.start)
+        self._idle: Any = idle_action(action_space)
         # As `live` is another array whenever it changes, these are known to fit it by which one it is: who is
         # there, as names that steps may keep and as the public list, and an array that says everybody.
         self._named: Mask = np.zeros(0, np.bool_)
@@ -133,7 +134,7 @@ class ParallelInterface(pettingzoo.ParallelEnv, Batch):  # type: ignore[misc]
         Parameters
         ----------
         actions
-            Shape ``(n_agents, *action_space.shape)``; integers cost least in the dtype of ``spec.action``.
+            Shape ``(n_agents, *action_space.shape)``; integers cost least in ``spec.action_dtype``.
             What they hold for agents that have left, or are dead, is ignored.
 
         Returns

@@ -8,13 +8,14 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from gymnasium.spaces import Box, Discrete, Space, Tuple
+from gymnasium.spaces import Space, Tuple
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from pearl_marl.batch.config import checked_mask
 from pearl_marl.batch.step import Array, BatchStep, on_host
 from pearl_marl.deferral import uninterrupted
+from pearl_marl.elements import ActionSpace
 from pearl_marl.errors import ArgumentError, OrderError
 from pearl_marl.interfaces.agent_dict import observations_in
 from pearl_marl.interfaces.batch import Batch, Mask, World
@@ -58,7 +59,7 @@ class VectorInterface(VectorEnv[Any, Any, Any], Batch):
         self,
         num_envs: int,
         observation_space: Space[Any],
-        action_space: Discrete | Box,
+        action_space: ActionSpace,
         mode: AutoresetMode,
         world: World,
     ) -> None:

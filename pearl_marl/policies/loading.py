@@ -17,10 +17,11 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from gymnasium.spaces import Discrete, MultiDiscrete, Tuple
+from gymnasium.spaces import Discrete, MultiBinary, MultiDiscrete, Tuple
 
 from pearl_marl.arrays import load_array
 from pearl_marl.batch.actions import random_actions
+from pearl_marl.elements import are_numbers, bounds
 from pearl_marl.errors import ArgumentError, told
 from pearl_marl.files import check_uncompressed
 from pearl_marl.rng import checked_seed
@@ -88,7 +89,7 @@ def table_policy(table: npt.ArrayLike, spec: EnvSpec) -> Policy:
     Parameters
     ----------
     table
-        Numbers of shape ``(*observations, actions)``: an axis for each ``Discrete`` of the observation space.
+        Numbers of shape ``(*observations, actions)``: an axis for each number of an observation.
     spec
         The environment it is for.
 
@@ -106,8 +107,8 @@ def table_policy(table: npt.ArrayLike, spec: EnvSpec) -> Policy:
     if (missing := np.isnan(values)).any():
         place = tuple(int(index) for index in np.argwhere(missing)[0])
         raise ArgumentError(f"the table has NaN, {missing.sum():,} times, first at {place}; it takes numbers")
-    greedy = values.argmax(axis=-1).astype(spec.action.dtype)
-    if isinstance(spec.observation_space, Tuple):
+    greedy = values.argmax(axis=-1).astype(spec.action_dtype)
+    if spec.observation_shape:
         return lambda observations, _=None: greedy[tuple(observations.T)]
     return lambda observations, _=None: greedy[observations]
 
@@ -115,13 +116,13 @@ def table_policy(table: npt.ArrayLike, spec: EnvSpec) -> Policy:
 def _check_table(spec: EnvSpec, given: tuple[int, ...], dtype: np.dtype[Any]) -> None:
     """Refuse a table of another shape than an environment's, or not of numbers."""
     space = spec.observation_space
-    parts = space.spaces if isinstance(space, Tuple) else (space,)
-    if not all(isinstance(part, Discrete) for part in (*parts, spec.action_space)):
+    if not are_numbers(space) or not isinstance(spec.action_space, Discrete):
         raise ArgumentError(
             f"a table is for discrete observations and actions; {spec.name} has {space} and "
             f"{spec.action_space}"
         )
-    shape = tuple(int(part.n) for part in (*parts, spec.action_space))  # type: ignore[union-attr]
+    low, high = bounds(space)
+    shape = (*(high - low + 1).ravel().tolist(), int(spec.action_space.n))
     if given != shape or dtype.kind not in "iuf":
         raise ArgumentError(
             f"the table has shape {given} and dtype {dtype}; {spec.name} takes numbers of shape {shape}"
@@ -206,7 +207,13 @@ def _stable_baselines3(path: Path, spec: EnvSpec, _: int) -> Policy:
         observations = MultiDiscrete([part.n for part in observations.spaces])  # type: ignore[attr-defined]
     _check_space(path, "observations", model.observation_space, observations)
     _check_space(path, "actions", model.action_space, spec.action_space)
-    return lambda observations, _=None: model.predict(observations, deterministic=True)[0]
+    flags = isinstance(spec.action_space, MultiBinary)  # which it gives as floats
+
+    def predicted(observations: Array, _: Any = None) -> Any:
+        actions = model.predict(observations, deterministic=True)[0]
+        return actions.astype(spec.action_space.dtype) if flags else actions
+
+    return predicted
 
 
 def _check_space(path: Path, what: str, theirs: Any, ours: Any) -> None:

@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import torch
-from gymnasium.spaces import Box, Discrete, Space, Tuple
+from gymnasium.spaces import Box, Space
 from torch import Tensor, nn
 
+from pearl_marl.elements import are_numbers, bounds
 from pearl_marl.errors import ArgumentError, shown
 from pearl_marl.packing import unpacked
 from pearl_marl.policies import dense
@@ -85,10 +86,11 @@ class _Dense(torch.autograd.Function):
 class Encoder(nn.Module):
     """The first layer: makes ``width`` features of an observation, whatever its space.
 
-    Numbers (``Discrete``, or a ``Tuple`` of it) choose rows of a table, which is what a linear layer over
-    their one-hot form computes. Vectors are standardised by the statistics of all that were seen in
-    training, then go through a linear layer. Pictures (``Box`` of three axes, channels last) go through
-    a convolution, as in MinAtar's DQN. Observations that the environment ``packs`` may be given packed.
+    Numbers (``Discrete``, a ``Tuple`` of it, ``MultiDiscrete``, ``MultiBinary``) choose rows of a table,
+    which is what a linear layer over their one-hot form computes. Vectors are standardised by the statistics
+    of all that were seen in training, then go through a linear layer. Pictures (``Box`` of three axes,
+    channels last) go through a convolution, as in MinAtar's DQN. Observations that the environment ``packs``
+    may be given packed.
     """
 
     offsets: Tensor
@@ -100,11 +102,11 @@ class Encoder(nn.Module):
         super().__init__()
         self.packs = packs
         self.kind = "vector"
-        if isinstance(space, (Discrete, Tuple)):
+        if are_numbers(space):
             self.kind = "numbers"
-            parts: list[Any] = list(space) if isinstance(space, Tuple) else [space]
-            sizes = [int(part.n) for part in parts]
-            offsets = np.cumsum([0, *sizes[:-1]]) - [int(part.start) for part in parts]
+            low, high = (end.ravel().astype(np.int64) for end in bounds(space))
+            sizes = (high - low + 1).tolist()
+            offsets = np.cumsum([0, *sizes[:-1]]) - low
             self.register_buffer("offsets", torch.from_numpy(offsets))
             self.table = nn.Embedding(sum(sizes), width)
             nn.init.normal_(self.table.weight, std=1.0)

@@ -10,9 +10,10 @@ from typing import Any
 
 import numpy as np
 import torch
-from gymnasium.spaces import Box, Discrete, Tuple
+from gymnasium.spaces import Box, Discrete
 from torch import Tensor, nn
 
+from pearl_marl.elements import are_numbers, bounds
 from pearl_marl.errors import ArgumentError, shown, told
 from pearl_marl.policies import policy_file
 from pearl_marl.policies.network import SHARING, Array, check_weights, masked, networks
@@ -69,8 +70,10 @@ class NetworkPolicy(_Trained):
     spec
         The environment that it is for.
     kind
-        ``"logits"``: an output for each action, the most probable is the best. ``"values"``: likewise, the
-        most valuable. ``"mean"``: the outputs are the action, of a ``Box``, in units of its bounds.
+        ``"logits"``: an output for each action, the most probable is the best; or where actions have several
+        fields, one for each value of each, and each field is chosen for itself. ``"values"``: an output for
+        each action, the most valuable is the best. ``"mean"``: the outputs are the action, of a ``Box``,
+        whose least is -1 here, and whose greatest is 1.
     width
         Of the network's layers.
     sharing
@@ -83,6 +86,8 @@ class NetworkPolicy(_Trained):
     """
 
     bound: Tensor
+    low: Tensor
+    high: Tensor
 
     def __init__(
         self, spec: EnvSpec, kind: str, width: int, sharing: str = "all", chance: float = 0.0
@@ -91,14 +96,20 @@ class NetworkPolicy(_Trained):
         super().__init__(spec, kind=kind, width=width, sharing=sharing, chance=chance)
         self.chance, self.random = chance, torch.Generator().manual_seed(0)
         actions = spec.action_space
-        if isinstance(actions, Box) != (kind == "mean"):
+        if isinstance(actions, Box) != (kind == "mean") or (
+            kind == "values" and not isinstance(actions, Discrete)
+        ):
             raise ArgumentError(
                 f"dqn chooses among numbered actions, and {spec.name}'s are in {actions}: use ppo"
             )
-        self.outputs = int(actions.n) if isinstance(actions, Discrete) else int(np.prod(actions.shape))
+        self.heads = [] if isinstance(actions, (Box, Discrete)) else list(spec.action_counts)
+        """How many outputs each field of an action has, where it has fields to be chosen one by one."""
+        self.outputs = sum(spec.action_counts) or len(spec.action_fields)
         self.network = networks(spec, self.outputs, width, 1.0 if kind == "values" else 0.01, sharing)
-        high = actions.high if isinstance(actions, Box) else np.ones(1, np.float32)
-        self.register_buffer("bound", torch.from_numpy(high.copy()))
+        low, high = bounds(actions) if isinstance(actions, Box) else np.array([[-1], [1]], np.float32)
+        self.register_buffer("bound", torch.from_numpy((high - low) / 2))
+        for name, end in (("low", low), ("high", high)):
+            self.register_buffer(name, torch.from_numpy(end.copy()), persistent=False)
 
     def forward(self, obs: Tensor, masks: Tensor | None = None, position: Tensor | None = None) -> Tensor:
         """Return the network's outputs, shape ``(batch, outputs)``; :data:`MASKED` where ``masks`` are 0.
@@ -120,8 +131,13 @@ class NetworkPolicy(_Trained):
         outputs = self(obs, masks)
         if self.about["kind"] == "mean":
             return self.within_bounds(outputs)
-        best: Tensor = outputs.argmax(1)
-        return best
+        return self.most(outputs)
+
+    def most(self, outputs: Tensor) -> Tensor:
+        """Return the numbers of the greatest outputs: ``int64``, one for each field of an action."""
+        if not self.heads:
+            return outputs.argmax(-1)
+        return torch.stack([part.argmax(-1) for part in torch.split(outputs, self.heads, -1)], -1)
 
     @torch.no_grad()
     def act(self, obs: Tensor, masks: Tensor | None = None) -> Tensor:
@@ -131,8 +147,7 @@ class NetworkPolicy(_Trained):
         outputs = self(obs, masks)
         noise = torch.rand(outputs.shape, generator=self.random).to(outputs.device)
         if self.about["kind"] == "logits":  # Gumbel's trick
-            drawn: Tensor = (outputs / self.chance - noise.log().neg().log()).argmax(1)
-            return drawn
+            return self.most(outputs / self.chance - noise.log().neg().log())
         anyone = torch.rand(len(outputs), generator=self.random).to(outputs.device) < self.chance
         return torch.where(anyone, masked(noise, masks).argmax(1), outputs.argmax(1))
 
@@ -142,7 +157,10 @@ class NetworkPolicy(_Trained):
 
     def within_bounds(self, outputs: Tensor) -> Tensor:
         """Return outputs of the kind ``"mean"`` as actions that the environment takes."""
-        return outputs.clamp(-1, 1) * self.bound
+        # The sum may round to beyond an end.
+        return torch.clamp(
+            outputs.clamp(-1, 1) * self.bound + (self.low + self.high) / 2, self.low, self.high
+        )
 
 
 class Table(_Trained):
@@ -158,15 +176,19 @@ class Table(_Trained):
     def __init__(self, spec: EnvSpec, learners: int = 1) -> None:
         super().__init__(spec, kind="table")
         space, actions = spec.observation_space, spec.action_space
-        parts: list[Any] = list(space) if isinstance(space, Tuple) else [space]
-        if not all(isinstance(part, Discrete) for part in parts) or not isinstance(actions, Discrete):
+        if not are_numbers(space):
             raise ArgumentError(
                 f"a table has a row for each observation, and {spec.name}'s are in {space}: use ppo or dqn"
             )
-        sizes = [int(part.n) for part in parts]
+        if not isinstance(actions, Discrete):
+            raise ArgumentError(
+                f"a table has a column for each action, and {spec.name}'s are in {actions}: use ppo"
+            )
+        starts, last = (end.ravel().tolist() for end in bounds(space))
+        sizes = [high - low + 1 for low, high in zip(starts, last, strict=True)]
         # The number of a row is a sum, of each part's offset from its start times the rows between two of it.
         self._strides = [int(np.prod(sizes[i + 1 :])) for i in range(len(sizes))]
-        self._first = sum(int(part.start) * stride for part, stride in zip(parts, self._strides, strict=True))
+        self._first = sum(start * stride for start, stride in zip(starts, self._strides, strict=True))
         self.register_buffer("values", torch.zeros(learners, int(np.prod(sizes)), int(actions.n)))
 
     def rows(self, obs: Tensor) -> Tensor:

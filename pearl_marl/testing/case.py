@@ -14,6 +14,7 @@ from gymnasium.vector import AutoresetMode
 from pearl_marl import devices
 from pearl_marl.batch.actions import random_actions
 from pearl_marl.devices import BatchConfig, BatchStep, Device, Lockstep, Rtl
+from pearl_marl.elements import action_counts, bounds
 from pearl_marl.errors import DeviceError
 from pearl_marl.hardware import toolchain
 from pearl_marl.interfaces.parallel import PearlParallelEnv, parallel_env
@@ -133,10 +134,10 @@ class Case:
         n_agents = n * self.spec.agents
         habit: Array
         if isinstance(space, Discrete):
-            most = [role.action_space.n for role in self.spec.roles] or [space.n]  # type: ignore[union-attr]
+            most = [action_counts(role.action_space)[0] for role in self.spec.roles] or [int(space.n)]
             habit = (np.arange(n_agents) % np.resize(most, n_agents)).astype(actions.dtype)
         else:
-            habit = np.linspace(space.low, space.high, n_agents, dtype=actions.dtype)
+            habit = np.linspace(*bounds(space), n_agents, dtype=actions.dtype)
         chosen = np.random.default_rng(1).random((steps, n_agents)) < 0.5
         return np.where(chosen.reshape(steps, n_agents, *(1,) * (actions.ndim - 2)), habit, actions)
 

@@ -8,11 +8,11 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
-from gymnasium.spaces import Box, Discrete, Tuple
 from gymnasium.vector import AutoresetMode
 
-from pearl_marl.batch.actions import encode, random_actions
+from pearl_marl.batch.actions import encode, random_actions, room_for_words
 from pearl_marl.devices import BatchConfig, Reference
+from pearl_marl.elements import bounds
 from pearl_marl.golden import call_reference
 from pearl_marl.spec import EnvSpec
 from pearl_marl.testing.case import Array, by_mode
@@ -21,12 +21,8 @@ from pearl_marl.verification import sticky_actions
 
 def contains_all(space: gymnasium.Space[Any], observations: Array) -> bool:
     """Check every row, as ``space.contains`` would one by one."""
-    if isinstance(space, Tuple):
-        return all(map(contains_all, space.spaces, observations.T))
-    if isinstance(space, Discrete):
-        return bool(((observations >= space.start) & (observations < space.start + space.n)).all())
-    assert isinstance(space, Box)
-    return bool(((observations >= space.low) & (observations <= space.high)).all())
+    low, high = bounds(space)
+    return bool(((observations >= low) & (observations <= high)).all())
 
 
 class GoldenContract:
@@ -48,7 +44,7 @@ class GoldenContract:
 
         state = run(spec.positional.initial, draws(spec.reset_draws))
         for _ in range(20):
-            words = np.empty(n * spec.agents, spec.action.dtype)
+            words = room_for_words(spec, n * spec.agents)
             actions = encode(random_actions(spec, generator, len(words)), spec, words).reshape(n, -1).T
             state = run(spec.positional.step, [*state, *actions, *draws(spec.step_draws)])[: len(spec.state)]
             for agent in spec.views:
@@ -71,7 +67,7 @@ class GoldenContract:
         n, steps = 256, 80
         device = Reference().open(BatchConfig(spec=spec, n_envs=n, autoreset_mode=mode))
         assert contains_all(spec.observation_space, device.reset(seed=1))
-        words = np.empty(n * spec.agents, spec.action.dtype)
+        words = room_for_words(spec, n * spec.agents)
         for actions in sticky_actions(spec, len(words), steps, seed=2):
             step = device.step_words(encode(actions, spec, words))
             assert contains_all(spec.observation_space, step.obs[step.alive])

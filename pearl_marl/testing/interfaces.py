@@ -63,6 +63,7 @@ class InterfacesContract:
             # A flat Box is no image; PettingZoo says so where the bounds are its business.
             warnings.filterwarnings("ignore", message=".*[Oo]bservation")
             warnings.filterwarnings("ignore", message="Action mask numpy array is all zeros")
+            warnings.filterwarnings("ignore", message="Action space for each agent probably should be")
             api_test(env, num_cycles=4 * SIZE)
         env.close()
 

@@ -3,15 +3,33 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 import pytest
 from gymnasium.spaces import Box, Discrete, Tuple
 
+from pearl_marl.elements import bounds
 from pearl_marl.errors import ActionError
 from pearl_marl.testing.case import SIZE, STEPS, Case, names_of, rows_of, shown_space
 from pearl_marl.testing.golden_functions import contains_all
+
+
+def _just_beyond(space: Any) -> Iterator[tuple[Any, int, Any]]:
+    """Yield an action of a space, the place of an element of it, and what there is just not possible."""
+    for end, sign in zip(bounds(space), (-1, 1), strict=True):
+        for k, value in enumerate(end):
+            yield end, k, np.nextafter(value, sign * np.inf) if isinstance(space, Box) else value + sign
+            if isinstance(space, Box):
+                yield end, k, np.nan
+
+
+def _with(action: Any, k: int, value: Any) -> Any:
+    """Return an action with another element in a place."""
+    changed = action.copy()
+    changed[k] = value
+    return changed
 
 
 class SpacesContract:
@@ -136,13 +154,13 @@ class SpacesContract:
     @pytest.mark.parametrize("dtype", ["int8", "uint8", "int16", "uint32", "int32", "int64", ">i4", "uint64"])
     def test_any_integer_dtype_of_actions(self, case: Case, dtype: str) -> None:
         """Also where the array is not contiguous, or is a list."""
-        if not isinstance(case.spec.action_space, Discrete):
+        if isinstance(case.spec.action_space, Box):
             pytest.skip(f"the actions of {case.spec.name} are no integers")
-        if case.spec.action_space.n > np.iinfo(dtype).max:
+        if max(case.spec.action_counts) > np.iinfo(dtype).max:
             pytest.skip(f"{dtype} does not hold the actions of {case.spec.name}")
         plain, other = (case.open(seed=0) for _ in range(2))
         for actions in case.actions(4):
-            wide = np.repeat(actions.astype(dtype), 2)[::2]  # not contiguous
+            wide = np.repeat(actions.astype(dtype), 2, axis=0)[::2]  # not contiguous
             np.testing.assert_array_equal(plain.step(actions).obs, other.step(wide).obs)
             np.testing.assert_array_equal(plain.step(actions).obs, other.step(actions.tolist()).obs)
 
@@ -152,7 +170,7 @@ class SpacesContract:
             pytest.skip(f"the actions of {case.spec.name} are integers")
         space, actions, dtypes = case.spec.action_space, case.actions(1)[0], ["float32", ">f8"]
         least, most = np.ceil(space.low), np.floor(space.high)
-        if least < most:
+        if (least < most).all():
             actions, dtypes = np.clip(np.round(actions), least, most), [*dtypes, "int64"]
         device = case.open()
         steps = []
@@ -175,13 +193,12 @@ class SpacesContract:
         least: Any
         most: Any
         beyond: list[Any]
-        if isinstance(space, Box):
-            least, most = space.low, space.high
-            nan = np.full(1, np.nan, np.float32)
-            beyond = [np.nextafter(least, -np.inf), np.nextafter(most, np.inf), nan]
-        else:
+        if isinstance(space, Discrete):
             least, most = 0, int(space.n) - 1
             beyond = [-1, most + 1]
+        else:
+            least, most = bounds(space)
+            beyond = [_with(*changed) for changed in _just_beyond(space)]
         others: Any = ([most, least] * n)[: n - 1]
         device.step([*others, least])
         for outside in beyond:

@@ -77,7 +77,7 @@ class ActorCritic(nn.Module):
         self, spec: EnvSpec, width: int, sharing: str = "all", chance: float = 0.0, central: bool = False
     ) -> None:
         super().__init__()
-        self.continuous = not hasattr(spec.action_space, "n")
+        self.continuous = isinstance(spec.action_space, Box)
         self.central = central
         self.policy = NetworkPolicy(spec, "mean" if self.continuous else "logits", width, sharing, chance)
         network: Any = self.policy.network
@@ -142,12 +142,13 @@ class ActorCritic(nn.Module):
             actions = outputs + self.log_deviation.exp() * noise
             return actions, self.policy.within_bounds(actions)
         # Gumbel's trick: the largest of logits with such noise has the probabilities that these are of.
-        actions = (outputs + noise).argmax(-1)
+        actions = self.policy.most(outputs + noise)
         return actions, actions
 
     def weigh(self, outputs: Tensor, actions: Tensor) -> Weighed:
         """Return how probable actions are, and how far the policy is from being certain."""
-        weigh = self._weigh_numbers if self.continuous else self._weigh_choices
+        choices = self._weigh_fields if self.policy.heads else self._weigh_choices
+        weigh = self._weigh_numbers if self.continuous else choices
         with torch.no_grad():
             return weigh(outputs, actions)
 
@@ -176,3 +177,15 @@ class ActorCritic(nn.Module):
             return [(outputs, by_outputs)]
 
         return Weighed(everything.gather(-1, taken)[..., 0], entropies.mean(), gradients)
+
+    def _weigh_fields(self, outputs: Tensor, actions: Tensor) -> Weighed:
+        """Do so with actions of several fields, which are chosen independently of each other."""
+        heads = torch.split(outputs, self.policy.heads, -1)
+        fields = [self._weigh_choices(*each) for each in zip(heads, actions.unbind(-1), strict=True)]
+
+        def gradients(by_logs: Tensor, by_entropy: float) -> Gradients:
+            parts = [by for field in fields for _, by in field.gradients(by_logs, by_entropy)]
+            return [(outputs, torch.cat(parts, -1))]
+
+        logs, entropies = zip(*((field.logs, field.entropy) for field in fields), strict=True)
+        return Weighed(torch.stack(logs).sum(0), torch.stack(entropies).sum(), gradients)

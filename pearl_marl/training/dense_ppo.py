@@ -224,7 +224,7 @@ WORTH = 1 << 16
 
 def fits(model: ActorCritic) -> bool:
     """Return whether a model's networks are such as can be learned here."""
-    return is_dense(model.policy.network) and is_dense(model.critic)
+    return is_dense(model.policy.network) and is_dense(model.critic) and not model.policy.heads
 
 
 class Learning:

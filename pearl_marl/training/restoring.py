@@ -9,9 +9,9 @@ from __future__ import annotations
 from typing import Any
 
 import torch
-from gymnasium.spaces import Discrete, Tuple
 from torch import Tensor
 
+from pearl_marl.elements import are_numbers, bounds
 from pearl_marl.errors import ArgumentError, shown
 from pearl_marl.spec import EnvSpec
 
@@ -42,13 +42,13 @@ def copied(name: str, mine: Tensor, kept: Any, least: float | None = None, most:
 
 def observed(name: str, mine: Tensor, kept: Any, filled: int, spec: EnvSpec) -> None:
     """Do so with observations of each agent, of which the first rows are ``filled``, if they are so many."""
-    space = spec.observation_space
-    parts: Any = space.spaces if isinstance(space, Tuple) else [space]
     copied(name, mine, kept)
-    if not all(isinstance(part, Discrete) for part in parts):
+    if not are_numbers(spec.observation_space):
         return
-    for part, column in zip(parts, mine[:filled].reshape(-1, len(parts)).unbind(1), strict=True):
-        if len(column) and (column.min() < part.start or column.max() >= part.start + part.n):
+    ends = [end.ravel().tolist() for end in bounds(spec.observation_space)]
+    columns = mine[:filled].reshape(-1, len(ends[0])).unbind(1)
+    for low, high, column in zip(*ends, columns, strict=True):
+        if len(column) and (column.min() < low or column.max() > high):
             raise ArgumentError(f"its {name} has numbers that {spec.name} does not show")
 
 

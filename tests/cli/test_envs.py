@@ -29,7 +29,12 @@ def test_the_page_is_that_of_the_registry() -> None:
 @pytest.mark.parametrize("name", [name for name in TABLE_2 if name in envs()])
 def test_no_word_is_wider_than_the_papers(name: str) -> None:
     spec = get_spec(name)
-    ours = (word_bits(spec.state), spec.action.bits, word_bits(spec.observation), spec.reward.bits)
+    ours = (
+        word_bits(spec.state),
+        word_bits(spec.action_fields),
+        word_bits(spec.observation),
+        spec.reward.bits,
+    )
     for word, width, paper in zip(
         ("state", "action", "observation", "reward"), ours, TABLE_2[name].widths, strict=True
     ):

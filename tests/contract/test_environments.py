@@ -25,6 +25,7 @@ from pearl_marl.testing import (
 
 from ..devices.boards import OwnBoard
 from ..toy import TOYS
+from ..toy_fields import FIELDS, RELAY, ROVER
 from ..toy_world import MEADOW, WORLDS
 
 TWO_SIZES = ("CliffWalking", "LevelBasedForaging", "Pendulum")
@@ -138,6 +139,22 @@ class TestWorldsInEveryForm(ContractSuite):
 
     environments = tuple(spec.name for spec in WORLDS)
     devices = ("native",)
+
+
+@pytest.mark.usefixtures("toys")
+class TestFieldsInEveryForm(ContractSuite):
+    """Actions of several fields, and observations of several numbers or flags."""
+
+    environments = tuple(spec.name for spec in FIELDS)
+    devices = ("native",)
+
+
+@pytest.mark.usefixtures("toys")
+class TestFields(DeviceSuite):
+    """The same wherever they step: fields of one agent, and of two, side by side in a word."""
+
+    environments = (ROVER.name, RELAY.name)
+    devices = ("rtl", "reference")
 
 
 class ShortCase(Case):

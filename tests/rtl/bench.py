@@ -63,15 +63,22 @@ async def reset(dut: Any, cycles: int = 1) -> None:
     await ClockCycles(dut.clk_i, 20)
 
 
+TOYS = {
+    **dict.fromkeys(("Meadow", "Nim"), "toy_world"),
+    **dict.fromkeys(("Rover", "Glider", "Relay"), "toy_fields"),
+}
+"""Toy environments, and the modules that have them."""
+
+
 def spec_of(name: str, options: dict[str, Any]) -> Any:
     """The spec that the pytest side means."""
     if name == "ShiftAdd":
         from shift_add import SPEC
 
         return SPEC.with_options(**options)
-    if name in ("Meadow", "Nim"):
+    if name in TOYS:
         # It stands outside of what a simulator looks for modules in.
-        found = spec_from_file_location("toy_world", harness.HERE.parent / "toy_world.py")
+        found = spec_from_file_location(TOYS[name], harness.HERE.parent / f"{TOYS[name]}.py")
         assert found is not None
         assert found.loader is not None
         module = module_from_spec(found)

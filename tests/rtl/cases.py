@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import itertools
+import math
 from typing import Any
 
 import numpy as np
-from gymnasium.spaces import Box
 
 from pearl_marl.compiler.core_graph import core_graph
+from pearl_marl.elements import bounds
 from pearl_marl.golden import call_reference
 from pearl_marl.spec import TERMINATED, EnvSpec, Field, word_bits
 from pearl_marl.tracing.nodes import Node
@@ -57,7 +58,7 @@ def golden(
         np.where(first, np.asarray(new).astype(field.dtype), old)
         for new, old, field in zip(drawn, split(states, spec.state), spec.state, strict=True)
     ]
-    act = actions.astype(spec.action.dtype).T
+    act = actions.astype(spec.action_dtype).T
     results = call_reference(spec.positional.step, [*origin, *act, *words[spec.reset_draws :]])
     moved, outcome = results[: len(spec.state)], results[len(spec.state) :]
     rewards, ends = outcome[: spec.agents], outcome[spec.agents :]
@@ -80,23 +81,23 @@ def all_cases(
 ) -> tuple[list[int], np.ndarray, np.ndarray, np.ndarray]:
     """Return states, actions, ``first`` and ``hold`` of every case, or of as many as the limit allows.
 
-    Actions have a column for each agent of a slot.
+    Actions have a column for each field of each agent of a slot.
     """
-    bits, space = word_bits(spec.state), spec.action_space
-    if isinstance(space, Box):
-        scale = 2**spec.action.fraction
-        least, most = (round(float(bound[0]) * scale) for bound in (space.low, space.high))
-    else:
-        least, most = 0, int(space.n) - 1
-    if (most - least + 1) ** spec.agents * 4 << bits <= limit:
+    bits, scales = word_bits(spec.state), [2**f.fraction for f in spec.action_fields]
+    least, most = (
+        spec.agents * np.round(np.atleast_1d(end) * scales).astype(np.int64).tolist()
+        for end in bounds(spec.action_space)
+    )
+    ranges = [range(low, high + 1) for low, high in zip(least, most, strict=True)]
+    if math.prod(map(len, ranges)) * 4 << bits <= limit:
         flags = (False, True)
-        actions = itertools.product(range(least, most + 1), repeat=spec.agents)
+        actions = itertools.product(*ranges)
         cases = itertools.product(range(1 << bits), actions, flags, flags)
         states, *rest = zip(*cases, strict=True)
         return (list(states), *map(np.array, rest))
     states = [int.from_bytes(generator.bytes(-(-bits // 8))) >> -bits % 8 for _ in range(limit)]
     first, hold = generator.random((2, limit)) < 0.25
-    return states, generator.integers(least, most, (limit, spec.agents), endpoint=True), first, hold
+    return states, generator.integers(least, most, (limit, len(least)), endpoint=True), first, hold
 
 
 def edge_draws(spec: EnvSpec) -> list[int]:
@@ -141,7 +142,7 @@ def random_cases(spec: EnvSpec, limit: int) -> tuple[dict[str, list[int]], dict[
         chosen = generator.random(count) < share
         draws[chosen, column] = generator.choice(edges, np.count_nonzero(chosen))
     drawn = [sum(d << (32 * i) for i, d in enumerate(row)) for row in draws.tolist()]
-    acted = join(actions.T, (spec.action,) * spec.agents, count)
+    acted = join(actions.T, spec.agents * spec.action_fields, count)
     flags = [[int(flag) for flag in row] for row in (first, hold)]
     return (
         dict(zip(PORTS, (states, acted, *flags, drawn), strict=True)),

@@ -99,7 +99,7 @@ class Script:
         """Write what a step takes, the doorbell last; return what it has to make."""
         bits = self.model.bytes_of("reset_mask", (Field("bit", 1),), [mask.astype(np.uint8)])
         self.write_bytes("reset_mask", bits)
-        self.write_bytes("actions", self.model.bytes_of("actions", (self.spec.action,), [actions]))
+        self.write_bytes("actions", self.model.bytes_of("actions", self.spec.action_fields, [actions]))
         # The bits that mean nothing are kept, and do nothing.
         self.mode = mode | int(self.random.integers(0, 1 << 28)) << 4
         self.write(self.first("doorbell"), self.mode)

@@ -54,6 +54,14 @@ OPTIONS: dict[str, list[dict[str, Any]]] = {
     "Blackjack": [{}, {"sab": False, "natural": True}],
 }
 
+WORLDS = [("Meadow", {}, elaboration.TARGET), ("Nim", {}, Target("ecp5", 150))]
+FIELDS = [
+    ("Rover", {}, elaboration.TARGET),
+    ("Glider", {}, Target("ecp5", 150)),
+    ("Relay", {}, Target("gowin", 40)),
+]
+"""Actions of several agents, and of several fields."""
+
 CASES = [(env, options) for env, all_options in OPTIONS.items() for options in all_options]
 
 
@@ -83,7 +91,7 @@ def assert_means(spec: EnvSpec, outputs: Iterable[Output], count: int) -> None:
             assert words[port] == due[port][i], f"{port} of {inputs}"
 
 
-@pytest.mark.parametrize(("env", "options"), [*CASES, ("Meadow", {}), ("Nim", {})])
+@pytest.mark.parametrize(("env", "options"), [*CASES, *((name, {}) for name, *_ in WORLDS + FIELDS)])
 def test_graphs_mean_the_golden_functions(env: str, options: dict[str, Any]) -> None:
     spec = spec_of(env, options)
     spec.check_golden(spec.golden)
@@ -106,8 +114,9 @@ def test_random_golden_functions(chance: random.Random, divided: bool) -> None:
 
 FIRST = [(env, all_options[0], elaboration.TARGET) for env, all_options in OPTIONS.items()]
 OTHERS = [(env, options) for env, options in CASES if options is not OPTIONS[env][0]]
-WORLDS = [("Meadow", {}, elaboration.TARGET), ("Nim", {}, Target("ecp5", 150))]
-ENVIRONMENTS = FIRST + WORLDS + [(*case, TARGETS[i * 4 % len(TARGETS)]) for i, case in enumerate(OTHERS)]
+ENVIRONMENTS = (
+    FIRST + WORLDS + FIELDS + [(*case, TARGETS[i * 4 % len(TARGETS)]) for i, case in enumerate(OTHERS)]
+)
 """As simulated devices have them; and with other options, for every family and clock."""
 
 RANDOM: list[tuple[str, dict[str, Any], Target]] = [

@@ -17,6 +17,7 @@ from pearl_marl.errors import ActionError, ArgumentError, OrderError
 from pearl_marl.golden import reference
 
 from ..toy import TOYS
+from ..toy_fields import FIELDS
 from ..toy_world import HARES, WORLDS, crowd
 
 pytest.importorskip("torchrl", reason="TorchRL is not installed: pip install '.[torchrl]'")
@@ -32,12 +33,12 @@ from torchrl.envs.utils import check_env_specs, step_mdp
 @pytest.fixture(autouse=True)
 def toys() -> Iterator[None]:
     with mock.patch.dict(registry._specs):
-        for spec in (*TOYS, *WORLDS, crowd(4)):
+        for spec in (*TOYS, *FIELDS, *WORLDS, crowd(4)):
             pearl_marl.register(spec)
         yield
 
 
-TOY_NAMES = sorted(spec.name for spec in (*TOYS, *WORLDS, crowd(4)))
+TOY_NAMES = sorted(spec.name for spec in (*TOYS, *FIELDS, *WORLDS, crowd(4)))
 
 
 def made(name: str, worlds: int, **arguments: Any) -> Any:

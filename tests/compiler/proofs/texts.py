@@ -16,7 +16,7 @@ import z3
 from pearl_marl.compiler.core_graph import Output
 from pearl_marl.compiler.expressions import Expressions
 from pearl_marl.compiler.scheduling import Schedule
-from pearl_marl.spec import EnvSpec
+from pearl_marl.spec import EnvSpec, word_bits
 from pearl_marl.tracing.nodes import Node
 
 from .netlist import Netlist
@@ -95,7 +95,7 @@ class _Proof:
         assert match
         names = [f.name for f in self.spec.state]
         fields = self.spec.state[: names.index(match[2])] if match[2] else ()
-        each = self.spec.action.bits if match[1] == "action_i" else 32
+        each = word_bits(self.spec.action_fields) if match[1] == "action_i" else 32
         low = each * int(match[3] or 0) + sum(f.bits for f in fields)
         return z3.Extract(low + node.bits - 1, low, self._port_at(match[1], 0))
 
