@@ -36,7 +36,7 @@ from pearl_marl.spec import EnvSpec, Field
 from .devices.boards import OwnBoard
 from .devices.broken import Flips
 from .toy import SLIDE
-from .toy_fields import FIELDS, GLIDER, LAMPS, RELAY, ROVER
+from .toy_fields import FIELDS, GLIDER, LAMPS, RELAY, ROVER, Rover
 
 N = 70
 """Slots, as many as the contract has of a simulated device, so that one model serves both."""
@@ -237,8 +237,8 @@ def test_one_field_of_an_array_is_a_column() -> None:
     np.testing.assert_array_equal(*steps)
 
 
-def _lane(row: Any, column: Any, steps: Any, way: Any, draw: Any) -> Any:
-    return row, np.minimum(column + way, 11), steps, 0, 0
+def _lane(state: Rover, way: Any, draws: Any) -> Any:
+    return state._replace(column=min(state.column + way, 11)), 0, 0
 
 
 def test_saved_states_go_on_elsewhere() -> None:

@@ -106,6 +106,7 @@ LAMPS = EnvSpec(
     name="Lamps",
     version=0,
     summary="Switch on three lamps",
+    action=(Field("switch_left", 1), Field("both", 1), Field("switch_right", 1)),
     rewards=(-1.0, -0.5, -0.25, 2.0),
     observation_space=MultiBinary(4),
     action_space=MultiBinary(3),

@@ -78,7 +78,8 @@ def assert_means_the_golden_functions(
         ("initial", spec.positional.initial, draws[: spec.reset_draws], ()),
         ("golden_step", spec.positional.step, steps, ()),
     ]
-    for names_, golden in ((observers(spec), spec.positional.observe), (maskers(spec), spec.positional.masks)):
+    views = (observers(spec), spec.positional.observe), (maskers(spec), spec.positional.masks)
+    for names_, golden in views:
         if names_:
             agents = zip(names_, spec.views, strict=True)
             calls += [(name, golden, state, agent) for name, agent in agents]

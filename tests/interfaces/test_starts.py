@@ -85,7 +85,7 @@ def test_only_the_masked_slots_are_set() -> None:
     env = pearl_marl.make_vec("Runner", num_envs=4, autoreset_mode=AutoresetMode.DISABLED)
     env.reset(seed=0, options={"state": {"place": [1, 2, 3, 4]}})
     mask = np.array([True, False, True, False])
-    obs, _ = env.reset(options={"reset_mask": mask, "state": {"place": 9}})
+    env.reset(options={"reset_mask": mask, "state": {"place": 9}})
     assert env.unwrapped.device.state()[:, 0].tolist() == [9, 2, 9, 4]
 
 
