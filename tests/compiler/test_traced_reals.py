@@ -172,10 +172,11 @@ def test_reals_have_the_names_of_the_authors_variables() -> None:
     assert {node.name for node in nodes} == {None, "pushed", "turned"}
 
 
-NARROW = [(0.3, 8.0), (1.2, 1.3), (-8.0, -0.1), (2.0**-27, 8.0), (0.0, 0.001), (-0.5, 0.5)]
+NARROW = [(0.3, 8.0), (1.2, 1.3), (-8.0, -0.1), (5 * 2.0**-27, 8.0), (0.0, 0.001), (-0.5, 0.5)]
+WIDE = (20.0, 900.0)
 
 
-@pytest.mark.parametrize("divisor", [ends for ends in NARROW if ends[0] * ends[1] > 0])
+@pytest.mark.parametrize("divisor", [WIDE, *(ends for ends in NARROW if ends[0] * ends[1] > 0)])
 @pytest.mark.parametrize("numerator", [(-8.0, 8.0), (0.0, 8.0), (-30.0, 30.0)])
 def test_quotients_of_ranges(numerator: tuple[float, float], divisor: tuple[float, float]) -> None:
     traced = Traced(lambda a, b, n, f: (a / b, 1 / b, a / (b + n * (b > 0))), numerator, divisor)
@@ -203,6 +204,11 @@ def test_functions_of_ranges(a: tuple[float, float], fraction: int) -> None:
         return *angle, *whole, abs(a) ** 0.5, np.hypot(a, 1.0), a % 0.3, (a + 100) % 1.0, a % 5
 
     Traced(function, a, fraction=fraction).agrees_at_random()
+
+
+def test_a_remainder_of_few_turns_takes_no_division() -> None:
+    order = in_order(Traced(lambda a, b, n, f: (a + math.pi) % (2 * math.pi)).roots)
+    assert "modulo" not in {node.op for node in order}
 
 
 def test_square_roots_of_wide_words() -> None:
