@@ -7,8 +7,6 @@ measured errors, and says how the coefficients below were fitted.
 
 from __future__ import annotations
 
-import numpy as np
-
 from pearl_marl.golden import Word, i32, u32
 
 FRACTION = 30
@@ -59,7 +57,7 @@ def multiply(a: Word, b: Word, shift: int) -> Word:
 
 def saturating_add(a: Word, b: Word) -> Word:
     """Return the nearest ``i32`` to the sum of two."""
-    return np.clip(a + b, -(1 << 31), (1 << 31) - 1)
+    return min(max(a + b, -(1 << 31)), (1 << 31) - 1)
 
 
 def sine_cosine(turns: Word) -> tuple[Word, Word]:
@@ -88,8 +86,9 @@ def sine_cosine(turns: Word) -> tuple[Word, Word]:
     c = multiply(square, c, 30) + ONE
     # In odd quadrants sine and cosine change places; the signs are those of the quadrant.
     odd, lower = quadrant & 1, quadrant >> 1
-    s, c = np.where(odd, c, s), np.where(odd, s, c)
-    return np.where(lower, -s, s), np.where(lower ^ odd, -c, c)
+    if odd:
+        s, c = c, s
+    return -s if lower else s, -c if lower ^ odd else c
 
 
 def reciprocal(x: Word) -> Word:

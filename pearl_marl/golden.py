@@ -15,6 +15,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from pearl_marl.errors import ArgumentError
+from pearl_marl.reals import BUILTINS, FUNCTIONS, Real, constant
 from pearl_marl.remaking import Vocabulary, remade
 
 u8 = np.uint8
@@ -55,13 +56,6 @@ OUTCOMES = 1 << 16
 """How many outcomes the digits of one draw have at most."""
 
 
-def another(rank: Word, taken: Sequence[Word]) -> Word:
-    """Return the number of this rank among those that are not taken; ``taken`` is in order."""
-    for number in taken:
-        rank = rank + (rank >= number)
-    return rank
-
-
 def inserted(numbers: Sequence[Word], number: Word) -> list[Word]:
     """Put a number into its place among others, which are in order."""
     result = []
@@ -69,6 +63,14 @@ def inserted(numbers: Sequence[Word], number: Word) -> list[Word]:
         result.append(min(other, number))
         number = max(other, number)
     return [*result, number]
+
+
+def another(draws: Draws, n: int, taken: Sequence[Word]) -> tuple[Word, list[Word]]:
+    """Draw a number below ``n`` that is not taken; return it, and all that are taken then, in order."""
+    number = draws.digit(n - len(taken))
+    for other in taken:
+        number += number >= other
+    return number, inserted(taken, number)
 
 
 class Draws:
@@ -79,8 +81,8 @@ class Draws:
     needed costs nothing.
     """
 
-    def __init__(self, words: Iterable[Word]) -> None:
-        self._words = iter(words)
+    def __init__(self, words: Iterable[Word], fraction: int | None = None) -> None:
+        self._words, self._fraction = iter(words), fraction
         self._left: Word = 0
         self._outcomes = OUTCOMES
 
@@ -111,6 +113,15 @@ class Draws:
         if not 0 <= share <= 1:
             raise ArgumentError(f"draws.chance({numerator!r}, {denominator!r}): a probability is 0 to 1")
         return self.bits() < round(share * 2**32)
+
+    def uniform(self, low: float, high: float) -> Real:
+        """Return a real number from ``low`` to below ``high``; for environments whose state has reals."""
+        if self._fraction is None:
+            raise ArgumentError("draws.uniform() makes a real, and the state has none, such as Real[-1, 1]")
+        first, end = constant(low, self._fraction), constant(high, self._fraction)
+        if first >= end:
+            raise ArgumentError(f"draws.uniform({low!r}, {high!r}): the first is the least")
+        return Real(first + (self.bits() * (end - first) >> 32), self._fraction)
 
     def choice(self, options: Sequence[Any]) -> Any:
         """Return one of several, all equally likely."""
@@ -151,9 +162,9 @@ class Draws:
 class CountingDraws(Draws):
     """Draws that are all 0, and counted."""
 
-    def __init__(self) -> None:
+    def __init__(self, fraction: int | None = None) -> None:
         self.count = 0
-        super().__init__(self._zeros())
+        super().__init__(self._zeros(), fraction)
 
     def _zeros(self) -> Iterator[int]:
         while True:
@@ -190,9 +201,13 @@ PLAIN = Vocabulary(_Wrap, lambda values: values)
 """What golden functions name, on Python's integers."""
 
 
-def as_python_runs_it(function: GoldenFunction) -> GoldenFunction:
-    """Return a golden function on Python's integers: itself, with casts that wrap."""
-    return remade(function, PLAIN.meaning) if isinstance(function, types.FunctionType) else function
+def as_python_runs_it(function: GoldenFunction, reals: bool = False) -> GoldenFunction:
+    """Return a golden function on Python's integers: itself, with casts that wrap, and functions of reals."""
+    if not isinstance(function, types.FunctionType):
+        return function
+    if reals or hasattr(function, "admits"):
+        return remade(function, PLAIN._replace(functions=FUNCTIONS).meaning, names=BUILTINS)  # type: ignore[no-any-return]
+    return remade(function, PLAIN.meaning)  # type: ignore[no-any-return]
 
 
 def reference(function: GoldenFunction, *agent: int) -> Callable[..., tuple[Any, ...]]:

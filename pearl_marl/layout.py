@@ -16,12 +16,16 @@ Hardware, saved states and kernels know words in the order in which they stand t
 from __future__ import annotations
 
 import dataclasses
+import math
 import typing
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Annotated, Any
 
 from pearl_marl.errors import ArgumentError
 from pearl_marl.fields import Field
+from pearl_marl.reals import Real as Number
+from pearl_marl.reals import constant, fraction_for, stored
+from pearl_marl.tracing.operations import bits_of, word_range
 
 
 @dataclasses.dataclass(frozen=True)
@@ -33,6 +37,14 @@ class Scalar:
     fraction: int = 0
     least: int | None = None
     most: int | None = None
+
+
+@dataclasses.dataclass(frozen=True)
+class Interval:
+    """The range of a real number."""
+
+    low: float
+    high: float
 
 
 @dataclasses.dataclass(frozen=True)
@@ -76,6 +88,21 @@ class _Range:
         return Annotated[int, Scalar(bits, signed, 0, low, high)]
 
 
+class _Real:
+    """``Real[low, high]``: a real number in fixed point; what is stored beyond the range becomes its end."""
+
+    def __getitem__(self, ends: tuple[float, float]) -> Any:
+        if not isinstance(ends, tuple) or len(ends) != 2 or not all(map(_is_finite, ends)):
+            raise ArgumentError(f"Real[{ends!r}]: give two finite numbers, Real[-2.4, 2.4]")
+        if ends[0] >= ends[1]:
+            raise ArgumentError(f"Real[{ends[0]}, {ends[1]}]: the first is the least")
+        return Annotated[Any, Interval(float(ends[0]), float(ends[1]))]
+
+
+def _is_finite(value: Any) -> bool:
+    return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
+
+
 class _Array:
     """``Array[kind, n]``: n of a kind, a list; ``Array[kind, n, m]`` is a list of n lists of m."""
 
@@ -91,6 +118,7 @@ class _Array:
 Bits: Any = _Bits()
 Signed: Any = _Signed()
 Range: Any = _Range()
+Real: Any = _Real()
 Array: Any = _Array()
 Flag: Any = Bits[1]
 """One bit, 0 or 1."""
@@ -99,17 +127,29 @@ Flag: Any = Bits[1]
 class Layout:
     """The words of a class: ``fields``, :meth:`built` of words, and :meth:`flat` again.
 
+    Parameters
+    ----------
+    cls
+        The class.
+    fraction
+        The fraction bits of reals; ``None`` lets those of the class decide.
+
     Raises
     ------
     ArgumentError
         A field of the class has no width; names it.
     """
 
-    def __init__(self, cls: type) -> None:
+    def __init__(self, cls: type, fraction: int | None = None) -> None:
         if not isinstance(cls, type) or not getattr(cls, "__annotations__", None):
             raise ArgumentError(f"{cls!r} is no class with annotated fields, such as `row: Bits[2]`")
         self.cls = cls
-        self._tree = _Group(cls)
+        bounds = list(_intervals(cls))
+        if fraction is None and bounds:
+            fraction = fraction_for((one.low, one.high) for one in bounds)
+        self.fraction = fraction if bounds else None
+        """The fraction bits of reals; ``None`` where there are none."""
+        self._tree = _Group(cls, fraction or 0)
         self.fields = tuple(self._tree.fields(""))
 
     def built(self, words: Iterable[Any]) -> Any:
@@ -150,6 +190,32 @@ class _Leaf:
             result.append(value)
 
 
+class _RealLeaf:
+    def __init__(self, interval: Interval, fraction: int) -> None:
+        self.ends, self.fraction = (interval.low, interval.high), fraction
+        self.field = real_field("", interval, fraction)
+
+    def fields(self, name: str) -> Iterator[Field]:
+        yield dataclasses.replace(self.field, name=name)
+
+    def built(self, words: Iterator[Any]) -> Any:
+        return Number(next(words), self.fraction)
+
+    def flatten(self, value: Any, where: str, result: list[Any]) -> None:
+        if isinstance(value, (tuple, list, str)) or value is None:
+            raise ArgumentError(f"{where} is {_told(value)}; it must be one number")
+        result.append(stored(value, *self.ends, self.fraction))
+
+
+def real_field(name: str, interval: Interval, fraction: int) -> Field:
+    """Return the field that holds a real: as narrow as its range allows."""
+    least, most = constant(interval.low, fraction), constant(interval.high, fraction)
+    low, high = word_range(bits := bits_of(least, most), least < 0)
+    return Field(
+        name, bits, least < 0, fraction, None if low == least else least, None if high == most else most
+    )
+
+
 class _Several:
     def __init__(self, part: _Tree, count: int) -> None:
         self.part, self.count = part, count
@@ -169,9 +235,10 @@ class _Several:
 
 
 class _Group:
-    def __init__(self, cls: type) -> None:
+    def __init__(self, cls: type, fraction: int) -> None:
         self.cls = cls
-        self.parts = {name: _tree(hint, f"{cls.__name__}.{name}") for name, hint in _hints(cls).items()}
+        hints = _hints(cls)
+        self.parts = {name: _tree(hint, f"{cls.__name__}.{name}", fraction) for name, hint in hints.items()}
 
     def fields(self, name: str) -> Iterator[Field]:
         for own, part in self.parts.items():
@@ -187,20 +254,34 @@ class _Group:
             part.flatten(getattr(value, name), f"{where}.{name}", result)
 
 
-_Tree = _Leaf | _Several | _Group
+_Tree = _Leaf | _RealLeaf | _Several | _Group
 
 
-def _tree(hint: Any, where: str) -> _Tree:
+def _intervals(hint: Any) -> Iterator[Interval]:
+    """Yield the ranges of all reals of a class or an annotation."""
+    for extra in getattr(hint, "__metadata__", ()):
+        if isinstance(extra, Interval):
+            yield extra
+        if isinstance(extra, Several):
+            yield from _intervals(extra.of)
+    if isinstance(hint, type) and getattr(hint, "__annotations__", None):
+        for inner in _hints(hint).values():
+            yield from _intervals(inner)
+
+
+def _tree(hint: Any, where: str, fraction: int) -> _Tree:
     for extra in getattr(hint, "__metadata__", ()):
         if isinstance(extra, Scalar):
             return _Leaf(extra)
         if isinstance(extra, Several):
-            return _Several(_tree(extra.of, where), extra.count)
+            return _Several(_tree(extra.of, where, fraction), extra.count)
+        if isinstance(extra, Interval):
+            return _RealLeaf(extra, fraction)
     if isinstance(hint, type) and getattr(hint, "__annotations__", None):
-        return _Group(hint)
+        return _Group(hint, fraction)
     raise ArgumentError(
         f"{where} is annotated {getattr(hint, '__name__', hint)}; say how wide it is: Bits[4], Range[0, 9], "
-        "Array[Bits[4], 16] or a class of such fields"
+        "Real[-1, 1], Array[Bits[4], 16] or a class of such fields"
     )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any, NamedTuple
 
 from pearl_marl.errors import ArgumentError
@@ -11,6 +11,8 @@ from pearl_marl.fields import Field
 from pearl_marl.golden import Draws, GoldenFunction, Word
 from pearl_marl.layout import Layout, leaves
 from pearl_marl.places import place_of
+from pearl_marl.reals import Choice, Real, admitted, stored
+from pearl_marl.reals.words import rounded
 
 
 class Positional(NamedTuple):
@@ -36,40 +38,97 @@ class Positional(NamedTuple):
 
 def initial_of(state: Layout, function: GoldenFunction) -> GoldenFunction:
     """Return ``initial(draws)`` as a function of draws."""
-    flat, draws_of = state.flat, Draws
+    flat, draws_of, fraction = state.flat, Draws, state.fraction
 
     def initial(*draws: Word) -> tuple[Word, ...]:
-        return tuple(flat(function(draws_of(draws))))
+        return tuple(flat(function(draws_of(draws, fraction))))
 
-    return _as(function, initial, "draws")
+    return _as(state, function, initial, "draws")
 
 
 def step_of(
-    state: Layout, function: GoldenFunction, agents: int, fields: int = 1, *, world: bool
+    state: Layout,
+    function: GoldenFunction,
+    agents: int,
+    action: Sequence[Field],
+    reward: Field,
+    *,
+    world: bool,
 ) -> GoldenFunction:
-    """Return ``step(state, action, draws)`` as a function of words; an action has so many fields."""
-    count, flat, built, draws_of, taken = len(state.fields), state.flat, state.built, Draws, _outcome
-    given = agents * fields
+    """Return ``step(state, action, draws)`` as a function of words, given fields of actions and rewards."""
+    call = _Step(state, agents, action, reward, world)
 
     def step(*words: Word) -> tuple[Word, ...]:
-        own = words[count : count + given]
-        actions = own if fields == 1 else [own[k : k + fields] for k in range(0, given, fields)]
-        action = list(actions) if world else actions[0]
-        result = function(built(words[:count]), action, draws_of(words[count + given :]))
-        after, rewards, ends = taken(result, agents, world)
-        return (*flat(after), *rewards, *ends)
+        return call.words(function(*call.arguments(words)))
 
-    return _as(function, step, "state", "actions" if world else "action", "draws")
+    return _as(state, function, step, "state", "actions" if world else "action", "draws")
 
 
-def view_of(state: Layout, function: GoldenFunction, agents: int, *, world: bool) -> GoldenFunction:
+class _Step:
+    """What a step takes and returns, made of words and into words."""
+
+    def __init__(
+        self, state: Layout, agents: int, action: Sequence[Field], reward: Field, world: bool
+    ) -> None:
+        self.state, self.agents, self.action, self.reward, self.world = state, agents, action, reward, world
+
+    def arguments(self, words: Sequence[Word]) -> tuple[Any, Any, Draws]:
+        """Return state, action or actions, and draws."""
+        count, fields = len(self.state.fields), len(self.action)
+        end = count + self.agents * fields
+        numbers = [self._number(word, self.action[k % fields]) for k, word in enumerate(words[count:end])]
+        each = (
+            numbers
+            if fields == 1
+            else [tuple(numbers[k : k + fields]) for k in range(0, len(numbers), fields)]
+        )
+        draws = Draws(words[end:], self.state.fraction)
+        return self.state.built(words[:count]), each if self.world else each[0], draws
+
+    def words(self, result: Any) -> tuple[Word, ...]:
+        """Return the words of a state, rewards and flags of termination."""
+        if not isinstance(result, tuple) or len(result) != 3:
+            shown = f"{len(result)} values" if isinstance(result, tuple) else "one value"
+            raise ArgumentError(
+                f"step() returns {shown}; it returns a state, a reward and whether it terminated"
+            )
+        after, *others = result
+        if not self.world:
+            others = [[other] for other in others]
+        for what, values in zip(("rewards", "flags of termination"), others, strict=True):
+            if not isinstance(values, (tuple, list)) or len(values) != self.agents:
+                raise ArgumentError(
+                    f"step() returns {values!r} for its {what}; there are {self.agents} agents"
+                )
+        rewards, ends = others
+        return (*self.state.flat(after), *map(self._reward, rewards), *ends)
+
+    def _number(self, word: Word, field: Field) -> Any:
+        """Return an action's number: a real, where the environment has them and the field has a fraction."""
+        fraction = self.state.fraction
+        if fraction is None or not field.fraction:
+            return word
+        by = fraction - field.fraction
+        return Real(word << by if by >= 0 else rounded(word, -by), fraction)
+
+    def _reward(self, number: Any) -> Word:
+        """Return the word of a reward; a real saturates."""
+        field = self.reward
+        is_real = isinstance(number, (Real, Choice, float))
+        return stored(number, field.low, field.high, field.fraction) if is_real else number
+
+
+def view_of(
+    state: Layout, function: GoldenFunction, agents: int, view: Layout | None = None, *, world: bool
+) -> GoldenFunction:
     """Return ``observe(state[, agent])``, or ``masks``, as a function of words."""
-    count, built, words_of, alone = len(state.fields), state.built, leaves, (0,) * (world and agents == 1)
+    words_of = leaves if view is None or view.fraction is None else view.flat
+    count, built, alone = len(state.fields), state.built, (0,) * (world and agents == 1)
 
-    def view(*words: Word) -> tuple[Word, ...]:
+    def seen(*words: Word) -> tuple[Word, ...]:
         return tuple(words_of(function(built(words[:count]), *words[count:], *alone)))
 
-    return _as(function, view, "state", *["agent"] * world)
+    return _as(state, function, seen, "state", *["agent"] * world)
 
 
 def takes_agent(observe: GoldenFunction) -> bool:
@@ -84,7 +143,7 @@ def unpack_of(view: type | None, function: GoldenFunction, words: Iterable[Field
     """
     if view is None or len(inspect.signature(function).parameters) != 2:
         return _called_with(function, *(word.name for word in words), "row")
-    scope = {"function": function, "__name__": function.__module__}
+    scope: dict[str, Any] = {"function": function, "__name__": function.__module__}
     names = [f"word_{word.name}" for word in words]  # whatever else a field is named like
     seen = _written(Layout(view).built(names), scope)
     exec(f"def unpack({', '.join(names)}, row):\n    function({seen}, row)", scope)
@@ -98,7 +157,7 @@ def _written(value: Any, scope: dict[str, Any]) -> str:
         return value
     kind = type(value)
     if not isinstance(value, (list, tuple)):
-        raise ArgumentError(f"unpack() takes a {kind.__name__}, which is no NamedTuple, and Numba has no other")
+        raise ArgumentError(f"unpack() takes a {kind.__name__}; Numba knows NamedTuples only")
     parts = "".join(f"{_written(part, scope)}, " for part in value)
     if kind is list:
         return f"({parts})"
@@ -107,27 +166,15 @@ def _written(value: Any, scope: dict[str, Any]) -> str:
     return f"{name}({parts})"
 
 
-def _outcome(result: Any, agents: int, world: bool) -> tuple[Any, list[Word], list[Word]]:
-    """Return state, rewards and ends of what a step returned."""
-    if not isinstance(result, tuple) or len(result) != 3:
-        shown = f"{len(result)} values" if isinstance(result, tuple) else "one value"
-        raise ArgumentError(f"step() returns {shown}; it returns a state, a reward and whether it terminated")
-    after, *others = result
-    if not world:
-        return after, [others[0]], [others[1]]
-    for what, values in zip(("rewards", "flags of termination"), others, strict=True):
-        if not isinstance(values, (tuple, list)) or len(values) != agents:
-            raise ArgumentError(f"step() returns {values!r} for its {what}; there are {agents} agents")
-    return after, list(others[0]), list(others[1])
-
-
-def _as(function: GoldenFunction, wrapper: Callable[..., Any], *given: str) -> GoldenFunction:
+def _as(state: Layout, function: GoldenFunction, wrapper: Callable[..., Any], *given: str) -> GoldenFunction:
     """Return a wrapper that messages name like the function in it."""
     if not inspect.isfunction(function):
         raise ArgumentError(f"{function!r} is no plain Python function, and a golden function is one")
     _called_with(function, *given)
     wrapper.__name__, wrapper.__module__ = function.__name__, function.__module__
     wrapper.author = function  # type: ignore[attr-defined]
+    if state.fraction is not None:
+        wrapper.admits = admitted  # type: ignore[attr-defined]
     return wrapper
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import random
 import types
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Hashable, Iterator, Mapping
 from types import MappingProxyType
 from typing import Any, NamedTuple, NoReturn
 
@@ -68,11 +68,15 @@ class Vocabulary(NamedTuple):
     cast: Callable[[type[np.integer[Any]]], Any]
     table: Callable[[Any], Any]
     """Takes a list or tuple, of which some may be inside others."""
+    functions: Mapping[Any, Callable[..., Any]] = MappingProxyType({})
+    """What takes the place of functions such as ``math.sin``."""
 
     def meaning(self, value: Any) -> Any:
         """Return what takes the place of a value in a golden function's scope."""
         if isinstance(value, types.ModuleType):
             return _Module(self, value)
+        if callable(value) and isinstance(value, Hashable) and value in self.functions:
+            return self.functions[value]
         if isinstance(value, type) and issubclass(value, np.integer):
             return self.cast(value)
         if isinstance(value, np.ndarray):
@@ -97,6 +101,10 @@ class _Module:
 
     def __getattr__(self, name: str) -> Any:
         module, value = self._module, getattr(self._module, name)
+        if callable(value) and isinstance(value, Hashable) and value in self._vocabulary.functions:
+            return self._vocabulary.functions[value]
+        if isinstance(value, float) and self._vocabulary.functions:
+            return value
         if module is np:
             if value in CHOICES or isinstance(value, int):
                 return value

@@ -23,7 +23,7 @@ from pearl_marl.errors import ArgumentError
 from pearl_marl.fields import Field as Field
 from pearl_marl.fields import word_bits as word_bits
 from pearl_marl.golden import MOST_DRAWS, CountingDraws, GoldenFunction, as_python_runs_it
-from pearl_marl.layout import Layout
+from pearl_marl.layout import Interval, Layout, real_field
 from pearl_marl.pickling import reduced
 from pearl_marl.positional import Positional, initial_of, step_of, takes_agent, unpack_of, view_of
 from pearl_marl.tracing.checks import Argument, Result, check
@@ -158,9 +158,10 @@ class EnvSpec:
         Package and name of what this one follows with its default options, such as
         ``"lbforaging Foraging-8x8-2p-3f-v3"``, for lists of environments; by default the oracle.
     pose
-        Puts the oracle's environment, unwrapped, into a slot's state, so that it can render it.
+        Puts the oracle's environment, unwrapped, into a slot's state, an object of ``golden.state``, so that
+        it can render it.
     draw
-        Draws a slot's state itself, as an image of shape ``(height, width, 3)`` and dtype ``uint8`` (or of
+        Draws such a state itself, as an image of shape ``(height, width, 3)`` and dtype ``uint8`` (or of
         floats from 0 to 1), where no oracle can do so without a screen.
     render_modes, render_fps
         How the oracle can render, as its own metadata say; ``("rgb_array",)`` with ``draw``.
@@ -189,8 +190,8 @@ class EnvSpec:
     core: Path | str | None = None
     oracle: str | None = None
     follows: str | None = None
-    pose: Callable[[Env[Any, Any], tuple[int, ...]], None] | None = None
-    draw: Callable[[tuple[int, ...]], npt.NDArray[np.uint8]] | None = None
+    pose: Callable[[Env[Any, Any], Any], None] | None = None
+    draw: Callable[[Any], npt.NDArray[np.uint8]] | None = None
     render_modes: tuple[str, ...] = ()
     render_fps: int = 4
     grid: Grid | None = None
@@ -238,15 +239,24 @@ class EnvSpec:
         def derive(name: str, value: Any) -> None:
             object.__setattr__(self, name, value)
 
+        fraction = self.layout.fraction
         if not self.observation:
-            view = self.golden.view
-            derive("observation", Layout(view).fields if view else _fields_of(self.observation_space))
+            view = self._view
+            derive("observation", view.fields if view else _fields_of(self.observation_space))
+        if self.action is None and isinstance(self.action_space, Box) and fraction is not None:
+            ends = Interval(float(self.action_space.low.min()), float(self.action_space.high.max()))
+            derive("action", real_field("action", ends, fraction))
         if self.action is None:
             if not isinstance(self.action_space, Discrete):
                 raise ArgumentError(
                     f"{self.name}: the action space is {self.action_space}; give action=Field(...)"
                 )
             derive("action", Field("action", _width(int(self.action_space.n))))
+        interval = next(
+            (x for x in getattr(self.reward, "__metadata__", ()) if isinstance(x, Interval)), None
+        )
+        if interval is not None:
+            derive("reward", real_field("reward", interval, fraction or 0))
         if self.reward is None:
             if self.rewards is None:
                 raise ArgumentError(f"{self.name}: there is no table of rewards; give reward=Field(...)")
@@ -256,6 +266,10 @@ class EnvSpec:
     def layout(self) -> Layout:
         """What a state looks like in hardware."""
         return Layout(self.golden.state)
+
+    @property
+    def _view(self) -> Layout | None:
+        return None if self.golden.view is None else Layout(self.golden.view, self.layout.fraction)
 
     @property
     def state(self) -> tuple[Field, ...]:
@@ -268,8 +282,8 @@ class EnvSpec:
         state, golden, n, world = self.layout, self.golden, self.agents, self._is_world
         return Positional(
             initial_of(state, golden.initial),
-            step_of(state, golden.step, n, world=world),
-            view_of(state, golden.observe, n, world=world),
+            step_of(state, golden.step, n, (self.action,), self.reward, world=world),
+            view_of(state, golden.observe, n, self._view, world=world),
             None if golden.masks is None else view_of(state, golden.masks, n, world=world),
             None if self.unpack is None else unpack_of(golden.view, self.unpack, self.observation),
         )
@@ -281,10 +295,12 @@ class EnvSpec:
     @cached_property
     def _draws(self) -> tuple[int, int]:
         # No path through a golden function changes how many it asks for: any state will do.
-        first, second = CountingDraws(), CountingDraws()
-        state = as_python_runs_it(self.golden.initial)(first)
+        fraction, functions = self.layout.fraction, (self.golden.initial, self.golden.step)
+        initial, step = (as_python_runs_it(function, fraction is not None) for function in functions)
+        first, second = CountingDraws(fraction), CountingDraws(fraction)
+        state = initial(first)
         actions = [0] * self.agents if self._is_world else 0
-        as_python_runs_it(self.golden.step)(state, actions, second)
+        step(state, actions, second)
         return first.count, second.count
 
     @property

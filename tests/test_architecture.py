@@ -32,6 +32,7 @@ ROOMS = (
         "machine_code",
         "golden",
         "tracing",
+        "reals",
         "rng",
         "fixed_point",
         "planes",

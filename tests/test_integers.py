@@ -120,7 +120,7 @@ def test_tables() -> None:
         (lambda a: SQUARES[a + 3], "an index is 3 to 6, and the table has 4 entries"),
         (lambda a: SQUARES[a - 1], "an index is -1 to 2, and the table has 4 entries"),
         (lambda a: 1 << (a - 1), "a shift by -1 to 2"),
-        (lambda a: 7 % a, "a constant divisor from 1"),
+        (lambda a: 7 % a, "a divisor is 0 to 3; possible is 1 or more"),
         (lambda a: a + 0.5, "Invalid integer data type"),
     ],
 )

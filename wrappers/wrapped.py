@@ -153,6 +153,10 @@ class WrappedVectorEnv(_Wrapped, VectorInterface):
         seed: int = self.env.np_random_seed
         return seed
 
+    def start_from(self, state: object) -> None:
+        """See :class:`VectorInterface`."""
+        self.env.start_from(state)
+
     @uninterrupted
     def reset_batch(self, seed: int | None = None, mask: npt.ArrayLike | None = None) -> Array:
         """See :class:`VectorInterface`."""

@@ -8,13 +8,13 @@ from gymnasium import Env
 from gymnasium.spaces import Discrete, Tuple
 
 from pearl_marl.errors import ArgumentError
-from pearl_marl.spec import EnvSpec, Field, Golden
+from pearl_marl.spec import EnvSpec, Golden
 
-from .step import initial, make_step, observe
+from .step import State, View, initial, make_step, observe
 
 
-def pose(oracle: Env[Any, Any], state: tuple[int, ...]) -> None:
-    """Put Gymnasium's Blackjack into ``(player, ace, showing, hidden, natural)``, for rendering."""
+def pose(oracle: Env[Any, Any], state: State) -> None:
+    """Put Gymnasium's Blackjack into a state, for rendering."""
     player, ace, showing, hidden, _ = state
     # Any hand of the same total and ace looks the same.
     oracle.player = [1, player - 11] if ace else [player]  # type: ignore[attr-defined]
@@ -41,22 +41,12 @@ def configure(natural: bool = False, sab: bool = True) -> EnvSpec:
         name="Blackjack",
         version=0,
         summary="Get closer to 21 than the dealer, but not beyond",
-        state=(
-            Field("player", 5),
-            Field("ace", 1),
-            Field("showing", 4),
-            Field("hidden", 4),
-            Field("natural", 1),
-        ),
-        action=Field("action", 1),
-        observation=(Field("player", 5), Field("showing", 4), Field("ace", 1)),
-        reward=Field("reward", 2),
         rewards=(-1.0, 0.0, 1.0, 1.5),
         observation_space=Tuple((Discrete(32), Discrete(11), Discrete(2))),
         action_space=Discrete(2),
-        golden=Golden(initial, make_step(natural_pays=natural and not sab, natural_wins=sab), observe),
-        reset_draws=1,
-        step_draws=2,
+        golden=Golden(
+            State, initial, make_step(natural_pays=natural and not sab, natural_wins=sab), observe, view=View
+        ),
         options={"natural": natural, "sab": sab},
         configure=configure,
         oracle="Blackjack-v1",

@@ -10,19 +10,15 @@ from gymnasium import Env
 from gymnasium.spaces import Box, Discrete
 
 from pearl_marl.errors import ArgumentError
-from pearl_marl.spec import EnvSpec, Field, Golden
+from pearl_marl.spec import EnvSpec, Golden
 
-from .step import FRACTION, initial, observe, step, step_sutton_barto
+from .step import State, initial, make_step, observe
 
-STATE = tuple(
-    Field(name, 32, signed=True, fraction=FRACTION)
-    for name in ("position", "velocity", "angle", "angular_velocity")
-)
 # Twice what ends an episode, so that its last observation is inside; velocities have no bound.
 HIGH = np.array([4.8, np.inf, 2 * 12 * 2 * math.pi / 360, np.inf], np.float32)
 
 
-def pose(oracle: Env[Any, Any], state: tuple[float, ...]) -> None:
+def pose(oracle: Env[Any, Any], state: State) -> None:
     """Put Gymnasium's CartPole into a state, for rendering."""
     oracle.state = np.array(state)  # type: ignore[attr-defined]
 
@@ -41,15 +37,10 @@ def configure(sutton_barto_reward: bool = False) -> EnvSpec:
         name="CartPole",
         version=0,
         summary="Balance a pole on a cart by pushing it left or right",
-        state=STATE,
-        action=Field("action", 1),
-        observation=STATE,
-        reward=Field("reward", 1),
         rewards=(0.0, -1.0) if sutton_barto_reward else (1.0,),
         observation_space=Box(-HIGH, HIGH, dtype=np.float32),
         action_space=Discrete(2),
-        golden=Golden(initial, step_sutton_barto if sutton_barto_reward else step, observe),
-        reset_draws=4,
+        golden=Golden(State, initial, make_step(int(sutton_barto_reward)), observe, view=State),
         max_cycles=500,
         options={"sutton_barto_reward": sutton_barto_reward},
         configure=configure,

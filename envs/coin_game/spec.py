@@ -10,73 +10,37 @@ import numpy.typing as npt
 from gymnasium.spaces import Box, Discrete
 
 from pearl_marl.errors import ArgumentError
-from pearl_marl.golden import Word
-from pearl_marl.spec import EnvSpec, Field, Golden, Grid, is_number
+from pearl_marl.spec import EnvSpec, Golden, Grid, is_number
 
 from .picture import draw
-from .step import SIZE, initial, make_observe, make_step, rewards
+from .step import SIZE, Around, Place, View, make_initial, make_observe, make_step, rewards, state_of
 
 CHANNELS = 4
 CELLS = SIZE * SIZE
 PAYOFF = ((1.0, 1.0, -2.0), (1.0, 1.0, -2.0))
 STEPS = 1, 1 << 16
 
-THINGS = "red", "blue", "red_coin", "blue_coin"
-SEEN = "own", "other", "own_coin", "other_coin"
 
-
-def places(names: Sequence[str]) -> tuple[Field, ...]:
-    """Return the fields of a row and a column each."""
-    return tuple(Field(f"{name}_{line}", 2) for name in names for line in ("row", "column"))
-
-
-def mark(row: Any, line: int, column: int, channel: int) -> None:
+def mark(row: Any, place: Place, channel: int) -> None:
     """Set one element of an observation; nothing where the cell is not on the torus."""
+    line, column = int(place.row), int(place.column)
     if line < SIZE and column < SIZE:
         row[(line * SIZE + column) * CHANNELS + channel] = 1
 
 
-def unpack(
-    own_row: Word,
-    own_column: Word,
-    other_row: Word,
-    other_column: Word,
-    own_coin_row: Word,
-    own_coin_column: Word,
-    other_coin_row: Word,
-    other_coin_column: Word,
-    row: Any,
-) -> None:
+def unpack(seen: View, row: Any) -> None:
     """Write the package's ``(3, 3, 4)`` of row, column and what is there, into ``row``."""
     for k in range(CELLS * CHANNELS):
         row[k] = 0
-    mark(row, int(own_row), int(own_column), 0)
-    mark(row, int(other_row), int(other_column), 1)
-    mark(row, int(own_coin_row), int(own_coin_column), 2)
-    mark(row, int(other_coin_row), int(other_coin_column), 3)
+    mark(row, seen.own, 0)
+    mark(row, seen.other, 1)
+    mark(row, seen.own_coin, 2)
+    mark(row, seen.other_coin, 3)
 
 
-def unpack_around(
-    other_row: Word,
-    other_column: Word,
-    own_coin_row: Word,
-    own_coin_column: Word,
-    other_coin_row: Word,
-    other_coin_column: Word,
-    row: Any,
-) -> None:
+def unpack_around(seen: Around, row: Any) -> None:
     """Do the same for who is in the middle of what he sees."""
-    unpack(
-        1,
-        1,
-        other_row,
-        other_column,
-        own_coin_row,
-        own_coin_column,
-        other_coin_row,
-        other_coin_column,
-        row,
-    )
+    unpack(View(Place(1, 1), seen.other, seen.own_coin, seen.other_coin), row)
 
 
 def configure(
@@ -114,22 +78,23 @@ def configure(
     # What red gets for red coins, blue gets for blue ones.
     alike = payoff[0] == [payoff[1][1], payoff[1][0], payoff[1][2]]
     table = rewards(payoff, shared_rewards, alike)
+    state_class = state_of(inner)
     return EnvSpec(
         name="CoinGame",
         version=0,
         summary="Collect coins; one of the other's colour costs the other more than it brings",
-        state=(*places(THINGS), Field("time", max((inner - 1).bit_length(), 1))),
-        action=Field("action", 3),
-        observation=places(SEEN[1:] if egocentric else SEEN),
-        reward=Field("reward", (len(table) - 1).bit_length()),
         rewards=table,
         observation_space=Box(0, 1, (SIZE, SIZE, CHANNELS) if cnn else (CELLS * CHANNELS,), np.uint8),
         action_space=Discrete(5),
-        golden=Golden(initial, make_step(inner, shared_rewards, alike), make_observe(egocentric)),
+        golden=Golden(
+            state_class,
+            make_initial(state_class),
+            make_step(state_class, inner, shared_rewards, alike),
+            make_observe(egocentric),
+            view=Around if egocentric else View,
+        ),
         agents=2,
         unpack=unpack_around if egocentric else unpack,
-        reset_draws=1,
-        step_draws=1,
         max_cycles=inner * outer,
         options={
             "num_inner_steps": inner,

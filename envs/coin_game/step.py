@@ -1,7 +1,6 @@
 """The golden step of CoinGame, on a torus of three rows and three columns.
 
-A state lists row and column of the red player, the blue player, the red coin and the blue coin, and then the
-steps of the game so far. After ``num_inner_steps`` a new game begins within the episode.
+After ``num_inner_steps`` a new game begins within the episode.
 
 What looks arbitrary is the package's:
 
@@ -14,48 +13,91 @@ Follows https://github.com/FLAIROx/JaxMARL (``jaxmarl`` 0.2.0, ``coin_game``): A
 *Maintaining cooperation in complex social dilemmas using deep reinforcement learning*, 2017.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from pearl_marl.golden import GoldenFunction, Word, u32
+from pearl_marl.golden import Draws, GoldenFunction, Word
+from pearl_marl.layout import Array, Bits
 
 SIZE = 3
 RIGHT, LEFT, UP, DOWN, STAY = range(5)
 """Up is to the next row, and any other action is a stay."""
-RED, BLUE, RED_COIN, BLUE_COIN = range(0, 8, 2)
-"""Where the row of each stands in a state; the column is the next word."""
 OWN, OTHERS, LOST, OF_BLUE = 1, 2, 4, 8
 """Bits of a category: the player took a coin of his own colour, he took one of the other's, and the other
 took one of his. With the last bit set the category is one of blue's own, which he has if he is paid
 differently."""
 
 
-def digits(draw: Word, count: int) -> list[Word]:
-    """Return independent numbers from 0 to 2, all equally likely: the digits of a fraction to base 3."""
-    result: list[Word] = []
-    for _ in range(count):
-        product = draw * SIZE
-        result.append(product >> 32)
-        draw = u32(product)
-    return result
+class Place(NamedTuple):
+    """A cell of the torus."""
+
+    row: Bits[2]
+    column: Bits[2]
 
 
-def initial(draw: Word) -> tuple[Word, ...]:
-    """Return the state of a new episode: players and coins are anywhere."""
-    return *digits(draw, 8), 0
+class View(NamedTuple):
+    """What a player sees."""
+
+    own: Place
+    other: Place
+    own_coin: Place
+    other_coin: Place
 
 
-def moved(place: Word, forward: Word, backward: Word) -> Word:
-    """Move a row or a column by one, around the torus."""
-    further: Word = np.where(place >= SIZE - 1, 0, place + 1)
-    back: Word = np.where(place == 0, SIZE - 1, place - 1)
-    return np.where(forward, further, np.where(backward, back, place))
+class Around(NamedTuple):
+    """What a player sees who is always in the middle."""
+
+    other: Place
+    own_coin: Place
+    other_coin: Place
 
 
-def make_step(inner_steps: int, shared: bool, alike: bool) -> GoldenFunction:
+def state_of(inner_steps: int) -> Any:
+    """Return the class of states of games of so many steps."""
+
+    class State(NamedTuple):
+        """Players and coins, red before blue, and the steps of the game so far."""
+
+        players: Array[Place, 2]
+        coins: Array[Place, 2]
+        time: Bits[max((inner_steps - 1).bit_length(), 1)]
+
+    return State
+
+
+def anywhere(draws: Draws) -> list[Place]:
+    """Return four cells, all equally likely."""
+    numbers = draws.several(*[SIZE] * 8)
+    return [Place(numbers[k], numbers[k + 1]) for k in range(0, 8, 2)]
+
+
+def make_initial(state_class: Any) -> GoldenFunction:
+    """Return the golden function that puts players and coins anywhere."""
+
+    def initial(draws: Draws) -> Any:
+        places = anywhere(draws)
+        return state_class(places[:2], places[2:], 0)
+
+    return initial
+
+
+def moved(place: Place, action: Word) -> Place:
+    """Return the cell next to one, around the torus."""
+    row, column = place
+    if action == UP:
+        row = row + 1 if row < SIZE - 1 else 0
+    elif action == DOWN:
+        row = row - 1 if row > 0 else SIZE - 1
+    elif action == RIGHT:
+        column = column + 1 if column < SIZE - 1 else 0
+    elif action == LEFT:
+        column = column - 1 if column > 0 else SIZE - 1
+    return Place(row, column)
+
+
+def make_step(state_class: Any, inner_steps: int, shared: bool, alike: bool) -> GoldenFunction:
     """Return the golden step.
 
     With ``shared`` rewards a category has four bits: red took the red coin, red took the blue one, blue
@@ -63,64 +105,48 @@ def make_step(inner_steps: int, shared: bool, alike: bool) -> GoldenFunction:
     numbers.
     """
 
-    def step(*words: Word) -> tuple[Word, ...]:
-        *state, time, action_0, action_1, draw = words
-        players: list[Word] = []
-        for place, action in ((RED, action_0), (BLUE, action_1)):
-            players.append(moved(state[place], action == UP, action == DOWN))
-            players.append(moved(state[place + 1], action == RIGHT, action == LEFT))
-
-        def takes(player: int, coin: int) -> Word:
-            same_row: Word = players[player] == state[coin]
-            return same_row & (players[player + 1] == state[coin + 1])
-
-        red_red, red_blue = takes(RED, RED_COIN), takes(RED, BLUE_COIN)
-        blue_red, blue_blue = takes(BLUE, RED_COIN), takes(BLUE, BLUE_COIN)
-        last = time >= inner_steps - 1
-
-        # A new game takes all the digits, new coins the first four.
-        drawn = digits(draw, 8)
-        coins = state[RED_COIN:]
-        for coin, gone in ((0, red_red | blue_red), (2, red_blue | blue_blue)):
-            for k in (coin, coin + 1):
-                coins[k] = np.where(gone, drawn[k], coins[k])
-        after = [np.where(last, new, old) for new, old in zip(drawn, [*players, *coins], strict=True)]
-
+    def step(state: Any, actions: list[Word], draws: Draws) -> tuple[Any, list[Word], list[Word]]:
+        # A new game takes all the numbers, new coins the first four.
+        new = anywhere(draws)
+        if state.time >= inner_steps - 1:
+            return state_class(new[:2], new[2:], 0), [0, 0], [False, False]
+        red, blue = (moved(state.players[k], actions[k]) for k in range(2))
+        red_coin, blue_coin = state.coins
+        red_red, red_blue = red == red_coin, red == blue_coin
+        blue_red, blue_blue = blue == red_coin, blue == blue_coin
+        coins = [
+            new[0] if red_red or blue_red else red_coin,
+            new[1] if red_blue or blue_blue else blue_coin,
+        ]
         if shared:
             codes = [red_red | red_blue << 1 | blue_red << 2 | blue_blue << 3] * 2
         else:
-            blue = 0 if alike else OF_BLUE
             codes = [
                 red_red * OWN | red_blue * OTHERS | blue_red * LOST,
-                blue_blue * OWN | blue_red * OTHERS | red_blue * LOST | blue,
+                blue_blue * OWN | blue_red * OTHERS | red_blue * LOST | (0 if alike else OF_BLUE),
             ]
-        codes = [np.where(last, 0, code) for code in codes]
-        return *after, np.where(last, 0, time + 1), *codes, 0, 0
+        return state_class([red, blue], coins, state.time + 1), codes, [False, False]
 
     return step
 
 
 def make_observe(egocentric: bool) -> GoldenFunction:
-    """Return the golden function of what a player sees: himself, the other, his own coin, the other's coin.
+    """Return the golden function of what a player sees.
 
     With ``egocentric`` the torus is turned until he is in the middle, and he is left out.
     """
 
-    def observe(*words: Word) -> tuple[Word, ...]:
-        *state, _, agent = words
-        order = (BLUE, RED, BLUE_COIN, RED_COIN) if agent else (RED, BLUE, RED_COIN, BLUE_COIN)
-        seen = [state[place + k] for place in order for k in range(2)]
-        if not egocentric:
-            return tuple(seen)
-        return tuple(around(word, seen[k % 2]) for k, word in enumerate(seen[2:]))
+    def observe(state: Any, agent: int) -> View | Around:
+        players, coins = state.players, state.coins
+        seen = View(players[agent], players[1 - agent], coins[agent], coins[1 - agent])
+        return Around(*[around(place, seen.own) for place in seen[1:]]) if egocentric else seen
 
     return observe
 
 
-def around(place: Word, own: Word) -> Word:
-    """Return a row or a column as seen from one's own, which is 1."""
-    number = place + 1 - own
-    return np.where(number < 0, number + SIZE, np.where(number >= SIZE, number - SIZE, number))
+def around(place: Place, own: Place) -> Place:
+    """Return a cell as seen from one's own, which is in row and column 1."""
+    return Place((place.row + 1 - own.row) % SIZE, (place.column + 1 - own.column) % SIZE)
 
 
 def pay(payoff: Sequence[Sequence[float]], took: Sequence[Sequence[bool]], player: int) -> float:

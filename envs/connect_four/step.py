@@ -11,9 +11,10 @@ al., *PettingZoo: Gym for Multi-Agent Reinforcement Learning*, 2021.
 
 from __future__ import annotations
 
-import numpy as np
+from typing import NamedTuple
 
-from pearl_marl.golden import Word
+from pearl_marl.golden import Draws, Word
+from pearl_marl.layout import Array, Bits, Flag
 
 ROWS, COLUMNS, CELLS = 6, 7, 42
 FULL = (1 << CELLS) - 1
@@ -29,55 +30,58 @@ LINES = ((1, LEFT_HALF), (COLUMNS, FULL), (COLUMNS + 1, LEFT_HALF), (COLUMNS - 1
 leftmost of a row."""
 
 
-def initial() -> tuple[Word, Word, Word]:
-    """Return ``(first, second, turn)`` of a new game: an empty board, and the first player's turn."""
-    return 0, 0, 0
+class State(NamedTuple):
+    """The discs of each player, and whose turn it is."""
+
+    boards: Array[Bits[CELLS], 2]
+    turn: Flag
 
 
-def step(
-    first: Word, second: Word, turn: Word, action_0: Word, action_1: Word
-) -> tuple[Word, Word, Word, Word, Word, Word, Word]:
-    """Drop a disc of the player on turn; return the state, two rewards, and twice whether the game is over.
+class View(NamedTuple):
+    """The discs of an agent, and those of the other."""
+
+    own: Bits[CELLS]
+    other: Bits[CELLS]
+
+
+def initial(draws: Draws) -> State:
+    """Return the state of a new game: an empty board, and the first player's turn."""
+    return State([0, 0], 0)
+
+
+def step(state: State, actions: list[Word], draws: Draws) -> tuple[State, list[Word], list[Word]]:
+    """Drop a disc of the player on turn.
 
     Who chooses a column that is full loses one point and ends the game, and his opponent wins nothing.
     """
-    own, other = np.where(turn, second, first), np.where(turn, first, second)
-    taken = first | second
+    boards, turn = state
+    taken = boards[0] | boards[1]
     # Where a disc comes to lie, in each column that has room: free, and with a disc or the ground below.
     landing = (taken >> COLUMNS | BOTTOM_ROW) & ~taken
-    action: Word = np.where(turn, action_1, action_0)
-    disc = landing & COLUMN[action]
-    own = own | disc
-    illegal = disc == 0
-    won = has_four(own)
-    over = won | illegal | (taken | disc == FULL)
+    disc = landing & COLUMN[actions[turn]]
+    own = boards[turn] | disc
+    boards[turn] = own
+    won, illegal = has_four(own), disc == 0
     gain, loss = won - illegal, -won
-    return (
-        np.where(turn, other, own),
-        np.where(turn, own, other),
-        turn ^ 1,
-        np.where(turn, loss, gain),
-        np.where(turn, gain, loss),
-        over,
-        over,
-    )
+    over = won or illegal or taken | disc == FULL
+    return State(boards, 1 - turn), [loss, gain] if turn else [gain, loss], [over, over]
 
 
-def observe(first: Word, second: Word, turn: Word, agent: int) -> tuple[Word, Word]:
-    """Return the discs of an agent, and those of the other."""
-    return (second, first) if agent else (first, second)
+def observe(state: State, agent: int) -> View:
+    """Return what an agent sees."""
+    return View(state.boards[agent], state.boards[1 - agent])
 
 
-def masks(first: Word, second: Word, turn: Word, agent: int) -> tuple[Word, ...]:
+def masks(state: State, agent: int) -> list[Word]:
     """Return which columns have room; none for who is not on turn."""
-    room = np.where(turn == agent, ~(first | second) & TOP_ROW, 0)
-    return tuple(room >> column & 1 for column in range(COLUMNS))
+    room = ~(state.boards[0] | state.boards[1]) if state.turn == agent else 0
+    return [room >> column & 1 for column in range(COLUMNS)]
 
 
 def has_four(board: Word) -> Word:
     """Return whether four discs of a board are in a row."""
     begins = 0
     for by, columns in LINES:
-        pair = board & (board >> by)
-        begins = begins | (pair & (pair >> 2 * by) & columns)
+        pair = board & board >> by
+        begins |= pair & pair >> 2 * by & columns
     return begins != 0

@@ -12,7 +12,7 @@ from gymnasium.spaces import Discrete
 from pearl_marl.errors import ArgumentError
 from pearl_marl.spec import EnvSpec, Field, Golden, Grid, is_number
 
-from .step import SIDE, make_initial, make_observe, make_step, make_step_slippery
+from .step import SIDE, State, make_initial, make_observe, make_step
 
 MAPS = {
     "4x4": ("SFFF", "FHFH", "FFFH", "HFFG"),
@@ -79,31 +79,20 @@ def configure(
     # Gymnasium registers this map under an id of its own, with a time limit of its own.
     eight = desc is None and map_name == "8x8"
     rows, columns = len(lake), len(lake[0])
-    starts, holes, goals = (_mask(lake, letter) for letter in "SHG")
-    # A draw below the first number turns the action back, one from the second on turns it on.
-    back = round((1 - success_rate) / 2 * 2**32)
-    turns = (back, 2**32 - back)
-    slips = is_slippery and back > 0
     return EnvSpec(
         name="FrozenLake",
         version=0,
         summary="Cross a slippery lake to the goal without falling through a hole",
-        state=(Field("row", 3), Field("column", 3)),
-        action=Field("action", 2),
         observation=(Field("cell", 6),),
-        reward=Field("reward", 2),
         rewards=tuple(map(float, reward_schedule)),
         observation_space=Discrete(rows * columns),
         action_space=Discrete(4),
         golden=Golden(
-            make_initial([divmod(cell, SIDE) for cell in range(SIDE * SIDE) if starts >> cell & 1]),
-            make_step_slippery(rows, columns, holes, goals, *turns)
-            if slips
-            else make_step(rows, columns, holes, goals),
-            make_observe(columns),
+            State,
+            make_initial(lake),
+            make_step(lake, (1 - success_rate) / 2 if is_slippery else 0),
+            make_observe(lake),
         ),
-        reset_draws=int(starts.bit_count() > 1),
-        step_draws=int(slips),
         max_cycles=200 if eight else 100,
         options={
             "desc": None if desc is None else list(lake),
@@ -120,10 +109,9 @@ def configure(
     )
 
 
-def pose(oracle: Env[Any, Any], state: tuple[int, ...]) -> None:
-    """Put Gymnasium's FrozenLake into ``(row, column)``, for rendering."""
-    row, column = state
-    oracle.s = oracle.ncol * row + column  # type: ignore[attr-defined]
+def pose(oracle: Env[Any, Any], state: State) -> None:
+    """Put Gymnasium's FrozenLake into a state, for rendering."""
+    oracle.s = oracle.ncol * state.row + state.column  # type: ignore[attr-defined]
     oracle.lastaction = None  # type: ignore[attr-defined]
 
 
@@ -152,16 +140,6 @@ def _checked(desc: Sequence[str]) -> tuple[str, ...]:
     if not any("S" in line for line in lake):
         raise ArgumentError("desc has no S; put one where episodes are to start")
     return lake
-
-
-def _mask(lake: Sequence[str], letter: str) -> int:
-    """Return the cells of a letter as bits ``8 * row + column``."""
-    return sum(
-        1 << SIDE * row + column
-        for row, line in enumerate(lake)
-        for column, here in enumerate(line)
-        if here == letter
-    )
 
 
 SPEC = configure()

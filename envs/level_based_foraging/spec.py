@@ -11,10 +11,10 @@ import numpy.typing as npt
 from gymnasium.spaces import Box, Discrete
 
 from pearl_marl.errors import ArgumentError
-from pearl_marl.spec import EnvSpec, Field, Golden, Grid, is_number
+from pearl_marl.spec import EnvSpec, Grid, is_number
 
 from .picture import make_draw
-from .step import LOADED, Rules, make_initial, make_masks, make_observe, make_step, rewards
+from .step import LOADED, Rules, make_golden, rewards
 
 SIZES, PLAYERS, FOODS, LEVELS = (3, 32), (1, 16), (1, 16), (1, 255)
 MOST_REWARDS = 1 << 16
@@ -102,21 +102,16 @@ def configure(
         normalized=normalize_reward,
     )
     _check_together(rules)
-    table = rewards(rules, float(penalty))
+    golden = make_golden(rules)
     return EnvSpec(
         name="LevelBasedForaging",
         version=0,
         summary="Walk on a grid and pick up food, much of it only together",
-        state=state_fields(rules),
-        action=Field("action", 3),
-        observation=observation_fields(rules),
-        reward=Field("reward", (len(table) - 1).bit_length()),
-        rewards=table,
+        rewards=rewards(rules, float(penalty)),
         observation_space=observation_space(rules),
         action_space=Discrete(6),
-        golden=Golden(make_initial(rules), make_step(rules), make_observe(rules), make_masks(rules)),
+        golden=golden,
         agents=players,
-        reset_draws=rules.draws[-1] + 1,
         max_cycles=max_episode_steps,
         options={
             "players": players,
@@ -135,37 +130,11 @@ def configure(
             "penalty": float(penalty),
         },
         configure=configure,
-        draw=make_draw(rules),
+        draw=make_draw(golden.state, size),
         follows="lbforaging Foraging-8x8-2p-3f-v3",
         render_modes=("rgb_array",),
         grid=grid(rules) if rules.sees_all else None,
     )
-
-
-def state_fields(rules: Rules) -> tuple[Field, ...]:
-    """Return the state's fields."""
-    place, level, food = _widths(rules)
-    fields: list[Field] = []
-    for what, count, bits in (("player", rules.players, level), ("food", rules.foods, food)):
-        for k in range(count):
-            names = f"{what}_{k}_row", f"{what}_{k}_column", f"{what}_{k}_level"
-            fields += map(Field, names, (place, place, bits))
-    if rules.normalized:
-        fields.append(Field("all_food", (rules.foods * rules.most_food).bit_length()))
-    return tuple(fields)
-
-
-def observation_fields(rules: Rules) -> tuple[Field, ...]:
-    """Return the observation's fields: as many as its space has elements."""
-    place, level, food = _widths(rules)
-    fields: list[Field] = []
-    for what, count, bits in (("food", rules.foods, food), ("player", rules.players, level)):
-        for k in range(count):
-            # -1 where nothing is seen.
-            fields += (Field(f"{what}_{k}_{axis}", place + 1, signed=True) for axis in ("row", "column"))
-            if what == "food" or rules.shows_levels:
-                fields.append(Field(f"{what}_{k}_level", bits))
-    return tuple(fields)
 
 
 def observation_space(rules: Rules) -> Box:
@@ -186,11 +155,6 @@ def grid(rules: Rules) -> Grid:
         return places[:, row] * rules.size + places[:, row + 1]
 
     return Grid(rules.size, rules.size, cell)
-
-
-def _widths(rules: Rules) -> tuple[int, int, int]:
-    """Return how many bits a row or a column, a player's level and a food's level take."""
-    return (rules.size - 1).bit_length(), rules.strongest.bit_length(), rules.most_food.bit_length()
 
 
 def _integer(name: str, value: object, limits: tuple[int, int]) -> int:

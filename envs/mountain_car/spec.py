@@ -9,15 +9,14 @@ from gymnasium import Env
 from gymnasium.spaces import Box, Discrete
 
 from pearl_marl.errors import ArgumentError
-from pearl_marl.spec import EnvSpec, Field, Golden, is_number
+from pearl_marl.spec import EnvSpec, Golden, is_number
 
-from .step import FRACTION, goal_word, initial, observe, step
+from .step import State, goal_word, initial, make_step, observe
 
-STATE = tuple(Field(name, 32, signed=True, fraction=FRACTION) for name in ("position", "velocity"))
 LOW, HIGH = np.array([-1.2, -0.07], np.float32), np.array([0.6, 0.07], np.float32)
 
 
-def pose(oracle: Env[Any, Any], state: tuple[float, ...]) -> None:
+def pose(oracle: Env[Any, Any], state: State) -> None:
     """Put Gymnasium's MountainCar into a state, for rendering."""
     oracle.state = state  # type: ignore[attr-defined]
 
@@ -33,20 +32,14 @@ def configure(goal_velocity: float = 0) -> EnvSpec:
     """
     if not is_number(goal_velocity) or not -1 <= goal_velocity <= 1:
         raise ArgumentError(f"goal_velocity is {goal_velocity!r}; it must be a number from -1 to 1")
-    goal = goal_word(float(goal_velocity))
     return EnvSpec(
         name="MountainCar",
         version=0,
         summary="Drive an underpowered car up a hill by rocking",
-        state=STATE,
-        action=Field("action", 2),
-        observation=STATE,
-        reward=Field("reward", 1),
         rewards=(-1.0,),
         observation_space=Box(LOW, HIGH, dtype=np.float32),
         action_space=Discrete(3),
-        golden=Golden(initial, step(goal), observe),
-        reset_draws=1,
+        golden=Golden(State, initial, make_step(goal_word(float(goal_velocity))), observe, view=State),
         max_cycles=200,
         options={"goal_velocity": float(goal_velocity)},
         configure=configure,

@@ -9,11 +9,11 @@ Position and velocity (per step) have 30 fraction bits, so one is added to the o
 from __future__ import annotations
 
 import math
-
-import numpy as np
+from typing import NamedTuple
 
 from pearl_marl.fixed_point import constant, multiply, sine_cosine
-from pearl_marl.golden import GoldenFunction, Word, i32
+from pearl_marl.golden import Draws, GoldenFunction, Word, i32
+from pearl_marl.layout import Signed
 
 FRACTION = 30
 
@@ -31,28 +31,36 @@ def goal_word(goal_velocity: float) -> int:
     return math.ceil(goal_velocity * 2.0**FRACTION)
 
 
-def initial(draw: Word) -> tuple[Word, Word]:
+class State(NamedTuple):
+    """Position, and velocity per step."""
+
+    position: Signed[32, FRACTION]
+    velocity: Signed[32, FRACTION]
+
+
+def initial(draws: Draws) -> State:
     """Return the state of a new episode: a position uniform between -0.6 and -0.4, at rest."""
     # As a signed number a draw is from -1/2 to 1/2.
-    return MIDDLE + multiply(i32(draw), START, 32), 0
+    return State(MIDDLE + multiply(i32(draws.bits()), START, 32), 0)
 
 
-def step(goal: int) -> GoldenFunction:
-    """Make the step under a velocity that the goal demands: see :func:`goal_word`."""
+def make_step(goal: int) -> GoldenFunction:
+    """Return the golden step under a velocity that the goal demands: see :func:`goal_word`."""
 
-    def step(position: Word, velocity: Word, action: Word) -> tuple[Word, Word, Word, Word]:
-        """Push left (0), not at all (1) or right (2); return state, category (one, 0) and end."""
+    def step(state: State, action: Word, draws: Draws) -> tuple[State, Word, Word]:
+        """Push left (0), not at all (1) or right (2); there is one category of reward, 0."""
+        position, velocity = state
         _, cosine = sine_cosine(multiply(position, TURNS, 30))
-        change = (action - 1) * FORCE - multiply(cosine, GRAVITY, 39)
-        velocity = np.clip(velocity + change, -MAX_SPEED, MAX_SPEED)
-        position = np.clip(position + velocity, LEFT_END, RIGHT_END)
-        velocity = np.where((position == LEFT_END) & (velocity < 0), 0, velocity)
-        terminated = (position >= GOAL) & (velocity >= goal)
-        return position, velocity, 0, terminated
+        velocity += (action - 1) * FORCE - multiply(cosine, GRAVITY, 39)
+        velocity = min(max(velocity, -MAX_SPEED), MAX_SPEED)
+        position = min(max(position + velocity, LEFT_END), RIGHT_END)
+        if position == LEFT_END and velocity < 0:
+            velocity = 0
+        return State(position, velocity), 0, position >= GOAL and velocity >= goal
 
     return step
 
 
-def observe(position: Word, velocity: Word) -> tuple[Word, Word]:
+def observe(state: State) -> State:
     """Return the observation: the state."""
-    return position, velocity
+    return state

@@ -10,17 +10,15 @@ from gymnasium import Env
 from gymnasium.spaces import Box
 
 from pearl_marl.errors import ArgumentError
-from pearl_marl.fixed_point import FRACTION
 from pearl_marl.spec import EnvSpec, Field, Golden, is_number
 
-from .step import REWARD_FRACTION, SPEED_FRACTION, TORQUE_FRACTION, fall, initial, observe, step
+from .step import REWARD_FRACTION, TORQUE_FRACTION, State, View, fall, initial, make_step, observe
 
 MAX_GRAVITY = 200
-SPEED = Field("speed", 32, signed=True, fraction=SPEED_FRACTION)
 HIGH = np.array([1, 1, 8], np.float32)
 
 
-def pose(oracle: Env[Any, Any], state: tuple[float, ...]) -> None:
+def pose(oracle: Env[Any, Any], state: State) -> None:
     """Put Gymnasium's Pendulum into a state, for rendering; a slot's last torque is not known."""
     turns, speed = state
     oracle.state = np.array([2 * math.pi * turns, speed])  # type: ignore[attr-defined]
@@ -37,24 +35,16 @@ def configure(g: float = 10.0) -> EnvSpec:
     """
     if not is_number(g) or not -MAX_GRAVITY <= g <= MAX_GRAVITY:
         raise ArgumentError(f"g is {g!r}; it must be a number from -{MAX_GRAVITY} to {MAX_GRAVITY}")
-    pull = fall(float(g))
     return EnvSpec(
         name="Pendulum",
         version=0,
         summary="Swing a pendulum up and hold it there",
-        state=(Field("angle", 32, signed=True, fraction=32), SPEED),
         action=Field("torque", 32, signed=True, fraction=TORQUE_FRACTION),
-        observation=(
-            Field("cosine", 32, signed=True, fraction=FRACTION),
-            Field("sine", 32, signed=True, fraction=FRACTION),
-            SPEED,
-        ),
         reward=Field("reward", 32, signed=True, fraction=REWARD_FRACTION),
         rewards=None,
         observation_space=Box(-HIGH, HIGH, dtype=np.float32),
         action_space=Box(-2, 2, (1,), np.float32),
-        golden=Golden(initial, step(pull), observe),
-        reset_draws=2,
+        golden=Golden(State, initial, make_step(fall(float(g))), observe, view=View),
         max_cycles=200,
         options={"g": float(g)},
         configure=configure,

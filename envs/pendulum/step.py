@@ -10,11 +10,11 @@ into :func:`sine_cosine`. The angular velocity (rad/s) has 27 fraction bits, tor
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
-import numpy as np
-
-from pearl_marl.fixed_point import constant, multiply, sine_cosine
-from pearl_marl.golden import GoldenFunction, Word, i32
+from pearl_marl.fixed_point import FRACTION, constant, multiply, sine_cosine
+from pearl_marl.golden import Draws, GoldenFunction, Word, i32
+from pearl_marl.layout import Signed
 
 TIME_STEP = 0.05
 SPEED_FRACTION, TORQUE_FRACTION, REWARD_FRACTION = 27, 29, 26
@@ -33,17 +33,33 @@ def fall(g: float) -> int:
     return constant(3 * g / 2 * TIME_STEP, 27)
 
 
-def initial(draw_0: Word, draw_1: Word) -> tuple[Word, Word]:
+class State(NamedTuple):
+    """The angle, in turns, and the angular velocity."""
+
+    angle: Signed[32, 32]
+    speed: Signed[32, SPEED_FRACTION]
+
+
+class View(NamedTuple):
+    """What an agent sees."""
+
+    cosine: Signed[32, FRACTION]
+    sine: Signed[32, FRACTION]
+    speed: Signed[32, SPEED_FRACTION]
+
+
+def initial(draws: Draws) -> State:
     """Return the state of a new episode: any angle, and a speed uniform from -1 to just below 1."""
-    return i32(draw_0), i32(draw_1) >> 4
+    return State(i32(draws.bits()), i32(draws.bits()) >> 4)
 
 
-def step(fall: int) -> GoldenFunction:
-    """Make the step under a gravity: see :func:`fall`."""
+def make_step(fall: int) -> GoldenFunction:
+    """Return the golden step under a gravity: see :func:`fall`."""
 
-    def step(angle: Word, speed: Word, action: Word) -> tuple[Word, Word, Word, Word]:
-        """Apply a torque; return ``(angle, speed, reward, terminated)``, the last always 0."""
-        torque = np.clip(action, -TORQUE, TORQUE)
+    def step(state: State, action: Word, draws: Draws) -> tuple[State, Word, Word]:
+        """Apply a torque; an episode has no end of its own."""
+        angle, speed = state
+        torque = min(max(action, -TORQUE), TORQUE)
         radians = multiply(angle, RADIANS, 31)  # with 29 fraction bits
         angle_cost = multiply(radians, radians, 32)
         speed_cost = multiply(multiply(speed, SPEED_COST, 31), speed, 31)
@@ -52,15 +68,14 @@ def step(fall: int) -> GoldenFunction:
         reward = i32(-(angle_cost + speed_cost + torque_cost))
 
         sine, _ = sine_cosine(angle)
-        change = multiply(sine, fall, 30) + multiply(torque, KICK, 35)
-        speed = np.clip(speed + change, -SPEED, SPEED)
-        angle = i32(angle + multiply(speed, TURN, 32))
-        return angle, speed, reward, 0
+        speed += multiply(sine, fall, 30) + multiply(torque, KICK, 35)
+        speed = min(max(speed, -SPEED), SPEED)
+        return State(i32(angle + multiply(speed, TURN, 32)), speed), reward, False
 
     return step
 
 
-def observe(angle: Word, speed: Word) -> tuple[Word, Word, Word]:
-    """Return the observation: cosine and sine of the angle, and the speed."""
-    sine, cosine = sine_cosine(angle)
-    return cosine, sine, speed
+def observe(state: State) -> View:
+    """Return what an agent sees."""
+    sine, cosine = sine_cosine(state.angle)
+    return View(cosine, sine, state.speed)

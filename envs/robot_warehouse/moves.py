@@ -15,7 +15,7 @@ The last holds for up to four robots. With more, queues of any kind meet as ties
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import TypeAlias
 
 from pearl_marl.golden import Word
@@ -30,14 +30,6 @@ AHEAD = (0, -1), (0, 1), (-1, 0), (1, 0)
 
 Flags: TypeAlias = Sequence[Word]
 Ties: TypeAlias = Sequence[Sequence[Sequence[int]]]
-
-
-def any_of(flags: Iterable[Word]) -> Word:
-    """Return a word that is 0 where all of these are."""
-    result: Word = 0
-    for flag in flags:
-        result = result | flag
-    return result
 
 
 def make_ties(rules: Rules) -> Ties:
@@ -61,11 +53,11 @@ def movers(cells: Flags, targets: Flags, directions: Flags, ties: Ties) -> list[
     moving = [target != cell for cell, target in zip(cells, targets, strict=True)]
     # behind[k][j]: robot k wants into robot j's cell.
     behind = [[0 if j == k else targets[k] == cells[j] for j in each] for k in each]
-    free = [any_of(behind[k]) == 0 for k in each]
+    free = [not any(behind[k]) for k in each]
     # Of four robots two are left for the queues behind those that want the same cell. So one is longer than
     # another only where that has none; and of equally long ones robot 0 may stand at the end.
-    queued = [any_of(behind[k][j] for k in each) for j in each]
-    beaten: list[Word] = [0] * count
+    queued = [any(behind[k][j] for k in each) for j in each]
+    beaten = [0] * count
     for a, b in itertools.combinations(each, 2):
         same = targets[a] == targets[b]
         second = (queued[b] & (queued[a] == 0)) | behind[0][b]
@@ -80,10 +72,10 @@ def movers(cells: Flags, targets: Flags, directions: Flags, ties: Ties) -> list[
 
     goes = [f & open_ for f, open_ in zip(first, free, strict=True)]
     for _ in range(count - 1):
-        goes = [first[k] & (free[k] | any_of(behind[k][j] & goes[j] for j in each)) for k in each]
+        goes = [first[k] & (free[k] | any(behind[k][j] & goes[j] for j in each)) for k in each]
     if count == MOST:
         rings = itertools.permutations(range(1, count))
-        ring = any_of(behind[0][a] & behind[a][b] & behind[b][c] & behind[c][0] for a, b, c in rings)
+        ring = any(behind[0][a] & behind[a][b] & behind[b][c] & behind[c][0] for a, b, c in rings)
         goes = [g | ring for g in goes]
     return goes
 
@@ -91,4 +83,4 @@ def movers(cells: Flags, targets: Flags, directions: Flags, ties: Ties) -> list[
 def tied(ties: Ties, first: Word, second: Word, target: Word) -> Word:
     """Return whether the second of two robots goes first, by their directions and the cell that they want."""
     every = itertools.permutations(range(len(AHEAD)), 2)
-    return any_of((first == a) & (second == b) & ties[a][b][target] for a, b in every)
+    return any((first == a) & (second == b) & ties[a][b][target] for a, b in every)

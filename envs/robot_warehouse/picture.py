@@ -10,9 +10,11 @@ from collections.abc import Callable
 import numpy as np
 import numpy.typing as npt
 
+from pearl_marl.layout import Layout
+
 from .moves import AHEAD
 from .rules import Rules
-from .step import NONE, parts
+from .step import NONE
 
 CELL = 32
 """Width and height of a cell, in pixels."""
@@ -21,13 +23,14 @@ GOAL, SHELF, ASKED = (60, 60, 60), (110, 90, 200), (0, 150, 140)
 ROBOT, LOADED = (240, 150, 0), (200, 40, 40)
 
 
-def make_draw(rules: Rules) -> Callable[[tuple[int, ...]], npt.NDArray[np.uint8]]:
+def make_draw(rules: Rules, state_class: type) -> Callable[[tuple[int, ...]], npt.NDArray[np.uint8]]:
     """Return what draws a state; it needs Pillow."""
+    layout = Layout(state_class)
 
     def draw(state: tuple[int, ...]) -> npt.NDArray[np.uint8]:
         from PIL import Image, ImageDraw
 
-        robots, requests = parts(rules, state)
+        robots, requests = layout.built(state)
         image = Image.new("RGB", (rules.width * CELL + 1, rules.height * CELL + 1), GROUND)
         pen = ImageDraw.Draw(image)
 

@@ -9,13 +9,13 @@ import numpy.typing as npt
 from gymnasium.spaces import Box, Discrete
 
 from pearl_marl.errors import ArgumentError
-from pearl_marl.golden import draws_of
-from pearl_marl.spec import EnvSpec, Field, Golden, Grid
+from pearl_marl.layout import Layout
+from pearl_marl.spec import EnvSpec, Grid
 
 from .moves import MOST
 from .picture import make_draw
 from .rules import Rules
-from .step import decisions, make_initial, make_observe, make_step
+from .step import make_golden
 
 SIZES = {"tiny": (1, 3), "small": (2, 3), "medium": (2, 5), "large": (3, 5)}
 """Rows and columns of blocks of racks, by the package's names."""
@@ -58,22 +58,16 @@ def configure(
     rules = rules_of(size, robots, request_queue_size, column_height, sensor_range, reward_type)
     if max_steps is not None:
         max_steps = _integer("max_steps", max_steps, 1, MOST_STEPS)
-    observation, table = observation_fields(rules), REWARDS[reward_type]
+    golden = make_golden(rules)
     return EnvSpec(
         name="RobotWarehouse",
         version=0,
         summary="Carry requested shelves to a goal and back, in each other's way",
-        state=state_fields(rules),
-        action=Field("action", 3),
-        observation=observation,
-        reward=Field("reward", (len(table) - 1).bit_length()),
-        rewards=table,
-        observation_space=Box(-np.inf, np.inf, (len(observation),), np.float32),
+        rewards=REWARDS[reward_type],
+        observation_space=Box(-np.inf, np.inf, (len(Layout(golden.view).fields),), np.float32),
         action_space=Discrete(5),
-        golden=Golden(make_initial(rules), make_step(rules), make_observe(rules)),
+        golden=golden,
         agents=rules.robots,
-        reset_draws=draws_of(decisions(rules))[-1] + 1,
-        step_draws=len(rules.goals),
         max_cycles=max_steps,
         options={
             "size": size,
@@ -85,7 +79,7 @@ def configure(
             "max_steps": max_steps,
         },
         configure=configure,
-        draw=make_draw(rules),
+        draw=make_draw(rules, golden.state),
         follows="rware rware-tiny-2ag-v2",
         render_modes=("rgb_array",),
         grid=grid(rules),
@@ -130,35 +124,6 @@ def _integer(name: str, value: object, low: int, high: int) -> int:
     if not number or not low <= value <= high:  # type: ignore[operator]
         raise ArgumentError(f"{name} is {value!r}; it must be an integer from {low} to {high}")
     return int(value)  # type: ignore[call-overload, no-any-return]
-
-
-def state_fields(rules: Rules) -> tuple[Field, ...]:
-    """Return the state's fields."""
-    x, y = place_bits(rules)
-    fields: list[Field] = []
-    for k in range(rules.robots):
-        fields += [Field(f"robot_{k}_x", x), Field(f"robot_{k}_y", y), Field(f"robot_{k}_direction", 2)]
-        fields.append(Field(f"robot_{k}_origin", rules.cell_bits))
-        if rules.two_stage:
-            fields.append(Field(f"robot_{k}_brought", 1))
-    return (*fields, *(Field(f"request_{r}", rules.cell_bits) for r in range(rules.requests)))
-
-
-def observation_fields(rules: Rules) -> tuple[Field, ...]:
-    """Return the observation's fields: as many as its space has elements."""
-    x, y = place_bits(rules)
-    side = 2 * rules.sight + 1
-    flags = ["carries", "up", "down", "left", "right", "highway"]
-    for cell in range(side * side):
-        flags += (
-            f"cell_{cell}_{what}" for what in ("robot", "up", "down", "left", "right", "shelf", "asked")
-        )
-    return (Field("x", x), Field("y", y), *(Field(flag, 1) for flag in flags))
-
-
-def place_bits(rules: Rules) -> tuple[int, int]:
-    """Return how many bits a column and a row take."""
-    return (rules.width - 1).bit_length(), (rules.height - 1).bit_length()
 
 
 def grid(rules: Rules) -> Grid:

@@ -9,16 +9,15 @@ from gymnasium import Env
 from gymnasium.spaces import Discrete
 
 from pearl_marl.errors import ArgumentError
-from pearl_marl.spec import EnvSpec, Field, Golden, Grid, is_number
+from pearl_marl.spec import EnvSpec, Golden, Grid, is_number
 
-from .step import SIDE, make_initial, make_step, observe, step
+from .step import SIDE, State, make_initial, make_step, observe
 
 
-def pose(oracle: Env[Any, Any], state: tuple[int, ...]) -> None:
-    """Put Gymnasium's Taxi into ``(row, column, passenger, destination, fickle)``, for rendering."""
-    *seen, fickle = state
-    oracle.s = oracle.encode(*seen)  # type: ignore[attr-defined]
-    oracle.fickle_step = bool(fickle)  # type: ignore[attr-defined]
+def pose(oracle: Env[Any, Any], state: State) -> None:
+    """Put Gymnasium's Taxi into a state, for rendering."""
+    oracle.s = observe(state)  # type: ignore[attr-defined]
+    oracle.fickle_step = bool(state.fickle)  # type: ignore[attr-defined]
     # Which way the taxi faces is no part of the state: it faces south, as at Gymnasium's start.
     oracle.lastaction = None  # type: ignore[attr-defined]
     oracle.taxi_orientation = 0  # type: ignore[attr-defined]
@@ -57,28 +56,16 @@ def configure(
     slips = is_rainy and rainy_probability < 1
     thresholds = _threshold(rainy_probability), _threshold((1 + rainy_probability) / 2)
     fickle_below = _threshold(fickle_probability) if fickle_passenger and fickle_probability else 0
-    drawn = slips or fickle_below > 0
     return EnvSpec(
         name="Taxi",
         version=0,
         summary="Pick up a passenger and drive to the destination",
-        state=(
-            Field("row", 3),
-            Field("column", 3),
-            Field("passenger", 3),
-            Field("destination", 2),
-            # Whether the passenger will yet change his mind, which nobody sees.
-            Field("fickle", 1),
-        ),
-        action=Field("action", 3),
-        observation=(Field("state", 9),),
-        reward=Field("reward", 2),
         rewards=(-1.0, -10.0, 20.0),
         observation_space=Discrete(500),
         action_space=Discrete(6),
-        golden=Golden(make_initial(fickle_below), make_step(slips, *thresholds) if drawn else step, observe),
-        reset_draws=1,
-        step_draws=int(drawn),
+        golden=Golden(
+            State, make_initial(fickle_below), make_step(slips, fickle_below > 0, *thresholds), observe
+        ),
         max_cycles=200,
         options={
             "is_rainy": is_rainy,

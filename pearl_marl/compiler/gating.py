@@ -150,6 +150,8 @@ def _zero(n: Node) -> Iterator[Plan]:
             yield ("zero",)
         case "left_by" | "right_by":
             yield "zero", None
+        case "narrow" if n.low <= 0 <= n.high:
+            yield ("zero",)
         case "not":
             yield ("one",)
         case "invert":

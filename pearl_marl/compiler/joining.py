@@ -29,7 +29,7 @@ def digits_joined(graph: Graph, roots: Sequence[Node]) -> dict[Node, Node]:
             pairs[first] = pairs[second] = first, second, bits
     made: dict[Node, Node] = {}
     for node in order:
-        made[node] = graph.again(node, [made[a] for a in node.args]) if node.args else node
+        made[node] = graph.within(graph.again(node, [made[a] for a in node.args]), node.low, node.high)
         product = node.args[0] if node.op in ("right", "wrap") else None
         if product is None or product not in pairs:
             continue
@@ -56,7 +56,7 @@ def rounding_joined(graph: Graph, roots: Sequence[Node]) -> dict[Node, Node]:
     made: dict[Node, Node] = {}
     for node in in_order(roots):
         args = [made[a] for a in node.args]
-        made[node] = graph.again(node, args) if args else node
+        made[node] = graph.within(graph.again(node, args), node.low, node.high)
         if node.op == "mul" or (node.op in ("add", "sub", "right") and not products.isdisjoint(args)):
             products.add(made[node])
         for i, (x, y) in enumerate((args, args[::-1]) if node.op == "add" else ()):

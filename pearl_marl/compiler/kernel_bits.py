@@ -39,7 +39,7 @@ def kernel_bits(order: Sequence[Node], outputs: Iterable[tuple[Node, int]]) -> d
                 a, b = node.args
                 for x, y in ((a, b), (b, a)):
                     ask([x], bits & (y.imm if y.is_constant() else EVERY))
-            case "or" | "xor" | "invert":
+            case "or" | "xor" | "invert" | "narrow":
                 ask(node.args, bits)
             case "choose":
                 ask(node.args[:1], 1)

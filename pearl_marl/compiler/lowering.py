@@ -2,7 +2,8 @@
 
 The result is a graph of the same integers, modulo the bits that somebody uses. ``add``, ``sub``, ``mul``
 and ``divide`` have become ``sum``, of shifted and signed words and a constant, ``join``, of words side by
-side, and ``mul`` of words that one multiplier takes.
+side, and ``mul`` of words that one multiplier takes; ``narrow`` is a ``wrap`` at most, so that every node is
+within its range again, and a division by a word (:mod:`~pearl_marl.compiler.dividing`) a subtraction a bit.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from itertools import pairwise
 from typing import NamedTuple
 
 from pearl_marl.compiler.core_graph import Output
+from pearl_marl.compiler.dividing import divided
 from pearl_marl.compiler.joining import MOST_DIGITS, digits_joined, rounding_joined
 from pearl_marl.compiler.targets import Target
 from pearl_marl.compiler.widths import used_bits, width
@@ -70,6 +72,8 @@ class Lowering:
         self.used = used_bits(order, list(zip(roots, bits, strict=True)))
         self.uses = Counter([*(arg for node in order for arg in node.args), *roots])
         self.made: dict[Node, Node] = {}
+        self.divided: dict[tuple[Node, ...], tuple[Node, Node]] = {}
+        """Quotients and remainders of words by words."""
         for node in order:
             made = self._lower(node)
             if made.name is None and not made.is_constant():
@@ -90,6 +94,12 @@ class Lowering:
                 bits = width(node, self.used)
                 constant = self._flatten(node, 1, 0, terms, bits, whole=True)
                 return self._total(terms, constant, bits)
+            case "narrow":
+                return args[0]  # its own bits are cut out of it like those of any other
+            case "table" if node.args[0].loose:
+                return graph.table(node.imm, args[0])  # as long as its index is wide
+            case "divide_by" | "modulo_by":
+                return self._divided(*args)[node.op == "modulo_by"]
             case "divide" | "modulo" if args[0].low >= 0 and args[0].high < MOST_DIGITS:
                 entries = [VALUES[node.op](node.imm, i) for i in range(args[0].high + 1)]
                 return graph.table(entries, args[0])
@@ -122,6 +132,15 @@ class Lowering:
     def _is_short(self, table: Node, by: Node, shifted: Node) -> bool:
         """Return whether a bit of a table's entries, a row each, is a table of few entries itself."""
         return width(shifted, self.used) == 1 and len(table.imm) << by.bits <= MOST_DIGITS
+
+    def _divided(self, a: Node, by: Node) -> tuple[Node, Node]:
+        """Return ``a // by`` and ``a % by``, of one divider for both."""
+        if (a, by) not in self.divided:
+            self.divided[a, by] = divided(self.graph, a, by, self._sum_of)
+        return self.divided[a, by]
+
+    def _sum_of(self, words: Sequence[tuple[int, Node]], constant: int, bits: int) -> Node:
+        return self._total([Term(sign, 0, node) for sign, node in words], constant, bits)
 
     def _quotient(self, a: Node, by: int) -> Node:
         """Return ``a // by`` as an exact multiplication."""

@@ -104,7 +104,8 @@ def _with_merged_sums(graph: Graph, results: Sequence[Node]) -> list[Node]:
     users = Counter(arg for node in order for arg in node.args)
     new: dict[Node, Node] = {}
     for node in order:
-        new[node] = again = graph.again(node, [new[arg] for arg in node.args])
+        again = graph.within(graph.again(node, [new[arg] for arg in node.args]), node.low, node.high)
+        new[node] = again
         if node.op == again.op == "add" and again.args[1].is_constant() and users[node.args[0]] == 1:
             shifted, constant = again.args
             if shifted.op == "right":
@@ -150,6 +151,26 @@ def _is_bit(node: Node) -> bool:
     return byte.low >= 0 and byte.bits <= 8 and by.low >= 0 and by.high < 8
 
 
+def _may_be_no_flag(node: Node) -> bool:
+    """Return whether a flag can be another number where nobody looks: then ``1 | flag`` is no flag either."""
+    if not node.loose or not node.is_flag:
+        return False
+    match node.op:
+        case "equal" | "less" | "not":
+            return False
+        case "wrap":
+            return bool(node.imm != (1, False))
+        case "table":
+            return not {0, 1}.issuperset(node.imm)
+        case "and":
+            return not any(arg.is_flag for arg in node.args)
+        case "or" | "xor":
+            return not all(arg.is_flag for arg in node.args)
+        case "choose":
+            return not all(arg.is_flag for arg in node.args[1:])
+    return True
+
+
 class _Writer:
     """Writes the lines that results are made by, given the types of the words that they are made of."""
 
@@ -176,6 +197,8 @@ class _Writer:
         self._used = kernel_bits(order, [(node, node.bits) for node, _ in results])
         for node in self._typed(order, results):
             text = self._expression(node, self.types[node])
+            if _may_be_no_flag(node):
+                text = f"{self.types[node]}_and({text}, 1)"
             self.names[node] = self._assign(node.name or f"_{node.op}", text)
 
     def operand(self, node: Node, type_: str) -> str:
@@ -244,6 +267,8 @@ class _Writer:
             type_ = _type(args[0].low, args[0].high, min(args[1].high, WIDEST - 1) + 1)
         elif node.op == "right":
             type_ = _type(args[0].low, args[0].high) if args[0].bits <= WIDEST else "int64"
+        elif node.op in ("divide_by", "modulo_by"):
+            type_ = self._holding(node, *args)
         elif node.op in ("divide", "modulo"):
             type_ = _type(min(args[0].low, 0), max(args[0].high, node.imm))
         elif node.op == "table":
@@ -274,12 +299,12 @@ class _Writer:
             case "left":
                 return f"{type_}_left({text}, {node.imm})"
             case "left_by":
-                return f"{type_}_left({text})"
+                return f"{type_}_left({texts[0]}, {self._shift(node, type_, texts[1])})"
             case "right":
                 return f"np.{type_}({own}_right({text}, {min(node.imm, _size(own) - 1)}))"
             case "right_by":
                 if node.args[1].high < WIDEST:
-                    return f"np.{type_}({own}_right({text}))"
+                    return f"np.{type_}({own}_right({texts[0]}, {self._shift(node, own, texts[1])}))"
                 # A shift is by less than the width, so one by more takes two.
                 most = f"{own}_right({texts[0]}, uint64_minimum({texts[1]}, {WIDEST - 1}))"
                 return f"np.{type_}({own}_right({most}, uint64_less({WIDEST - 1}, {texts[1]})))"
@@ -293,6 +318,11 @@ class _Writer:
             case "divide" | "modulo":
                 sign = "//" if node.op == "divide" else "%"
                 return f"np.{type_}(np.{own}({text}) {sign} np.{own}({node.imm}))"
+            case "divide_by" | "modulo_by":
+                sign = "//" if node.op == "divide_by" else "%"
+                return (
+                    f"np.{type_}(np.{own}({texts[0]}) {sign} np.{own}({self._divisor(node, own, texts[1])}))"
+                )
             case "choose" if _is_extreme(node):
                 which = "minimum" if node.args[1] is node.args[0].args[0] else "maximum"
                 return f"np.{type_}({own}_{which}({text}))"
@@ -302,6 +332,8 @@ class _Writer:
                 return self._bit(node)
             case "wrap":
                 return self._wrapped(node, type_, text)
+            case "narrow":
+                return f"np.{type_}({text})"
         return f"{own}_{node.op}({text})"
 
     def _wrapped(self, node: Node, type_: str, text: str) -> str:
@@ -312,6 +344,18 @@ class _Writer:
         if not signed:
             return f"{type_}_and({text}, {(1 << bits) - 1})"
         return f"{type_}_right({type_}_left({text}, {size - bits}), {size - bits})"
+
+    def _shift(self, node: Node, own: str, by: str) -> str:
+        """Return what a word is shifted by, less than the width: all else is undefined."""
+        return f"{own}_and({by}, {_size(own) - 1})" if node.args[1].loose else by
+
+    def _divisor(self, node: Node, own: str, by: str) -> str:
+        """Return what a word is divided by, 1 or more: by 0 or -1 a processor may stop."""
+        divisor = node.args[1]
+        if not divisor.loose:
+            return by
+        by = self._assign("_divisor", f"{own}_and({by}, {(1 << divisor.bits) - 1})")
+        return f"{own}_or({by}, {own}_equal({by}, 0))"
 
     def _bit(self, node: Node) -> str:
         """Return a bit of a byte: a shift by a number that is not known takes more than a mask."""
@@ -342,6 +386,9 @@ class _Writer:
         if packing is None:
             table = self._fresh(f"{self._name.upper()}_TABLE")
             entries = [_number(entry, type_) for entry in node.imm]
+            if node.args[0].loose:  # nothing beyond the table is read, whatever the index is
+                entries += entries[-1:] * (-len(entries) % (1 << (len(entries) - 1).bit_length()))
+                index = f"{own}_and({index}, {len(entries) - 1})"
             self.tables.append(f"{table} = np.array({entries}, np.{type_})")
             return f"{table}[{index}]"
         size, width = packing
@@ -357,7 +404,7 @@ class _Writer:
                 if other != common:
                     chosen = f"{packed}_choose({own}_equal({which}, {k}), {other}, {number})"
                     number = self._assign("_entries", chosen)
-        if len(node.imm) > each:
+        if len(node.imm) > each or node.args[0].loose:
             index = f"{own}_and({index}, {each - 1})"
         entry = f"{packed}_right({number}, {packed}_left({index}, {width.bit_length() - 1}))"
         entry = f"{packed}_and({entry}, {(1 << width) - 1})"

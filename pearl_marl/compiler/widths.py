@@ -60,6 +60,8 @@ def used_bits(order: Sequence[Node], outputs: Iterable[tuple[Node, int]]) -> dic
             case "join":
                 ask_signed(node.args[0], bits >> node.imm)
                 ask(node.args[1], bits & ((1 << node.imm) - 1))
+            case "narrow":  # cut to its own bits, of which the highest is its sign if it has one
+                ask_signed(node.args[0], bits)
             case "mask" | "not":
                 ask(node.args[0], 1)
             case "left_by":

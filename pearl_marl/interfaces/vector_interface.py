@@ -118,6 +118,10 @@ class VectorInterface(VectorEnv[Any, Any, Any], Batch):
             raise ArgumentError("mask is None; reset_batch() begins an episode in every slot")
         return self.reset_batch(mask=mask)
 
+    @abstractmethod
+    def start_from(self, state: object) -> None:
+        """Let the next reset set fields of states: ``options["state"]`` of :meth:`reset`."""
+
     @uninterrupted
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -141,7 +145,7 @@ class VectorInterface(VectorEnv[Any, Any, Any], Batch):
         if mask is not None and not (mask := checked_mask(mask, self.num_envs)).any():
             raise ArgumentError("reset_mask resets nothing: at least one element must be True")
         if options.get("state") is not None:
-            self.unwrapped.start_from(options["state"])
+            self.start_from(options["state"])
         obs = on_host(self.reset_batch(seed, mask))
         if self._mode is AutoresetMode.DISABLED:
             obs = self._seen.copy()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 from pearl_marl.tracing.nodes import Node, Nodes
 from pearl_marl.tracing.operations import word_range, wrapped
@@ -17,6 +18,8 @@ class Graph(Nodes):
     def __init__(self, exact: bool = True, early: bool = True) -> None:
         super().__init__(exact)
         self.early = early
+        self.floats: Any = None
+        """What words do that meet floats: see :func:`pearl_marl.reals.admitted`. ``None`` where none do."""
 
     def flag_of_mask(self, a: Node) -> Node | None:
         """Return the flag that ``a`` is 0 or -1 by, if it is."""
@@ -112,8 +115,12 @@ class Graph(Nodes):
         return self._ordered("mul", a, b)
 
     def floor_divide(self, a: Node, b: Node) -> Node:
-        """Return ``a // b``; ``b`` is a constant from 1."""
-        value = b.imm
+        """Return ``a // b``; ``b`` is 1 or more where anybody looks at the quotient."""
+        if not b.is_constant():
+            if a.is_constant(0) or (a.low >= 0 and a.high < b.low):
+                return self.constant(0)
+            return self.make("divide_by", a, b)
+        value = max(1, b.imm)
         if a.is_constant():
             return self.constant(a.imm // value)
         if value & (value - 1) == 0:
@@ -121,8 +128,10 @@ class Graph(Nodes):
         return self.make("divide", a, imm=value)
 
     def modulo(self, a: Node, b: Node) -> Node:
-        """Return ``a % b``; ``b`` is a constant from 1."""
-        value = b.imm
+        """Return ``a % b``; ``b`` is 1 or more where anybody looks at the remainder."""
+        if not b.is_constant():
+            return a if a.low >= 0 and a.high < b.low else self.make("modulo_by", a, b)
+        value = max(1, b.imm)
         if value & (value - 1) == 0:
             return self.wrap(a, value.bit_length() - 1, False) if value > 1 else self.constant(0)
         if a.low >= 0 and a.high < value:
@@ -317,6 +326,9 @@ class Graph(Nodes):
             return a
         if flag.op == "not":
             return self.choose(flag.args[0], b, a)
+        x, y = self._arm(a, flag, True), self._arm(b, flag, False)
+        if x is not a or y is not b:
+            return self.choose(flag, x, y)
         if a.is_flag and b.is_flag:
             if b.is_constant(0):
                 return self.and_(flag, a)
@@ -326,15 +338,25 @@ class Graph(Nodes):
                 return self.or_(flag, b)
             if b.is_constant(1):
                 return self.or_(self.logical_not(flag), a)
-        if a.op == "choose" and a.args[0] is flag:
-            return self.choose(flag, a.args[1], b)
-        if b.op == "choose" and b.args[0] is flag:
-            return self.choose(flag, a, b.args[2])
         return self.make("choose", flag, a, b)
 
-    def narrow(self, a: Node, low: int, high: int) -> Node:
-        """Return a node that is known to be within a range wherever its result is chosen."""
-        return self.constant(low) if low == high else a
+    def _arm(self, arm: Node, flag: Node, holds: bool) -> Node:
+        """Return what a node is where a flag is known to hold, or not to."""
+        if arm is flag:
+            return self.constant(int(holds))
+        if arm.op == "not" and arm.args[0] is flag:
+            return self.constant(int(not holds))
+        if arm.op == "choose":
+            inner, a, b = arm.args
+            if inner is flag:
+                return a if holds else b
+            if inner.op in ("and", "or") and flag in inner.args:
+                if holds == (inner.op == "or"):
+                    return a if holds else b
+                other = inner.args[inner.args[0] is flag]
+                if other.is_flag:  # it may be a word of which the flag takes one bit
+                    return self.choose(other, a, b)
+        return arm
 
     def minimum(self, a: Node, b: Node) -> Node:
         """Return the less of two."""
@@ -349,6 +371,15 @@ class Graph(Nodes):
             return b if a.high <= b.low else a
         node = self.choose(self.less(a, b), b, a)
         return self.within(node, max(a.low, b.low), max(a.high, b.high))
+
+    def narrow(self, a: Node, low: int, high: int) -> Node:
+        """Return ``a`` as what it is known to be where anybody looks at what is made of the result."""
+        ends = max(low, a.low), min(high, a.high)
+        if ends == (a.low, a.high):
+            return a
+        if ends[0] >= ends[1]:  # nobody looks at it if it is out of the range
+            return self.constant(min(max(a.low, low), high))
+        return self.make("narrow", a.args[0] if a.op == "narrow" else a, imm=ends)
 
     def table(self, entries: Sequence[int], index: Node) -> Node:
         """Return the entry of a constant table; beyond its end is nothing that anybody looks at."""
@@ -374,8 +405,11 @@ class Graph(Nodes):
                 result: Node = getattr(self, node.op)(*args, node.imm)
             case "left_by" | "right_by":  # what is held may have become anything
                 result = getattr(self, node.op)(args[0], self.wrap(args[1], node.args[1].bits, False))
-            case "wrap":
-                result = self.wrap(args[0], *node.imm)
+            case "divide_by" | "modulo_by":
+                divided = self.floor_divide if node.op == "divide_by" else self.modulo
+                result = divided(args[0], self.wrap(args[1], node.args[1].bits, False))
+            case "wrap" | "narrow":
+                result = getattr(self, node.op)(args[0], *node.imm)
             case "divide":
                 result = self.floor_divide(args[0], self.constant(node.imm))
             case "modulo":
@@ -384,6 +418,8 @@ class Graph(Nodes):
                 result = self.table(node.imm, args[0])
             case op:
                 result = getattr(self, _METHODS.get(op, op))(*args)
+        if not node.loose:
+            self.settle(result)
         if result.name is None and result.op != "constant":
             result.name, result.line = node.name, node.line
         return result

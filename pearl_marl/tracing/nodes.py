@@ -3,6 +3,9 @@
 A node's range is exact where it depends on few bits: such a node has its *function*, an array of its values
 over the words it depends on, and two nodes of one function are one node. Elsewhere its range is an interval,
 and the bits that can be set are known.
+
+What is known of a *loose* node holds only where somebody looks at it: it is made of a word that is narrowed
+down to what a branch has found it to be, and where the branch is not taken the node can be anything.
 """
 
 from __future__ import annotations
@@ -50,6 +53,8 @@ class Node:
     name: str | None = None
     line: int | None = None
     """Where in the author's file it was made."""
+    loose: bool = False
+    """Whether it is a ``narrow``, or made of one: its value can be beyond its range, where nobody looks."""
 
     def __repr__(self) -> str:
         name = self.name or (self.imm if self.op == "input" else self.op)
@@ -105,15 +110,21 @@ class Nodes:
         if key not in self._nodes:
             least, most = word_range(bits, signed)
             low, high = least if low is None else low, most if high is None else high
-            node = self._nodes[key] = self._new("input", (), name, (low, high), high)
+            ones = (1 << max(high, 0).bit_length()) - 1
+            node = self._nodes[key] = self._new("input", (), name, (low, high), ones)
             self.free(node)
         return self._nodes[key]
 
     def free(self, node: Node) -> None:
         """Forget how a node of few values came about: what is made of it has it as a free word."""
+        self.settle(node)
         self._make_axis(node)
         if node.axis is not None:
             node.function = Function((node.axis,), self._domains[node.axis])
+
+    def settle(self, node: Node) -> None:
+        """Note that a node is right everywhere, as a choice outside of all branches is, of whatever it is."""
+        node.loose = False
 
     def within(self, node: Node, low: int, high: int) -> Node:
         """Note that a node's values are within a range, which what it is made of does not tell."""
@@ -144,10 +155,10 @@ class Nodes:
             node = self._new(
                 op, args, imm, (low, high), ones & ((1 << max(high, 0).bit_length()) - 1), function
             )
-            if function is not None:
-                self._same[same] = node
-            else:
+            if function is None:
                 self._make_axis(node)
+            elif not node.loose:  # of one function with another, it could still be wrong where that is right
+                self._same[same] = node
         self._nodes[key] = node
         return node
 
@@ -160,7 +171,10 @@ class Nodes:
         ones: int,
         function: Any = None,
     ) -> Node:
-        return Node(op, args, imm, *range_, ones, next(self._numbers), function, line=self.line())
+        loose = op == "narrow" or any(a.loose for a in args)
+        return Node(
+            op, args, imm, *range_, ones, next(self._numbers), function, None, None, self.line(), loose
+        )
 
     def _make_axis(self, node: Node) -> None:
         if self.exact and node.axis is None and node.high - node.low < MOST_VALUES and node.op != "constant":
@@ -174,7 +188,7 @@ class Nodes:
     def _function(self, op: str, imm: Any, args: Sequence[Node], low: int, high: int) -> Function | None:
         """Return the function of an operation on nodes that have one, if it has few enough values."""
         functions = [a.function for a in args if a.function is not None]
-        if not self.exact or len(functions) < len(args):
+        if not self.exact or len(functions) < len(args) or op == "narrow":
             return None
         if max(-low, high, *(max(-a.low, a.high) for a in args)) >= SAFE:
             return None

@@ -2,7 +2,11 @@
 
 A node is a mathematical integer, which never overflows; ``wrap`` is where a word does. ``imm`` is what an
 operation has besides its arguments: a constant's value, a shift, ``(bits, signed)`` of a wrap, the entries of
-a table.
+a table, the range of a ``narrow``.
+
+Two operations have a meaning where nobody looks at it, so that a graph can be run as a whole: a divisor below
+1 counts as 1, and what is beyond the range of a ``narrow`` is its nearest end. Whoever compiles a graph may
+make anything of it.
 """
 
 from __future__ import annotations
@@ -80,6 +84,18 @@ def _right(_: Any, a: Node, by: Node) -> Range:
     return min(a.low >> by.low, a.low >> by.high), max(a.high >> by.low, a.high >> by.high)
 
 
+def _quotient(_: Any, a: Node, by: Node) -> Range:
+    if a is by:
+        return min(1, a.low), 1
+    ends = [x // max(1, y) for x in (a.low, a.high) for y in (by.low, by.high)]
+    return min(ends), max(ends)
+
+
+def _remainder(_: Any, a: Node, by: Node) -> Range:
+    most = max(1, by.high) - 1
+    return 0, min(most, a.high) if a.low >= 0 else most
+
+
 def _choose(_: Any, flag: Node, a: Node, b: Node) -> Range:
     """Return the range of a choice; if the flag compares what it chooses, that narrows it down."""
     if flag.op == "less":
@@ -101,6 +117,8 @@ RANGES: dict[str, Callable[..., Range]] = {
     "mul": _product,
     "divide": lambda by, a: (a.low // by, a.high // by),
     "modulo": lambda by, a: (0, by - 1),
+    "divide_by": _quotient,
+    "modulo_by": _remainder,
     "and": _logic("and"),
     "or": _logic("or"),
     "xor": _logic("xor"),
@@ -116,6 +134,7 @@ RANGES: dict[str, Callable[..., Range]] = {
     "choose": _choose,
     "table": lambda entries, i: (min(entries), max(entries)),
     "wrap": lambda imm, a: word_range(*imm),
+    "narrow": lambda imm, a: imm,
     # What lowering makes of the above.
     "sum": _sum,
     "join": lambda bits, a, b: (a.low << bits, (a.high << bits) + (1 << bits) - 1),
@@ -128,6 +147,10 @@ def _wrap(imm: Any, a: Any) -> Any:
     bits, signed = imm
     low, _ = word_range(bits, signed)
     return ((a - low) & ((1 << bits) - 1)) + low
+
+
+def _divisor(by: Any) -> Any:
+    return np.maximum(by, 1) if isinstance(by, np.ndarray) else max(by, 1)
 
 
 def _entry(entries: Sequence[int], index: Any) -> Any:
@@ -143,6 +166,8 @@ VALUES: dict[str, Callable[..., Any]] = {
     "mul": lambda _, a, b: a * b,
     "divide": lambda by, a: a // by,
     "modulo": lambda by, a: a % by,
+    "divide_by": lambda _, a, by: a // _divisor(by),
+    "modulo_by": lambda _, a, by: a % _divisor(by),
     "and": lambda _, a, b: a & b,
     "or": lambda _, a, b: a | b,
     "xor": lambda _, a, b: a ^ b,
@@ -158,6 +183,7 @@ VALUES: dict[str, Callable[..., Any]] = {
     "choose": lambda _, c, a, b: np.where(c == 1, a, b) if isinstance(c, np.ndarray) else (a if c else b),
     "table": _entry,
     "wrap": _wrap,
+    "narrow": lambda imm, a: min(max(a, imm[0]), imm[1]),
     "sum": lambda imm, *args: sum(
         (s * (x << k) for (s, k), x in zip(imm[1], args, strict=True)), start=imm[0]
     ),

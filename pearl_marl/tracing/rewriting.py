@@ -6,7 +6,7 @@ rounds leave, and ``return``, ``break`` and ``continue`` note under which condit
 statement stands there once, so what is traced grows with the length of the function, not with its number of
 paths.
 
-Lines stay the author's. :mod:`pearl_marl.tracing.branches` is what the calls do.
+Lines stay the author's. :mod:`pearl_marl.tracing.runtime` is what the calls do.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from pearl_marl.errors import ArgumentError
 from pearl_marl.places import place_of
 
 RUNTIME = "__pearl__"
-"""The name by which rewritten functions know :class:`pearl_marl.tracing.branches.Runtime`."""
+"""The name by which rewritten functions know :class:`pearl_marl.tracing.runtime.Runtime`."""
 _FRAME = "_pearl_frame"
 
 _Node = TypeVar("_Node", bound=ast.AST)
@@ -142,11 +142,11 @@ def _stored(nodes: Sequence[ast.AST]) -> list[str]:
 
 
 def _inside(nodes: Sequence[ast.AST]) -> Iterator[ast.AST]:
-    """Yield the nodes of statements, without those of functions inside them."""
+    """Yield statements and those inside them, without those of functions."""
     for node in nodes:
         yield node
-        if not isinstance(node, (ast.FunctionDef, ast.Lambda, ast.ClassDef)):
-            yield from _inside(list(ast.iter_child_nodes(node)))
+        if not isinstance(node, (ast.FunctionDef, ast.ClassDef)):
+            yield from _inside([*getattr(node, "body", ()), *getattr(node, "orelse", ())])
 
 
 def _leaves(nodes: Sequence[ast.AST]) -> bool:

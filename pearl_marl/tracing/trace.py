@@ -16,11 +16,13 @@ from typing import Any
 from pearl_marl.errors import ArgumentError
 from pearl_marl.places import author_of, place_of
 from pearl_marl.remaking import Vocabulary, remade
-from pearl_marl.tracing.branches import Runtime
 from pearl_marl.tracing.graph import Graph
 from pearl_marl.tracing.nodes import Node
 from pearl_marl.tracing.rewriting import RUNTIME, Refusal, rewritten
-from pearl_marl.tracing.words import Cast, Word, node_of, table
+from pearl_marl.tracing.runtime import Runtime
+from pearl_marl.tracing.words import Beyond, Cast, Word, node_of, table
+
+_INSIDE = "pearl_marl.tracing.", "pearl_marl.reals.", "pearl_marl.remaking", "numpy"
 
 
 def trace(graph: Graph, function: Callable[..., Any], arguments: Sequence[Node], *agent: int) -> list[Node]:
@@ -57,16 +59,21 @@ def trace(graph: Graph, function: Callable[..., Any], arguments: Sequence[Node],
             kind = "" if isinstance(error, ArgumentError) else f"{type(error).__name__}: "
             raise ArgumentError(f"{_place_of(error, function)}: {kind}{error}") from error
     try:
-        return [node_of(graph, value) for value in (result if isinstance(result, (tuple, list)) else (result,))]
+        return [
+            node_of(graph, value) for value in (result if isinstance(result, (tuple, list)) else (result,))
+        ]
     except ArgumentError as error:
         raise ArgumentError(f"{place(function)}: {function.__name__}() returns {error}") from None
 
 
 def _traced(graph: Graph, function: types.FunctionType) -> Callable[..., Any]:
     """Return a function made again over words, with calls in the place of decisions."""
-    runtime = Runtime(graph)
+    if hasattr(function, "admits"):  # floats, as those of an environment with reals do
+        function.admits(graph)
+    runtime, functions = Runtime(graph), graph.floats.functions if graph.floats else {}
     names = {**runtime.builtins(), RUNTIME: runtime}
-    made: Callable[..., Any] = remade(function, Vocabulary(Cast, table).meaning, code=_code, names=names)
+    meaning = Vocabulary(Cast, table, functions).meaning
+    made: Callable[..., Any] = remade(function, meaning, code=_code, names=names)
     return made
 
 
@@ -114,8 +121,9 @@ def _watched(graph: Graph, own: str) -> Iterator[None]:
         if event in ("line", "return"):
             authors = frame.f_code.co_filename == own
             for name, value in frame.f_locals.items():
-                if isinstance(value, Word) and not name.startswith("_"):
-                    node = value.node
+                word = getattr(value, "word", None) if isinstance(value, Beyond) else value
+                if isinstance(word, Word) and not name.startswith("_"):
+                    node = word.node
                     if node.op not in ("constant", "input") and (
                         node not in named or (authors and not named[node])
                     ):
@@ -123,9 +131,9 @@ def _watched(graph: Graph, own: str) -> Iterator[None]:
         return watch
 
     def enter(frame: types.FrameType, event: str, _: Any) -> Any:
-        # The names inside of words and of NumPy's functions are nobody's.
+        # The names inside of words, of reals and of NumPy's functions are nobody's.
         module = frame.f_globals.get("__name__", "")
-        return None if module.startswith(("pearl_marl.tracing.", "pearl_marl.remaking", "numpy")) else watch
+        return None if module.startswith(_INSIDE) else watch
 
     def line() -> int | None:
         frame = inspect.currentframe()

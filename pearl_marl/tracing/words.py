@@ -50,6 +50,12 @@ def _shift(operation: str) -> tuple[Callable[[Any, Any], Any], Callable[[Any, An
     return checked, lambda self, value: checked(word_of(self.graph, value), self)
 
 
+class Beyond:
+    """A number that words leave arithmetic with them to: it has the methods for a word on its left."""
+
+    __slots__ = ()
+
+
 class Word:
     """A word whose value is not known yet: what a golden function is called with to be traced."""
 
@@ -129,21 +135,18 @@ class Word:
         return Word(self.graph, node)
 
     def __floordiv__(self, other: object) -> Word:
-        return Word(self.graph, self.graph.floor_divide(node_of(self.graph, self), self._divisor(other)))
+        return Word(
+            self.graph, self.graph.floor_divide(node_of(self.graph, self), _divisor(self.graph, other))
+        )
 
     def __mod__(self, other: object) -> Word:
-        return Word(self.graph, self.graph.modulo(node_of(self.graph, self), self._divisor(other)))
+        return Word(self.graph, self.graph.modulo(node_of(self.graph, self), _divisor(self.graph, other)))
 
-    def _divisor(self, other: object) -> Node:
-        node = node_of(self.graph, other)
-        if not node.is_constant() or node.imm < 1:
-            raise ArgumentError("`//` and `%` take a constant divisor from 1")
-        return node
+    def __rfloordiv__(self, other: object) -> Word:
+        return word_of(self.graph, other) // self
 
-    def __rfloordiv__(self, other: object) -> NoReturn:
-        raise ArgumentError("`//` and `%` take a constant divisor from 1")
-
-    __rmod__ = __rfloordiv__
+    def __rmod__(self, other: object) -> Word:
+        return word_of(self.graph, other) % self
 
     def __neg__(self) -> Word:
         return Word(self.graph, self.graph.sub(self.graph.constant(0), node_of(self.graph, self)))
@@ -157,13 +160,22 @@ class Word:
     def __invert__(self) -> Word:
         return Word(self.graph, self.graph.invert(node_of(self.graph, self)))
 
-    def __array_ufunc__(self, ufunc: Any, method: str, *inputs: Any, **keywords: Any) -> Word:
+    def __array_ufunc__(self, ufunc: Any, method: str, *inputs: Any, **keywords: Any) -> Any:
+        if any(isinstance(x, Beyond) for x in inputs):
+            return NotImplemented
+        floats = self.graph.floats
+        if floats is not None and any(isinstance(x, float) for x in inputs):
+            return getattr(ufunc, method)(
+                *(floats(x) if isinstance(x, Word) else x for x in inputs), **keywords
+            )
         made = _UFUNCS.get(ufunc.__name__)
         if made is None or method != "__call__" or keywords:
             _no(ufunc.__name__)
         return word_of(self.graph, made(*(word_of(self.graph, x) for x in inputs)))
 
-    def __array_function__(self, function: Any, types_: Any, args: Any, keywords: Any) -> Word:
+    def __array_function__(self, function: Any, types_: Any, args: Any, keywords: Any) -> Any:
+        if any(isinstance(x, Beyond) for x in args):
+            return NotImplemented
         if function is np.where and len(args) == 3:
             flag, a, b = (node_of(self.graph, x) for x in args)
             return Word(self.graph, self.graph.choose(flag_of(self.graph, flag), a, b))
@@ -173,6 +185,27 @@ class Word:
         _no(function.__name__)
 
 
+def _leaving(name: str) -> Callable[[Any, Any], Any]:
+    """Return a method of words that leaves numbers beyond them, and floats where there are any, to others."""
+    own = getattr(Word, name)
+
+    def method(self: Word, other: object) -> Any:
+        if isinstance(other, Beyond):
+            return NotImplemented
+        floats = self.graph.floats
+        if floats is not None and (isinstance(other, float) or name in ("__truediv__", "__rtruediv__")):
+            return getattr(floats(self), name)(other)
+        return own(self, other)
+
+    return method
+
+
+for _name in ("add", "sub", "mul", "truediv", "mod"):
+    for _method in (f"__{_name}__", f"__r{_name}__"):
+        setattr(Word, _method, _leaving(_method))
+for _name in ("eq", "ne", "lt", "le", "gt", "ge", "pow"):
+    setattr(Word, f"__{_name}__", _leaving(f"__{_name}__"))
+
 _UFUNCS: dict[str, Any] = {
     "minimum": _binary("minimum"),
     "maximum": _binary("maximum"),
@@ -181,6 +214,8 @@ _UFUNCS: dict[str, Any] = {
     "add": operator.add,
     "subtract": operator.sub,
     "multiply": operator.mul,
+    "floor_divide": operator.floordiv,
+    "remainder": operator.mod,
     "left_shift": operator.lshift,
     "right_shift": operator.rshift,
     "equal": operator.eq,
@@ -190,6 +225,16 @@ _UFUNCS: dict[str, Any] = {
     "greater": operator.gt,
     "greater_equal": operator.ge,
 }
+
+
+def _divisor(graph: Graph, value: object) -> Node:
+    node = node_of(graph, value)
+    if node.low < 1:
+        found = f"{node.low}" if node.low == node.high else f"{node.low} to {node.high}"
+        raise ArgumentError(
+            f"a divisor can be {found}, and `//` and `%` take one from 1; `max(n, 1)` keeps it in"
+        )
+    return node
 
 
 def _no(name: str) -> NoReturn:
@@ -285,5 +330,8 @@ def chosen_entry(graph: Graph, entries: Sequence[Any], index: Node) -> Any:
 
 
 def table(values: Iterable[Any]) -> Table:
-    """Return a table of numbers, or of tables."""
-    return Table(table(v) if isinstance(v, (list, tuple)) else v for v in values)
+    """Return a table of numbers, or of tables; entries that are objects of a class stay such."""
+    return Table(
+        type(v)(*table(v)) if hasattr(v, "_fields") else table(v) if isinstance(v, (list, tuple)) else v
+        for v in values
+    )

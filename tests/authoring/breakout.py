@@ -106,7 +106,7 @@ def step(state: State, action: Word, draws: Draws) -> tuple[State, Word, Word]:
 
 
 def step_without_branches(state: State, action: Word, draws: Draws) -> tuple[State, Word, Word]:
-    """Do the same by arithmetic on flags, as the compiler's input had to be written before it took branches."""
+    """Do the same by arithmetic on flags, as it had to be written before there were branches."""
     left, right = action == LEFT, action == RIGHT
     pos = state.pos - (left & (state.pos > 0)) + (right & (state.pos < 9))
     last_x, last_y, direction = state.ball_x, state.ball_y, state.ball_dir

@@ -1,7 +1,7 @@
 """Gymnasium's Taxi with its own control flow, statement by statement, and once more without any branch.
 
-Follows ``gymnasium.envs.toy_text.taxi`` (Taxi-v4), itself after Dietterich, *Hierarchical Reinforcement Learning
-with the MAXQ Value Function Decomposition*, 2000.
+Follows ``gymnasium.envs.toy_text.taxi`` (Taxi-v4), itself after Dietterich, *Hierarchical Reinforcement
+Learning with the MAXQ Value Function Decomposition*, 2000.
 """
 
 from typing import Any, NamedTuple
@@ -13,7 +13,15 @@ from pearl_marl.golden import Draws, Word
 from pearl_marl.layout import Range
 from pearl_marl.spec import Field, Golden
 
-MAP = ["+---------+", "|R: | : :G|", "| : | : : |", "| : : : : |", "| | : | : |", "|Y| : |B: |", "+---------+"]
+MAP = [
+    "+---------+",
+    "|R: | : :G|",
+    "| : | : : |",
+    "| : : : : |",
+    "| | : | : |",
+    "|Y| : |B: |",
+    "+---------+",
+]
 DESC = [[ord(letter) for letter in line] for line in MAP]
 COLON = ord(":")
 LOCS = [(0, 0), (0, 4), (4, 0), (4, 3)]
@@ -86,7 +94,7 @@ def _dropoff(
 
 
 def step_without_branches(state: State, action: Word, draws: Draws) -> tuple[State, Word, Word]:
-    """Do the same by arithmetic on flags, as the compiler's input had to be written before it took branches."""
+    """Do the same by arithmetic on flags, as it had to be written before there were branches."""
     row, col, pass_idx, dest_idx = state
     top, bottom, odd = row < 2, row > 2, col & 1
     # Walls are east of column 1 in the upper two rows, and of columns 0 and 2 in the lower two.

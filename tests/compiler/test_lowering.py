@@ -92,6 +92,37 @@ def test_long_comparisons_with_a_constant(limit: int, signed: bool) -> None:
         assert made(graph, node, 1, ECP5).imm is None
 
 
+@pytest.mark.parametrize("target", [XC7, Target("ecp5", 300)], ids=str)
+@pytest.mark.parametrize("signed", [False, True])
+@pytest.mark.parametrize("bits", [(2, 3), (7, 3), (12, 12), (5, 17), (40, 32)], ids=str)
+def test_divisions_by_words(target: Target, signed: bool, bits: tuple[int, int]) -> None:
+    graph = Graph()
+    a, b = graph.input("a", bits[0], signed), graph.input("b", bits[1])
+    for by in (graph.maximum(b, graph.constant(1)), graph.add(b, graph.constant(1 << bits[1]))):
+        quotient, rest = graph.floor_divide(a, by), graph.modulo(a, by)
+        for node in (quotient, rest):
+            made(graph, node, node.bits, target)
+        made(graph, quotient, (quotient.bits + 1) // 2, target)
+
+
+def test_quotient_and_remainder_share_a_divider() -> None:
+    graph = Graph()
+    a, by = graph.input("a", 16), graph.maximum(graph.input("b", 8), graph.constant(1))
+    quotient, rest = graph.floor_divide(a, by), graph.modulo(a, by)
+    alone = count(made(graph, quotient, 16, XC7), "sum")
+    assert count(made(graph, graph.xor(quotient, rest), 16, XC7), "sum") == alone
+
+
+def test_a_word_is_narrowed_down_by_a_cut() -> None:
+    graph = Graph()
+    a = graph.input("a", 5, signed=True)
+    known = graph.and_(graph.less(graph.constant(-12), a), graph.less(a, graph.constant(-2)))
+    inside = graph.narrow(graph.add(a, graph.constant(8)), -3, 5)
+    entry = graph.table(range(100, 1000, 100), graph.add(inside, graph.constant(3)))
+    for node in (graph.mul(inside, inside), entry):
+        made(graph, graph.choose(known, node, graph.constant(7)), 10, XC7)
+
+
 @pytest.mark.parametrize(("target", "delayed"), [(XC7, 1), (ECP5, 2)])
 def test_one_long_delay_is_better_than_two_where_there_are_shift_registers(
     target: Target, delayed: int

@@ -57,6 +57,8 @@ def check_lowering(_: Path) -> None:
         assert next(unproved_lowering(get_spec(env), TARGETS[: 1 + (env == "MountainCar")]), None) is None
     divided = wide(lambda word, by: ((word & 0xFFF) // 13, (word & 0x7FF) % 20))
     assert next(unproved_lowering(divided, TARGETS), None) is None
+    by_words = wide(lambda word, by: (((word & 0xF) - 7) // ((by & 7) | 1), (word & 0xF) % ((by & 7) | 1)))
+    assert next(unproved_lowering(by_words, TARGETS), None) is None
 
 
 def check_text(folder: Path) -> None:
@@ -94,6 +96,7 @@ FAULTS: list[tuple[Callable[[Path], None], str, str, str]] = [
     (check_lowering, "lowering", "constant(-(-(1 << fraction) // by))", "constant((1 << fraction) // by)"),
     (check_lowering, "lowering", "fraction = a.bits + by.bit_length()", "fraction = a.bits - 1"),
     (check_lowering, "lowering", '-sign if node.op == "sub" else sign', "sign"),
+    (check_lowering, "dividing", "bits = by.bits + 1", "bits = by.bits"),
     (check_lowering, "joining", "graph.constant(a * b.imm)", "graph.constant(a * b.imm + 1)"),
     (check_lowering, "joining", "graph.left(y, x.imm)", "graph.left(y, x.imm + 1)"),
     (

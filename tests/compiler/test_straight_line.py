@@ -20,7 +20,7 @@ from pearl_marl.registry import get_spec, names
 from pearl_marl.spec import EnvSpec, Field, Golden
 
 from ..rtl.random_steps import random_spec
-from ..rtl.wide_steps import FIXED, wide_spec
+from ..rtl.wide_steps import FIXED, PLAIN, wide_spec, within
 from ..sampling import sampled
 
 CASES = 25
@@ -46,9 +46,10 @@ def functions(spec: EnvSpec) -> dict[str, Any]:
 
 
 def word(chance: random.Random, field: Field) -> Any:
-    """Return a word, one of the least and greatest more often than others."""
+    """Return a word, one of the least and greatest and those near 0 more often than others."""
     low, high = int(field.low), int(field.high)
-    return field.dtype.type(chance.choice([low, high, chance.randint(low, high), chance.randint(low, high)]))
+    near = min(max(low, chance.randint(-2, 9)), high)
+    return field.dtype.type(chance.choice([low, high, near, *(chance.randint(low, high) for _ in range(2))]))
 
 
 def compiled(spec: EnvSpec) -> dict[str, Any]:
@@ -84,7 +85,7 @@ def assert_means_the_golden_functions(
     for name, golden, fields, agent in calls:
         for _ in range(CASES):
             words = [word(chance, field) for field in fields]
-            with np.errstate(over="ignore"):
+            with np.errstate(over="ignore", divide="raise"):
                 result = found[name](*words)
             results = result if isinstance(result, tuple) else (result,)
             due = call_reference(golden, words, *agent)
@@ -111,16 +112,26 @@ def test_random_golden_functions_in_llvm(seed: int) -> None:
     assert_means_the_golden_functions(random_spec(seed), random.Random(seed), compiled)
 
 
-WIDE = range(528)
+@pytest.mark.parametrize("seed", range(30))
+def test_divisions_by_words(seed: int) -> None:
+    assert_means_the_golden_functions(random_spec(seed, divided=True), random.Random(seed))
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_divisions_by_words_in_llvm(seed: int) -> None:
+    assert_means_the_golden_functions(random_spec(seed, divided=True), random.Random(seed), compiled)
+
+
+WIDE = range(720)
 """Whose cores and netlists are compared with the golden functions in ``tests/rtl/test_wide_steps.py``."""
 
 
-@pytest.mark.parametrize("number", sampled(WIDE, WIDE[: len(FIXED) + 20]))
+@pytest.mark.parametrize("number", sampled(WIDE, (*WIDE[: len(FIXED) + 20], *WIDE[PLAIN : PLAIN + 40])))
 def test_wide_words(number: int) -> None:
     assert_means_the_golden_functions(wide_spec(number), random.Random(number))
 
 
-@pytest.mark.parametrize("number", sampled(WIDE, WIDE[4:7]))
+@pytest.mark.parametrize("number", sampled(WIDE, (*WIDE[4:7], *WIDE[11:17], *WIDE[PLAIN : PLAIN + 8])))
 def test_wide_words_in_llvm(number: int) -> None:
     assert_means_the_golden_functions(wide_spec(number), random.Random(number), compiled)
 
@@ -149,6 +160,29 @@ def test_bits_beyond_a_words_range() -> None:
         return (small & 40) + ((small ^ other) >> 5), ((small + (other << 5)) & 0xE7) + chosen
 
     assert_means_the_golden_functions(wide(observe), random.Random(0))
+
+
+@pytest.mark.parametrize("made", [functions, compiled])
+def test_a_division_that_no_processor_can(made: Callable[[EnvSpec], dict[str, Any]]) -> None:
+    """Where nobody looks, of the least word by 0 or -1."""
+    number = next(k for k, (_, results) in enumerate(FIXED) if results.startswith("quotient(x, y), y"))
+    step = made(wide_spec(number))["golden_step"]
+    for x in (-(1 << 63), -1, 7):
+        for by in (-128, -1, 0, 1, 127):
+            with np.errstate(over="raise", divide="raise"):
+                quotient, *_ = step(np.int64(x), np.int8(by), np.uint8(0), np.uint32(0))
+            assert int(quotient) == (x // by if by > 0 else x)
+
+
+def test_bits_beyond_a_word_that_is_narrowed_down() -> None:
+    def observe(word: Any, by: Any) -> Any:
+        known = (by > 64) & (by < 70)
+        return np.where(known, within(by & 31, 1, 5) * 3, 40), np.where(known, within(by - 64, 1, 5), 9)
+
+    found = functions(wide(observe))["observe"]
+    for by in range(128):
+        due = (by - 64) * 3 if 64 < by < 70 else 40, by - 64 if 64 < by < 70 else 9
+        assert tuple(map(int, found(np.uint64(0), np.uint8(by)))) == due
 
 
 @pytest.mark.parametrize("by", [0, 7, 63, 64, 1 << 63, (1 << 64) - 1])

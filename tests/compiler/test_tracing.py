@@ -129,6 +129,27 @@ def test_a_helper_may_call_itself() -> None:
     assert [run(step, a) for a in range(4)] == [[0], [1], [8], [27]]
 
 
+def doubled(x: Any) -> Any:
+    return [doubled(part) for part in x] if isinstance(x, list) else 2 * x
+
+
+def test_a_helper_may_call_itself_in_a_list() -> None:
+    def step(a: Any) -> Any:
+        (b,), c = doubled([[a], a + 1])
+        return b, c
+
+    assert run(step, 3) == [6, 8]
+
+
+def test_a_word_that_ends_at_a_power_of_two_has_the_bits_below_it() -> None:
+    graph = Graph()
+    word = graph.input("x", 4, False, 0, 8)
+    results = trace(graph, lambda x: (x + 1, x & 7, x | 1), [word])
+    for x in range(9):
+        found = values(results, {"x": x})
+        assert [found[node] for node in results] == [x + 1, x & 7, x | 1]
+
+
 def test_a_remainder_is_below_its_divisor() -> None:
     def step(a: Any, b: Any) -> Any:
         return TABLE[:3][(a * 5 - b * 7) % 3]
@@ -161,7 +182,7 @@ def sine(a: Any) -> Any:
 
 
 def divided(a: Any) -> Any:
-    return 7 // a
+    return 7 // (a - 1)
 
 
 def beyond(a: Any) -> Any:
@@ -199,7 +220,7 @@ REFUSED = {
     floats: "0.5 is a float; golden functions work on integers",
     returned_float: r"returned_float\(\) returns 1.5 is a float",
     sine: "golden functions have no np.sin",
-    divided: "`//` and `%` take a constant divisor from 1",
+    divided: r"a divisor can be -1 to 2, and `//` and `%` take one from 1; `max\(n, 1\)` keeps it in",
     beyond: "an index can be 1 to 4, and the table has 4 entries",
     drawn: "golden functions cannot use random.randint; random draws come as arguments",
     unknown: "NameError: name 'heights' is not defined",

@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import io
 import json
+import linecache
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -23,7 +24,10 @@ def run(notebook: Any) -> Iterator[tuple[Any, str]]:
         if cell["cell_type"] == "code":
             printed = io.StringIO()
             with contextlib.redirect_stdout(printed):
-                exec(compile("".join(cell["source"]), f"cell {number}", "exec"), names)
+                text, name = "".join(cell["source"]), f"cell {number}"
+                # Where a kernel keeps it for tracebacks, and the tracer reads it.
+                linecache.cache[name] = len(text), None, text.splitlines(True), name
+                exec(compile(text, name, "exec", dont_inherit=True), names)
             yield cell, printed.getvalue()
 
 

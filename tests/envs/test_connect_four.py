@@ -9,7 +9,7 @@ os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")
 
 import numpy as np
 import pytest
-from pearl_marl.envs.connect_four.step import CELLS, COLUMNS, has_four, initial, masks, observe, step
+from pearl_marl.envs.connect_four.step import CELLS, COLUMNS, has_four
 from pettingzoo.classic.connect_four import connect_four
 
 import pearl_marl
@@ -17,6 +17,7 @@ from pearl_marl.golden import call_reference, reference
 from pearl_marl.rendering import renderer
 
 Array = np.ndarray[Any, Any]
+initial, step, observe, masks = pearl_marl.get_spec("ConnectFour").positional[:4]
 PLAYERS = ("player_0", "player_1")
 MASKS = 2
 """Where the masks of both stand in a record of a move."""
@@ -82,11 +83,11 @@ def unpacked(boards: tuple[Array, ...]) -> Array:
 
 def test_observations_are_unpacked() -> None:
     spec = pearl_marl.get_spec("ConnectFour")
-    assert spec.unpack is not None
+    assert spec.positional.unpack is not None
     boards = np.random.default_rng(0).integers(1 << CELLS, size=(2, 50))
     rows = np.empty((50, 84), np.int8)
     for own, other, row in zip(*boards, rows, strict=True):
-        spec.unpack(own, other, row)
+        spec.positional.unpack(own, other, row)
     np.testing.assert_array_equal(rows.reshape(-1, 6, 7, 2), unpacked(tuple(boards)))
 
 

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import functools
 import itertools
 from collections import Counter
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any, NamedTuple
 
 import gymnasium
 import networkx
@@ -15,7 +16,7 @@ from pearl_marl.envs.robot_warehouse import picture
 from pearl_marl.envs.robot_warehouse.moves import AHEAD, make_ties
 from pearl_marl.envs.robot_warehouse.rules import Rules
 from pearl_marl.envs.robot_warehouse.spec import rules_of
-from pearl_marl.envs.robot_warehouse.step import Robot, parts, whole
+from pearl_marl.envs.robot_warehouse.step import make_golden
 from pearl_marl.envs.robot_warehouse.ties import in_a_set
 from rware.warehouse import Direction, RewardType, Shelf, Warehouse
 from scipy import stats
@@ -24,6 +25,7 @@ import pearl_marl
 from pearl_marl import EnvSpec, rng
 from pearl_marl.errors import ArgumentError
 from pearl_marl.golden import call_reference, reference
+from pearl_marl.layout import Layout
 
 Array = np.ndarray[Any, Any]
 NOOP, FORWARD, TURN_LEFT, TURN_RIGHT, TOGGLE = range(5)
@@ -52,6 +54,33 @@ def spec_of(given: dict[str, Any]) -> EnvSpec:
 
 def rules_for(spec: EnvSpec) -> Rules:
     return rules_of(**{name: value for name, value in spec.options.items() if name != "max_steps"})
+
+
+class Robot(NamedTuple):
+    """What a state holds of a robot."""
+
+    x: Any
+    y: Any
+    direction: Any
+    origin: Any
+    brought: Any = 0
+
+
+@functools.cache
+def layout_of(rules: Rules) -> Layout:
+    return Layout(make_golden(rules).state)
+
+
+def parts(rules: Rules, state: Iterable[Any]) -> tuple[list[Robot], list[Any]]:
+    """Return the robots of a state, and the cells of the shelves that are asked for."""
+    robots, requests = layout_of(rules).built(state)
+    return [Robot(*robot) for robot in robots], requests
+
+
+def whole(rules: Rules, robots: Sequence[Robot], requests: Sequence[Any]) -> tuple[Any, ...]:
+    """Return the words of the state that has these parts."""
+    words = 5 if rules.two_stage else 4
+    return *(word for robot in robots for word in robot[:words]), *requests
 
 
 class Oracle:

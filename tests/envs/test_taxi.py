@@ -117,7 +117,7 @@ def test_golden_step_of_the_fickle(options: dict[str, Any]) -> None:
 
 def test_scalars_do_what_arrays_do() -> None:
     generator = np.random.default_rng(0)
-    ours, n = spec(**BOTH).golden, 2000
+    ours, n = spec(**BOTH).positional, 2000
     limits = (8, 8, 8, 4, 2, 6, 2**32)
     columns = [generator.integers(limit, size=n) for limit in limits]
     cases = [*map(u8, columns[:-1]), u32(columns[-1])]
@@ -133,7 +133,7 @@ def test_every_legal_start_has_its_share_of_the_draws() -> None:
     """The 300 starts are cut out of the draws in order, each as wide as the next, to a draw."""
     firsts = np.array([-(-i * 2**32 // 300) for i in range(300)])
     lasts = np.array([-(-(i + 1) * 2**32 // 300) - 1 for i in range(300)])
-    ours = spec().golden
+    ours = spec().positional
     seen = [
         call_reference(ours.observe, call_reference(ours.initial, [u32(draws)]))[0]
         for draws in (firsts, lasts)
@@ -151,9 +151,9 @@ def test_the_fickle_have_their_share_of_every_start() -> None:
         assert np.all(np.diff(flags.astype(int)) <= 0)
         assert abs(flags.mean() - 0.3) < 4099 * 300 / 2**32
     for options, share in ((FICKLE | {"fickle_probability": 0}, 0), (DRY, 0), (STORM, 0.9)):
-        drawn = call_reference(spec(**options).positional.initial, [np.arange(0, 2**32, 9973, dtype=np.uint32)])[
-            4
-        ]
+        drawn = call_reference(
+            spec(**options).positional.initial, [np.arange(0, 2**32, 9973, dtype=np.uint32)]
+        )[4]
         assert drawn.mean() == pytest.approx(share, abs=1e-4)
 
 

@@ -80,7 +80,7 @@ def spec_of(name: str, options: dict[str, Any]) -> Any:
     if name == "Random":
         from random_steps import random_spec
 
-        return random_spec(options["seed"])
+        return random_spec(**options)
     if name == "Wide":
         from wide_steps import wide_spec
 

@@ -49,12 +49,27 @@ PATTERNS = [
     "({} & {}) | ({} ^ {c})",
 ]
 
+DIVISIONS = [
+    "{} // max({}, 1)",
+    "{} % max({}, 1)",
+    "{} // (({} & 7) + 1)",
+    "{} % (({} & 31) + 1)",
+    "{} // max({} >> {n}, {n})",
+    "{} - {} % max(i16({}), {n})",
+    "i16({}) // ((u8({}) & 15) | 1)",
+    "u8({}) % ((u8({}) & 15) | 1)",
+    "{c} // (({} & 7) + 2)",
+    "{c} % max(i16({}), 1)",
+    "TABLE[{} % (({} & 7) + 1)]",
+]
+"""By words."""
+
 
 class Steps(Program):
     """Writes golden functions, whose words have up to 32 bits where they are used."""
 
-    def __init__(self, chance: random.Random) -> None:
-        super().__init__(chance, PATTERNS)
+    def __init__(self, chance: random.Random, patterns: list[str]) -> None:
+        super().__init__(chance, patterns)
 
     def word(self) -> str:
         return f"i32({super().word()})"
@@ -73,9 +88,9 @@ class Steps(Program):
         return part if kind or part.startswith("i32(") else f"i32{part}"
 
 
-def source(chance: random.Random, fields: list[Field]) -> str:
+def source(chance: random.Random, fields: list[Field], patterns: list[str]) -> str:
     """Return the text of three golden functions over a state of these fields."""
-    steps = Steps(chance)
+    steps = Steps(chance, patterns)
     names = [f.name for f in fields]
 
     def fitted(field: Field) -> str:
@@ -98,8 +113,11 @@ def source(chance: random.Random, fields: list[Field]) -> str:
     return "\n".join(steps.lines) + "\n"
 
 
-def random_spec(seed: int | random.Random) -> EnvSpec:
-    """Return an environment of random golden functions; of one seed always the same."""
+def random_spec(seed: int | random.Random, divided: bool = False) -> EnvSpec:
+    """Return an environment of random golden functions; of one seed always the same.
+
+    Where words are ``divided`` by words, every other operation is such a division.
+    """
     chance = random.Random(seed) if isinstance(seed, int) else seed
     fields = [
         Field(f"word_{k}", chance.choice([1, 2, 3, 5, 8, 13, 16]), signed=chance.random() < 0.4)
@@ -107,7 +125,8 @@ def random_spec(seed: int | random.Random) -> EnvSpec:
     ]
     kinds: list[tuple[str, Any]] = [(f.name, (Signed if f.signed else Bits)[f.bits]) for f in fields]
     state = NamedTuple("State", kinds)  # type: ignore[misc]
-    text = source(chance, fields)
+    half = len(PATTERNS) // len(DIVISIONS)
+    text = source(chance, fields, PATTERNS + DIVISIONS * half if divided else PATTERNS)
     scope: dict[str, Any] = {**TABLES, "State": state, "u8": u8, "i8": i8, "i16": i16, "i32": i32}
     defined(text, scope, f"<a random step, {hashlib.sha256(text.encode()).hexdigest()}>")
     return EnvSpec(

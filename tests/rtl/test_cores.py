@@ -94,9 +94,9 @@ def test_graphs_mean_the_golden_functions(env: str, options: dict[str, Any]) -> 
 
 
 @settings(max_examples=60, deadline=None)
-@given(st.randoms(use_true_random=False))
-def test_random_golden_functions(chance: random.Random) -> None:
-    spec = random_spec(chance)
+@given(st.randoms(use_true_random=False), st.booleans())
+def test_random_golden_functions(chance: random.Random, divided: bool) -> None:
+    spec = random_spec(chance, divided)
     note(f"{spec.state}\n{spec.summary}")
     graph, outputs = core_graph(spec)
     assert_means(spec, outputs, 40)
@@ -111,7 +111,7 @@ ENVIRONMENTS = FIRST + WORLDS + [(*case, TARGETS[i * 4 % len(TARGETS)]) for i, c
 """As simulated devices have them; and with other options, for every family and clock."""
 
 RANDOM: list[tuple[str, dict[str, Any], Target]] = [
-    ("Random", {"seed": seed}, TARGETS[seed % len(TARGETS)]) for seed in range(24)
+    ("Random", {"seed": seed, "divided": seed >= 18}, TARGETS[seed % len(TARGETS)]) for seed in range(24)
 ]
 
 

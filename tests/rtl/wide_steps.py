@@ -1,7 +1,8 @@
 """Environments of wide and signed words: golden functions of whose text simulators know less than synthesis.
 
 Words have up to 64 bits, with a sign or without. They are cut, divided, compared with each other as they are,
-and their upper bits and signs read tables.
+and their upper bits and signs read tables. Later ones are narrowed down where it is known what they are,
+which a compiler finds out from branches.
 """
 
 from __future__ import annotations
@@ -16,13 +17,18 @@ from gymnasium.spaces import Box, Discrete
 from pearl_marl.compiler.straight_line import golden_functions
 from pearl_marl.errors import ArgumentError
 from pearl_marl.spec import EnvSpec, Field, Golden
+from pearl_marl.tracing.words import Word as Traced
 
 TABLES = {
-    "PAIR": np.array([5, -3]),
-    "FOUR": np.array([16, 0, 0, 127]),
-    "EIGHT": np.array([3, -1, 4, -1, 5, -9, 2, -6]),
-    "LONG": np.array([(k * k * 2654435761) % 1000 - 500 for k in range(16)]),
-    "ODD": np.array([7, -100, 70000, 1, 0]),
+    "PAIR": [5, -3],
+    "FOUR": [16, 0, 0, 127],
+    "EIGHT": [3, -1, 4, -1, 5, -9, 2, -6],
+    "LONG": [(k * k * 2654435761) % 1000 - 500 for k in range(16)],
+    "ODD": [7, -100, 70000, 1, 0],
+    "FIVE": [7, -100, 7000, 1, 12],
+    "SMALL": [1, 2, 3, 0, 2, 1, 3, 0],
+    "FAR": [k * k * 2654435761 % 2**30 for k in range(40)],
+    "NEXT": [0, *(k * k * 2654435761 % 2**30 + 1 for k in range(40))],
 }
 
 PATTERNS = [
@@ -40,45 +46,124 @@ PATTERNS = [
     "{} >= {}",
     "{} < {c}",
     "{} >> {n}",
-    "np.int32({}) * {c}",
-    "(np.int16({}) * np.int16({})) >> {n}",
+    "i32({}) * {c}",
+    "(i16({}) * i16({})) >> {n}",
     "{} // {d}",
     "{} % {d}",
     "({} % {d}) & 1",
     "(({} // {d}) & 7) * 6 & 4",
     "({} >> {n}) // {d}",
     "({} - {}) % {d}",
-    "np.int32({}) // {d} - {}",
+    "i32({}) // {d} - {}",
     "{} >> ({} & 63)",
-    "np.int32({}) << (({} >> {n}) & 15)",
-    "(np.int8({}) >> ({} & 7)) < {}",
-    "np.where({} < {}, {}, {})",
-    "np.where({} & 1 == 1, {}, {c})",
-    "np.where({} == {}, {} >> {n}, -1)",
-    "np.minimum({}, {})",
-    "np.maximum({}, {c})",
+    "i32({}) << (({} >> {n}) & 15)",
+    "(i8({}) >> ({} & 7)) < {}",
+    "{} if {} < {} else {}",
+    "{} if {} & 1 == 1 else {c}",
+    "{} >> {n} if {} == {} else -1",
+    "min({}, {})",
+    "max({}, {c})",
     "PAIR[({} >> {n}) & 1]",
     "PAIR[({} < 0) & ({} > {c})]",
     "FOUR[({} >> {n}) & 3]",
-    "FOUR[np.where({} < {}, {} >> 6, {} >> 5) & 3]",
+    "FOUR[({} >> 6 if {} < {} else {} >> 5) & 3]",
     "FOUR[(~{} >> {n}) & 3] - {}",
-    "EIGHT[(np.int8({}) >> ({} & 7)) & 7]",
-    "EIGHT[np.int8({}) // 32 + 4]",
+    "EIGHT[(i8({}) >> ({} & 7)) & 7]",
+    "EIGHT[i8({}) // 32 + 4]",
     "EIGHT[(({} & 3) - 2) & 7]",
-    "EIGHT[np.where({} < 0, -1, 2) & 7]",
+    "EIGHT[(-1 if {} < 0 else 2) & 7]",
     "EIGHT[({} & 1) * 4 + ({} >> {n} & 1) * 2 + ({} % 2)]",
     "LONG[({} - {}) & 15] * FOUR[({} >> {n}) & 3]",
-    "LONG[np.int64({}) >> 60 & 15]",
+    "LONG[i64({}) >> 60 & 15]",
     "ODD[{} % 5]",
     "ODD[FOUR[({} >> {n}) & 3] % 5] + {}",
-    "np.int8({}) - np.int8({}) < {c}",
-    "(np.int8({}) ^ np.uint8({})) >> {n}",
-    "np.int8({} >> {n})",
-    "np.int32({})",
-    "np.uint32({} >> {n})",
+    "i8({}) - i8({}) < {c}",
+    "(i8({}) ^ u8({})) >> {n}",
+    "i8({} >> {n})",
+    "i32({})",
+    "u32({} >> {n})",
 ]
 
-CASTS = "np.int64", "np.int32", "np.int8", "np.uint64", ""
+FIVE, SMALL, FAR, NEXT = (TABLES[name] for name in ("FIVE", "SMALL", "FAR", "NEXT"))
+
+
+def within(x: Any, low: int, high: int) -> Any:
+    """Return a word that is known to be in a range wherever the result is chosen."""
+    if isinstance(x, Traced):
+        return Traced(x.graph, x.graph.narrow(x.node, low, high))
+    return np.clip(x, low, high)
+
+
+def entry(x: Any) -> Any:
+    """Return an entry of a table that is a few numbers, of one that is a number, and of one in memory."""
+    near = np.where((x > 0) & (x < 6), FIVE[within(x, 1, 5) - 1], 0)
+    near += np.where((x > 0) & (x < 9), SMALL[within(x, 1, 8) - 1], 0)
+    return near + np.where((x > 4) & (x < 45), FAR[within(x, 5, 44) - 5], 0)
+
+
+def quotient(a: Any, by: Any) -> Any:
+    """Divide by what may be anything, if it is 1 or more."""
+    return np.where(by > 0, a // within(by, 1, 2**63), a)
+
+
+def rest(a: Any, by: Any) -> Any:
+    """Divide by a number that is known to be small where it is looked at, and negative elsewhere."""
+    return np.where((by > 2) & (by < 9), a % within(by, 3, 8), 3)
+
+
+def shifted(a: Any, by: Any) -> Any:
+    """Shift by what would be too far elsewhere."""
+    right = np.where((by >= 0) & (by < 40), a >> within(by, 0, 39), 1)
+    return right + np.where((by > 2) & (by < 9), i16(a) << within(by, 3, 8), 0)
+
+
+def flags(x: Any, y: Any) -> Any:
+    """Choose among flags of which some are anything elsewhere: one is no flag there."""
+    known = (x > 1) & (x < 4)
+    flag = np.where(known, within(x, 2, 3) - 2, 1)
+    both = np.where(y & 1, np.where(known, within(x, 2, 3) - 2, 0), 0)
+    return flag * 4 + both * 2 + np.where(known, within(x, 2, 3) == 3, y > 0)
+
+
+def same(x: Any, y: Any) -> Any:
+    """Find out in a branch what is found out behind it too, where the branch's word is anything."""
+    known = within(x, 1, 40)
+    inside = ((y & 7) - NEXT[known]) + (FAR[known - 1] + 10)
+    return np.where((x > 0) & (x < 41), inside, 9) * 5 + ((y & 7) + 9)
+
+
+HELPERS = {f.__name__: f for f in (within, entry, quotient, rest, shifted, flags, same)}
+
+NARROWED = [
+    "entry({})",
+    "entry({} & 127)",
+    "entry(i8({}))",
+    "quotient({}, {})",
+    "quotient({}, i8({}))",
+    "quotient({}, i16({} >> {n}))",
+    "quotient({c}, {} & 15)",
+    "rest({}, {})",
+    "rest({}, {} & 15)",
+    "shifted({}, {})",
+    "shifted({}, i8({}))",
+    "shifted({}, {} & 63)",
+    "flags({}, {})",
+    "flags({} & 7, {})",
+    "flags(i8({}), {}) ^ {}",
+    "same({}, {})",
+    "same({} & 7, {})",
+    "{} // max({}, 1)",
+    "{} % max({}, 1)",
+    "{} // (({} & 15) + 1)",
+    "{} % max(i16({} >> {n}), {d})",
+    "{c} // max(i8({}), 1)",
+    "i16({}) % max({}, 1)",
+]
+"""Words narrowed down, and divisions by words."""
+PLAIN = 528
+"""From this number on environments have those, too."""
+
+CASTS = "i64", "i32", "i8", "u64", ""
 
 Word = tuple[str, int, bool]
 """A field of the state: its name, bits, and whether it has a sign."""
@@ -86,7 +171,7 @@ Word = tuple[str, int, bool]
 X, Y, WIDE = ("x", 8, True), ("y", 8, True), ("x", 64, True)
 FIXED: list[tuple[list[Word], str]] = [
     ([X], "x, FOUR[(x >> 7) & 3], 0"),  # a table's index with a sign
-    ([X, Y], "y, x, FOUR[np.where(action < 2, x >> 7, y >> 6) & 3], 0"),
+    ([X, Y], "y, x, FOUR[(x >> 7 if action < 2 else y >> 6) & 3], 0"),
     ([("x", 64, False)], "(x % 10) & 1, 0, 0"),  # a sum of which no term is left
     ([X], "x, EIGHT[(x >> action) & 7], EIGHT[x // 64 & 7] < 0"),
     ([("x", 3, True), Y], "x ^ 1, y, EIGHT[x + 4], EIGHT[x & 7] < 0"),
@@ -95,8 +180,17 @@ FIXED: list[tuple[list[Word], str]] = [
     ([("x", 64, False)], "x ^ (x % 6 & 1), (x * 6 + 4 * action) & 3, 0"),
     ([WIDE], "-1, 3, 1"),  # nothing but constants
     ([WIDE, Y], "x, y, y, 0"),  # nothing but wires
-    ([WIDE, ("y", 63, False)], "np.where(x < y, y, 1), (x ^ y) & 1023, x < y, (y < 3) ^ (x == y)"),
-    ([X, ("soft", 8, False), ("soft_", 8, True)], "soft_, np.uint8(x), np.int8(soft), soft & 63, x < soft_"),
+    ([WIDE, ("y", 63, False)], "y if x < y else 1, (x ^ y) & 1023, x < y, (y < 3) ^ (x == y)"),
+    ([("x", 8, False)], "x ^ action, np.where((x > 0) & (x < 6), FIVE[within(x, 1, 5) - 1], 0) & 63, 0"),
+    ([X, Y], "quotient(x, y), x, rest(x, y) + flags(y, x), entry(x) & 1"),
+    ([WIDE, Y], "quotient(x, y), y, rest(x, y), shifted(x, y) & 1"),
+    (
+        [("x", 32, True), ("y", 16, False)],
+        "x // max(y, 1), x % (y | 1), entry(y) & 63, y < 9",
+    ),
+    ([("x", 3, False), Y], "x, i8(entry(x)), i8(entry(y)) ^ flags(x, y), rest(x, y) & 1"),
+    ([X, Y], "i8(same(x, y)), y, 0, 0"),
+    ([X, ("soft", 8, False), ("soft_", 8, True)], "soft_, u8(x), i8(soft), soft & 63, x < soft_"),
 ]
 """What has gone wrong, and its relatives: the state, and the results of a step."""
 
@@ -108,11 +202,11 @@ def wrapped(word: str, field: Field) -> str:
     return f"(({low}) ^ {half}) - {half}" if half else low
 
 
-def operations(chance: random.Random, words: list[str], count: int) -> list[str]:
+def operations(chance: random.Random, words: list[str], count: int, patterns: list[str]) -> list[str]:
     """Return assignments of so many operations to ``v0``, ``v1`` and so on."""
     lines = []
     for k in range(count):
-        pattern = chance.choice(PATTERNS)
+        pattern = chance.choice(patterns)
         values = [chance.choice(words + words[-2:]) for _ in range(pattern.count("{}"))]
         numbers = {
             "c": chance.choice([-300, -7, -1, 1, 3, 100, 5_000, 2**31 - 1]),
@@ -121,27 +215,25 @@ def operations(chance: random.Random, words: list[str], count: int) -> list[str]
         }
         value = pattern.format(*values, **numbers)
         # Words of more bits than a kernel can hold are refused.
-        lines.append(
-            f"    v{k} = {chance.choice(['np.int64', 'np.int32', 'np.int8', 'np.uint64', ''])}({value})"
-        )
+        lines.append(f"    v{k} = {chance.choice(['i64', 'i32', 'i8', 'u64', ''])}({value})")
         words = [*words, f"v{k}"]
     return lines
 
 
-def random_source(chance: random.Random, fields: list[Field], reward: Field) -> str:
+def random_source(chance: random.Random, fields: list[Field], reward: Field, patterns: list[str]) -> str:
     """Return the text of three golden functions over a state of these fields."""
     names, count = [f.name for f in fields], chance.randint(2, 7)
     every = [f"v{k}" for k in range(count)]
     moved = ", ".join(wrapped(chance.choice([*every, *names]), f) for f in fields)
-    first, second = operations(chance, names, 2), operations(chance, ["draw"], 2)
+    first, second = operations(chance, names, 2, patterns), operations(chance, ["draw"], 2, patterns)
     fresh = ", ".join(wrapped(chance.choice(["v0", "v1", "draw"]), f) for f in fields)
     return "\n".join(
         [
             f"def step({', '.join(names)}, action, draw):",
-            *operations(chance, [*names, *names, "action", "draw"], count),
+            *operations(chance, [*names, *names, "action", "draw"], count, patterns),
             f"    return {moved}, {wrapped(every[-1], reward)}, {wrapped(every[-2], Field('end', 1))}",
             *("def initial(draw):", *second, f"    return {fresh}"),
-            *(f"def observe({', '.join(names)}):", *first, "    return np.int32(v0), np.int32(v1)", ""),
+            *(f"def observe({', '.join(names)}):", *first, "    return i32(v0), i32(v1)", ""),
         ]
     )
 
@@ -160,7 +252,7 @@ def fixed_source(state: list[Word], results: str) -> str:
 
 def spec_with(text: str, fields: list[Field], reward: Field) -> EnvSpec:
     """Return an environment of these golden functions."""
-    scope: dict[str, Any] = {"np": np, **TABLES}
+    scope: dict[str, Any] = {"np": np, **TABLES, **HELPERS}
     exec(compile(text, "<a wide step>", "exec"), scope)
     return EnvSpec(
         name="Wide",
@@ -192,7 +284,8 @@ def wide_spec(number: int) -> EnvSpec:
         fields = [Field(f"word_{k}", b, signed=chance.random() < 0.6) for k, b in enumerate(bits)]
         reward = Field("reward", chance.randint(2, 20), chance.random() < 0.7, chance.randint(0, 3))
         try:
-            spec = spec_with(random_source(chance, fields, reward), fields, reward)
+            patterns = PATTERNS if number < PLAIN else PATTERNS[::2] + NARROWED
+            spec = spec_with(random_source(chance, fields, reward, patterns), fields, reward)
             golden_functions(spec)
         except ArgumentError:  # a word of more bits than a kernel has
             continue

@@ -73,10 +73,12 @@ def operation(node: Node, args: Sequence[Any]) -> Any:
             result = z3.BitVecVal(constant, wide)
             for (sign, shift), word in zip(weights, words, strict=True):
                 result += sign * (word << shift)
-        case "divide":
-            result, _ = _divided(args[0], imm, wide)
-        case "modulo":
-            _, result = _divided(args[0], imm, wide)
+        case "divide" | "modulo":
+            divisor = z3.BitVecVal(imm, imm.bit_length() + 1)
+            result = _divided(args[0], divisor)[node.op == "modulo"]
+        case "divide_by" | "modulo_by":
+            divisor = z3.If(args[1] < 1, z3.BitVecVal(1, args[1].size()), args[1])
+            result = _divided(args[0], divisor)[node.op == "modulo_by"]
         case "and":
             result = words[0] & words[1]
         case "or":
@@ -111,6 +113,9 @@ def operation(node: Node, args: Sequence[Any]) -> Any:
             kept, signed = imm
             result = fitted(args[0], kept)
             result = result if signed else z3.ZeroExt(1, result)
+        case "narrow":
+            low, high = (z3.BitVecVal(end, wide) for end in imm)
+            result = z3.If(words[0] < low, low, z3.If(words[0] > high, high, words[0]))
         case "join":
             result = z3.Concat(args[0], fitted(args[1], imm))
         case "word":
@@ -124,10 +129,10 @@ def _number(condition: Any) -> Any:
     return z3.If(condition, z3.BitVecVal(1, 2), z3.BitVecVal(0, 2))
 
 
-def _divided(a: Any, by: int, wide: int) -> tuple[Any, Any]:
+def _divided(a: Any, by: Any) -> tuple[Any, Any]:
     """Return quotient and rest, rounded down as Python does."""
-    wide = max(wide, by.bit_length() + 1) + 1
-    a, divisor = fitted(a, wide), z3.BitVecVal(by, wide)
+    wide = max(a.size(), by.size()) + 1
+    a, divisor = fitted(a, wide), fitted(by, wide)
     rest = z3.SRem(a, divisor)
     rest = z3.If(rest < 0, rest + divisor, rest)
     return (a - rest) / divisor, rest

@@ -1,0 +1,420 @@
+"""What rewritten functions call in the place of what Python decides."""
+
+from __future__ import annotations
+
+import functools
+import operator
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any
+
+from pearl_marl.errors import ArgumentError
+from pearl_marl.tracing.branches import Frame
+from pearl_marl.tracing.graph import Graph
+from pearl_marl.tracing.joining import Listed, Undefined, has_words, joined
+from pearl_marl.tracing.nodes import Node
+from pearl_marl.tracing.paths import Path
+from pearl_marl.tracing.twins import Twins
+from pearl_marl.tracing.words import Beyond, Word, chosen_entry, flag_of, node_of
+
+
+class Runtime:
+    """What rewritten functions call: see :mod:`pearl_marl.tracing.rewriting`."""
+
+    def __init__(self, graph: Graph) -> None:
+        self.graph = graph
+        self.twins = graph.twins = Twins(graph)
+        self.root = Path(graph)
+        self.exits: list[Any] = []
+        """What has ended paths, in order, until it is joined."""
+        self._path: Path | None = self.root
+
+    @property
+    def path(self) -> Path | None:
+        """The path at hand; ``None`` where none is left."""
+        return self._path
+
+    @path.setter
+    def path(self, path: Path | None) -> None:
+        self._path = path
+        self.graph.known = path.known if path is not None else {}
+        self.graph.certain = path is not None and not path.literals
+
+    @property
+    def here(self) -> Path:
+        """The path at hand, where one is."""
+        assert self._path is not None
+        return self._path
+
+    def frame(self) -> Frame:
+        """Return what keeps the paths of a call."""
+        return Frame(self)
+
+    def unbound(self, name: str) -> Undefined:
+        """Return a variable's value before it has one."""
+        return Undefined(f"`{name}` has no value on every path that leads here; give it one before")
+
+    def truth(self, value: Any) -> bool | Node:
+        """Return whether a value counts as true: a flag, where that depends on a word."""
+        if isinstance(value, Beyond):
+            value = value.__ne__(0)
+        if not isinstance(value, Word):
+            return bool(value)
+        flag = flag_of(self.graph, node_of(self.graph, value))
+        decided = self.here.decided(flag)
+        return flag if decided is None else decided
+
+    def condition_since(self, start: Path | None) -> Node | None:
+        """Return the condition that has come about since a path; ``None`` where there is none."""
+        start = start or self.root
+        if self._path is None or len(self._path.literals) <= len(start.literals):
+            return None
+        # A list that was made on a side that has been left is seen by its own path only.
+        if self._path.literals[: len(start.literals)] != start.literals:
+            start = self.root
+        condition = self._path.since(start)
+        return None if condition.is_constant(1) else condition
+
+    def either(self, test: Any, a: Callable[[], Any], b: Callable[[], Any]) -> Any:
+        """Return ``a() if test else b()``."""
+        flag = self.truth(test)
+        if isinstance(flag, bool):
+            return a() if flag else b()
+        return joined(self.graph, flag, self.on(flag, a), self.on(self.graph.logical_not(flag), b))
+
+    def on(self, flag: Node, function: Callable[[], Any]) -> Any:
+        """Return what a function gives where a flag is set."""
+        return self.at(self.here.where(flag), function)
+
+    def at(self, path: Path, function: Callable[[], Any]) -> Any:
+        """Return what a function gives on a path."""
+        before, self.path = self.path, path
+        try:
+            return function()
+        finally:
+            self.path = before
+
+    def both(self, a: Any, b: Callable[[], Any]) -> Any:
+        """Return ``a and b()``."""
+        flag = self.truth(a)
+        if isinstance(flag, bool):
+            return b() if flag else a
+        return joined(self.graph, flag, self.on(flag, b), False)
+
+    def any_of_two(self, a: Any, b: Callable[[], Any]) -> Any:
+        """Return ``a or b()``."""
+        flag = self.truth(a)
+        if isinstance(flag, bool):
+            return a if flag else b()
+        there = True if a.node.is_flag else a
+        return joined(self.graph, flag, there, self.on(self.graph.logical_not(flag), b))
+
+    def negation(self, value: Any) -> Any:
+        """Return ``not value``."""
+        flag = self.truth(value)
+        return not flag if isinstance(flag, bool) else Word(self.graph, self.graph.logical_not(flag))
+
+    def chain(self, names: Sequence[str], first: Any, *later: Callable[[], Any]) -> Any:
+        """Return a chain of comparisons."""
+        second = later[0]()
+        result = self.compared(names[0], first, second)
+        if len(names) == 1:
+            return result
+        return self.both(result, lambda: self.chain(names[1:], second, *later[1:]))
+
+    def compared(self, name: str, a: Any, b: Any) -> Any:
+        """Return one comparison, by the name of its node."""
+        mine: dict[str, Callable[[Any, Any], Any]] = {
+            "Eq": self.equal,
+            "NotEq": self.differ,
+            "In": self.contains,
+            "NotIn": self.lacks,
+            "Lt": operator.lt,
+            "LtE": operator.le,
+            "Gt": operator.gt,
+            "GtE": operator.ge,
+            "Is": self.same,
+            "IsNot": self.other,
+        }
+        return mine[name](a, b)
+
+    def equal(self, a: Any, b: Any) -> Any:
+        """Return ``a == b``, of sequences of words, too."""
+        if isinstance(a, (tuple, list)) and isinstance(b, (tuple, list)):
+            if len(a) != len(b) or isinstance(a, tuple) != isinstance(b, tuple):
+                return False
+            return self.every(self.equal(x, y) for x, y in zip(a, b, strict=True))
+        return a == b
+
+    def differ(self, a: Any, b: Any) -> Any:
+        """Return ``a != b``."""
+        if isinstance(a, (tuple, list)) and isinstance(b, (tuple, list)):
+            return self.negation(self.equal(a, b))
+        return a != b
+
+    def contains(self, value: Any, among: Any) -> Any:
+        """Return ``value in among``."""
+        if isinstance(among, Word):
+            raise ArgumentError("`in` looks into a word, which is no sequence")
+        if isinstance(among, range) and isinstance(value, Word) and among.step == 1:
+            return (value >= among.start) & (value < among.stop)
+        if not has_words(value) and not (isinstance(among, (tuple, list)) and has_words(among)):
+            return value in among
+        return self.some(self.equal(value, other) for other in among)
+
+    def lacks(self, value: Any, among: Any) -> Any:
+        """Return ``value not in among``."""
+        return self.negation(self.contains(value, among))
+
+    def same(self, a: Any, b: Any) -> bool:
+        """Return ``a is b``."""
+        if (isinstance(a, Word) and b is not None) or (isinstance(b, Word) and a is not None):
+            raise ArgumentError("`is` on a word; use `==`")
+        return a is b
+
+    def other(self, a: Any, b: Any) -> bool:
+        """Return ``a is not b``."""
+        return not self.same(a, b)
+
+    def count(self, among: Any, value: Any) -> Any:
+        """Return ``among.count(value)``."""
+        if not isinstance(among, (tuple, list)) or not (has_words(value) or has_words(among)):
+            return among.count(value)
+        return sum(self.flag(self.equal(one, value)) for one in among)
+
+    def index(self, among: Any, value: Any) -> Any:
+        """Return ``among.index(value)``: where a value is, which is there."""
+        if not isinstance(among, (tuple, list)) or not (has_words(value) or has_words(among)):
+            return among.index(value)
+        result: Any = len(among) - 1
+        for place in range(len(among) - 2, -1, -1):
+            result = self.either(self.equal(among[place], value), lambda: place, lambda: result)  # noqa: B023
+        return result
+
+    def every(self, values: Iterable[Any]) -> Any:
+        """Return whether all values are true."""
+        result: Any = True
+        for value in values:
+            result = self.flag(value) & result
+            if result is False:
+                break
+        return result
+
+    def some(self, values: Iterable[Any]) -> Any:
+        """Return whether any value is true."""
+        result: Any = False
+        for value in values:
+            result = self.flag(value) | result
+            if result is True:
+                break
+        return result
+
+    def flag(self, value: Any) -> Any:
+        """Return ``bool(value)``."""
+        flag = self.truth(value)
+        return flag if isinstance(flag, bool) else Word(self.graph, flag)
+
+    def item(self, of: Any, index: Any) -> Any:
+        """Return an element, which a word may choose."""
+        if isinstance(index, tuple) and isinstance(of, (tuple, list)):
+            for part in index:
+                of = self.item(of, part)
+            return of
+        if isinstance(of, Word):
+            raise ArgumentError("a word has no elements; its bits are `word >> k & 1`")
+        if not isinstance(index, Word):
+            found = of[index]
+            return self.listed(found) if isinstance(found, list) and isinstance(index, slice) else found
+        if isinstance(of, Undefined):
+            of.refuse()
+        if isinstance(of, (tuple, list)) and any(isinstance(one, (float, Beyond)) for one in of):
+            return self._floats().chosen(Word(self.graph, self.place(of, index)), of)
+        if isinstance(of, (tuple, list, range)):
+            return chosen_entry(self.graph, of, self.place(of, index))
+        raise ArgumentError(f"a word chooses from {type(of).__name__}; it chooses from lists and tuples")
+
+    def place(self, of: Sequence[Any], index: Word) -> Node:
+        """Return the node of an index, which is within a sequence."""
+        node = node_of(self.graph, index)
+        low, high = node.low, node.high
+        if self._path is not None and (low < 0 or high >= len(of)):
+            # What is known here may say more than the word itself.
+            inside = self.graph.choose(self.here.condition, node, self.graph.constant(max(low, 0)))
+            low, high = max(low, inside.low), min(high, inside.high)
+        if low < 0 or high >= len(of):
+            raise ArgumentError(
+                f"an index can be {low} to {high}, and there are {len(of)} elements; "
+                "`min`, `max` or an `if` keeps it in"
+            )
+        return node
+
+    def put(self, of: Any, index: Any, value: Any) -> None:
+        """Write an element, where the path at hand is taken."""
+        if isinstance(index, tuple) and isinstance(of, list) and index:
+            *before, index = index
+            for part in before:
+                of = self.item(of, part)
+        if isinstance(index, Word) and isinstance(of, list):
+            node, graph = self.place(of, index), self.graph
+            for k in range(max(node.low, 0), min(node.high, len(of) - 1) + 1):
+                here = graph.equal(node, graph.constant(k))
+                if not here.is_constant(0):
+                    self.store(of, k, value, here)
+            return
+        if isinstance(index, Word):
+            raise ArgumentError(f"a word chooses what is written in {type(of).__name__}; it takes a list")
+        self.store(of, index, value)
+
+    def store(self, of: Any, key: Any, value: Any, where: Node | None = None) -> None:
+        """Write one element, where a flag is set, and in all that may be the same list."""
+        for one, flags in self._same(of, where):
+            if isinstance(key, slice) and flags:
+                raise ArgumentError("a slice is written where a word decides; write its elements")
+            one[key] = self._changed(flags, value, one[key]) if flags else value
+
+    def set_attribute(self, of: Any, name: str, value: Any) -> None:
+        """Write an attribute, where the path at hand is taken, and in all that may be the same object."""
+        for one, flags in self._same(of):
+            setattr(one, name, self._changed(flags, value, getattr(one, name)) if flags else value)
+
+    def _same(self, of: Any, where: Node | None = None) -> list[tuple[Any, list[Node]]]:
+        """Return what a write goes to, each with the flags under which it does."""
+        result = []
+        for one, flag in [(of, None), *self.twins.others(of)]:
+            flags = [self.condition_since(getattr(one, "path", None) if isinstance(one, Listed) else None)]
+            result.append((one, [f for f in (*flags, where, flag) if f is not None and not f.is_constant(1)]))
+        return result
+
+    def _changed(self, flags: Sequence[Node], value: Any, old: Any) -> Any:
+        """Return a value where all flags are set, and an old one where not."""
+        graph = self.graph
+        if isinstance(value, Word):
+            value = Word(graph, node_of(graph, value))
+        # What is known of words on this path is not known where the old value stays.
+        return self.at(self.root, lambda: joined(graph, functools.reduce(graph.and_, flags), value, old))
+
+    def growing(self, of: Any, verb: str = "") -> Any:
+        """Return a list, which is about to become longer or shorter: that is no word's to decide."""
+        if isinstance(of, list):
+            if verb in ("sort", "remove") and has_words(of):
+                raise ArgumentError(
+                    f"{verb}() of a list of words: their order is not known before hardware runs"
+                )
+            for _, flags in self._same(of):
+                if flags:
+                    raise ArgumentError(
+                        "a list grows or shrinks where a word decides whether it does; give it its full "
+                        "length before"
+                    )
+        return of
+
+    def listed(self, values: Iterable[Any]) -> Listed:
+        """Return a list whose elements may be written by words."""
+        result = Listed(values)
+        result.path, result.runtime = self._path, self
+        return result
+
+    def items(self, values: Any) -> Any:
+        """Return what a ``for`` goes over."""
+        if isinstance(values, Word):
+            raise ArgumentError("`for` goes over a word, which is no sequence")
+        return values
+
+    def keeps(self, value: Any) -> bool:
+        """Return whether a comprehension keeps an element, which is no word's to decide."""
+        flag = self.truth(value)
+        if not isinstance(flag, bool):
+            raise ArgumentError(
+                "a word decides whether an element is left out, and a length depends on no word; "
+                "any(), all() and sum() take such an `if`"
+            )
+        return flag
+
+    def raises(self) -> None:
+        """Refuse an exception where a word decides whether it is raised."""
+        if not self.here.condition.is_constant(1):
+            raise ArgumentError("a `raise` where a word decides; hardware has nobody to tell")
+
+    def asserts(self, value: Any) -> None:
+        """Check what is no word."""
+        flag = self.truth(value)
+        if not isinstance(flag, bool) or not (flag or self.here.condition.is_constant(1)):
+            raise ArgumentError("an `assert` on a word; hardware has nobody to tell")
+        if not flag:
+            raise AssertionError("an `assert` does not hold")
+
+    def builtins(self) -> dict[str, Any]:
+        """Return what Python's functions become, by their names."""
+        return {
+            "min": lambda *values, **keywords: self._least(min, "minimum", values, keywords),
+            "max": lambda *values, **keywords: self._least(max, "maximum", values, keywords),
+            "any": self.some,
+            "all": self.every,
+            "bool": _Type((bool, Word), self.flag),
+            "int": _Type((int, Word), lambda value=0: value if isinstance(value, Word) else int(value)),
+            "list": _Type(list, lambda values=(): self.listed(values)),
+            "divmod": lambda a, b: (a // b, a % b),
+            "range": _Type(range, _range),
+            "sorted": self._sorted,
+            "print": _print,
+            "set": _Type(set, _no_set),
+        }
+
+    def _least(self, native: Any, operation: str, values: Sequence[Any], keywords: dict[str, Any]) -> Any:
+        every = list(values[0]) if len(values) == 1 else list(values)
+        if any(isinstance(value, (float, Beyond)) for value in every):
+            return self._floats().functions[native](every, **keywords)
+        if not any(isinstance(value, Word) for value in every):
+            return native(every, **keywords)
+        if keywords:
+            raise ArgumentError(f"{native.__name__}() of words takes no {next(iter(keywords))}=")
+        nodes = [node_of(self.graph, value) for value in every]
+        result = nodes[0]
+        for node in nodes[1:]:
+            result = getattr(self.graph, operation)(result, node)
+        return Word(self.graph, result)
+
+    def _floats(self) -> Any:
+        """Return what floats do, where the environment has reals."""
+        if self.graph.floats is None:
+            raise ArgumentError("a float where words are; its state has no reals, such as Real[-1, 1]")
+        return self.graph.floats
+
+    def _sorted(self, values: Iterable[Any], **keywords: Any) -> Any:
+        every = list(values)
+        if not any(map(has_words, every)):
+            return self.listed(sorted(every, **keywords))
+        raise ArgumentError("sorted() of words; pearl_marl.golden.inserted puts one into its place")
+
+
+class _Type:
+    """What a type of Python's becomes: called, it makes something else, and ``isinstance`` knows it."""
+
+    def __init__(self, types: Any, make: Callable[..., Any]) -> None:
+        self._types, self._make = types, make
+
+    def __call__(self, *args: Any) -> Any:
+        return self._make(*args)
+
+    def __instancecheck__(self, value: Any) -> bool:
+        return isinstance(value, self._types)
+
+
+def _range(*args: Any) -> range:
+    if any(isinstance(a, Word) and not a.node.is_constant() for a in args):
+        raise ArgumentError(
+            "range() of a word; go over all rounds that there can be, and `break` where it is enough"
+        )
+    return range(*args)
+
+
+def _print(*values: Any, **keywords: Any) -> None:
+    if any(map(has_words, values)):
+        raise ArgumentError("print() of a word, which has no value before hardware runs")
+    print(*values, **keywords)
+
+
+def _no_set(values: Iterable[Any] = ()) -> set[Any]:
+    every = list(values)
+    if any(map(has_words, every)):
+        raise ArgumentError("a set of words; golden functions have lists and tuples of them")
+    return set(every)
