@@ -7,17 +7,24 @@ which a compiler finds out from branches.
 
 from __future__ import annotations
 
+import hashlib
 import itertools
 import random
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from gymnasium.spaces import Box, Discrete
 
 from pearl_marl.compiler.straight_line import golden_functions
 from pearl_marl.errors import ArgumentError
+from pearl_marl.golden import i8, i16, i32, i64, u8, u32, u64
+from pearl_marl.layout import Bits, Signed
 from pearl_marl.spec import EnvSpec, Field, Golden
-from pearl_marl.tracing.words import Word as Traced
+
+try:
+    from .programs import defined
+except ImportError:  # in a simulator, which finds modules in this folder
+    from programs import defined
 
 TABLES = {
     "PAIR": [5, -3],
@@ -87,52 +94,44 @@ PATTERNS = [
 FIVE, SMALL, FAR, NEXT = (TABLES[name] for name in ("FIVE", "SMALL", "FAR", "NEXT"))
 
 
-def within(x: Any, low: int, high: int) -> Any:
-    """Return a word that is known to be in a range wherever the result is chosen."""
-    if isinstance(x, Traced):
-        return Traced(x.graph, x.graph.narrow(x.node, low, high))
-    return np.clip(x, low, high)
-
-
 def entry(x: Any) -> Any:
     """Return an entry of a table that is a few numbers, of one that is a number, and of one in memory."""
-    near = np.where((x > 0) & (x < 6), FIVE[within(x, 1, 5) - 1], 0)
-    near += np.where((x > 0) & (x < 9), SMALL[within(x, 1, 8) - 1], 0)
-    return near + np.where((x > 4) & (x < 45), FAR[within(x, 5, 44) - 5], 0)
+    near = FIVE[x - 1] if 0 < x < 6 else 0
+    near += SMALL[x - 1] if 0 < x < 9 else 0
+    return near + (FAR[x - 5] if 4 < x < 45 else 0)
 
 
 def quotient(a: Any, by: Any) -> Any:
     """Divide by what may be anything, if it is 1 or more."""
-    return np.where(by > 0, a // within(by, 1, 2**63), a)
+    return a // by if by > 0 else a
 
 
 def rest(a: Any, by: Any) -> Any:
     """Divide by a number that is known to be small where it is looked at, and negative elsewhere."""
-    return np.where((by > 2) & (by < 9), a % within(by, 3, 8), 3)
+    return a % by if 2 < by < 9 else 3
 
 
 def shifted(a: Any, by: Any) -> Any:
     """Shift by what would be too far elsewhere."""
-    right = np.where((by >= 0) & (by < 40), a >> within(by, 0, 39), 1)
-    return right + np.where((by > 2) & (by < 9), i16(a) << within(by, 3, 8), 0)
+    right = a >> by if 0 <= by < 40 else 1
+    return right + (i16(a) << by if 2 < by < 9 else 0)
 
 
 def flags(x: Any, y: Any) -> Any:
     """Choose among flags of which some are anything elsewhere: one is no flag there."""
-    known = (x > 1) & (x < 4)
-    flag = np.where(known, within(x, 2, 3) - 2, 1)
-    both = np.where(y & 1, np.where(known, within(x, 2, 3) - 2, 0), 0)
-    return flag * 4 + both * 2 + np.where(known, within(x, 2, 3) == 3, y > 0)
+    known = 1 < x < 4
+    flag = x - 2 if known else 1
+    both = (x - 2 if known else 0) if y & 1 else 0
+    return flag * 4 + both * 2 + (x == 3 if known else y > 0)
 
 
 def same(x: Any, y: Any) -> Any:
     """Find out in a branch what is found out behind it too, where the branch's word is anything."""
-    known = within(x, 1, 40)
-    inside = ((y & 7) - NEXT[known]) + (FAR[known - 1] + 10)
-    return np.where((x > 0) & (x < 41), inside, 9) * 5 + ((y & 7) + 9)
+    inside = ((y & 7) - NEXT[x]) + (FAR[x - 1] + 10) if 0 < x < 41 else 9
+    return inside * 5 + ((y & 7) + 9)
 
 
-HELPERS = {f.__name__: f for f in (within, entry, quotient, rest, shifted, flags, same)}
+HELPERS = {f.__name__: f for f in (entry, quotient, rest, shifted, flags, same)}
 
 NARROWED = [
     "entry({})",
@@ -163,7 +162,8 @@ NARROWED = [
 PLAIN = 528
 """From this number on environments have those, too."""
 
-CASTS = "i64", "i32", "i8", "u64", ""
+DRAWN = "    draw = draws.bits()"
+CASTS = {"u8": u8, "u32": u32, "u64": u64, "i8": i8, "i16": i16, "i32": i32, "i64": i64}
 
 Word = tuple[str, int, bool]
 """A field of the state: its name, bits, and whether it has a sign."""
@@ -181,7 +181,7 @@ FIXED: list[tuple[list[Word], str]] = [
     ([WIDE], "-1, 3, 1"),  # nothing but constants
     ([WIDE, Y], "x, y, y, 0"),  # nothing but wires
     ([WIDE, ("y", 63, False)], "y if x < y else 1, (x ^ y) & 1023, x < y, (y < 3) ^ (x == y)"),
-    ([("x", 8, False)], "x ^ action, np.where((x > 0) & (x < 6), FIVE[within(x, 1, 5) - 1], 0) & 63, 0"),
+    ([("x", 8, False)], "x ^ action, (FIVE[x - 1] if 0 < x < 6 else 0) & 63, 0"),
     ([X, Y], "quotient(x, y), x, rest(x, y) + flags(y, x), entry(x) & 1"),
     ([WIDE, Y], "quotient(x, y), y, rest(x, y), shifted(x, y) & 1"),
     (
@@ -223,51 +223,52 @@ def operations(chance: random.Random, words: list[str], count: int, patterns: li
 def random_source(chance: random.Random, fields: list[Field], reward: Field, patterns: list[str]) -> str:
     """Return the text of three golden functions over a state of these fields."""
     names, count = [f.name for f in fields], chance.randint(2, 7)
+    given = [f"    {name} = state.{name}" for name in names]
     every = [f"v{k}" for k in range(count)]
     moved = ", ".join(wrapped(chance.choice([*every, *names]), f) for f in fields)
     first, second = operations(chance, names, 2, patterns), operations(chance, ["draw"], 2, patterns)
     fresh = ", ".join(wrapped(chance.choice(["v0", "v1", "draw"]), f) for f in fields)
     return "\n".join(
         [
-            f"def step({', '.join(names)}, action, draw):",
+            *("def step(state, action, draws):", *given, DRAWN),
             *operations(chance, [*names, *names, "action", "draw"], count, patterns),
-            f"    return {moved}, {wrapped(every[-1], reward)}, {wrapped(every[-2], Field('end', 1))}",
-            *("def initial(draw):", *second, f"    return {fresh}"),
-            *(f"def observe({', '.join(names)}):", *first, "    return i32(v0), i32(v1)", ""),
+            f"    return State({moved}), {wrapped(every[-1], reward)}, {wrapped(every[-2], Field('end', 1))}",
+            *("def initial(draws):", DRAWN, *second, f"    return State({fresh})"),
+            *("def observe(state):", *given, *first, "    return i32(v0), i32(v1)", ""),
         ]
     )
 
 
 def fixed_source(state: list[Word], results: str) -> str:
     """Return the text of three golden functions, of the results of a step."""
-    names = ", ".join(name for name, *_ in state)
+    names = [name for name, *_ in state]
     return "\n".join(
         [
-            f"def step({names}, action, draw):\n    return {results}",
-            f"def initial(draw):\n    return {', '.join('draw & 3' for _ in state)}",
-            f"def observe({names}):\n    return {state[0][0]} & 0xFFFF, {state[-1][0]} < 0\n",
+            *("def step(state, action, draws):", *(f"    {name} = state.{name}" for name in names), DRAWN),
+            f"    every = {results}\n    return State(*every[:{len(names)}]), *every[{len(names)}:]",
+            f"def initial(draws):\n{DRAWN}\n    return State({', '.join('draw & 3' for _ in state)})",
+            f"def observe(state):\n    return state.{names[0]} & 0xFFFF, state.{names[-1]} < 0\n",
         ]
     )
 
 
 def spec_with(text: str, fields: list[Field], reward: Field) -> EnvSpec:
     """Return an environment of these golden functions."""
-    scope: dict[str, Any] = {"np": np, **TABLES, **HELPERS}
-    exec(compile(text, "<a wide step>", "exec"), scope)
+    kinds: list[tuple[str, Any]] = [(f.name, (Signed if f.signed else Bits)[f.bits]) for f in fields]
+    state = NamedTuple("State", kinds)  # type: ignore[misc]
+    scope: dict[str, Any] = {**CASTS, **TABLES, **HELPERS, "State": state}
+    defined(text, scope, f"<a wide step, {hashlib.sha256(text.encode()).hexdigest()}>")
     return EnvSpec(
         name="Wide",
         version=0,
         summary=text,
-        state=tuple(fields),
         action=Field("action", 2),
         observation=(Field("first", 32, signed=True), Field("second", 32, signed=True)),
         reward=reward,
         rewards=None,
         observation_space=Box(-(2**31), 2**31 - 1, (2,), np.int32),
         action_space=Discrete(4),
-        golden=Golden(scope["initial"], scope["step"], scope["observe"]),
-        reset_draws=1,
-        step_draws=1,
+        golden=Golden(state, scope["initial"], scope["step"], scope["observe"]),
     )
 
 
