@@ -286,7 +286,11 @@ class Runtime:
 
     def _changed(self, flags: Sequence[Node], value: Any, old: Any) -> Any:
         """Return a value where all flags are set, and an old one where not."""
-        return joined(self.graph, functools.reduce(self.graph.and_, flags), value, old)
+        graph = self.graph
+        if isinstance(value, Word):
+            value = Word(graph, node_of(graph, value))
+        # What is known of words on this path is not known where the old value stays.
+        return self.at(self.root, lambda: joined(graph, functools.reduce(graph.and_, flags), value, old))
 
     def growing(self, of: Any, verb: str = "") -> Any:
         """Return a list, which is about to become longer or shorter: that is no word's to decide."""

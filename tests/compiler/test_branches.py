@@ -237,6 +237,16 @@ PROGRAMS = {
                         break
             return board
     """,
+    "what is known on a path only": """
+        def f(a, b, c):
+            board = [a] * 3
+            if board[1] == 2:
+                board[b % 3] = 7
+                board[0] = a + c
+            elif a:
+                return board
+            return [*board, 0][:3]
+    """,
     "records that change": """
         from typing import NamedTuple
         class Robot(NamedTuple):

@@ -5,13 +5,16 @@ The environment is made for this: a wrong bit anywhere shows in a result.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from gymnasium.spaces import Box, Discrete
 from port_script import ALL, HOLE, REFUSED, Script, kept
 
-from pearl_marl.golden import Word
+from pearl_marl.golden import Draws, Word
 from pearl_marl.hardware import elaboration
 from pearl_marl.hardware.build import Build
+from pearl_marl.layout import Bits, Flag
 from pearl_marl.memory_map import MAGIC, PROTOCOL_VERSION, Control, Mode, Status, StatusError
 from pearl_marl.spec import EnvSpec, Field, Golden, word_bits
 
@@ -21,29 +24,37 @@ def folded(draw: Word) -> Word:
     return ((draw & 0xFFFF) + ((draw >> 16) << 1)) & 0xFFFF
 
 
-def step(word: Word, action: Word, draw: Word) -> tuple[Word, Word, Word]:
-    word = (word + action + folded(draw)) & 0xFFFF
-    return word, word & 31, (word & 7) == 0
+class State(NamedTuple):
+    word: Bits[16]
 
 
-def observe(word: Word) -> tuple[Word, Word]:
-    return word ^ 0x5A5A, word & 1
+class View(NamedTuple):
+    word: Bits[16]
+    odd: Flag
+
+
+def initial(draws: Draws) -> State:
+    return State(folded(draws.bits()))
+
+
+def step(state: State, action: Word, draws: Draws) -> tuple[State, Word, Word]:
+    word = (state.word + action + folded(draws.bits())) & 0xFFFF
+    return State(word), word & 31, (word & 7) == 0
+
+
+def observe(state: State) -> View:
+    return View(state.word ^ 0x5A5A, state.word & 1)
 
 
 SPEC = EnvSpec(
     name="Mixing",
     version=0,
     summary="Hides nothing: a wrong bit anywhere, of a draw too, is a wrong result",
-    state=(Field("word", 16),),
-    action=Field("action", 3),
-    observation=(Field("word", 16), Field("odd", 1)),
     reward=Field("reward", 5),
     rewards=None,
     observation_space=Box(0, 65535, (2,), np.uint16),
     action_space=Discrete(8),
-    golden=Golden(folded, step, observe),
-    reset_draws=1,
-    step_draws=1,
+    golden=Golden(State, initial, step, observe, view=View),
 )
 
 # No row divides into words here, rewards and observations are more than one, and the last group is not full.

@@ -7,28 +7,35 @@ which a compiler finds out from branches.
 
 from __future__ import annotations
 
+import hashlib
 import itertools
 import random
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from gymnasium.spaces import Box, Discrete
 
 from pearl_marl.compiler.straight_line import golden_functions
 from pearl_marl.errors import ArgumentError
+from pearl_marl.golden import i8, i16, i32, i64, u8, u32, u64
+from pearl_marl.layout import Bits, Signed
 from pearl_marl.spec import EnvSpec, Field, Golden
-from pearl_marl.tracing.words import Word as Traced
+
+try:
+    from .programs import defined
+except ImportError:  # in a simulator, which finds modules in this folder
+    from programs import defined
 
 TABLES = {
-    "PAIR": np.array([5, -3]),
-    "FOUR": np.array([16, 0, 0, 127]),
-    "EIGHT": np.array([3, -1, 4, -1, 5, -9, 2, -6]),
-    "LONG": np.array([(k * k * 2654435761) % 1000 - 500 for k in range(16)]),
-    "ODD": np.array([7, -100, 70000, 1, 0]),
-    "FIVE": np.array([7, -100, 7000, 1, 12]),
-    "SMALL": np.array([1, 2, 3, 0, 2, 1, 3, 0]),
-    "FAR": np.array([k * k * 2654435761 % 2**30 for k in range(40)]),
-    "NEXT": np.array([0, *(k * k * 2654435761 % 2**30 + 1 for k in range(40))]),
+    "PAIR": [5, -3],
+    "FOUR": [16, 0, 0, 127],
+    "EIGHT": [3, -1, 4, -1, 5, -9, 2, -6],
+    "LONG": [(k * k * 2654435761) % 1000 - 500 for k in range(16)],
+    "ODD": [7, -100, 70000, 1, 0],
+    "FIVE": [7, -100, 7000, 1, 12],
+    "SMALL": [1, 2, 3, 0, 2, 1, 3, 0],
+    "FAR": [k * k * 2654435761 % 2**30 for k in range(40)],
+    "NEXT": [0, *(k * k * 2654435761 % 2**30 + 1 for k in range(40))],
 }
 
 PATTERNS = [
@@ -46,124 +53,117 @@ PATTERNS = [
     "{} >= {}",
     "{} < {c}",
     "{} >> {n}",
-    "np.int32({}) * {c}",
-    "(np.int16({}) * np.int16({})) >> {n}",
+    "i32({}) * {c}",
+    "(i16({}) * i16({})) >> {n}",
     "{} // {d}",
     "{} % {d}",
     "({} % {d}) & 1",
     "(({} // {d}) & 7) * 6 & 4",
     "({} >> {n}) // {d}",
     "({} - {}) % {d}",
-    "np.int32({}) // {d} - {}",
+    "i32({}) // {d} - {}",
     "{} >> ({} & 63)",
-    "np.int32({}) << (({} >> {n}) & 15)",
-    "(np.int8({}) >> ({} & 7)) < {}",
-    "np.where({} < {}, {}, {})",
-    "np.where({} & 1 == 1, {}, {c})",
-    "np.where({} == {}, {} >> {n}, -1)",
-    "np.minimum({}, {})",
-    "np.maximum({}, {c})",
+    "i32({}) << (({} >> {n}) & 15)",
+    "(i8({}) >> ({} & 7)) < {}",
+    "{} if {} < {} else {}",
+    "{} if {} & 1 == 1 else {c}",
+    "{} >> {n} if {} == {} else -1",
+    "min({}, {})",
+    "max({}, {c})",
     "PAIR[({} >> {n}) & 1]",
     "PAIR[({} < 0) & ({} > {c})]",
     "FOUR[({} >> {n}) & 3]",
-    "FOUR[np.where({} < {}, {} >> 6, {} >> 5) & 3]",
+    "FOUR[({} >> 6 if {} < {} else {} >> 5) & 3]",
     "FOUR[(~{} >> {n}) & 3] - {}",
-    "EIGHT[(np.int8({}) >> ({} & 7)) & 7]",
-    "EIGHT[np.int8({}) // 32 + 4]",
+    "EIGHT[(i8({}) >> ({} & 7)) & 7]",
+    "EIGHT[i8({}) // 32 + 4]",
     "EIGHT[(({} & 3) - 2) & 7]",
-    "EIGHT[np.where({} < 0, -1, 2) & 7]",
+    "EIGHT[(-1 if {} < 0 else 2) & 7]",
     "EIGHT[({} & 1) * 4 + ({} >> {n} & 1) * 2 + ({} % 2)]",
     "LONG[({} - {}) & 15] * FOUR[({} >> {n}) & 3]",
-    "LONG[np.int64({}) >> 60 & 15]",
+    "LONG[i64({}) >> 60 & 15]",
     "ODD[{} % 5]",
     "ODD[FOUR[({} >> {n}) & 3] % 5] + {}",
-    "np.int8({}) - np.int8({}) < {c}",
-    "(np.int8({}) ^ np.uint8({})) >> {n}",
-    "np.int8({} >> {n})",
-    "np.int32({})",
-    "np.uint32({} >> {n})",
+    "i8({}) - i8({}) < {c}",
+    "(i8({}) ^ u8({})) >> {n}",
+    "i8({} >> {n})",
+    "i32({})",
+    "u32({} >> {n})",
 ]
 
 FIVE, SMALL, FAR, NEXT = (TABLES[name] for name in ("FIVE", "SMALL", "FAR", "NEXT"))
 
 
-def within(x: Any, low: int, high: int) -> Any:
-    """Return a word that is known to be in a range wherever the result is chosen."""
-    if isinstance(x, Traced):
-        return Traced(x.graph, x.graph.narrow(x.node, low, high))
-    return np.clip(x, low, high)
-
-
 def entry(x: Any) -> Any:
     """Return an entry of a table that is a few numbers, of one that is a number, and of one in memory."""
-    near = np.where((x > 0) & (x < 6), FIVE[within(x, 1, 5) - 1], 0)
-    near += np.where((x > 0) & (x < 9), SMALL[within(x, 1, 8) - 1], 0)
-    return near + np.where((x > 4) & (x < 45), FAR[within(x, 5, 44) - 5], 0)
+    near = FIVE[x - 1] if 0 < x < 6 else 0
+    near += SMALL[x - 1] if 0 < x < 9 else 0
+    return near + (FAR[x - 5] if 4 < x < 45 else 0)
 
 
 def quotient(a: Any, by: Any) -> Any:
     """Divide by what may be anything, if it is 1 or more."""
-    return np.where(by > 0, a // within(by, 1, 2**63), a)
+    return a // by if by > 0 else a
 
 
 def rest(a: Any, by: Any) -> Any:
     """Divide by a number that is known to be small where it is looked at, and negative elsewhere."""
-    return np.where((by > 2) & (by < 9), a % within(by, 3, 8), 3)
+    return a % by if 2 < by < 9 else 3
 
 
 def shifted(a: Any, by: Any) -> Any:
     """Shift by what would be too far elsewhere."""
-    right = np.where((by >= 0) & (by < 40), a >> within(by, 0, 39), 1)
-    return right + np.where((by > 2) & (by < 9), np.int16(a) << within(by, 3, 8), 0)
+    right = a >> by if 0 <= by < 40 else 1
+    return right + (i16(a) << by if 2 < by < 9 else 0)
 
 
 def flags(x: Any, y: Any) -> Any:
     """Choose among flags of which some are anything elsewhere: one is no flag there."""
-    known = (x > 1) & (x < 4)
-    flag = np.where(known, within(x, 2, 3) - 2, 1)
-    both = np.where(y & 1, np.where(known, within(x, 2, 3) - 2, 0), 0)
-    return flag * 4 + both * 2 + np.where(known, within(x, 2, 3) == 3, y > 0)
+    known = 1 < x < 4
+    flag = x - 2 if known else 1
+    both = (x - 2 if known else 0) if y & 1 else 0
+    return flag * 4 + both * 2 + (x == 3 if known else y > 0)
 
 
 def same(x: Any, y: Any) -> Any:
     """Find out in a branch what is found out behind it too, where the branch's word is anything."""
-    known = within(x, 1, 40)
-    inside = ((y & 7) - NEXT[known]) + (FAR[known - 1] + 10)
-    return np.where((x > 0) & (x < 41), inside, 9) * 5 + ((y & 7) + 9)
+    inside = ((y & 7) - NEXT[x]) + (FAR[x - 1] + 10) if 0 < x < 41 else 9
+    return inside * 5 + ((y & 7) + 9)
 
 
-HELPERS = {f.__name__: f for f in (within, entry, quotient, rest, shifted, flags, same)}
+HELPERS = {f.__name__: f for f in (entry, quotient, rest, shifted, flags, same)}
 
 NARROWED = [
     "entry({})",
     "entry({} & 127)",
-    "entry(np.int8({}))",
+    "entry(i8({}))",
     "quotient({}, {})",
-    "quotient({}, np.int8({}))",
-    "quotient({}, np.int16({} >> {n}))",
+    "quotient({}, i8({}))",
+    "quotient({}, i16({} >> {n}))",
     "quotient({c}, {} & 15)",
     "rest({}, {})",
     "rest({}, {} & 15)",
     "shifted({}, {})",
-    "shifted({}, np.int8({}))",
+    "shifted({}, i8({}))",
     "shifted({}, {} & 63)",
     "flags({}, {})",
     "flags({} & 7, {})",
-    "flags(np.int8({}), {}) ^ {}",
+    "flags(i8({}), {}) ^ {}",
     "same({}, {})",
     "same({} & 7, {})",
-    "{} // np.maximum({}, 1)",
-    "{} % np.maximum({}, 1)",
+    "{} // max({}, 1)",
+    "{} % max({}, 1)",
     "{} // (({} & 15) + 1)",
-    "{} % np.maximum(np.int16({} >> {n}), {d})",
-    "{c} // np.maximum(np.int8({}), 1)",
-    "np.int16({}) % np.maximum({}, 1)",
+    "{} % max(i16({} >> {n}), {d})",
+    "{c} // max(i8({}), 1)",
+    "i16({}) % max({}, 1)",
 ]
 """Words narrowed down, and divisions by words."""
 PLAIN = 528
 """From this number on environments have those, too."""
 
-CASTS = "np.int64", "np.int32", "np.int8", "np.uint64", ""
+DRAWN = "    draw = draws.bits()"
+CASTS = {"u8": u8, "u32": u32, "u64": u64, "i8": i8, "i16": i16, "i32": i32, "i64": i64}
 
 Word = tuple[str, int, bool]
 """A field of the state: its name, bits, and whether it has a sign."""
@@ -171,7 +171,7 @@ Word = tuple[str, int, bool]
 X, Y, WIDE = ("x", 8, True), ("y", 8, True), ("x", 64, True)
 FIXED: list[tuple[list[Word], str]] = [
     ([X], "x, FOUR[(x >> 7) & 3], 0"),  # a table's index with a sign
-    ([X, Y], "y, x, FOUR[np.where(action < 2, x >> 7, y >> 6) & 3], 0"),
+    ([X, Y], "y, x, FOUR[(x >> 7 if action < 2 else y >> 6) & 3], 0"),
     ([("x", 64, False)], "(x % 10) & 1, 0, 0"),  # a sum of which no term is left
     ([X], "x, EIGHT[(x >> action) & 7], EIGHT[x // 64 & 7] < 0"),
     ([("x", 3, True), Y], "x ^ 1, y, EIGHT[x + 4], EIGHT[x & 7] < 0"),
@@ -180,17 +180,17 @@ FIXED: list[tuple[list[Word], str]] = [
     ([("x", 64, False)], "x ^ (x % 6 & 1), (x * 6 + 4 * action) & 3, 0"),
     ([WIDE], "-1, 3, 1"),  # nothing but constants
     ([WIDE, Y], "x, y, y, 0"),  # nothing but wires
-    ([WIDE, ("y", 63, False)], "np.where(x < y, y, 1), (x ^ y) & 1023, x < y, (y < 3) ^ (x == y)"),
-    ([("x", 8, False)], "x ^ action, np.where((x > 0) & (x < 6), FIVE[within(x, 1, 5) - 1], 0) & 63, 0"),
+    ([WIDE, ("y", 63, False)], "y if x < y else 1, (x ^ y) & 1023, x < y, (y < 3) ^ (x == y)"),
+    ([("x", 8, False)], "x ^ action, (FIVE[x - 1] if 0 < x < 6 else 0) & 63, 0"),
     ([X, Y], "quotient(x, y), x, rest(x, y) + flags(y, x), entry(x) & 1"),
     ([WIDE, Y], "quotient(x, y), y, rest(x, y), shifted(x, y) & 1"),
     (
         [("x", 32, True), ("y", 16, False)],
-        "x // np.maximum(y, 1), x % (y | 1), entry(y) & 63, y < 9",
+        "x // max(y, 1), x % (y | 1), entry(y) & 63, y < 9",
     ),
-    ([("x", 3, False), Y], "x, np.int8(entry(x)), np.int8(entry(y)) ^ flags(x, y), rest(x, y) & 1"),
-    ([X, Y], "np.int8(same(x, y)), y, 0, 0"),
-    ([X, ("soft", 8, False), ("soft_", 8, True)], "soft_, np.uint8(x), np.int8(soft), soft & 63, x < soft_"),
+    ([("x", 3, False), Y], "x, i8(entry(x)), i8(entry(y)) ^ flags(x, y), rest(x, y) & 1"),
+    ([X, Y], "i8(same(x, y)), y, 0, 0"),
+    ([X, ("soft", 8, False), ("soft_", 8, True)], "soft_, u8(x), i8(soft), soft & 63, x < soft_"),
 ]
 """What has gone wrong, and its relatives: the state, and the results of a step."""
 
@@ -215,9 +215,7 @@ def operations(chance: random.Random, words: list[str], count: int, patterns: li
         }
         value = pattern.format(*values, **numbers)
         # Words of more bits than a kernel can hold are refused.
-        lines.append(
-            f"    v{k} = {chance.choice(['np.int64', 'np.int32', 'np.int8', 'np.uint64', ''])}({value})"
-        )
+        lines.append(f"    v{k} = {chance.choice(['i64', 'i32', 'i8', 'u64', ''])}({value})")
         words = [*words, f"v{k}"]
     return lines
 
@@ -225,51 +223,52 @@ def operations(chance: random.Random, words: list[str], count: int, patterns: li
 def random_source(chance: random.Random, fields: list[Field], reward: Field, patterns: list[str]) -> str:
     """Return the text of three golden functions over a state of these fields."""
     names, count = [f.name for f in fields], chance.randint(2, 7)
+    given = [f"    {name} = state.{name}" for name in names]
     every = [f"v{k}" for k in range(count)]
     moved = ", ".join(wrapped(chance.choice([*every, *names]), f) for f in fields)
     first, second = operations(chance, names, 2, patterns), operations(chance, ["draw"], 2, patterns)
     fresh = ", ".join(wrapped(chance.choice(["v0", "v1", "draw"]), f) for f in fields)
     return "\n".join(
         [
-            f"def step({', '.join(names)}, action, draw):",
+            *("def step(state, action, draws):", *given, DRAWN),
             *operations(chance, [*names, *names, "action", "draw"], count, patterns),
-            f"    return {moved}, {wrapped(every[-1], reward)}, {wrapped(every[-2], Field('end', 1))}",
-            *("def initial(draw):", *second, f"    return {fresh}"),
-            *(f"def observe({', '.join(names)}):", *first, "    return np.int32(v0), np.int32(v1)", ""),
+            f"    return State({moved}), {wrapped(every[-1], reward)}, {wrapped(every[-2], Field('end', 1))}",
+            *("def initial(draws):", DRAWN, *second, f"    return State({fresh})"),
+            *("def observe(state):", *given, *first, "    return i32(v0), i32(v1)", ""),
         ]
     )
 
 
 def fixed_source(state: list[Word], results: str) -> str:
     """Return the text of three golden functions, of the results of a step."""
-    names = ", ".join(name for name, *_ in state)
+    names = [name for name, *_ in state]
     return "\n".join(
         [
-            f"def step({names}, action, draw):\n    return {results}",
-            f"def initial(draw):\n    return {', '.join('draw & 3' for _ in state)}",
-            f"def observe({names}):\n    return {state[0][0]} & 0xFFFF, {state[-1][0]} < 0\n",
+            *("def step(state, action, draws):", *(f"    {name} = state.{name}" for name in names), DRAWN),
+            f"    every = {results}\n    return State(*every[:{len(names)}]), *every[{len(names)}:]",
+            f"def initial(draws):\n{DRAWN}\n    return State({', '.join('draw & 3' for _ in state)})",
+            f"def observe(state):\n    return state.{names[0]} & 0xFFFF, state.{names[-1]} < 0\n",
         ]
     )
 
 
 def spec_with(text: str, fields: list[Field], reward: Field) -> EnvSpec:
     """Return an environment of these golden functions."""
-    scope: dict[str, Any] = {"np": np, **TABLES, **HELPERS}
-    exec(compile(text, "<a wide step>", "exec"), scope)
+    kinds: list[tuple[str, Any]] = [(f.name, (Signed if f.signed else Bits)[f.bits]) for f in fields]
+    state = NamedTuple("State", kinds)  # type: ignore[misc]
+    scope: dict[str, Any] = {**CASTS, **TABLES, **HELPERS, "State": state}
+    defined(text, scope, f"<a wide step, {hashlib.sha256(text.encode()).hexdigest()}>")
     return EnvSpec(
         name="Wide",
         version=0,
         summary=text,
-        state=tuple(fields),
         action=Field("action", 2),
         observation=(Field("first", 32, signed=True), Field("second", 32, signed=True)),
         reward=reward,
         rewards=None,
         observation_space=Box(-(2**31), 2**31 - 1, (2,), np.int32),
         action_space=Discrete(4),
-        golden=Golden(scope["initial"], scope["step"], scope["observe"]),
-        reset_draws=1,
-        step_draws=1,
+        golden=Golden(state, scope["initial"], scope["step"], scope["observe"]),
     )
 
 
