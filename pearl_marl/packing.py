@@ -81,8 +81,8 @@ def _packer(fields: tuple[Field, ...]) -> GoldenFunction:
     for field in fields:
         start = layout.fields[field.name][1]  # type: ignore[index]
         for byte in range(field.dtype.itemsize):
-            lines.append(f"    row[{start + byte}] = int({field.name}) >> {8 * byte} & 255")
-    names = ", ".join(field.name for field in fields)
+            lines.append(f"    row[{start + byte}] = int(word_{field.name}) >> {8 * byte} & 255")
+    names = ", ".join(f"word_{field.name}" for field in fields)  # one may be named row
     scope: dict[str, Any] = {"__name__": __name__}  # of whose module the function is
     exec("\n".join([f"def pack({names}, row):", *lines]), scope)
     pack: GoldenFunction = scope["pack"]

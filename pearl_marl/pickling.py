@@ -19,6 +19,7 @@ import numpy as np
 from gymnasium.spaces import Box
 
 from pearl_marl.errors import ArgumentError
+from pearl_marl.layout import Layout
 
 
 def reduced(spec: Any) -> tuple[Any, ...] | None:
@@ -88,7 +89,10 @@ def _has_a_name(function: Any) -> bool:
 
 
 def _alike(one: Any, other: Any) -> bool:
-    """Return whether two values are the same; of functions, whether they do the same. In doubt, ``False``."""
+    """Return whether two values are the same; of functions, whether they do the same. In doubt, ``False``.
+
+    Of classes with fields, whether they have the same.
+    """
     if one is other:
         return True
     if type(one) is not type(other):
@@ -101,6 +105,11 @@ def _alike(one: Any, other: Any) -> bool:
         return one.dtype == other.dtype and np.array_equal(one, other)
     if isinstance(one, Box):  # whose == overlooks small differences
         return bool(one == other) and _alike((one.low, one.high), (other.low, other.high))
+    if isinstance(one, Layout):
+        return _alike(one.cls, other.cls)
+    if isinstance(one, type):  # made in a function, for options
+        known = [(cls.__module__, cls.__qualname__, "__annotations__" in vars(cls)) for cls in (one, other)]
+        return known[0] == known[1] and known[0][2] and Layout(one).fields == Layout(other).fields
     if isinstance(one, types.FunctionType):
         return one.__globals__ is other.__globals__ and _alike(_parts(one), _parts(other))
     return bool(one == other)

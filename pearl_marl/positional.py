@@ -55,36 +55,67 @@ def step_of(
     *,
     world: bool,
 ) -> GoldenFunction:
-    """Return ``step(state, action, draws)`` as a function of words, given the fields of actions and rewards."""
-    count, flat, built, draws_of, taken = len(state.fields), state.flat, state.built, Draws, _outcome
-    fields, fraction = len(action), state.fraction
-    given, number, word_of = agents * fields, _number, _word
+    """Return ``step(state, action, draws)`` as a function of words, given fields of actions and rewards."""
+    call = _Step(state, agents, action, reward, world)
 
     def step(*words: Word) -> tuple[Word, ...]:
-        own = [
-            number(word, action[k % fields], fraction) for k, word in enumerate(words[count : count + given])
-        ]
-        actions = own if fields == 1 else [tuple(own[k : k + fields]) for k in range(0, given, fields)]
-        acts = actions if world else actions[0]
-        result = function(built(words[:count]), acts, draws_of(words[count + given :], fraction))
-        after, rewards, ends = taken(result, agents, world)
-        return (*flat(after), *[word_of(one, reward) for one in rewards], *ends)
+        return call.words(function(*call.arguments(words)))
 
     return _as(state, function, step, "state", "actions" if world else "action", "draws")
 
 
-def _number(word: Word, field: Field, fraction: int | None) -> Any:
-    """Return an action's number: a real, where the environment has them and the field has a fraction."""
-    if fraction is None or not field.fraction:
-        return word
-    by = fraction - field.fraction
-    return Real(word << by if by >= 0 else rounded(word, -by), fraction)
+class _Step:
+    """What a step takes and returns, made of words and into words."""
 
+    def __init__(
+        self, state: Layout, agents: int, action: Sequence[Field], reward: Field, world: bool
+    ) -> None:
+        self.state, self.agents, self.action, self.reward, self.world = state, agents, action, reward, world
 
-def _word(number: Any, field: Field) -> Word:
-    """Return the word of a reward."""
-    is_real = isinstance(number, (Real, Choice, float))
-    return stored(number, field.low, field.high, field.fraction) if is_real else number
+    def arguments(self, words: Sequence[Word]) -> tuple[Any, Any, Draws]:
+        """Return state, action or actions, and draws."""
+        count, fields = len(self.state.fields), len(self.action)
+        end = count + self.agents * fields
+        numbers = [self._number(word, self.action[k % fields]) for k, word in enumerate(words[count:end])]
+        each = (
+            numbers
+            if fields == 1
+            else [tuple(numbers[k : k + fields]) for k in range(0, len(numbers), fields)]
+        )
+        draws = Draws(words[end:], self.state.fraction)
+        return self.state.built(words[:count]), each if self.world else each[0], draws
+
+    def words(self, result: Any) -> tuple[Word, ...]:
+        """Return the words of a state, rewards and flags of termination."""
+        if not isinstance(result, tuple) or len(result) != 3:
+            shown = f"{len(result)} values" if isinstance(result, tuple) else "one value"
+            raise ArgumentError(
+                f"step() returns {shown}; it returns a state, a reward and whether it terminated"
+            )
+        after, *others = result
+        if not self.world:
+            others = [[other] for other in others]
+        for what, values in zip(("rewards", "flags of termination"), others, strict=True):
+            if not isinstance(values, (tuple, list)) or len(values) != self.agents:
+                raise ArgumentError(
+                    f"step() returns {values!r} for its {what}; there are {self.agents} agents"
+                )
+        rewards, ends = others
+        return (*self.state.flat(after), *map(self._reward, rewards), *ends)
+
+    def _number(self, word: Word, field: Field) -> Any:
+        """Return an action's number: a real, where the environment has them and the field has a fraction."""
+        fraction = self.state.fraction
+        if fraction is None or not field.fraction:
+            return word
+        by = fraction - field.fraction
+        return Real(word << by if by >= 0 else rounded(word, -by), fraction)
+
+    def _reward(self, number: Any) -> Word:
+        """Return the word of a reward; a real saturates."""
+        field = self.reward
+        is_real = isinstance(number, (Real, Choice, float))
+        return stored(number, field.low, field.high, field.fraction) if is_real else number
 
 
 def view_of(
@@ -133,20 +164,6 @@ def _written(value: Any, scope: dict[str, Any]) -> str:
     name = f"class_{len(scope)}"
     scope[name] = kind
     return f"{name}({parts})"
-
-
-def _outcome(result: Any, agents: int, world: bool) -> tuple[Any, list[Word], list[Word]]:
-    """Return state, rewards and ends of what a step returned."""
-    if not isinstance(result, tuple) or len(result) != 3:
-        shown = f"{len(result)} values" if isinstance(result, tuple) else "one value"
-        raise ArgumentError(f"step() returns {shown}; it returns a state, a reward and whether it terminated")
-    after, *others = result
-    if not world:
-        return after, [others[0]], [others[1]]
-    for what, values in zip(("rewards", "flags of termination"), others, strict=True):
-        if not isinstance(values, (tuple, list)) or len(values) != agents:
-            raise ArgumentError(f"step() returns {values!r} for its {what}; there are {agents} agents")
-    return after, list(others[0]), list(others[1])
 
 
 def _as(state: Layout, function: GoldenFunction, wrapper: Callable[..., Any], *given: str) -> GoldenFunction:

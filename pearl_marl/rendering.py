@@ -58,7 +58,7 @@ class OwnRenderer:
     def render(self, state: npt.NDArray[Any]) -> npt.NDArray[np.uint8]:
         """Draw a world's state as an image of shape ``(height, width, 3)``."""
         with _installed(self._spec):
-            drawn = self._draw(tuple(state.tolist()))
+            drawn = self._draw(self._spec.layout.built(state.tolist()))
         return _picture(self._spec, drawn)
 
     def close(self) -> None:
@@ -78,7 +78,7 @@ class OracleRenderer:
 
     def render(self, state: npt.NDArray[Any]) -> Any:
         """Draw a world's state, as the render mode has it."""
-        self._pose(self._env, tuple(state.tolist()))
+        self._pose(self._env, self._spec.layout.built(state.tolist()))
         with _installed(self._spec):
             drawn = self._env.render()
         return _picture(self._spec, drawn) if self._mode == "rgb_array" else drawn

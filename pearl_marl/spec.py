@@ -158,9 +158,10 @@ class EnvSpec:
         Package and name of what this one follows with its default options, such as
         ``"lbforaging Foraging-8x8-2p-3f-v3"``, for lists of environments; by default the oracle.
     pose
-        Puts the oracle's environment, unwrapped, into a slot's state, so that it can render it.
+        Puts the oracle's environment, unwrapped, into a slot's state, an object of ``golden.state``, so that
+        it can render it.
     draw
-        Draws a slot's state itself, as an image of shape ``(height, width, 3)`` and dtype ``uint8`` (or of
+        Draws such a state itself, as an image of shape ``(height, width, 3)`` and dtype ``uint8`` (or of
         floats from 0 to 1), where no oracle can do so without a screen.
     render_modes, render_fps
         How the oracle can render, as its own metadata say; ``("rgb_array",)`` with ``draw``.
@@ -189,8 +190,8 @@ class EnvSpec:
     core: Path | str | None = None
     oracle: str | None = None
     follows: str | None = None
-    pose: Callable[[Env[Any, Any], tuple[int, ...]], None] | None = None
-    draw: Callable[[tuple[int, ...]], npt.NDArray[np.uint8]] | None = None
+    pose: Callable[[Env[Any, Any], Any], None] | None = None
+    draw: Callable[[Any], npt.NDArray[np.uint8]] | None = None
     render_modes: tuple[str, ...] = ()
     render_fps: int = 4
     grid: Grid | None = None

@@ -13,8 +13,8 @@ from pearl_marl.spec import EnvSpec, Golden
 from .step import State, View, initial, make_step, observe
 
 
-def pose(oracle: Env[Any, Any], state: tuple[int, ...]) -> None:
-    """Put Gymnasium's Blackjack into ``(player, ace, showing, hidden, natural)``, for rendering."""
+def pose(oracle: Env[Any, Any], state: State) -> None:
+    """Put Gymnasium's Blackjack into a state, for rendering."""
     player, ace, showing, hidden, _ = state
     # Any hand of the same total and ace looks the same.
     oracle.player = [1, player - 11] if ace else [player]  # type: ignore[attr-defined]

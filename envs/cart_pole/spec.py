@@ -18,7 +18,7 @@ from .step import State, initial, make_step, observe
 HIGH = np.array([4.8, np.inf, 2 * 12 * 2 * math.pi / 360, np.inf], np.float32)
 
 
-def pose(oracle: Env[Any, Any], state: tuple[float, ...]) -> None:
+def pose(oracle: Env[Any, Any], state: State) -> None:
     """Put Gymnasium's CartPole into a state, for rendering."""
     oracle.state = np.array(state)  # type: ignore[attr-defined]
 

@@ -5,8 +5,8 @@ follows Barto, Sutton and Anderson, *Neuronlike adaptive elements that can solve
 control problems*, 1983, with the equations corrected by Florian,
 https://coneural.org/florian/papers/05_cart_pole.pdf.
 
-The state's words have 27 fraction bits. The equations are arranged so that every intermediate
-word is below 2, whatever the state, and has 30 fraction bits: with the time step inside, accelerations are the
+The state's words have 27 fraction bits. The equations are arranged so that every intermediate word is
+below 2, whatever the state, and has 30 fraction bits: with the time step inside, accelerations are the
 changes of a velocity in one step,
 
     push    = tau / M * (+-F + m l w**2 sin)                     change of velocity, massless pole

@@ -16,10 +16,9 @@ from .step import State, initial, observe, step, step_slippery
 ROWS, COLUMNS = 4, 12
 
 
-def pose(oracle: Env[Any, Any], state: tuple[int, ...]) -> None:
-    """Put Gymnasium's CliffWalking into ``(row, column)``, for rendering."""
-    row, column = state
-    oracle.s = COLUMNS * row + column  # type: ignore[attr-defined]
+def pose(oracle: Env[Any, Any], state: State) -> None:
+    """Put Gymnasium's CliffWalking into a state, for rendering."""
+    oracle.s = observe(state)  # type: ignore[attr-defined]
     oracle.lastaction = None  # type: ignore[attr-defined]
 
 

@@ -15,7 +15,7 @@ GROUND, LINE = (250, 250, 250), (190, 190, 190)
 RED_COLOUR, BLUE_COLOUR = (205, 45, 45), (40, 85, 200)
 
 
-def draw(state: tuple[int, ...]) -> npt.NDArray[np.uint8]:
+def draw(state: Any) -> npt.NDArray[np.uint8]:
     """Draw a state, row 0 at the bottom as in the package's pictures; it needs Pillow."""
     from PIL import Image, ImageDraw
 
@@ -26,17 +26,13 @@ def draw(state: tuple[int, ...]) -> npt.NDArray[np.uint8]:
         pen.line((at, 0, at, side), LINE)
         pen.line((0, at, side, at), LINE)
     # Each has a corner of its cell to itself, since all four may be in one.
-    for place, colour, right, down in (
-        (4, RED_COLOUR, 0.27, 0.73),
-        (6, BLUE_COLOUR, 0.73, 0.73),
-        (0, RED_COLOUR, 0.27, 0.27),
-        (2, BLUE_COLOUR, 0.73, 0.27),
-    ):
-        row, column = state[place : place + 2]
-        left, top = (column + right) * CELL, (SIZE - 1 - row + down) * CELL
-        _disc(pen, left, top, CELL * 0.2, colour)
-        if place >= 4:
-            _disc(pen, left, top, CELL * 0.11, GROUND)
+    for down, places in ((0.73, state.coins), (0.27, state.players)):
+        for right, colour, place in zip((0.27, 0.73), (RED_COLOUR, BLUE_COLOUR), places, strict=True):
+            row, column = place
+            left, top = (column + right) * CELL, (SIZE - 1 - row + down) * CELL
+            _disc(pen, left, top, CELL * 0.2, colour)
+            if places is state.coins:
+                _disc(pen, left, top, CELL * 0.11, GROUND)
     return np.asarray(image)
 
 

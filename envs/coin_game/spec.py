@@ -10,11 +10,10 @@ import numpy.typing as npt
 from gymnasium.spaces import Box, Discrete
 
 from pearl_marl.errors import ArgumentError
-from pearl_marl.golden import Word
 from pearl_marl.spec import EnvSpec, Golden, Grid, is_number
 
 from .picture import draw
-from .step import SIZE, Around, View, make_initial, make_observe, make_step, rewards, state_of
+from .step import SIZE, Around, Place, View, make_initial, make_observe, make_step, rewards, state_of
 
 CHANNELS = 4
 CELLS = SIZE * SIZE
@@ -22,53 +21,26 @@ PAYOFF = ((1.0, 1.0, -2.0), (1.0, 1.0, -2.0))
 STEPS = 1, 1 << 16
 
 
-def mark(row: Any, line: int, column: int, channel: int) -> None:
+def mark(row: Any, place: Place, channel: int) -> None:
     """Set one element of an observation; nothing where the cell is not on the torus."""
+    line, column = int(place.row), int(place.column)
     if line < SIZE and column < SIZE:
         row[(line * SIZE + column) * CHANNELS + channel] = 1
 
 
-def unpack(
-    own_row: Word,
-    own_column: Word,
-    other_row: Word,
-    other_column: Word,
-    own_coin_row: Word,
-    own_coin_column: Word,
-    other_coin_row: Word,
-    other_coin_column: Word,
-    row: Any,
-) -> None:
+def unpack(seen: View, row: Any) -> None:
     """Write the package's ``(3, 3, 4)`` of row, column and what is there, into ``row``."""
     for k in range(CELLS * CHANNELS):
         row[k] = 0
-    mark(row, int(own_row), int(own_column), 0)
-    mark(row, int(other_row), int(other_column), 1)
-    mark(row, int(own_coin_row), int(own_coin_column), 2)
-    mark(row, int(other_coin_row), int(other_coin_column), 3)
+    mark(row, seen.own, 0)
+    mark(row, seen.other, 1)
+    mark(row, seen.own_coin, 2)
+    mark(row, seen.other_coin, 3)
 
 
-def unpack_around(
-    other_row: Word,
-    other_column: Word,
-    own_coin_row: Word,
-    own_coin_column: Word,
-    other_coin_row: Word,
-    other_coin_column: Word,
-    row: Any,
-) -> None:
+def unpack_around(seen: Around, row: Any) -> None:
     """Do the same for who is in the middle of what he sees."""
-    unpack(
-        1,
-        1,
-        other_row,
-        other_column,
-        own_coin_row,
-        own_coin_column,
-        other_coin_row,
-        other_coin_column,
-        row,
-    )
+    unpack(View(Place(1, 1), seen.other, seen.own_coin, seen.other_coin), row)
 
 
 def configure(

@@ -8,21 +8,20 @@ import numpy as np
 from gymnasium import Env
 from gymnasium.spaces import Box, Discrete
 
-from pearl_marl.golden import Word
 from pearl_marl.planes import interleave
 from pearl_marl.spec import EnvSpec, Field, Golden
 
 from .step import CELLS, COLUMNS, ROWS, State, View, initial, masks, observe, step
 
 
-def unpack(own: Word, other: Word, row: Any) -> None:
+def unpack(seen: View, row: Any) -> None:
     """Write PettingZoo's ``(6, 7, 2)`` of row, column and whose disc it is, into ``row``."""
-    interleave(own, other, CELLS, row)
+    interleave(seen.own, seen.other, CELLS, row)
 
 
-def pose(oracle: Env[Any, Any], state: tuple[int, ...]) -> None:
-    """Put PettingZoo's game into ``(first, second, turn)``, for rendering."""
-    first, second, _ = state
+def pose(oracle: Env[Any, Any], state: State) -> None:
+    """Put PettingZoo's game into a state, for rendering."""
+    first, second = state.boards
     board = [(first >> cell & 1) + 2 * (second >> cell & 1) for cell in range(CELLS)]
     oracle.game.board = board  # type: ignore[attr-defined]
 

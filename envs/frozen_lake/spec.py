@@ -109,10 +109,9 @@ def configure(
     )
 
 
-def pose(oracle: Env[Any, Any], state: tuple[int, ...]) -> None:
-    """Put Gymnasium's FrozenLake into ``(row, column)``, for rendering."""
-    row, column = state
-    oracle.s = oracle.ncol * row + column  # type: ignore[attr-defined]
+def pose(oracle: Env[Any, Any], state: State) -> None:
+    """Put Gymnasium's FrozenLake into a state, for rendering."""
+    oracle.s = oracle.ncol * state.row + state.column  # type: ignore[attr-defined]
     oracle.lastaction = None  # type: ignore[attr-defined]
 
 

@@ -16,7 +16,7 @@ from .step import State, goal_word, initial, make_step, observe
 LOW, HIGH = np.array([-1.2, -0.07], np.float32), np.array([0.6, 0.07], np.float32)
 
 
-def pose(oracle: Env[Any, Any], state: tuple[float, ...]) -> None:
+def pose(oracle: Env[Any, Any], state: State) -> None:
     """Put Gymnasium's MountainCar into a state, for rendering."""
     oracle.state = state  # type: ignore[attr-defined]
 

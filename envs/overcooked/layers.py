@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from pearl_marl.golden import GoldenFunction, Word
+from pearl_marl.golden import GoldenFunction
 
 from .kitchen import Kitchen
 from .step import clock_bits
@@ -42,12 +42,8 @@ def make_unpack(kitchen: Kitchen) -> GoldenFunction:
     floor = (places(kitchen.floor) * 2)[: 1 << kitchen.cell_bits]
     counters, pots = places(kitchen.counters), places(kitchen.pots)
     onion, dish, tomato = kitchen.onion, kitchen.dish, kitchen.tomato
-    n_counters, n_pots, soup_bits, time_bits = (
-        len(counters),
-        len(pots),
-        kitchen.soup_bits,
-        clock_bits(kitchen),
-    )
+    n_counters, n_pots, n_planes = len(counters), len(pots), kitchen.item_bits
+    soup_bits, time_bits = kitchen.soup_bits, clock_bits(kitchen)
     any_soup, any_time = (1 << soup_bits) - 1, (1 << time_bits) - 1
 
     def show_item(item: int, place: int, row: Any) -> None:
@@ -62,36 +58,23 @@ def make_unpack(kitchen: Kitchen) -> GoldenFunction:
             row[place + TOMATOES_IN_SOUP] = item >> 2
             row[place + DONE] = 1
 
-    def show(
-        own_cell: Word,
-        own_facing: Word,
-        own_holds: Word,
-        other_cell: Word,
-        other_facing: Word,
-        other_holds: Word,
-        plane_0: Word,
-        plane_1: Word,
-        plane_2: Word,
-        plane_3: Word,
-        in_pots: Word,
-        urgent: Word,
-        row: Any,
-    ) -> None:
+    def unpack(seen: Any, row: Any) -> None:
         for k in range(size):
             row[k] = empty[k]
-        place = floor[own_cell]
+        place = floor[seen.own.cell]
         row[place + OWN_PLACE] = 1
-        row[place + OWN_NORTH + int(own_facing)] = 1
-        show_item(int(own_holds), place, row)
-        place = floor[other_cell]
+        row[place + OWN_NORTH + int(seen.own.facing)] = 1
+        show_item(int(seen.own.holds), place, row)
+        place = floor[seen.other.cell]
         row[place + OTHER_PLACE] = 1
-        row[place + OTHER_NORTH + int(other_facing)] = 1
-        show_item(int(other_holds), place, row)
-        planes_0, planes_1, planes_2, planes_3 = int(plane_0), int(plane_1), int(plane_2), int(plane_3)
+        row[place + OTHER_NORTH + int(seen.other.facing)] = 1
+        show_item(int(seen.other.holds), place, row)
         for k in range(n_counters):
-            low = (planes_0 >> k & 1) | (planes_1 >> k & 1) << 1
-            show_item(low | (planes_2 >> k & 1) << 2 | (planes_3 >> k & 1) << 3, counters[k], row)
-        left = int(in_pots)
+            item = 0
+            for bit in range(n_planes):
+                item |= (int(seen.counters[bit]) >> k & 1) << bit
+            show_item(item, counters[k], row)
+        left = int(seen.pots)
         for k in range(n_pots):
             place, soup, clock = pots[k], left & any_soup, left >> soup_bits & any_time
             left >>= soup_bits + time_bits
@@ -103,41 +86,8 @@ def make_unpack(kitchen: Kitchen) -> GoldenFunction:
             else:
                 row[place + ONIONS_IN_POT] = soup & 3
                 row[place + TOMATOES_IN_POT] = soup >> 2
-        if urgent:
+        if seen.urgent:
             for k in range(URGENT, size, COUNT):
                 row[k] = 1
-
-    if kitchen.item_bits == 4:
-        return show
-
-    def unpack(
-        own_cell: Word,
-        own_facing: Word,
-        own_holds: Word,
-        other_cell: Word,
-        other_facing: Word,
-        other_holds: Word,
-        plane_0: Word,
-        plane_1: Word,
-        plane_2: Word,
-        in_pots: Word,
-        urgent: Word,
-        row: Any,
-    ) -> None:
-        show(
-            own_cell,
-            own_facing,
-            own_holds,
-            other_cell,
-            other_facing,
-            other_holds,
-            plane_0,
-            plane_1,
-            plane_2,
-            0,
-            in_pots,
-            urgent,
-            row,
-        )
 
     return unpack

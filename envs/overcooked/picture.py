@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from pearl_marl.layout import Layout
+
 from .kitchen import DIRECTIONS, Cell, Kitchen
 
 SIZE = 48
@@ -19,12 +21,13 @@ COUNTER, BOX, SERVING = (160, 120, 80), (120, 90, 60), (110, 170, 110)
 GROUND = {"X": COUNTER, "P": COUNTER, "O": BOX, "T": BOX, "D": BOX, "S": SERVING}
 
 
-def make_draw(kitchen: Kitchen) -> Callable[[tuple[int, ...]], npt.NDArray[np.uint8]]:
-    """Return what draws a state; it needs Pillow."""
+def make_draw(kitchen: Kitchen, layout: Layout) -> Callable[[tuple[int, ...]], npt.NDArray[np.uint8]]:
+    """Return what draws a state, given its words; it needs Pillow."""
 
-    def draw(state: tuple[int, ...]) -> npt.NDArray[np.uint8]:
+    def draw(words: tuple[int, ...]) -> npt.NDArray[np.uint8]:
         from PIL import Image, ImageDraw, ImageFont
 
+        state = layout.built(words)
         image = Image.new("RGB", (kitchen.width * SIZE, kitchen.height * SIZE), FLOOR)
         pen, font = ImageDraw.Draw(image), ImageFont.load_default(SIZE // 3)
 
@@ -47,21 +50,17 @@ def make_draw(kitchen: Kitchen) -> Callable[[tuple[int, ...]], npt.NDArray[np.ui
                         colour = {"O": ONION, "T": TOMATO, "D": DISH}[kind]
                         left, top = _middle((x, y))
                         _disc(pen, (left + right, top + down), SIZE // 6, colour)
-        bits = kitchen.item_bits
-        planes, pots = state[6 : 6 + bits], state[6 + bits :]
         for k, cell in enumerate(kitchen.counters):
-            item(sum((plane >> k & 1) << bit for bit, plane in enumerate(planes)), _middle(cell))
+            item(sum((plane >> k & 1) << bit for bit, plane in enumerate(state.counters)), _middle(cell))
         for cell in kitchen.cells("P"):
             _disc(pen, _middle(cell), SIZE * 0.42, POT)
-        for k, cell in enumerate(kitchen.pots):
-            soup, clock = pots[2 * k : 2 * k + 2]
+        for cell, (soup, clock) in zip(kitchen.pots, state.pots, strict=True):
             _soup(pen, _middle(cell), soup)
             if clock:
                 left, top = _middle(cell)
                 text = "done" if clock == 1 else str(clock - 1)
                 pen.text((left, top + SIZE * 0.26), text, WHITE, font, anchor="mm")
-        for k, colour in enumerate(COOKS):
-            number, facing, holds = state[3 * k : 3 * k + 3]
+        for colour, (number, facing, holds) in zip(COOKS, state.cooks, strict=True):
             left, top = _middle(kitchen.floor[number])
             right, down = DIRECTIONS[facing]
             _disc(pen, (left, top), SIZE * 0.38, colour)

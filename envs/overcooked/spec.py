@@ -10,20 +10,13 @@ import numpy.typing as npt
 from gymnasium.spaces import Box, Discrete
 
 from pearl_marl.errors import ArgumentError
-from pearl_marl.spec import EnvSpec, Field, Golden, Grid, is_number
+from pearl_marl.layout import Layout
+from pearl_marl.spec import EnvSpec, Golden, Grid, is_number
 
-from .kitchen import LAYOUTS, MOST, Kitchen
+from .kitchen import LAYOUTS, MOST
 from .layers import COUNT, OWN_PLACE, make_unpack
 from .picture import make_draw
-from .step import (
-    clock_bits,
-    has_time,
-    last_calm,
-    make_initial,
-    make_observe,
-    make_step,
-    rewards,
-)
+from .step import make_classes, make_initial, make_observe, make_step, rewards
 
 SHAPING = {"PLACEMENT_IN_POT_REW": 3.0, "DISH_PICKUP_REWARD": 3.0, "SOUP_PICKUP_REWARD": 5.0}
 """The package's shaped rewards."""
@@ -66,20 +59,21 @@ def configure(
             )
         kitchen = kitchen.cooking(_integer("cook_time", cook_time, COOK_TIMES))
     table = rewards(kitchen, tuple(factor * shaping[name] for name in SHAPING))
+    state, view = make_classes(kitchen, horizon)
     shape = kitchen.width, kitchen.height, COUNT
     return EnvSpec(
         name="Overcooked",
         version=0,
         summary="Two cooks put onions into pots, and serve the soup",
-        state=state_fields(kitchen, horizon),
-        action=Field("action", 3),
-        observation=observation_fields(kitchen),
-        reward=Field("reward", (len(table) - 1).bit_length()),
         rewards=table,
         observation_space=Box(0, max(MOST, *kitchen.times), shape, np.uint8),
         action_space=Discrete(6),
         golden=Golden(
-            make_initial(kitchen, horizon), make_step(kitchen, horizon), make_observe(kitchen, horizon)
+            state,
+            make_initial(kitchen, state),
+            make_step(kitchen, horizon),
+            make_observe(kitchen, horizon, view),
+            view=view,
         ),
         agents=2,
         unpack=make_unpack(kitchen),
@@ -92,39 +86,11 @@ def configure(
             "rew_shaping_params": None if rew_shaping_params is None else shaping,
         },
         configure=configure,
-        draw=make_draw(kitchen),
+        draw=make_draw(kitchen, Layout(state)),
         follows="overcooked-ai cramped_room",
         render_modes=("rgb_array",),
         grid=Grid(kitchen.height, kitchen.width, _cell),
     )
-
-
-def cook_fields(names: tuple[str, str], kitchen: Kitchen) -> list[Field]:
-    """Return the fields of the two cooks."""
-    widths = {"cell": kitchen.cell_bits, "facing": 2, "holds": kitchen.item_bits}
-    return [Field(f"{name}_{what}", bits) for name in names for what, bits in widths.items()]
-
-
-def plane_fields(kitchen: Kitchen) -> list[Field]:
-    """Return the planes of the counters."""
-    return [Field(f"counters_{bit}", len(kitchen.counters)) for bit in range(kitchen.item_bits)]
-
-
-def state_fields(kitchen: Kitchen, horizon: int) -> tuple[Field, ...]:
-    """Return the state's fields."""
-    fields = [*cook_fields(("cook_0", "cook_1"), kitchen), *plane_fields(kitchen)]
-    for k in range(len(kitchen.pots)):
-        fields += Field(f"pot_{k}_soup", kitchen.soup_bits), Field(f"pot_{k}_clock", clock_bits(kitchen))
-    if has_time(horizon):
-        fields.append(Field("time", (last_calm(horizon) + 1).bit_length()))
-    return tuple(fields)
-
-
-def observation_fields(kitchen: Kitchen) -> tuple[Field, ...]:
-    """Return the observation's fields, of which ``unpack`` makes layers."""
-    pots = len(kitchen.pots) * (kitchen.soup_bits + clock_bits(kitchen))
-    cooks = cook_fields(("own", "other"), kitchen)
-    return (*cooks, *plane_fields(kitchen), Field("pots", pots), Field("urgent", 1))
 
 
 def _cell(observations: npt.NDArray[Any]) -> npt.NDArray[Any]:

@@ -22,13 +22,11 @@ Follows https://github.com/HumanCompatibleAI/overcooked_ai (``overcooked-ai`` 1.
 the Utility of Learning about Humans for Human-AI Coordination*, 2019.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
+from typing import Any, NamedTuple
 
-import numpy as np
-
-from pearl_marl.golden import GoldenFunction, Word
+from pearl_marl.golden import Draws, GoldenFunction, Word
+from pearl_marl.layout import Array, Bits, Flag, Layout
 
 from .kitchen import MORE, MOST, STATIONS, Kitchen
 
@@ -55,111 +53,148 @@ def rewards(kitchen: Kitchen, shaped: Sequence[float]) -> tuple[float, ...]:
     return tuple(float(one + other) for one in own for other in kitchen.prices)
 
 
-def make_initial(kitchen: Kitchen, horizon: int) -> GoldenFunction:
-    """Return the golden function of the start: pots and hands are empty, and both cooks face north."""
-    start = [word for cell in kitchen.starts for word in (cell, 0, 0)]
-    start += [0] * (kitchen.item_bits + 2 * len(kitchen.pots) + has_time(horizon))
-
-    def initial() -> tuple[Word, ...]:
-        return tuple(start)
-
-    return initial
-
-
 def has_time(horizon: int) -> bool:
     """Return whether the state has the time, which it needs unless every step is urgent."""
     return horizon >= URGENT
 
 
+def clock_bits(kitchen: Kitchen) -> int:
+    """Return how many bits a pot's clock takes."""
+    return max(kitchen.times).bit_length()
+
+
+def make_classes(kitchen: Kitchen, horizon: int) -> tuple[Any, Any]:
+    """Return the classes of a state and of what a cook sees."""
+    pot_bits = kitchen.soup_bits + clock_bits(kitchen)
+
+    class Cook(NamedTuple):
+        cell: Bits[kitchen.cell_bits]
+        facing: Bits[2]
+        holds: Bits[kitchen.item_bits]
+
+    class Pot(NamedTuple):
+        soup: Bits[kitchen.soup_bits]
+        clock: Bits[clock_bits(kitchen)]
+
+    class State(NamedTuple):
+        cooks: Array[Cook, 2]
+        counters: Array[Bits[len(kitchen.counters)], kitchen.item_bits]
+        pots: Array[Pot, len(kitchen.pots)]
+
+    class TimedState(NamedTuple):
+        cooks: Array[Cook, 2]
+        counters: Array[Bits[len(kitchen.counters)], kitchen.item_bits]
+        pots: Array[Pot, len(kitchen.pots)]
+        time: Bits[max(1, (last_calm(horizon) + 1).bit_length())]
+
+    class View(NamedTuple):
+        own: Cook
+        other: Cook
+        counters: Array[Bits[len(kitchen.counters)], kitchen.item_bits]
+        pots: Bits[len(kitchen.pots) * pot_bits]
+        urgent: Flag
+
+    return TimedState if has_time(horizon) else State, View
+
+
+def make_initial(kitchen: Kitchen, state: Any) -> GoldenFunction:
+    """Return the golden function of the start: pots and hands are empty, and both cooks face north."""
+    layout = Layout(state)
+    start = dict.fromkeys((word.name for word in layout.fields), 0)
+    start |= {f"cooks_{k}_cell": cell for k, cell in enumerate(kitchen.starts)}
+
+    def initial(draws: Draws) -> Any:
+        return layout.built(start.values())
+
+    return initial
+
+
 def make_step(kitchen: Kitchen, horizon: int) -> GoldenFunction:
     """Return the golden step of a kitchen."""
     things, times, classes = kitchen.things, kitchen.times, kitchen.classes
-    onion, dish, tomato, bits = kitchen.onion, kitchen.dish, kitchen.tomato, kitchen.item_bits
-    counters, pots, floor = len(kitchen.counters), len(kitchen.pots), kitchen.first_floor
+    onion, dish, tomato = kitchen.onion, kitchen.dish, kitchen.tomato
+    first_pot, floor = len(kitchen.counters), kitchen.first_floor
     onions, tomatoes, dishes, serving = range(floor - len(STATIONS), floor)
     any_soup, n_prices = (1 << kitchen.soup_bits) - 1, len(kitchen.prices)
     is_full = [len(kitchen.soups.get(soup, "")) == MOST for soup in range(any_soup + 1)]
 
-    def step(*words: Word) -> tuple[Word, ...]:
-        *state, action_0, action_1 = words
-        actions = action_0, action_1
-        cells, facing, holds = (list(state[k:6:3]) for k in range(3))
-        planes = state[6 : 6 + bits]
-        soups, clocks = (list(state[k : 6 + bits + 2 * pots : 2]) for k in (6 + bits, 7 + bits))
-        facing = [np.where(action < STAY, action, old) for action, old in zip(actions, facing, strict=True)]
+    def at_pot(pot: Any, held: Word) -> tuple[Any, Word, Word]:
+        """Use a pot; return it, what the hand holds then, and what came of it."""
+        soup, clock = pot
+        if held == 0:
+            if soup > 0 and clock == 0:
+                clock = times[soup] + 1
+        elif held == dish:
+            if clock == 1:
+                return pot._replace(soup=0, clock=0), soup, SOUP_TAKEN
+        elif held in (onion, tomato) and clock == 0 and not is_full[soup]:
+            more = MORE["o"] if held == onion else MORE["t"]
+            return pot._replace(soup=(soup + more) & any_soup), 0, POTTED
+        return pot._replace(clock=clock), held, NOTHING
+
+    def step(state: Any, actions: list[Word], draws: Draws) -> tuple[Any, list[Word], list[Word]]:
+        cells, facing, holds = ([cook[part] for cook in state.cooks] for part in range(3))
+        planes, pots = list(state.counters), list(state.pots)
+        facing = [action if action < STAY else old for action, old in zip(actions, facing, strict=True)]
         faced = [things[cell << 2 | to] for cell, to in zip(cells, facing, strict=True)]
 
-        waiting: Word = 0
-        for soup, clock in zip(soups, clocks, strict=True):
-            waiting = waiting + ((clock > 0) | ((soup > 0) & (is_full[soup] == 0)))
-        outcomes: list[Word] = []
-        served: list[Word] = []
+        waiting = sum(pot.clock > 0 or (pot.soup > 0 and not is_full[pot.soup]) for pot in pots)
+        outcomes, served = [NOTHING, NOTHING], [0, 0]
         for k in range(2):
             acts, thing, held = actions[k] == INTERACT, faced[k], holds[k]
-            empty = held == 0
-            is_dish, is_onion, is_tomato = held == dish, held == onion, held == tomato
-            is_soup = (empty | is_dish | is_onion | is_tomato) == 0
-
             # Hand and counter swap what they have, if one of them has nothing.
-            counter = np.minimum(thing, counters - 1)
-            there: Word = 0
-            for bit, plane in enumerate(planes):
-                there = there | (plane >> counter & 1) << bit
-            change = np.where(acts & (thing < counters) & (empty | (there == 0)), held ^ there, 0)
+            counter = min(thing, first_pot - 1)
+            there = item_at(planes, counter)
+            swaps = acts and thing < first_pot and (held == 0 or there == 0)
+            change = held ^ there if swaps else 0
             planes = [plane ^ (change >> bit & 1) << counter for bit, plane in enumerate(planes)]
+            holds[k] = held ^ change
 
-            takes = acts & empty
-            takes_dish = takes & (thing == dishes)
-            useful = takes_dish & (on_counters(planes, dish) == 0)
-            useful = useful & ((holds[0] == dish) + (holds[1] == dish) < waiting)
-            serves = acts & is_soup & (thing == serving)
-            price = np.where(serves, classes[held], 0)
-
-            potted: Word = 0
-            soup_taken: Word = 0
-            new: Word = held ^ change
-            for pot in range(pots):
-                here, soup, clock = acts & (thing == counters + pot), soups[pot], clocks[pot]
-                starts = here & empty & (soup > 0) & (clock == 0)
-                dished = here & is_dish & (clock == 1)
-                added = here & (is_onion | is_tomato) & (clock == 0) & (is_full[soup] == 0)
-                more = np.where(added, np.where(is_onion, MORE["o"], MORE["t"]), 0)
-                soups[pot] = np.where(dished, 0, (soup + more) & any_soup)
-                clocks[pot] = np.where(starts, times[soup] + 1, np.where(dished, 0, clock))
-                new = np.where(dished, soup, new)
-                potted, soup_taken = potted | added, soup_taken | dished
-            new = np.where(takes & (thing == onions), onion, new)
-            if tomato > 0:
-                new = np.where(takes & (thing == tomatoes), tomato, new)
-            new = np.where(takes_dish, dish, new)
-            holds[k] = np.where(potted | serves, 0, new)
-            outcome = np.where(useful, DISH_TAKEN, np.where(potted, POTTED, NOTHING))
-            outcome = np.where(soup_taken, SOUP_TAKEN, outcome)
-            outcomes.append(np.where(price > 0, SOUP_TAKEN + price, outcome))
-            served.append(price)
+            for number, pot in enumerate(pots):
+                if acts and thing == first_pot + number:
+                    pots[number], holds[k], outcomes[k] = at_pot(pot, held)
+            if acts and held == 0:
+                if thing == onions:
+                    holds[k] = onion
+                elif thing == tomatoes and tomato > 0:
+                    holds[k] = tomato
+                elif thing == dishes:
+                    if on_counters(planes, dish) == 0 and sum(held == dish for held in holds) < waiting:
+                        outcomes[k] = DISH_TAKEN
+                    holds[k] = dish
+            elif acts and thing == serving and held not in (dish, onion, tomato):
+                holds[k] = 0
+                served[k] = classes[held]
+                if served[k] > 0:
+                    outcomes[k] = SOUP_TAKEN + served[k]
 
         ahead = [
-            np.where((action < STAY) & (thing >= floor), np.maximum(thing - floor, 0), cell)
+            thing - floor if action < STAY and thing >= floor else cell
             for action, thing, cell in zip(actions, faced, cells, strict=True)
         ]
-        crossing = (ahead[0] == cells[1]) & (ahead[1] == cells[0])
-        blocked = (ahead[0] == ahead[1]) | crossing
-        cells = [np.where(blocked, old, new) for old, new in zip(cells, ahead, strict=True)]
-        clocks = [clock - (clock > 1) for clock in clocks]
-
-        result: list[Word] = []
-        for k in range(2):
-            result += [cells[k], facing[k], holds[k]]
-        result += planes
-        for soup, clock in zip(soups, clocks, strict=True):
-            result += [soup, clock]
+        if ahead[0] != ahead[1] and not (ahead[0] == cells[1] and ahead[1] == cells[0]):
+            cells = ahead
+        after = state._replace(
+            cooks=[
+                old._replace(cell=c, facing=f, holds=h)
+                for old, c, f, h in zip(state.cooks, cells, facing, holds, strict=True)
+            ],
+            counters=planes,
+            pots=[pot._replace(clock=pot.clock - (pot.clock > 1)) for pot in pots],
+        )
         if has_time(horizon):
-            result.append(np.minimum(state[-1] + 1, last_calm(horizon) + 1))
-        for k in range(2):
-            result.append(outcomes[k] * n_prices + served[1 - k])
-        return *result, 0, 0
+            after = after._replace(time=min(state.time + 1, last_calm(horizon) + 1))
+        return after, [outcomes[k] * n_prices + served[1 - k] for k in range(2)], [False, False]
 
     return step
+
+
+def item_at(planes: list[Word], counter: Word) -> Word:
+    """Return the item that lies on a counter."""
+    item = 0
+    for bit, plane in enumerate(planes):
+        item = item | (plane >> counter & 1) << bit
+    return item
 
 
 def on_counters(planes: list[Word], item: int) -> Word:
@@ -170,25 +205,16 @@ def on_counters(planes: list[Word], item: int) -> Word:
     return result
 
 
-def make_observe(kitchen: Kitchen, horizon: int) -> GoldenFunction:
+def make_observe(kitchen: Kitchen, horizon: int, view: Any) -> GoldenFunction:
     """Return the golden function of what a cook sees: everything, himself first, and all pots in one word."""
-    bits, pots = kitchen.item_bits, len(kitchen.pots)
     soup_bits = kitchen.soup_bits
     pot_bits = soup_bits + clock_bits(kitchen)
 
-    def observe(*words: Word) -> tuple[Word, ...]:
-        *state, agent = words
-        own, other = state[3 * agent : 3 * agent + 3], state[3 - 3 * agent : 6 - 3 * agent]
-        planes, soups = state[6 : 6 + bits], state[6 + bits : 6 + bits + 2 * pots]
-        together: Word = 0
-        for pot in range(pots):
-            together = together | (soups[2 * pot] | soups[2 * pot + 1] << soup_bits) << pot_bits * pot
-        urgent = state[-1] > last_calm(horizon) if has_time(horizon) else 1
-        return *own, *other, *planes, together, urgent
+    def observe(state: Any, agent: int) -> Any:
+        pots = 0
+        for k, pot in enumerate(state.pots):
+            pots = pots | (pot.soup | pot.clock << soup_bits) << pot_bits * k
+        urgent = state.time > last_calm(horizon) if has_time(horizon) else True
+        return view(state.cooks[agent], state.cooks[1 - agent], state.counters, pots, urgent)
 
     return observe
-
-
-def clock_bits(kitchen: Kitchen) -> int:
-    """Return how many bits a pot's clock takes."""
-    return max(kitchen.times).bit_length()

@@ -18,7 +18,7 @@ MAX_GRAVITY = 200
 HIGH = np.array([1, 1, 8], np.float32)
 
 
-def pose(oracle: Env[Any, Any], state: tuple[float, ...]) -> None:
+def pose(oracle: Env[Any, Any], state: State) -> None:
     """Put Gymnasium's Pendulum into a state, for rendering; a slot's last torque is not known."""
     turns, speed = state
     oracle.state = np.array([2 * math.pi * turns, speed])  # type: ignore[attr-defined]

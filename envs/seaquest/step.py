@@ -24,9 +24,11 @@ Follows https://github.com/kenjyoung/MinAtar (1.0.15, ``seaquest``): K. Young an
 Atari-Inspired Testbed for Thorough and Reproducible Reinforcement Learning Experiments*, 2019.
 """
 
-import numpy as np
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
-from pearl_marl.golden import GoldenFunction, Word, i16
+from pearl_marl.golden import Draws, GoldenFunction, Word, i16
+from pearl_marl.layout import Array, Bits, Flag, Range, Signed
 
 NOTHING, LEFT, UP, RIGHT, DOWN, FIRE = range(6)
 LAST_COLUMN, DEEPEST = 9, 8  # the sea has rows 1 to 8; 0 is the surface
@@ -38,8 +40,6 @@ LAST_RAMP = SLOWEST_SPAWN - 1
 
 ENEMIES, BULLETS = 29, 12
 """Places of the two conveyors."""
-RECORDS, ENEMY_PLANES, HOSTILE_PLANES = 4, 17, 9
-"""Bullets and divers of their own fields, and the planes of the two conveyors."""
 ENEMY_PLACES, BULLET_PLACES = (1 << ENEMIES) - 1, (1 << BULLETS) - 1
 
 CHANCE_BITS = 28
@@ -52,9 +52,94 @@ DIVERS_MOVE = sum(1 << timer for timer in (1, 7, 13, 19, 25))
 they take for a cell, so they all move at the same time."""
 
 
+class Enemies(NamedTuple):
+    """What is seen of fish and submarines: the planes of their conveyor."""
+
+    alive: Bits[ENEMIES]
+    submarine: Bits[ENEMIES]
+    rightward: Bits[ENEMIES]
+    row: Array[Bits[ENEMIES], 3]
+    column: Array[Bits[ENEMIES], 4]
+
+
+class Timers(NamedTuple):
+    """How many steps it takes the enemies to move and to fire: more planes of theirs."""
+
+    move: Array[Bits[ENEMIES], 3]
+    fire: Array[Bits[ENEMIES], 4]
+
+
+class Hostile(NamedTuple):
+    """The conveyor of hostile bullets."""
+
+    alive: Bits[BULLETS]
+    rightward: Bits[BULLETS]
+    row: Array[Bits[BULLETS], 3]
+    column: Array[Bits[BULLETS], 4]
+
+
+class State(NamedTuple):
+    """The game. Of two bullets or divers, the first is the older."""
+
+    last_action: Bits[3]
+    x: Range[0, LAST_COLUMN]
+    y: Range[0, DEEPEST]
+    facing_right: Flag
+    surfaced: Flag
+    oxygen: Range[0, MAX_OXYGEN]
+    aboard: Signed[16]
+    reload: Range[0, RELOAD_STEPS]
+    enemy_timer: Range[0, SLOWEST_SPAWN]
+    diver_timer: Range[0, DIVER_SPAWN]
+    ramp: Range[0, LAST_RAMP]
+    bullets: Array[Bits[10], 2]
+    """Column (4 bits), row of the board (4), rightward (1), alive (1)."""
+    divers: Array[Bits[9], 2]
+    """Column (4 bits), row of the sea (3), rightward (1), alive (1)."""
+    enemies: Enemies
+    timers: Timers
+    hostile: Hostile
+
+
+class Bullets(NamedTuple):
+    """What is seen of hostile bullets: not where they are heading."""
+
+    alive: Bits[BULLETS]
+    row: Array[Bits[BULLETS], 3]
+    column: Array[Bits[BULLETS], 4]
+
+
+class View(NamedTuple):
+    """What can be seen: of the state, all but timers and where hostile bullets are heading."""
+
+    x: Range[0, LAST_COLUMN]
+    y: Range[0, DEEPEST]
+    facing_right: Flag
+    oxygen_bar: Bits[4]
+    aboard: Bits[3]
+    bullets: Array[Bits[10], 2]
+    divers: Array[Bits[9], 2]
+    enemies: Enemies
+    hostile: Bullets
+
+
+def each_plane(change: Callable[..., Word], *groups: Any) -> Any:
+    """Return a group whose planes are what ``change`` makes of those of groups like it."""
+    first = groups[0]
+    if not isinstance(first, (list, tuple)):
+        return change(*groups)
+    planes = [each_plane(change, *parts) for parts in zip(*groups, strict=True)]
+    return type(first)(*planes) if hasattr(first, "_fields") else planes
+
+
+def bits(number: Word, count: int) -> list[Word]:
+    """Return the bits of a number, the lowest first."""
+    return [number >> k & 1 for k in range(count)]
+
+
 def spread(bit: Word) -> Word:
     """Return a plane of this bit in every place."""
-    return np.where(bit, -1, 0)
+    return -1 if bit else 0
 
 
 def lowest(plane: Word) -> Word:
@@ -62,38 +147,32 @@ def lowest(plane: Word) -> Word:
     return plane & -plane
 
 
-def in_row(row_0: Word, row_1: Word, row_2: Word, y: Word) -> Word:
-    """Return the places in row ``y`` of the board; their planes count rows of the sea, from 0."""
-    row = y - 1
-    differ = row_0 ^ spread(row & 1)
-    differ = differ | (row_1 ^ spread(row >> 1 & 1))
-    differ = differ | (row_2 ^ spread(row >> 2 & 1))
-    return np.where((y >= 1) & (y <= DEEPEST), ~differ, 0)
-
-
-def in_column(column_0: Word, column_1: Word, column_2: Word, column_3: Word, x: Word) -> Word:
-    """Return the places in column ``x``."""
-    differ = column_0 ^ spread(x & 1)
-    differ = differ | (column_1 ^ spread(x >> 1 & 1))
-    differ = differ | (column_2 ^ spread(x >> 2 & 1))
-    differ = differ | (column_3 ^ spread(x >> 3 & 1))
+def places_of(planes: list[Word], number: Word) -> Word:
+    """Return the places where a number stands."""
+    differ = 0
+    for k, plane in enumerate(planes):
+        differ = differ | (plane ^ spread(number >> k & 1))
     return ~differ
 
 
-def moved(
-    column_0: Word, column_1: Word, column_2: Word, column_3: Word, rightward: Word, moves: Word
-) -> tuple[Word, Word, Word, Word]:
+def in_row(row: list[Word], y: Word) -> Word:
+    """Return the places in row ``y`` of the board; their planes count rows of the sea, from 0."""
+    return places_of(row, y - 1) if 1 <= y <= DEEPEST else 0
+
+
+def moved(column: list[Word], rightward: Word, moves: Word) -> list[Word]:
     """Move the places of ``moves`` a column on. From 0 to the left is 15, from 9 to the right is 10."""
-    # A carry goes on through ones to the right, a borrow through zeros to the left.
-    carry_1 = moves & ~(column_0 ^ rightward)
-    carry_2 = carry_1 & ~(column_1 ^ rightward)
-    carry_3 = carry_2 & ~(column_2 ^ rightward)
-    return column_0 ^ moves, column_1 ^ carry_1, column_2 ^ carry_2, column_3 ^ carry_3
+    result = []
+    for plane in column:
+        result.append(plane ^ moves)
+        # A carry goes on through ones to the right, a borrow through zeros to the left.
+        moves = moves & ~(plane ^ rightward)
+    return result
 
 
-def off_board(column_1: Word, column_2: Word, column_3: Word) -> Word:
+def off_board(column: list[Word]) -> Word:
     """Return the places whose column is 10 or more."""
-    return column_3 & (column_1 | column_2)
+    return column[3] & (column[1] | column[2])
 
 
 def moved_x(x: Word, rightward: Word, moves: Word) -> Word:
@@ -101,11 +180,22 @@ def moved_x(x: Word, rightward: Word, moves: Word) -> Word:
     return (x + (moves & rightward) - (moves & (rightward == 0))) & 15
 
 
-def first_struck(alive: Word, submarine: Word, there: Word) -> Word:
+def counted_down(timer: list[Word], interval: Word) -> tuple[list[Word], Word]:
+    """Count a timer down in all places; return it, beginning anew where it was 0, and these places."""
+    result = []
+    ends = -1
+    for plane in timer:
+        result.append(plane ^ ends)
+        ends = ends & ~plane
+    # Counting down from 0 gives ones, of which the bits of the interval are kept.
+    kept = [~ends | spread(bit) for bit in bits(interval, len(timer))]
+    return [plane & bit for plane, bit in zip(result, kept, strict=True)], ends
+
+
+def first_struck(there: Word, submarine: Word) -> Word:
     """Return what a bullet strikes of the enemies there: the first fish, else the first submarine."""
-    there = there & alive
     fish = there & ~submarine
-    return lowest(np.where(fish == 0, there, fish))
+    return lowest(fish if fish else there)
 
 
 def diver_after(record: Word, x: Word, y: Word, aboard: Word, moves: Word) -> tuple[Word, Word]:
@@ -120,37 +210,31 @@ def diver_after(record: Word, x: Word, y: Word, aboard: Word, moves: Word) -> tu
     return column | (record & 0xF0) | (alive << 8), after
 
 
-def bullet_after(record: Word, column: Word, alive: Word) -> Word:
-    """Return an own bullet's record with its new column, and whether it still flies."""
-    return column | (record & 0x1F0) | (alive << 9)
-
-
-def with_new(plane: Word, of_enemies: Word, newer: Word, older: Word) -> Word:
-    """Return a plane of the hostile bullets with the bits of those just fired above the topmost place."""
-    first, second = (of_enemies & newer) != 0, (of_enemies & older) != 0
-    return plane | (first << BULLETS) | (second << BULLETS + 1)
-
-
-def enemies_down(plane: Word, places: Word) -> Word:
-    """Move a plane of the enemies down."""
-    return (plane >> places) & ENEMY_PLACES
-
-
-def bullets_down(plane: Word, places: Word) -> Word:
-    """Move a plane of the hostile bullets down."""
-    return (plane >> places) & BULLET_PLACES
-
-
 def tenths(oxygen: Word) -> Word:
     """Return ``oxygen // 20``, how many tenths are left; this product takes hardware no multiplier."""
     return (oxygen >> 2) * 13 >> 6
 
 
-def initial() -> tuple[Word, ...]:
-    """Return the state of a new episode: an empty sea, the submarine at its surface, no random draw."""
-    submarine = (NOTHING, 5, 0, 0, 1, MAX_OXYGEN, 0, 0)
-    timers = (SLOWEST_SPAWN, DIVER_SPAWN, 0)
-    return (*submarine, *timers, *[0] * (RECORDS + ENEMY_PLANES + HOSTILE_PLANES))
+def initial(draws: Draws) -> State:
+    """Return the state of a new episode: an empty sea, the submarine at its surface."""
+    return State(
+        last_action=NOTHING,
+        x=5,
+        y=0,
+        facing_right=0,
+        surfaced=1,
+        oxygen=MAX_OXYGEN,
+        aboard=0,
+        reload=0,
+        enemy_timer=SLOWEST_SPAWN,
+        diver_timer=DIVER_SPAWN,
+        ramp=0,
+        bullets=[0] * 2,
+        divers=[0] * 2,
+        enemies=Enemies(0, 0, 0, [0] * 3, [0] * 4),
+        timers=Timers([0] * 3, [0] * 4),
+        hostile=Hostile(0, 0, [0] * 3, [0] * 4),
+    )
 
 
 def make_step(sticky_below: int, ramping: bool) -> GoldenFunction:
@@ -159,334 +243,167 @@ def make_step(sticky_below: int, ramping: bool) -> GoldenFunction:
     Parameters
     ----------
     sticky_below
-        The last action is repeated where the lower 28 bits of ``draw_1`` are below this.
+        The last action is repeated where the lower 28 bits of the second draw are below this.
     ramping
         Whether surfacing makes enemies faster and more frequent.
     """
 
-    def step(
-        last_action: Word,
-        x: Word,
-        y: Word,
-        facing_right: Word,
-        surfaced: Word,
-        oxygen: Word,
-        divers: Word,
-        reload: Word,
-        enemy_timer: Word,
-        diver_timer: Word,
-        ramp: Word,
-        bullet_0: Word,
-        bullet_1: Word,
-        diver_0: Word,
-        diver_1: Word,
-        enemy_alive: Word,
-        enemy_submarine: Word,
-        enemy_rightward: Word,
-        enemy_row_0: Word,
-        enemy_row_1: Word,
-        enemy_row_2: Word,
-        enemy_column_0: Word,
-        enemy_column_1: Word,
-        enemy_column_2: Word,
-        enemy_column_3: Word,
-        enemy_move_0: Word,
-        enemy_move_1: Word,
-        enemy_move_2: Word,
-        enemy_fire_0: Word,
-        enemy_fire_1: Word,
-        enemy_fire_2: Word,
-        enemy_fire_3: Word,
-        hostile_alive: Word,
-        hostile_rightward: Word,
-        hostile_row_0: Word,
-        hostile_row_1: Word,
-        hostile_row_2: Word,
-        hostile_column_0: Word,
-        hostile_column_1: Word,
-        hostile_column_2: Word,
-        hostile_column_3: Word,
-        action: Word,
-        draw_0: Word,
-        draw_1: Word,
-    ) -> tuple[Word, ...]:
-        """Play one step; return the next state, the reward and whether the episode terminated.
-
-        ``draw_0`` makes the enemy that may appear: direction (bit 31), row (30 to 28), kind (the rest, a
-        submarine below a third); ``draw_1`` a diver: direction, row; and its rest repeats the last action.
-        """
-        sticky = (draw_1 & CHANCE) < sticky_below
-        action = np.where(sticky, last_action, action)
-        move_interval = SLOWEST_MOVE - np.minimum(ramp >> 1, MOVE_RAMPS)
-        spawn_interval = SLOWEST_SPAWN - np.minimum(ramp, LAST_RAMP)
+    def step(state: State, action: Word, draws: Draws) -> tuple[State, Word, Word]:
+        """Play one step; return the next state, the reward and whether the episode terminated."""
+        # Of each draw, bit 31 is a direction and bits 30 to 28 are a row; the rest decides by comparison.
+        of_enemy, of_diver = draws.bits(), draws.bits()
+        if (of_diver & CHANCE) < sticky_below:
+            action = state.last_action
+        move_interval = SLOWEST_MOVE - min(state.ramp >> 1, MOVE_RAMPS)
+        spawn_interval = SLOWEST_SPAWN - min(state.ramp, LAST_RAMP)
 
         # An enemy appears above the topmost place, unless its row has one that swims the other way.
-        due = enemy_timer == 0
-        rightward: Word = draw_0 >> 31
-        row: Word = draw_0 >> 28 & 7
-        same_row = in_row(enemy_row_0, enemy_row_1, enemy_row_2, row + 1)
-        opposed = same_row & enemy_alive & (enemy_rightward ^ spread(rightward))
-        appears = due & (opposed == 0)
-        submarine = (draw_0 & CHANCE) < THIRD
-        at_nine = rightward == 0
-        enemy_alive = enemy_alive | (appears << ENEMIES)
-        enemy_submarine = enemy_submarine | (submarine << ENEMIES)
-        enemy_rightward = enemy_rightward | (rightward << ENEMIES)
-        enemy_row_0 = enemy_row_0 | ((row & 1) << ENEMIES)
-        enemy_row_1 = enemy_row_1 | ((row >> 1 & 1) << ENEMIES)
-        enemy_row_2 = enemy_row_2 | ((row >> 2) << ENEMIES)
-        enemy_column_0 = enemy_column_0 | (at_nine << ENEMIES)
-        enemy_column_3 = enemy_column_3 | (at_nine << ENEMIES)
-        enemy_move_0 = enemy_move_0 | ((move_interval & 1) << ENEMIES)
-        enemy_move_1 = enemy_move_1 | ((move_interval >> 1 & 1) << ENEMIES)
-        enemy_move_2 = enemy_move_2 | ((move_interval >> 2) << ENEMIES)
-        enemy_fire_1 = enemy_fire_1 | (1 << ENEMIES)  # FIRE_INTERVAL is 10
-        enemy_fire_3 = enemy_fire_3 | (1 << ENEMIES)
-        enemy_timer = np.where(due, spawn_interval, enemy_timer) - 1
+        enemies, timers, enemy_timer = state.enemies, state.timers, state.enemy_timer
+        rightward, row = of_enemy >> 31, of_enemy >> 28 & 7
+        opposed = in_row(enemies.row, row + 1) & enemies.alive & (enemies.rightward ^ spread(rightward))
+        appears = (enemy_timer == 0) & (opposed == 0)
+        submarine, edge = (of_enemy & CHANCE) < THIRD, 0 if rightward else LAST_COLUMN
+        enemy = Enemies(appears, submarine, rightward, bits(row, 3), bits(edge, 4))
+        timer = Timers(bits(move_interval, 3), bits(FIRE_INTERVAL, 4))
+        enemies, timers = each_plane(
+            lambda plane, bit: plane | bit << ENEMIES, (enemies, timers), (enemy, timer)
+        )
+        enemy_timer = (spawn_interval if enemy_timer == 0 else enemy_timer) - 1
 
         # A diver appears; when that is, the older place is empty.
-        divers_move = (DIVERS_MOVE >> diver_timer) & 1
-        due = diver_timer == 0
-        heading = draw_1 >> 31
-        column, line = np.where(heading, 0, LAST_COLUMN), draw_1 >> 28 & 7
-        new = column | (line << 4) | (heading << 7) | (1 << 8)
-        diver_0 = np.where(due, diver_1, diver_0)
-        diver_1 = np.where(due, new, diver_1)
-        diver_timer = np.where(due, DIVER_SPAWN, diver_timer) - 1
+        divers, diver_timer = state.divers, state.diver_timer
+        divers_move = DIVERS_MOVE >> diver_timer & 1
+        if diver_timer == 0:
+            heading = of_diver >> 31
+            edge, row = 0 if heading else LAST_COLUMN, of_diver >> 28 & 7
+            divers = [divers[1], edge | row << 4 | heading << 7 | 1 << 8]
+            diver_timer = DIVER_SPAWN
+        diver_timer = diver_timer - 1
 
         # The action. A bullet starts where the submarine is.
-        fires = (action == FIRE) & (reload == 0)
-        new = x | (y << 4) | (facing_right << 8) | (1 << 9)
-        bullet_0 = np.where(fires, bullet_1, bullet_0)
-        bullet_1 = np.where(fires, new, bullet_1)
-        reload = np.maximum(np.where(fires, RELOAD_STEPS, reload) - 1, 0)
-        left, right = action == LEFT, action == RIGHT
-        facing_right = (facing_right | right) & (left == 0)
-        x = x + (right & (x < LAST_COLUMN)) - (left & (x > 0))
-        y = y + ((action == DOWN) & (y < DEEPEST)) - ((action == UP) & (y > 0))
+        x, y, facing_right, bullets = state.x, state.y, state.facing_right, state.bullets
+        reload = max(state.reload - 1, 0)
+        if action == FIRE and state.reload == 0:
+            bullets = [bullets[1], x | y << 4 | facing_right << 8 | 1 << 9]
+            reload = RELOAD_STEPS - 1
+        elif action == LEFT:
+            x, facing_right = max(x - 1, 0), 0
+        elif action == RIGHT:
+            x, facing_right = min(x + 1, LAST_COLUMN), 1
+        elif action == UP:
+            y = max(y - 1, 0)
+        elif action == DOWN:
+            y = min(y + 1, DEEPEST)
 
         # Own bullets move and strike, the newer first.
-        bullet_1_x = moved_x(bullet_1 & 15, bullet_1 >> 8 & 1, 1)
-        bullet_0_x = moved_x(bullet_0 & 15, bullet_0 >> 8 & 1, 1)
-        bullet_1_alive = (bullet_1 >> 9) & (bullet_1_x <= LAST_COLUMN)
-        bullet_0_alive = (bullet_0 >> 9) & (bullet_0_x <= LAST_COLUMN)
-        enemy_rows = enemy_row_0, enemy_row_1, enemy_row_2
-        bullet_1_row = in_row(*enemy_rows, bullet_1 >> 4 & 15)
-        bullet_0_row = in_row(*enemy_rows, bullet_0 >> 4 & 15)
-        columns = enemy_column_0, enemy_column_1, enemy_column_2, enemy_column_3
-        at_1 = bullet_1_row & in_column(*columns, bullet_1_x)
-        at_0 = bullet_0_row & in_column(*columns, bullet_0_x)
-        struck = np.where(bullet_1_alive, first_struck(enemy_alive, enemy_submarine, at_1), 0)
-        enemy_alive = enemy_alive ^ struck
-        hit_1 = struck != 0
-        bullet_1_alive = bullet_1_alive & (struck == 0)
-        struck = np.where(bullet_0_alive, first_struck(enemy_alive, enemy_submarine, at_0), 0)
-        enemy_alive = enemy_alive ^ struck
-        hit_0 = struck != 0
-        bullet_0_alive = bullet_0_alive & (struck == 0)
+        bullets_x = [moved_x(bullet & 15, bullet >> 8 & 1, 1) for bullet in bullets]
+        flying = [bullet >> 9 & (at <= LAST_COLUMN) for bullet, at in zip(bullets, bullets_x, strict=True)]
+        bullets_row = [in_row(enemies.row, bullet >> 4 & 15) for bullet in bullets]
+        alive, hits = enemies.alive, [0, 0]
+        for k in (1, 0):
+            there = alive & bullets_row[k] & places_of(enemies.column, bullets_x[k])
+            struck = first_struck(there, enemies.submarine) if flying[k] else 0
+            alive = alive ^ struck
+            hits[k] = struck != 0
+            flying[k] = flying[k] & (struck == 0)
 
         # Divers, the newer first.
-        diver_1, aboard_1 = diver_after(diver_1, x, y, divers, divers_move)
-        divers = divers + aboard_1
-        diver_0, aboard_0 = diver_after(diver_0, x, y, divers, divers_move)
-        divers = divers + aboard_0
+        aboard = state.aboard
+        newer, joins = diver_after(divers[1], x, y, aboard, divers_move)
+        aboard = aboard + joins
+        older, joins = diver_after(divers[0], x, y, aboard, divers_move)
+        aboard = aboard + joins
 
         # Enemies meet the submarine, move, meet it again, and may swim into a bullet.
-        beside = in_row(*enemy_rows, y)
-        met = enemy_alive & beside & in_column(*columns, x)
-        moves = ~(enemy_move_0 | enemy_move_1 | enemy_move_2)
-        columns = moved(*columns, enemy_rightward, moves)
-        enemy_column_0, enemy_column_1, enemy_column_2, enemy_column_3 = columns
-        # Counting down from 0 gives 7, of which the bits of the interval are kept.
-        one, two = enemy_move_0, enemy_move_1
-        enemy_move_0 = ~one & (~moves | spread(move_interval & 1))
-        enemy_move_1 = ~(two ^ one) & (~moves | spread(move_interval >> 1 & 1))
-        enemy_move_2 = (enemy_move_2 ^ ~(one | two)) & (~moves | spread(move_interval >> 2))
-        armed = enemy_alive & enemy_submarine  # a submarine that is struck now may still fire
-        enemy_alive = enemy_alive & ~off_board(*columns[1:])
-        arrives = enemy_alive & moves
-        there = beside & in_column(*columns, x)
+        beside = in_row(enemies.row, y)
+        met = alive & beside & places_of(enemies.column, x)
+        move, moves = counted_down(timers.move, move_interval)
+        column = moved(enemies.column, enemies.rightward, moves)
+        armed = alive & enemies.submarine  # a submarine that is struck now may still fire
+        alive = alive & ~off_board(column)
+        arrives = alive & moves
+        there = beside & places_of(column, x)
         met = met | (arrives & there)
         arrives = arrives & ~there
-        at_0 = bullet_0_row & in_column(*columns, bullet_0_x)
-        at_1 = bullet_1_row & in_column(*columns, bullet_1_x)
-        struck_0 = np.where(bullet_0_alive, arrives & at_0, 0)
-        struck_1 = np.where(bullet_1_alive, arrives & at_1 & ~struck_0, 0)
-        enemy_alive = enemy_alive ^ (struck_0 | struck_1)
-        hit_0, hit_1 = hit_0 | (struck_0 != 0), hit_1 | (struck_1 != 0)
-        bullet_0_alive = bullet_0_alive & (struck_0 == 0)
-        bullet_1_alive = bullet_1_alive & (struck_1 == 0)
+        for k in range(2):
+            struck = arrives & bullets_row[k] & places_of(column, bullets_x[k]) if flying[k] else 0
+            alive, arrives = alive ^ struck, arrives & ~struck
+            hits[k] = hits[k] | (struck != 0)
+            flying[k] = flying[k] & (struck == 0)
+        enemies = enemies._replace(alive=alive, column=column)
 
         # Submarines fire, the newer first: at most two, `low` the older.
-        waits = enemy_fire_0 | enemy_fire_1 | enemy_fire_2 | enemy_fire_3
-        fire = armed & ~waits
-        low = lowest(fire)
-        high = fire ^ low
+        fire, ready = counted_down(timers.fire, FIRE_INTERVAL)
+        fires = armed & ready
+        low = lowest(fires)
+        high = fires ^ low
         twice = high != 0
-        newer = high | np.where(twice, 0, low)
-        fired = newer != 0
-        # Counting down from 0 gives 15, of which 10 is kept.
-        one, two, four = enemy_fire_0, enemy_fire_1, enemy_fire_2
-        enemy_fire_0 = ~one & waits
-        enemy_fire_1 = ~(two ^ one)
-        enemy_fire_2 = ~(four ^ (one | two)) & waits
-        enemy_fire_3 = enemy_fire_3 ^ ~(one | two | four)
+        newest = high if twice else low
+        fired = newest != 0
 
-        hostile_alive = hostile_alive | (fired << BULLETS) | (twice << BULLETS + 1)
-        hostile_rightward = with_new(hostile_rightward, enemy_rightward, newer, low)
-        hostile_row_0 = with_new(hostile_row_0, enemy_row_0, newer, low)
-        hostile_row_1 = with_new(hostile_row_1, enemy_row_1, newer, low)
-        hostile_row_2 = with_new(hostile_row_2, enemy_row_2, newer, low)
-        hostile_column_0 = with_new(hostile_column_0, enemy_column_0, newer, low)
-        hostile_column_1 = with_new(hostile_column_1, enemy_column_1, newer, low)
-        hostile_column_2 = with_new(hostile_column_2, enemy_column_2, newer, low)
-        hostile_column_3 = with_new(hostile_column_3, enemy_column_3, newer, low)
+        def with_new(plane: Word, of_enemies: Word) -> Word:
+            """Return a plane with the bits of the bullets just fired above the topmost place."""
+            first, second = (of_enemies & newest) != 0, (of_enemies & low) != 0
+            return plane | first << BULLETS | second << BULLETS + 1
+
+        hostile = state.hostile
+        shooters = enemies.rightward, enemies.row, enemies.column
+        hostile = Hostile(
+            hostile.alive | fired << BULLETS | twice << BULLETS + 1,
+            *each_plane(with_new, hostile[1:], shooters),
+        )
 
         # Hostile bullets, the new ones too, meet the submarine, move, and meet it again.
-        beside = hostile_alive & in_row(hostile_row_0, hostile_row_1, hostile_row_2, y)
-        columns = hostile_column_0, hostile_column_1, hostile_column_2, hostile_column_3
-        shot = beside & in_column(*columns, x)
-        columns = moved(*columns, hostile_rightward, spread(1))
-        hostile_column_0, hostile_column_1, hostile_column_2, hostile_column_3 = columns
-        shot = shot | (beside & in_column(*columns, x))
-        hostile_alive = hostile_alive & ~off_board(*columns[1:])
+        beside = hostile.alive & in_row(hostile.row, y)
+        shot = beside & places_of(hostile.column, x)
+        column = moved(hostile.column, hostile.rightward, -1)
+        shot = shot | (beside & places_of(column, x))
+        hostile = hostile._replace(alive=hostile.alive & ~off_board(column), column=column)
 
         # Oxygen and the surface.
-        submerged = y != 0
-        returns = (submerged == 0) & (surfaced == 0)
-        surfaces = returns & (divers != 0)
-        terminated = (met != 0) | (shot != 0) | (oxygen == 0) | (returns & (divers == 0))
-        full = surfaces & (divers == MAX_DIVERS)
-        reward = hit_0 + hit_1 + np.where(full, tenths(oxygen), 0)
-        # MinAtar takes one more diver after it took all six, and so do we: -1 is left.
-        # No more than six get in, which the compiler cannot see: the cast says so.
-        divers = i16(np.where(full, 0, divers) - (surfaces & (divers > LEAST_DIVERS)))
-        oxygen = np.where(surfaces, MAX_OXYGEN, np.maximum(oxygen - submerged, 0))
-        surfaced = (surfaced | surfaces) & (submerged == 0)
-        ramp = ramp + (surfaces & ramping & (ramp < LAST_RAMP))
+        oxygen, surfaced, ramp, reward = state.oxygen, state.surfaced, state.ramp, hits[0] + hits[1]
+        returns = (y == 0) & (surfaced == 0)
+        surfaces = returns & (aboard != 0)
+        terminated = (met != 0) | (shot != 0) | (oxygen == 0) | (returns & (aboard == 0))
+        if surfaces:
+            full = aboard == MAX_DIVERS
+            reward = reward + (tenths(oxygen) if full else 0)
+            # MinAtar takes one more diver after it took all six, and so do we: -1 is left.
+            aboard = (0 if full else aboard) - (aboard > LEAST_DIVERS)
+            oxygen, surfaced = MAX_OXYGEN, 1
+            ramp = min(ramp + ramping, LAST_RAMP)
+        elif y > 0:
+            oxygen, surfaced = max(oxygen - 1, 0), 0
+        aboard = i16(aboard)  # no more than six get in, which the compiler cannot see
 
         # Down by one place for an enemy that appeared, by one for each bullet fired.
-        fallen = fired + twice
-
-        return (
-            action,
-            x,
-            y,
-            facing_right,
-            surfaced,
-            oxygen,
-            divers,
-            reload,
-            enemy_timer,
-            diver_timer,
-            ramp,
-            bullet_after(bullet_0, bullet_0_x, bullet_0_alive),
-            bullet_after(bullet_1, bullet_1_x, bullet_1_alive),
-            diver_0,
-            diver_1,
-            enemies_down(enemy_alive, appears),
-            enemies_down(enemy_submarine, appears),
-            enemies_down(enemy_rightward, appears),
-            enemies_down(enemy_row_0, appears),
-            enemies_down(enemy_row_1, appears),
-            enemies_down(enemy_row_2, appears),
-            enemies_down(enemy_column_0, appears),
-            enemies_down(enemy_column_1, appears),
-            enemies_down(enemy_column_2, appears),
-            enemies_down(enemy_column_3, appears),
-            enemies_down(enemy_move_0, appears),
-            enemies_down(enemy_move_1, appears),
-            enemies_down(enemy_move_2, appears),
-            enemies_down(enemy_fire_0, appears),
-            enemies_down(enemy_fire_1, appears),
-            enemies_down(enemy_fire_2, appears),
-            enemies_down(enemy_fire_3, appears),
-            bullets_down(hostile_alive, fallen),
-            bullets_down(hostile_rightward, fallen),
-            bullets_down(hostile_row_0, fallen),
-            bullets_down(hostile_row_1, fallen),
-            bullets_down(hostile_row_2, fallen),
-            bullets_down(hostile_column_0, fallen),
-            bullets_down(hostile_column_1, fallen),
-            bullets_down(hostile_column_2, fallen),
-            bullets_down(hostile_column_3, fallen),
-            reward,
-            terminated,
+        enemies, timers = each_plane(
+            lambda plane: plane >> appears & ENEMY_PLACES, (enemies, Timers(move, fire))
         )
+        hostile = each_plane(lambda plane: plane >> fired + twice & BULLET_PLACES, hostile)
+        bullets = [
+            at | bullet & 0x1F0 | flies << 9
+            for bullet, at, flies in zip(bullets, bullets_x, flying, strict=True)
+        ]
+        after = State(
+            *(action, x, y, facing_right, surfaced, oxygen, aboard, reload, enemy_timer, diver_timer, ramp),
+            *(bullets, [older, newer], enemies, timers, hostile),
+        )
+        return after, reward, terminated
 
     return step
 
 
-def observe(
-    last_action: Word,
-    x: Word,
-    y: Word,
-    facing_right: Word,
-    surfaced: Word,
-    oxygen: Word,
-    divers: Word,
-    reload: Word,
-    enemy_timer: Word,
-    diver_timer: Word,
-    ramp: Word,
-    bullet_0: Word,
-    bullet_1: Word,
-    diver_0: Word,
-    diver_1: Word,
-    enemy_alive: Word,
-    enemy_submarine: Word,
-    enemy_rightward: Word,
-    enemy_row_0: Word,
-    enemy_row_1: Word,
-    enemy_row_2: Word,
-    enemy_column_0: Word,
-    enemy_column_1: Word,
-    enemy_column_2: Word,
-    enemy_column_3: Word,
-    enemy_move_0: Word,
-    enemy_move_1: Word,
-    enemy_move_2: Word,
-    enemy_fire_0: Word,
-    enemy_fire_1: Word,
-    enemy_fire_2: Word,
-    enemy_fire_3: Word,
-    hostile_alive: Word,
-    hostile_rightward: Word,
-    hostile_row_0: Word,
-    hostile_row_1: Word,
-    hostile_row_2: Word,
-    hostile_column_0: Word,
-    hostile_column_1: Word,
-    hostile_column_2: Word,
-    hostile_column_3: Word,
-) -> tuple[Word, ...]:
-    """Return what can be seen: of the state, all but timers and where hostile bullets are heading."""
-    return (
-        x,
-        y,
-        facing_right,
-        tenths(oxygen),
-        np.where(divers < 0, 0, divers) & 7,
-        bullet_0,
-        bullet_1,
-        diver_0,
-        diver_1,
-        enemy_alive,
-        enemy_submarine,
-        enemy_rightward,
-        enemy_row_0,
-        enemy_row_1,
-        enemy_row_2,
-        enemy_column_0,
-        enemy_column_1,
-        enemy_column_2,
-        enemy_column_3,
-        hostile_alive,
-        hostile_row_0,
-        hostile_row_1,
-        hostile_row_2,
-        hostile_column_0,
-        hostile_column_1,
-        hostile_column_2,
-        hostile_column_3,
+def observe(state: State) -> View:
+    """Return what can be seen."""
+    return View(
+        state.x,
+        state.y,
+        state.facing_right,
+        tenths(state.oxygen),
+        max(state.aboard, 0) & 7,
+        state.bullets,
+        state.divers,
+        state.enemies,
+        Bullets(state.hostile.alive, state.hostile.row, state.hostile.column),
     )

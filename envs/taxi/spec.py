@@ -14,11 +14,10 @@ from pearl_marl.spec import EnvSpec, Golden, Grid, is_number
 from .step import SIDE, State, make_initial, make_step, observe
 
 
-def pose(oracle: Env[Any, Any], state: tuple[int, ...]) -> None:
-    """Put Gymnasium's Taxi into ``(row, column, passenger, destination, fickle)``, for rendering."""
-    *seen, fickle = state
-    oracle.s = oracle.encode(*seen)  # type: ignore[attr-defined]
-    oracle.fickle_step = bool(fickle)  # type: ignore[attr-defined]
+def pose(oracle: Env[Any, Any], state: State) -> None:
+    """Put Gymnasium's Taxi into a state, for rendering."""
+    oracle.s = observe(state)  # type: ignore[attr-defined]
+    oracle.fickle_step = bool(state.fickle)  # type: ignore[attr-defined]
     # Which way the taxi faces is no part of the state: it faces south, as at Gymnasium's start.
     oracle.lastaction = None  # type: ignore[attr-defined]
     oracle.taxi_orientation = 0  # type: ignore[attr-defined]

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from pearl_marl.golden import Draws, GoldenFunction, Word, another, u32
+from pearl_marl.golden import Draws, GoldenFunction, Word, u32
 from pearl_marl.layout import Bits, Flag
 
 TOWN = (
@@ -54,6 +54,11 @@ def stand(row: int, column: int) -> int:
     return STANDS.index(letter) if letter in STANDS else NOWHERE
 
 
+def other(k: Word, stand: Word) -> Word:
+    """Return the ``k``-th of the three stands that are not ``stand``."""
+    return k + (k >= stand)
+
+
 WIDE = 8
 """A row of the tables below: three bits hold rows and columns."""
 CELLS = [divmod(cell, WIDE) for cell in range(WIDE * WIDE)]
@@ -77,7 +82,7 @@ def make_initial(fickle_below: int) -> GoldenFunction:
             found.append(left * n >> 32)
             left = u32(left * n)
         row, column, passenger, destination = found
-        return State(row, column, passenger, another(destination, [passenger]), left < fickle_below)
+        return State(row, column, passenger, other(destination, passenger), left < fickle_below)
 
     return initial
 
@@ -107,7 +112,7 @@ def make_step(is_rainy: bool, is_fickle: bool, forward_below: int, left_below: i
                 column += RIGHT[direction]
                 # At the first move with him a fickle passenger changes his mind, once.
                 if is_fickle and fickle and passenger == ABOARD:
-                    destination, fickle = another(third, [destination]), False
+                    destination, fickle = other(third, destination), False
         reward, delivered = ROUTINE, False
         if action == PICKUP and passenger == stand:
             passenger = ABOARD

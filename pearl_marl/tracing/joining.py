@@ -24,10 +24,11 @@ class Undefined:
     def __init__(self, why: str) -> None:
         object.__setattr__(self, "_why", why)
 
-    def _raise(self, *_: Any, **__: Any) -> NoReturn:
+    def refuse(self, *_: Any, **__: Any) -> NoReturn:
+        """Say why it has no value."""
         raise ArgumentError(object.__getattribute__(self, "_why"))
 
-    __getattr__ = __setattr__ = _raise
+    __getattr__ = __setattr__ = refuse
 
 
 for _name in [
@@ -76,7 +77,7 @@ for _name in [
     "invert",
     "contains",
 ]:
-    setattr(Undefined, f"__{_name}__", Undefined._raise)
+    setattr(Undefined, f"__{_name}__", Undefined.refuse)
 
 
 class Listed(list[Any]):
@@ -117,7 +118,7 @@ for _name in (
 def check_defined(value: Any) -> None:
     """Refuse what holds a variable without a value."""
     if isinstance(value, Undefined):
-        value._raise()
+        value.refuse()
     if isinstance(value, (tuple, list)):
         for part in value:
             check_defined(part)
@@ -167,7 +168,7 @@ def joined(graph: Graph, flag: Node, a: Any, b: Any) -> Any:
         return a if a is b or flag.imm else b
     for one in (a, b):
         if isinstance(one, Undefined):
-            one._raise()
+            one.refuse()
     if _is_number(a) and _is_number(b):
         node = graph.choose(flag, node_of(graph, a), node_of(graph, b))
         if graph.certain:  # outside of all branches nothing depends on where somebody looks at it

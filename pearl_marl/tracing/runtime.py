@@ -224,6 +224,8 @@ class Runtime:
         if not isinstance(index, Word):
             found = of[index]
             return self.listed(found) if isinstance(found, list) and isinstance(index, slice) else found
+        if isinstance(of, Undefined):
+            of.refuse()
         if isinstance(of, (tuple, list)) and any(isinstance(one, (float, Beyond)) for one in of):
             return self._floats().chosen(Word(self.graph, self.place(of, index)), of)
         if isinstance(of, (tuple, list, range)):

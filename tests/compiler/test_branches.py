@@ -51,7 +51,10 @@ def assert_same(
 def test_random_programs(seed: int) -> None:
     """With every kind of statement, some inside others."""
     program = Program(random.Random(seed))
-    program.function("f", [name for name, *_ in WORDS], 14 + seed % 3 * 8, 3)
+    names = [name for name, *_ in WORDS]
+    program.function(
+        "f", names, names, 14 + seed % 3 * 8, lambda: f"{program.everything()}, {program.word()}"
+    )
     chance = random.Random(seed)
 
     def word(bits: int, signed: bool) -> int:

@@ -129,6 +129,27 @@ def test_a_helper_may_call_itself() -> None:
     assert [run(step, a) for a in range(4)] == [[0], [1], [8], [27]]
 
 
+def doubled(x: Any) -> Any:
+    return [doubled(part) for part in x] if isinstance(x, list) else 2 * x
+
+
+def test_a_helper_may_call_itself_in_a_list() -> None:
+    def step(a: Any) -> Any:
+        (b,), c = doubled([[a], a + 1])
+        return b, c
+
+    assert run(step, 3) == [6, 8]
+
+
+def test_a_word_that_ends_at_a_power_of_two_has_the_bits_below_it() -> None:
+    graph = Graph()
+    word = graph.input("x", 4, False, 0, 8)
+    results = trace(graph, lambda x: (x + 1, x & 7, x | 1), [word])
+    for x in range(9):
+        found = values(results, {"x": x})
+        assert [found[node] for node in results] == [x + 1, x & 7, x | 1]
+
+
 def test_a_remainder_is_below_its_divisor() -> None:
     def step(a: Any, b: Any) -> Any:
         return TABLE[:3][(a * 5 - b * 7) % 3]

@@ -47,11 +47,11 @@ def recorded(name: str) -> tuple[dict[str, Any], dict[str, Array]]:
 
 def seen(spec: EnvSpec, state: list[Array], agent: int) -> Array:
     """Return the observations of all states, made one by one."""
-    assert spec.unpack is not None
+    assert spec.positional.unpack is not None
     words = np.broadcast_arrays(*reference(spec.positional.observe, agent)(*state), state[0])[:-1]
     rows = np.empty((state[0].size, spec.observation_size), np.uint8)
     for *own, row in zip(*(word.ravel() for word in words), rows, strict=True):
-        spec.unpack(*own, row)
+        spec.positional.unpack(*own, row)
     return rows.reshape(*state[0].shape, -1)
 
 
@@ -125,7 +125,8 @@ def test_other_actions_are_stays() -> None:
 def test_pictures() -> None:
     """Each player and coin is where the state has it."""
     pytest.importorskip("PIL")
-    drawn = draw((0, 1, 2, 2, 0, 1, 1, 0, 5))
+    built = spec_of().layout.built
+    drawn = draw(built((0, 1, 2, 2, 0, 1, 1, 0, 5)))
     assert (drawn.shape, drawn.dtype) == ((3 * CELL + 1, 3 * CELL + 1, 3), np.uint8)
 
     def has(colour: tuple[int, int, int], row: int, column: int) -> bool:
@@ -136,7 +137,7 @@ def test_pictures() -> None:
         for column in range(3):
             assert has(RED_COLOUR, row, column) == ((row, column) == (0, 1))
             assert has(BLUE_COLOUR, row, column) == ((row, column) in {(2, 2), (1, 0)})
-    assert not np.array_equal(drawn, draw((0, 1, 2, 2, 2, 2, 1, 0, 5)))
+    assert not np.array_equal(drawn, draw(built((0, 1, 2, 2, 2, 2, 1, 0, 5))))
 
 
 REFUSED = {

@@ -83,11 +83,11 @@ def unpacked(boards: tuple[Array, ...]) -> Array:
 
 def test_observations_are_unpacked() -> None:
     spec = pearl_marl.get_spec("ConnectFour")
-    assert spec.unpack is not None
+    assert spec.positional.unpack is not None
     boards = np.random.default_rng(0).integers(1 << CELLS, size=(2, 50))
     rows = np.empty((50, 84), np.int8)
     for own, other, row in zip(*boards, rows, strict=True):
-        spec.unpack(own, other, row)
+        spec.positional.unpack(own, other, row)
     np.testing.assert_array_equal(rows.reshape(-1, 6, 7, 2), unpacked(tuple(boards)))
 
 

@@ -134,10 +134,11 @@ def seen(spec: EnvSpec, kitchen: Kitchen, state: list[Array], agent: int) -> Arr
     words = np.broadcast_arrays(*reference(spec.positional.observe, agent)(*state), state[0])[:-1]
     flat = [word.ravel() for word in words]
     layers = layers_of(kitchen, flat).reshape(len(flat[0]), -1)
-    assert spec.unpack is not None
+    unpack = spec.positional.unpack
+    assert unpack is not None
     row = np.empty(layers.shape[1], np.uint8)
     for i in np.random.default_rng(agent).choice(len(layers), 50):
-        spec.unpack(*(word[i] for word in flat), row)
+        unpack(*(word[i] for word in flat), row)
         np.testing.assert_array_equal(row, layers[i])
     return layers.reshape(*state[0].shape, -1)
 

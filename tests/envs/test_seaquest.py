@@ -9,7 +9,7 @@ import gymnasium
 import numpy as np
 import pytest
 from minatar import Environment
-from pearl_marl.envs.seaquest.spec import STATE, minatar_attributes
+from pearl_marl.envs.seaquest.spec import LAYOUT, minatar_attributes
 from pearl_marl.envs.seaquest.step import CHANCE, CHANCE_BITS, THIRD
 from scipy import stats
 
@@ -24,7 +24,7 @@ from pearl_marl.spec import EnvSpec
 from .tabular import first_episodes
 
 Array = np.ndarray[Any, Any]
-COLUMN = {field.name: k for k, field in enumerate(STATE)}
+COLUMN = {field.name: k for k, field in enumerate(LAYOUT.fields)}
 NOTHING, LEFT, UP, RIGHT, DOWN, FIRE = range(6)
 
 
@@ -90,13 +90,15 @@ class Match:
 
     def put(self, k: int, ramp: int, divers: int) -> None:
         """Give one game a higher difficulty and some divers."""
-        self.ours[COLUMN["ramp"]][k], self.ours[COLUMN["divers"]][k] = ramp, divers
+        self.ours[COLUMN["ramp"]][k], self.ours[COLUMN["aboard"]][k] = ramp, divers
         words = minatar_attributes(tuple(column[k] for column in self.ours))
         vars(self.theirs[k].env).update(words)
 
     def step(self, actions: Array, draw_0: Array, draw_1: Array) -> None:
         actions = np.asarray(actions, np.uint8)
-        *after, rewards, ends = call_reference(self.spec.positional.step, [*self.ours, actions, draw_0, draw_1])
+        *after, rewards, ends = call_reference(
+            self.spec.positional.step, [*self.ours, actions, draw_0, draw_1]
+        )
         seen = np.empty((self.n, 10, 10, 10), bool)
         self.deliver(*call_reference(self.spec.positional.observe, after), seen)
         for k, environment in enumerate(self.theirs):
@@ -137,7 +139,7 @@ def at_random(match: Match, generator: np.random.Generator) -> Array:
 def careful(match: Match, generator: np.random.Generator) -> Array:
     """Stay under water while there is no diver aboard, and shoot a lot."""
     actions = generator.choice([LEFT, UP, RIGHT, DOWN, FIRE, FIRE], match.n)
-    surfaces = (actions == UP) & (match.y() == 1) & (match.ours[COLUMN["divers"]] == 0)
+    surfaces = (actions == UP) & (match.y() == 1) & (match.ours[COLUMN["aboard"]] == 0)
     return np.where(surfaces, FIRE, actions)
 
 
@@ -264,11 +266,11 @@ def test_draws_decide_as_often_as_minatars() -> None:
     after = call_reference(config.positional.step, [*state, np.full(n, DOWN, np.uint8), *draws])
     enemies = np.zeros(n, int)
     for name in ("row_0", "row_1", "row_2", "rightward", "submarine"):
-        enemies = 2 * enemies + (after[COLUMN[f"enemy_{name}"]] >> 28 & 1)
+        enemies = 2 * enemies + (after[COLUMN[f"enemies_{name}"]] >> 28 & 1)
     expected = np.where(np.arange(32) % 2, 1 / 3, 2 / 3) * n / 16
     assert stats.chisquare(np.bincount(enemies, minlength=32), expected).pvalue > 0.001
-    assert after[COLUMN["enemy_alive"]].tolist() == [1 << 28] * n
-    divers = np.bincount(after[COLUMN["diver_1"]] >> 4 & 15, minlength=16)
+    assert after[COLUMN["enemies_alive"]].tolist() == [1 << 28] * n
+    divers = np.bincount(after[COLUMN["divers_1"]] >> 4 & 15, minlength=16)
     assert stats.chisquare(divers).pvalue > 0.001
     repeated = int((after[COLUMN["last_action"]] == FIRE).sum())
     assert stats.binomtest(repeated, n, 0.1).pvalue > 0.001
@@ -309,7 +311,7 @@ def test_spaces_are_minatars(version: int) -> None:
 
 
 def test_words_are_no_wider_than_the_papers() -> None:
-    words = (STATE, (spec().action,), spec().observation, (spec().reward,))
+    words = (LAYOUT.fields, (spec().action,), spec().observation, (spec().reward,))
     assert [sum(field.bits for field in fields) for fields in words] == [694, 3, 440, 4]
 
 

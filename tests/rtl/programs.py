@@ -93,6 +93,8 @@ class Program:
         self.fixed: list[str] = []
         """Words that are read, not assigned to."""
         self.lists: dict[str, int] = {}
+        self.elsewhere: set[str] = set()
+        """Lists of the function around, which would be another's if a name were assigned to."""
         self.helpers: list[tuple[str, int]] = []
         self.count = 0
         self.loops = 0
@@ -176,6 +178,8 @@ class Program:
                 self.write(f"{at} ^= {self.value()}")
             else:
                 self.write(f"{at} = {self.value()}")
+        elif self.lists and kind < 0.3:
+            self.rename()
         elif self.words and kind < 0.6:
             name = self.chance.choice(self.words)
             if kind < 0.35:
@@ -194,8 +198,34 @@ class Program:
         self.write(f"{name} = {value}")
         self.words.append(name)
 
+    def rename(self) -> None:
+        """Let a list's name be one of another, which a word may decide."""
+        name, length = self.chance.choice(list(self.lists.items()))
+        same = [other for other, its in self.lists.items() if its == length]
+        a, b = self.chance.choice(same), self.chance.choice(same)
+        if name in self.elsewhere:
+            return
+        text = f"{a} if {self.flag()} else {b}" if self.chance.random() < 0.6 else a
+        if "[" in name:  # a row, whose name is a place in a list
+            name = self.new("list")
+            self.lists[name] = length
+        self.write(f"{name} = {text}")
+
+    def board(self) -> None:
+        """Write a list of lists, whose rows are lists like others."""
+        name, rows, columns = self.new("board"), self.chance.randint(2, 3), self.chance.randint(2, 3)
+        texts = [f"[{', '.join(self.value() for _ in range(columns))}]" for _ in range(rows)]
+        same = [other for other, length in self.lists.items() if length == columns]
+        if same and self.chance.random() < 0.5:
+            texts[0] = self.chance.choice(same)
+        self.write(f"{name} = [{', '.join(texts)}]")
+        for place in {self.index(rows) for _ in range(2)}:
+            self.lists[f"{name}[{place}]"] = columns
+
     def list_(self) -> None:
         name, length = self.new("list"), self.chance.randint(2, 4)
+        if self.chance.random() < 0.3:
+            return self.board()
         if self.lists and self.chance.random() < 0.3:  # another name of the same
             other = self.chance.choice(list(self.lists))
             self.write(f"{name} = {other}{self.chance.choice(['', '', '[:]'])}")
@@ -207,6 +237,7 @@ class Program:
         else:
             self.write(f"{name} = [{', '.join(self.value() for _ in range(length))}]")
         self.lists[name] = length
+        return None
 
     def branch(self, size: int) -> None:
         self.write(f"if {self.flag(2)}:")
@@ -226,7 +257,7 @@ class Program:
         kind = self.chance.random()
         if kind < 0.25:
             self.write(f"{name} = ({self.number()}) & 3")
-            more = f" and {self.flag()}" if self.chance.random() < 0.4 else ""
+            more = f" and ({self.flag()})" if self.chance.random() < 0.4 else ""
             self.write(f"while {name} > 0{more}:")
             count = 3
         elif kind < 0.35:
@@ -287,13 +318,14 @@ class Program:
         else:
             self.write(f"def {name}({', '.join(args)}):")
             loops, self.loops, result, self.result = self.loops, 0, self.result, self.value
-            fixed = self.fixed
+            fixed, elsewhere = self.fixed, self.elsewhere
+            self.elsewhere = {*self.lists}
             with self.inside():
                 # Words around it are read in it, and would be its own if it assigned to them.
                 self.fixed, self.words = [*fixed, *self.words], [*args]
                 self.block(size // 2)
                 self.write(f"return {self.value()}")
-            self.loops, self.result = loops, result
+            self.loops, self.result, self.elsewhere = loops, result, elsewhere
         self.helpers.append((name, len(args)))
 
     def block(self, size: int) -> None:
@@ -318,25 +350,29 @@ class Program:
             if size <= 0:
                 return
 
-    def function(self, name: str, args: Sequence[str], size: int, results: int) -> None:
-        """Write a function of words that returns several."""
+    def function(
+        self, name: str, args: Sequence[str], words: Sequence[str], size: int, result: Callable[[], str]
+    ) -> None:
+        """Write a function of some arguments and words, which returns what ``result`` writes."""
         self.write(f"def {name}({', '.join(args)}):")
-
-        def result() -> str:
-            # All that is known shows in the first.
-            items = [f"sum({of})" for of in self.lists]
-            every = [f"{2 * k + 1} * {word}" for k, word in enumerate([*self.words, *items])]
-            values = [" + ".join(every), *(self.word() for _ in range(results - 1))]
-            return ", ".join(values)
-
         with self.inside():
-            self.words, self.result = list(args), result
+            self.words, self.result = [], result
+            for word in words:
+                variable, _, given = word.partition(" = ")
+                if given:
+                    self.write(word)
+                self.words.append(variable)
             for _ in range(2):
                 self.bind()
             self.list_()
             self.block(size)
             self.write(f"return {result()}")
             self.result = None
+
+    def everything(self) -> str:
+        """Return a sum in which all that is known shows."""
+        items = [*self.words, *(f"sum({of})" for of in self.lists)]
+        return " + ".join(f"{2 * k + 1} * {item}" for k, item in enumerate(items))
 
 
 def defined(text: str, scope: dict[str, Any], file: str) -> dict[str, Any]:
