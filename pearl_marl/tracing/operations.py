@@ -183,7 +183,7 @@ VALUES: dict[str, Callable[..., Any]] = {
     "choose": lambda _, c, a, b: np.where(c == 1, a, b) if isinstance(c, np.ndarray) else (a if c else b),
     "table": _entry,
     "wrap": _wrap,
-    "narrow": lambda imm, a: min(max(a, imm[0]), imm[1]),
+    "narrow": lambda imm, a: np.minimum(np.maximum(a, imm[0]), imm[1]),
     "sum": lambda imm, *args: sum(
         (s * (x << k) for (s, k), x in zip(imm[1], args, strict=True)), start=imm[0]
     ),
