@@ -52,6 +52,8 @@ def gaps(side: int) -> list[int]:
 
 
 FREE_WEST, FREE_EAST = gaps(0), gaps(2)
+CELLS = [divmod(cell, 8) for cell in range(64)]  # that three bits for a row and a column can tell
+STAND = [STANDS.index(cell) if cell in STANDS else NOWHERE for cell in CELLS]
 
 
 def make_initial(fickle_below: int) -> GoldenFunction:
@@ -90,10 +92,7 @@ def make_step(is_rainy: bool, is_fickle: bool, forward_below: int, left_below: i
         # The halves of draw * 3; two comparisons cost less than the upper half of a product.
         third, rest = (draw >= THIRD) + (draw >= TWO_THIRDS), u32(draw * 3)
         free = row < LAST, row > 0, FREE_EAST[row] >> column & 1, FREE_WEST[row] >> column & 1
-        stand = NOWHERE
-        for k in range(4):
-            if (row, column) == STANDS[k]:
-                stand = k
+        stand = STAND[8 * row + column]
 
         if action <= WEST and free[action]:
             direction = action
