@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import importlib.util
 import itertools
+import linecache
 import random
 import re
 import textwrap
 import time
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -686,3 +689,19 @@ def test_mistakes(what: str) -> None:
         traced(function(text), ("a", 4, False), ("b", 32, False))
     assert str(found.value).startswith("pump/step.py, line ")
     assert "\n" not in str(found.value)
+
+
+def test_a_file_that_has_changed_since_it_was_imported_is_noticed(tmp_path: Path) -> None:
+    """Or Python would run the old function, and kernels and hardware the new one."""
+    file = tmp_path / "changing.py"
+    file.write_text("def step(a):\n    if a > 3:\n        return a - 3\n    return a\n")
+    spec = importlib.util.spec_from_file_location("changing", file)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    file.write_text("def step(a):\n    if a > 3:\n        return a - 2\n    return a\n")
+    linecache.clearcache()
+    graph = Graph()
+    with pytest.raises(ArgumentError, match=r"changing.py, line 1: step\(\) is not what its file says"):
+        trace(graph, module.step, [graph.input("a", 4)])
