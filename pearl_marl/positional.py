@@ -155,6 +155,8 @@ def _written(value: Any, scope: dict[str, Any]) -> str:
     """Return the expression that makes an object of the words that it holds the names of."""
     if isinstance(value, str):
         return value
+    if isinstance(value, int):  # a word of no bits
+        return str(value)
     kind = type(value)
     if not isinstance(value, (list, tuple)):
         raise ArgumentError(f"unpack() takes a {kind.__name__}; Numba knows NamedTuples only")

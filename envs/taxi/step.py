@@ -18,12 +18,11 @@ TOWN = (
     "| | : | : |",
     "|Y| : |B: |",
 )
-"""Gymnasium's: ``|`` is a wall, and the letters are the stands 0 to 3."""
-STANDS = "RGYB"
+"""Gymnasium's: ``|`` is a wall, and R, G, Y and B are the stands 0 to 3."""
+STANDS = (0, 0), (0, 4), (4, 0), (4, 3)
 SIDE, LAST = 5, 4
 SOUTH, NORTH, EAST, WEST, PICKUP, DROPOFF = 0, 1, 2, 3, 4, 5
 LEFT_OF, RIGHT_OF = (EAST, WEST, NORTH, SOUTH), (WEST, EAST, SOUTH, NORTH)
-DOWN, RIGHT = (1, -1, 0, 0), (0, 0, 1, -1)
 ABOARD, NOWHERE = 4, 5
 """Where a passenger is who is at none of the stands; and what is no stand."""
 THIRD, TWO_THIRDS = 0x55555556, 0xAAAAAAAB
@@ -41,29 +40,20 @@ class State(NamedTuple):
     fickle: Flag
 
 
-def ways(row: int, column: int) -> int:
-    """Return in which directions a taxi can leave a cell, a bit each."""
-    line = TOWN[row]
-    free = row < LAST, row > 0, line[2 * column + 2] == ":", line[2 * column] == ":"
-    return sum(1 << direction for direction in range(4) if free[direction])
-
-
-def stand(row: int, column: int) -> int:
-    """Return which stand a cell is."""
-    letter = TOWN[row][2 * column + 1]
-    return STANDS.index(letter) if letter in STANDS else NOWHERE
-
-
 def other(k: Word, stand: Word) -> Word:
     """Return the ``k``-th of the three stands that are not ``stand``."""
     return k + (k >= stand)
 
 
-WIDE = 8
-"""A row of the tables below: three bits hold rows and columns."""
-CELLS = [divmod(cell, WIDE) for cell in range(WIDE * WIDE)]
-WAYS = [ways(row, column) if max(row, column) <= LAST else 0 for row, column in CELLS]
-STAND = [stand(row, column) if max(row, column) <= LAST else NOWHERE for row, column in CELLS]
+def gaps(side: int) -> list[int]:
+    """Return for each row of three bits where there is no wall on a side of a column, a bit each."""
+    rows = [sum((line[2 * column + side] == ":") << column for column in range(SIDE)) for line in TOWN]
+    return rows + [0] * (8 - SIDE)
+
+
+FREE_WEST, FREE_EAST = gaps(0), gaps(2)
+CELLS = [divmod(cell, 8) for cell in range(64)]  # that three bits for a row and a column can tell
+STAND = [STANDS.index(cell) if cell in STANDS else NOWHERE for cell in CELLS]
 
 
 def make_initial(fickle_below: int) -> GoldenFunction:
@@ -101,15 +91,16 @@ def make_step(is_rainy: bool, is_fickle: bool, forward_below: int, left_below: i
         draw = draws.bits() if is_rainy or is_fickle else 0
         # The halves of draw * 3; two comparisons cost less than the upper half of a product.
         third, rest = (draw >= THIRD) + (draw >= TWO_THIRDS), u32(draw * 3)
-        free, stand = WAYS[WIDE * row + column], STAND[WIDE * row + column]
+        free = row < LAST, row > 0, FREE_EAST[row] >> column & 1, FREE_WEST[row] >> column & 1
+        stand = STAND[8 * row + column]
 
-        if action <= WEST and free >> action & 1:
+        if action <= WEST and free[action]:
             direction = action
             if is_rainy and rest >= forward_below:
                 direction = LEFT_OF[action] if rest < left_below else RIGHT_OF[action]
-            if free >> direction & 1:
-                row += DOWN[direction]
-                column += RIGHT[direction]
+            if free[direction]:
+                row += (direction == SOUTH) - (direction == NORTH)
+                column += (direction == EAST) - (direction == WEST)
                 # At the first move with him a fickle passenger changes his mind, once.
                 if is_fickle and fickle and passenger == ABOARD:
                     destination, fickle = other(third, destination), False

@@ -183,7 +183,9 @@ def joined(graph: Graph, flag: Node, a: Any, b: Any) -> Any:
         parts = [joined(graph, flag, x, y) for x, y in zip(a, b, strict=True)]
         if isinstance(a, list) and isinstance(b, list):
             new = Listed(parts)
-            new.path, new.runtime = getattr(a, "path", None), getattr(a, "runtime", None)
+            new.runtime = getattr(a, "runtime", None) or getattr(b, "runtime", None)
+            # It is made here, not on the side that one of them may be from.
+            new.path = None if new.runtime is None else new.runtime.path
             return _chosen(graph, flag, new, a, b)
         kind = type(a) if type(a) is type(b) else tuple
         return kind(*parts) if hasattr(kind, "_fields") else kind(parts)

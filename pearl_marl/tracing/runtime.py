@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import operator
 from collections.abc import Callable, Iterable, Sequence
@@ -14,7 +15,7 @@ from pearl_marl.tracing.joining import Listed, Undefined, has_words, joined
 from pearl_marl.tracing.nodes import Node
 from pearl_marl.tracing.paths import Path
 from pearl_marl.tracing.twins import Twins
-from pearl_marl.tracing.words import Beyond, Word, chosen_entry, flag_of, node_of
+from pearl_marl.tracing.words import Beyond, Word, chosen_entry, flag_of, node_of, word_of
 
 
 class Runtime:
@@ -66,7 +67,7 @@ class Runtime:
     def condition_since(self, start: Path | None) -> Node | None:
         """Return the condition that has come about since a path; ``None`` where there is none."""
         start = start or self.root
-        if self._path is None or len(self._path.literals) <= len(start.literals):
+        if self._path is None:
             return None
         # A list that was made on a side that has been left is seen by its own path only.
         if self._path.literals[: len(start.literals)] != start.literals:
@@ -286,11 +287,11 @@ class Runtime:
 
     def _changed(self, flags: Sequence[Node], value: Any, old: Any) -> Any:
         """Return a value where all flags are set, and an old one where not."""
-        graph = self.graph
+        flag = functools.reduce(self.graph.and_, flags)
         if isinstance(value, Word):
-            value = Word(graph, node_of(graph, value))
-        # What is known of words on this path is not known where the old value stays.
-        return self.at(self.root, lambda: joined(graph, functools.reduce(graph.and_, flags), value, old))
+            value = word_of(self.graph, value)
+        # The old one is looked at where this path is not taken: what is known here is not known of it.
+        return self.at(dataclasses.replace(self.here, known={}), lambda: joined(self.graph, flag, value, old))
 
     def growing(self, of: Any, verb: str = "") -> Any:
         """Return a list, which is about to become longer or shorter: that is no word's to decide."""

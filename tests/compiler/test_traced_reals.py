@@ -186,6 +186,12 @@ def test_quotients_of_ranges(numerator: tuple[float, float], divisor: tuple[floa
             traced.agrees(a, b)
 
 
+@pytest.mark.parametrize("least", [3, 5, 7, 11, 13])
+def test_large_quotients_are_within_their_range(least: int) -> None:
+    traced = Traced(lambda a, b, n, f: a / b, (1.0, 8.0), (least * 2.0**-FRACTION, 8.0))
+    traced.agrees(traced.ends[0][1], least)
+
+
 def test_a_divisor_of_a_narrow_range_is_not_normalised() -> None:
     def shifts(divisor: tuple[float, float]) -> int:
         traced = Traced(lambda a, b, n, f: a / b, b=divisor)
