@@ -154,7 +154,7 @@ def test_a_mistake_is_told_where_it_is(function: Callable[..., Any]) -> None:
             {"step": lambda state, action, draws: action},
             "step() returns one value; it returns a state, a reward",
         ),
-        ({"step": lambda state, action, draws: ((0, 0), 0, 0)}, "a State is due, and a tuple of 2 is returned"),
+        ({"step": lambda state, action, draws: ((0, 0), 0, 0)}, "a State is due, and a tuple of 2"),
         (
             {"step": lambda state, action: (state, 0, 0)},
             "is called with (state, action, draws): too many positi",

@@ -11,7 +11,7 @@ import subprocess
 import sys
 import tempfile
 import types
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -31,9 +31,9 @@ from pearl_marl.compiler.pieces import PREFIXES
 from pearl_marl.devices import BatchConfig, Native
 from pearl_marl.golden import Draws, u32
 from pearl_marl.layout import Bits
-from pearl_marl.spec import EnvSpec, Golden
+from pearl_marl.spec import EnvSpec, Field, Golden
 
-from ..toy import DRIFT, LADDER, SLIDE
+from ..toy import DRIFT, LADDER, SLIDE, with_state
 
 SPEC = pearl_marl.get_spec("CliffWalking")
 
@@ -184,11 +184,12 @@ def test_the_source_can_be_read(cache: Path) -> None:
 @pytest.mark.parametrize("spec", [SPEC, DRIFT, LADDER, SLIDE, pearl_marl.get_spec("Seaquest")])
 def test_no_name_of_a_field_can_be_in_the_way(source: Callable[[EnvSpec], str], spec: EnvSpec) -> None:
     """What is named after a field begins with one of the prefixes, and nothing else does."""
-    mine = dataclasses.replace(
-        spec,
-        state=tuple(dataclasses.replace(f, name=f"{f.name}_mine") for f in spec.state),
-        observation=tuple(dataclasses.replace(f, name=f"{f.name}_mine") for f in spec.observation),
-    )
+
+    def renamed(fields: Sequence[Field]) -> tuple[Field, ...]:
+        return tuple(dataclasses.replace(f, name=f"{f.name}_mine") for f in fields)
+
+    seen = dataclasses.replace(spec, observation=renamed(spec.observation))
+    mine = with_state(seen, renamed(spec.state))
     text = source(mine)
     kernels_alone = text.split("@kernel", 1)[1]
     names = set(re.findall(r"\b[A-Za-z_]\w*", kernels_alone))
