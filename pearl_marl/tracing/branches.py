@@ -9,18 +9,41 @@ a list is written under the condition of its path, so a list that keeps its name
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Sequence
+from typing import Any, Protocol
 
 from pearl_marl.errors import ArgumentError
+from pearl_marl.tracing.graph import Graph
 from pearl_marl.tracing.joining import check_defined, joined, merged, variables
+from pearl_marl.tracing.nodes import Node
 from pearl_marl.tracing.paths import Exits, Literal, Path
-
-if TYPE_CHECKING:
-    from pearl_marl.tracing.runtime import Runtime
 
 MOST_ROUNDS = 1000
 """Rounds after which a ``while`` counts as one without a bound."""
+
+
+class Runtime(Protocol):
+    """What is known of the statement at hand: :class:`pearl_marl.tracing.runtime.Runtime`."""
+
+    graph: Graph
+    exits: list[Any]
+
+    @property
+    def path(self) -> Path | None:
+        """The path at hand; ``None`` where none is left."""
+
+    @path.setter
+    def path(self, path: Path | None) -> None: ...
+
+    @property
+    def here(self) -> Path:
+        """The path at hand, where one is."""
+
+    def truth(self, value: Any) -> bool | Node:
+        """Return whether a value counts as true."""
+
+    def at(self, path: Path, function: Callable[[], Any]) -> Any:
+        """Return what a function gives on a path."""
 
 
 class Frame:

@@ -21,7 +21,7 @@ from pearl_marl.devices import BatchConfig, Native, Reference, make_device
 from pearl_marl.errors import DeviceError
 from pearl_marl.spec import EnvSpec, Field
 
-from ..toy import LADDER, SLIDE
+from ..toy import LADDER, SLIDE, with_state
 
 CLIFF = pearl_marl.get_spec("CliffWalking")
 
@@ -97,9 +97,9 @@ def test_snapshots_are_those_of_the_native_device() -> None:
 def narrow(spec: EnvSpec) -> dict[str, EnvSpec]:
     """Specs that promise one bit less than their golden functions need."""
     return {
-        "column": replace(spec, state=(spec.state[0], Field("column", 3))),
+        "column": with_state(spec, (spec.state[0], Field("column", 3))),
         "cell": replace(spec, observation=(Field("cell", 5),)),
-        "row": replace(spec, state=(Field("row", 1), spec.state[1])),
+        "row": with_state(spec, (Field("row", 1), spec.state[1])),
     }
 
 
