@@ -9,15 +9,15 @@
     to choose; a masked one is refused.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from gymnasium.spaces import Box, Discrete
 
 from pearl_marl import EnvSpec
-from pearl_marl.golden import Word, uniform_below
+from pearl_marl.golden import Draws, Word
+from pearl_marl.layout import Array, Bits, Flag
 from pearl_marl.spec import Field, Golden, Role
 
 AGENTS = 4
@@ -27,50 +27,69 @@ FIELD = 12
 STAY, LEFT, RIGHT, JUMP, REST = range(5)
 
 
-def meadow_initial(first: Word, second: Word) -> tuple[Word, ...]:
-    places = [uniform_below(first * (2 * k + 1) & 0xFFFFFFFF, FIELD) for k in range(AGENTS)]
-    return *places, *((second >> 4 * k & 7) + 1 for k in range(AGENTS))
+class Meadow(NamedTuple):
+    """Where each agent is, and how strong."""
+
+    place: Array[Bits[4], AGENTS]
+    energy: Array[Bits[4], AGENTS]
 
 
-def meadow_masks(*state_and_agent: Word) -> tuple[Word, ...]:
-    *state, agent = state_and_agent
-    place, energy = state[agent], state[AGENTS + agent]
+class MeadowView(NamedTuple):
+    """What a hare sees; a snail sees the first two."""
+
+    place: Bits[4]
+    energy: Bits[4]
+    other: Bits[4]
+    snail: Bits[5]
+
+
+def meadow_initial(draws: Draws) -> Meadow:
+    first, second = draws.bits(), draws.bits()
+    places = [(first * (2 * k + 1) & 0xFFFFFFFF) * FIELD >> 32 for k in range(AGENTS)]
+    return Meadow(places, [(second >> 4 * k & 7) + 1 for k in range(AGENTS)])
+
+
+def meadow_masks(state: Meadow, agent: int) -> tuple[Word, ...]:
+    place, energy = state.place[agent], state.energy[agent]
     left, right = place > 0, place < FIELD - 1
     if agent >= HARES:
         return 1, left, right, 0, 0
-    return 1, left, right, (energy > 3) & (place < FIELD - 3), energy < 6
+    return 1, left, right, energy > 3 and place < FIELD - 3, energy < 6
 
 
-def meadow_step(*words: Word) -> tuple[Word, ...]:
-    state, actions, (draw,) = words[: 2 * AGENTS], words[2 * AGENTS : 3 * AGENTS], words[3 * AGENTS :]
-    places, energies, rewards = [], [], []
-    for k in range(AGENTS):
-        place, energy, action = state[k], state[AGENTS + k], actions[k]
-        allowed = meadow_masks(*state, k)
-        lives = energy > 0
-        moves = [(action == a) & allowed[a] & lives for a in range(5)]
-        place = place - moves[LEFT] + moves[RIGHT] + 3 * moves[JUMP]
+def meadow_step(
+    state: Meadow, actions: Sequence[Word], draws: Draws
+) -> tuple[Meadow, list[Word], list[Word]]:
+    draw = draws.bits()
+    places, energies = [*state.place], [*state.energy]
+    # A dead agent's reward is of no interest, and here not even 0.
+    rewards = [energy == 0 for energy in energies]
+    for k, action in enumerate(actions):
+        if energies[k] == 0:
+            continue
+        _, left, right, jump, rest = meadow_masks(state, k)
         hungry = (draw >> 3 * k & 7) < 3
-        energy = energy - (lives & hungry) + 2 * moves[REST] - moves[JUMP]
-        energy = np.clip(energy, 0, 15)
-        places.append(np.minimum(place, 15))
-        energies.append(energy)
-        # A dead agent's reward is of no interest, and here not even 0.
-        rewards.append(2 * moves[RIGHT] - moves[LEFT] + (lives == 0))
-    ends = [energy == 0 for energy in energies]
-    return *places, *energies, *rewards, *ends
+        gain = -1 if hungry else 0
+        if action == LEFT and left:
+            places[k] -= 1
+            rewards[k] = -1
+        elif action == RIGHT and right:
+            places[k] += 1
+            rewards[k] = 2
+        elif action == JUMP and jump:
+            places[k] += 3
+            gain -= 1
+        elif action == REST and rest:
+            gain += 2
+        energies[k] = min(max(energies[k] + gain, 0), 15)
+    return Meadow(places, energies), rewards, [energy == 0 for energy in energies]
 
 
-def meadow_observe(*state_and_agent: Word) -> tuple[Word, ...]:
-    *state, agent = state_and_agent
-    own = state[agent], state[AGENTS + agent]
+def meadow_observe(state: Meadow, agent: int) -> MeadowView:
+    place, energy = state.place[agent], state.energy[agent]
     if agent >= HARES:
-        return *own, 0, 0
-    return *own, state[(agent + 1) % AGENTS], state[AGENTS + HARES] + 16
-
-
-def _fields(name: str) -> tuple[Field, ...]:
-    return tuple(Field(f"{name}_{k}", 4) for k in range(AGENTS))
+        return MeadowView(place, energy, 0, 0)
+    return MeadowView(place, energy, state.place[(agent + 1) % AGENTS], state.energy[HARES] + 16)
 
 
 HARE = Role("hare", Box(0, 31, (4,), np.int16), Discrete(5))
@@ -80,59 +99,71 @@ MEADOW = EnvSpec(
     name="Meadow",
     version=0,
     summary="Hares and snails feed until they are too weak",
-    state=(*_fields("place"), *_fields("energy")),
-    action=Field("action", 3),
-    observation=(Field("place", 4), Field("energy", 4), Field("other", 4), Field("snail", 5)),
     reward=Field("reward", 4, signed=True, fraction=1),
     rewards=None,
     observation_space=HARE.observation_space,
     action_space=Discrete(5),
-    golden=Golden(meadow_initial, meadow_step, meadow_observe, meadow_masks),
+    golden=Golden(Meadow, meadow_initial, meadow_step, meadow_observe, meadow_masks, MeadowView),
     agents=AGENTS,
     roles=(HARE, HARE, SNAIL, SNAIL),
-    reset_draws=2,
-    step_draws=1,
     max_cycles=20,
 )
 
 
-def nim_initial(draw: Word) -> tuple[Word, ...]:
-    return 5 + uniform_below(draw, 8), draw & 1
+class Nim(NamedTuple):
+    """The counters that are left, and who takes some next."""
+
+    heap: Bits[4]
+    turn: Flag
 
 
-def nim_masks(heap: Word, turn: Word, agent: int) -> tuple[Word, ...]:
-    return tuple((turn == agent) & (heap > taken) for taken in range(3))
+class NimView(NamedTuple):
+    """What both see."""
+
+    heap: Bits[4]
 
 
-def nim_step(heap: Word, turn: Word, *actions: Word) -> tuple[Word, ...]:
-    taken = np.minimum(np.where(turn, actions[1], actions[0]) + 1, heap)
-    left = heap - taken
+NOTHING, WIN, LOSS = 0, 1, 2
+
+
+def nim_initial(draws: Draws) -> Nim:
+    draw = draws.bits()
+    return Nim(5 + (draw * 8 >> 32), draw & 1)
+
+
+def nim_masks(state: Nim, agent: int) -> list[Word]:
+    return [state.turn == agent and state.heap > taken for taken in range(3)]
+
+
+def nim_step(state: Nim, actions: Sequence[Word], draws: Draws) -> tuple[Nim, list[Word], list[Word]]:
+    heap, turn = state
+    left = heap - min(actions[turn] + 1, heap)
     over = left == 0
-    # Win, loss, or nothing yet: who has moved into an empty heap wins.
-    rewards = [np.where(over, np.where(turn == k, 1, 2), 0) for k in range(2)]
-    return left, turn ^ 1, *rewards, over, over
+    rewards = [NOTHING, NOTHING]
+    if over:
+        # Who has moved into an empty heap wins.
+        rewards = [LOSS, LOSS]
+        rewards[turn] = WIN
+    return Nim(left, 1 - turn), rewards, [over, over]
 
 
-def nim_observe(heap: Word, turn: Word, agent: int) -> Word:
-    return heap
+def nim_observe(state: Nim, agent: int) -> NimView:
+    return NimView(state.heap)
 
 
 NIM = EnvSpec(
     name="Nim",
     version=0,
     summary="Take 1 to 3 counters in turn; who takes the last one wins",
-    state=(Field("heap", 4), Field("turn", 1)),
     action=Field("taken", 2),
-    observation=(Field("heap", 4),),
     reward=Field("outcome", 2),
     rewards=(0.0, 1.0, -1.0),
     observation_space=Discrete(16),
     action_space=Discrete(3),
-    golden=Golden(nim_initial, nim_step, nim_observe, nim_masks),
+    golden=Golden(Nim, nim_initial, nim_step, nim_observe, nim_masks, NimView),
     agents=2,
     turns=True,
     masked="refused",
-    reset_draws=1,
 )
 
 WORLDS: Sequence[EnvSpec] = (MEADOW, NIM)
@@ -141,28 +172,36 @@ WORLDS: Sequence[EnvSpec] = (MEADOW, NIM)
 def crowd(agents: int, masked: bool = True, pictures: bool = False) -> EnvSpec:
     """Return an environment of so many agents who count down, with a reward table."""
 
-    def initial(draw: Word) -> tuple[Word, ...]:
-        return tuple((draw >> k % 29 & 7) + 1 for k in range(agents))
+    class State(NamedTuple):
+        counts: Array[Bits[4], agents]
 
-    def step(*words: Word) -> tuple[Word, ...]:
-        counts, actions, draw = words[:agents], words[agents:-1], words[-1]
+    class View(NamedTuple):
+        own: Bits[4]
+        other: Bits[3]
+
+    def initial(draws: Draws) -> State:
+        draw = draws.bits()
+        return State([(draw >> k % 29 & 7) + 1 for k in range(agents)])
+
+    def step(state: State, actions: Any, draws: Draws) -> tuple[State, Any, Any]:
+        draw = draws.bits()
+        if agents == 1:
+            actions = [actions]
         # The dead count on, below 0 and round, which nobody sees; but an action does nothing for them.
         after = [
             (count - (draw >> k % 30 & 1) - (action == 2)) & 15
-            for k, (count, action) in enumerate(zip(counts, actions, strict=True))
+            for k, (count, action) in enumerate(zip(state.counts, actions, strict=True))
         ]
-        return (
-            *after,
-            *((count + 3 * action) % 5 for count, action in zip(after, actions, strict=True)),
-            *(count == 0 for count in after),
-        )
+        rewards = [(count + 3 * action) % 5 for count, action in zip(after, actions, strict=True)]
+        ends = [count == 0 for count in after]
+        return (State(after), rewards[0], ends[0]) if agents == 1 else (State(after), rewards, ends)
 
-    def observe(*state_and_agent: Word) -> tuple[Word, ...]:
-        state, agent = (state_and_agent, 0) if agents == 1 else (state_and_agent[:-1], state_and_agent[-1])
-        return state[agent], (state[agent] + state[agent - 1]) & 7
+    def observe(state: State, agent: int = 0) -> View:
+        own = state.counts[agent]
+        return View(own, (own + state.counts[agent - 1]) & 7)
 
-    def masks(*state_and_agent: Word) -> tuple[Word, ...]:
-        own, other = observe(*state_and_agent)
+    def masks(state: State, agent: int = 0) -> tuple[Word, ...]:
+        own, other = observe(state, agent)
         return 1, other > 2, own > 4
 
     def unpack(own: Word, other: Word, row: Word) -> None:
@@ -173,16 +212,10 @@ def crowd(agents: int, masked: bool = True, pictures: bool = False) -> EnvSpec:
         name="Crowd",
         version=agents,
         summary="Count down",
-        state=tuple(Field(f"count_{k}", 4) for k in range(agents)),
-        action=Field("action", 2),
-        observation=(Field("own", 4), Field("other", 3)),
-        reward=Field("category", 3),
         rewards=(0.5, 1.0, -1.5, 4.0, 0.25),
         observation_space=Box(0, 3, (2, 3), np.uint8) if pictures else Box(0, 15, (2,), np.float32),
         action_space=Discrete(3),
-        golden=Golden(initial, step, observe, masks if masked else None),
+        golden=Golden(State, initial, step, observe, masks if masked else None, View),
         agents=agents,
         unpack=unpack if pictures else None,
-        reset_draws=1,
-        step_draws=1,
     )
