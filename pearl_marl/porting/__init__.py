@@ -6,6 +6,7 @@ finite, :mod:`~pearl_marl.porting.attributes` finds what its state is where it i
 """
 
 from pearl_marl.porting.originals import Original
+from pearl_marl.porting.port import Port, as_words, like
 from pearl_marl.porting.tables import first_wrong_transition
 
-__all__ = ["Original", "first_wrong_transition"]
+__all__ = ["Original", "Port", "as_words", "first_wrong_transition", "like"]

@@ -12,6 +12,8 @@ import numpy as np
 
 SCALARS = (bool, int, float, str, bytes, type(None), np.generic, enum.Enum, complex)
 PARTS = (list, tuple, dict, set, frozenset)
+SEEDS = "_np_random_seed"
+"""Where Gymnasium's environments keep what they were seeded with."""
 DEEPEST = 8
 """How many objects inside one another are looked into."""
 
@@ -57,7 +59,8 @@ def frozen(value: Any, inside: tuple[int, ...] = ()) -> Hashable:
     if isinstance(value, (set, frozenset)):
         return frozenset(frozen(part, inside) for part in value)
     if is_group(value):
-        return (type(value).__name__, *((key, frozen(part, inside)) for key, part in sorted(vars(value).items())))
+        parts = ((key, part) for key, part in sorted(vars(value).items()) if key != SEEDS)
+        return (type(value).__name__, *((key, frozen(part, inside)) for key, part in parts))
     return None
 
 
@@ -99,6 +102,8 @@ def leaves_of(root: Any, prefix: str = "", depth: int = 0) -> Iterator[tuple[str
     """Yield the attributes that are data, by their paths: ``"game.ball"``."""
     for key, value in vars(root).items():
         path = f"{prefix}{key}"
+        if key == SEEDS:
+            continue
         if isinstance(value, (*SCALARS, *PARTS, np.ndarray)):
             yield path, value
         elif is_group(value) and depth < 3:

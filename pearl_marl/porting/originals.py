@@ -99,15 +99,17 @@ class Original:
         with _quiet():
             if not self.names:
                 seen, reward, terminated, truncated, _ = self.env.step(actions[0])
-                return Outcome([seen], [float(reward)], [bool(terminated)], bool(truncated))
+                self.seen = [seen]
+                return Outcome(self.seen, [float(reward)], [bool(terminated)], bool(truncated))
             alive = list(self.env.agents)
             given = {agent: action for agent, action in zip(self.names, actions, strict=True) if agent in alive}
             seen, rewards, ends, truncations, _ = self.env.step(given)
         self._ended = [
             ended or bool(ends.get(agent)) for agent, ended in zip(self.names, self._ended, strict=True)
         ]
+        self.seen = [seen.get(agent) for agent in self.names]
         return Outcome(
-            [seen.get(agent) for agent in self.names],
+            self.seen,
             [float(rewards.get(agent, 0)) for agent in self.names],
             list(self._ended),
             any(truncations.values()),

@@ -24,7 +24,8 @@ WIDTH = 110
 
 def names_in(text: str, words: Mapping[str, str]) -> str:
     """Return a template with words replaced."""
-    return re.sub("|".join(map(re.escape, words)), lambda match: words[match[0]], text)
+    longest_first = sorted(words, key=len, reverse=True)
+    return re.sub("|".join(map(re.escape, longest_first)), lambda match: words[match[0]], text)
 
 
 def own_words(name: str) -> dict[str, str]:
@@ -62,7 +63,7 @@ def of_tables(name: str, original: Original, found: Finite, made: Tables) -> dic
     listed = [f"`{folder}/tables.py`", *[f"`{folder}/tables.npz`"][: module.arrays is not None]]
     words["@tables@"] = ", ".join(listed)
     names = list(module.names)
-    words["from .tables import @names@"] = _import(".tables", names)
+    words["from .tables import @names@"] = import_line(".tables", names)
     files: dict[str, str | bytes] = {**filled("environment", words), **filled("table", words)}
     files[f"{folder}/tables.py"] = module.text
     if module.arrays is not None:
@@ -78,7 +79,7 @@ def of_tables(name: str, original: Original, found: Finite, made: Tables) -> dic
 
 def common_words(original: Original) -> dict[str, str]:
     """Return what stands for the placeholders that all templates have."""
-    arguments = _quoted(original.name)
+    arguments = quoted(original.name)
     if original.options:
         arguments += f", {options_text(original.options)}"
     return {
@@ -87,12 +88,13 @@ def common_words(original: Original) -> dict[str, str]:
         "@original_arguments@": arguments,
         "@observation_space@": space_text(original.observation_space),
         "@action_space@": space_text(original.action_space),
+        "        observation_space=@observation_space@,": space_line("observation_space", original.observation_space),
         "@max_cycles@": str(original.limit),
         "@summary@": f"As {original.name}",
     }
 
 
-def _quoted(value: Any) -> str:
+def quoted(value: Any) -> str:
     """Return texts as ruff writes them."""
     return repr(value).replace("'", '"')
 
@@ -102,11 +104,29 @@ def options_on_a_command(options: Mapping[str, Any]) -> str:
     return "".join(f" --option {shlex.quote(f'{key}={value}')}" for key, value in options.items())
 
 
-def _import(module: str, names: list[str]) -> str:
+def import_line(module: str, names: list[str]) -> str:
+    """Return an import as ruff writes it."""
     line = f"from {module} import {', '.join(names)}"
     if len(line) <= WIDTH:
         return line
     return "\n".join([f"from {module} import (", *(f"    {name}," for name in names), ")"])
+
+
+def space_line(name: str, space: Any) -> str:
+    """Return a space as an argument of the spec, on several lines if it is long."""
+    line = f"        {name}={space_text(space)},"
+    if len(line) <= WIDTH or not isinstance(space, Box):
+        return line
+    dtype = _dtype_text(space)
+    low, high = _bound_text(space.low, dtype), _bound_text(space.high, dtype)
+    shape = [] if low.startswith("np.array") or high.startswith("np.array") else [repr(space.shape)]
+    lines = [f"            {part}," for part in (low, high, *shape, f"dtype={dtype}")]
+    lines = [part if len(part) <= WIDTH else f"{part}  # noqa: E501" for part in lines]
+    return "\n".join([f"        {name}=Box(", *lines, "        ),"])
+
+
+def _dtype_text(space: Box) -> str:
+    return f"np.{space.dtype}" if space.dtype != bool else "np.bool_"
 
 
 def space_text(space: Any) -> str:
@@ -114,9 +134,10 @@ def space_text(space: Any) -> str:
     if isinstance(space, Discrete):
         return f"Discrete({space.n})" if space.start == 0 else f"Discrete({space.n}, start={space.start})"
     if isinstance(space, Tuple):
-        return f"Tuple(({', '.join(map(space_text, space.spaces))},))"
+        parts = [space_text(part) for part in space.spaces]
+        return f"Tuple(({', '.join(parts)}{',' * (len(parts) == 1)}))"
     assert isinstance(space, Box)
-    dtype = f"np.{space.dtype}" if space.dtype != bool else "np.bool_"
+    dtype = _dtype_text(space)
     low, high = _bound_text(space.low, dtype), _bound_text(space.high, dtype)
     shape = "" if low.startswith("np.array") or high.startswith("np.array") else f"{space.shape!r}, "
     return f"Box({low}, {high}, {shape}dtype={dtype})"
@@ -126,12 +147,14 @@ def _bound_text(bound: Any, dtype: str) -> str:
     def number(value: Any) -> str:
         if np.isinf(value):
             return "-np.inf" if value < 0 else "np.inf"
-        return repr(value.item())
+        return str(value)
+
+    def listed(part: Any) -> str:
+        return f"[{', '.join(map(listed, part))}]" if np.ndim(part) else number(part)
 
     if (bound == bound.flat[0]).all():
         return number(bound.flat[0])
-    text = re.sub(r"\b(inf)\b", "np.inf", repr(bound.tolist()))
-    return f"np.array({text}, {dtype})"
+    return f"np.array({listed(bound)}, {dtype})"
 
 
 def _table_words(original: Original, found: Finite, made: Tables) -> dict[str, str]:
@@ -175,10 +198,10 @@ def _table_words(original: Original, found: Finite, made: Tables) -> dict[str, s
     modes = tuple(original.env.metadata.get("render_modes", ())) if rendered else ()
     more = ""
     if rendered:
-        more = f'        oracle="{original.name}",\n        pose=pose,\n        render_modes={_quoted(modes)},\n'
+        more = f'        oracle="{original.name}",\n        pose=pose,\n        render_modes={quoted(modes)},\n'
     else:
         told = original.name + options_on_a_command(original.options)
-        more = f"        follows={_quoted(told)},\n"
+        more = f"        follows={quoted(told)},\n"
     return {
         "@kinds@": ", ".join(sorted(kinds)),
         "@states@": str(found.states),
