@@ -77,7 +77,9 @@ def command(
     folder = _checked(name, out)
     if original is not None:
         if agents != 1:
-            raise ArgumentError("--agents is for a world to start from; with --from the original says how many")
+            raise ArgumentError(
+                "--agents is for a world to start from; with --from the original says how many"
+            )
         _follow(name, original, common.env_options(option), rules, folder, as_json)
         return
     if option or rules:

@@ -114,9 +114,11 @@ def observed(original: Original) -> Seen:
 
 
 def _row(seen: Any) -> list[float]:
-    return [float(part) for part in np.concatenate([np.ravel(part) for part in seen])] if isinstance(
-        seen, tuple
-    ) else [float(part) for part in np.ravel(seen)]
+    return (
+        [float(part) for part in np.concatenate([np.ravel(part) for part in seen])]
+        if isinstance(seen, tuple)
+        else [float(part) for part in np.ravel(seen)]
+    )
 
 
 def _depends_on_chance(original: Original, actions: list[Any]) -> bool:
@@ -151,7 +153,7 @@ def _attribute(path: str, values: list[Any], taken: set[str]) -> Attribute:
     real = any(a.dtype.kind == "f" and not np.array_equal(a, np.rint(a)) for a in arrays)
     floats = any(a.dtype.kind == "f" for a in arrays)
     span = f"{low:.6g} to {high:.6g}"
-    if len(shapes) == 1 and 1 < len(next(iter(shapes), ())) + 1 and real and arrays[0].size <= 8:
+    if len(shapes) == 1 and len(next(iter(shapes), ())) + 1 > 1 and real and arrays[0].size <= 8:
         all_rows = np.stack([a.ravel() for a in arrays])
         ends = zip(all_rows.min(0), all_rows.max(0), strict=True)
         span = ", ".join(f"{least:.4g} to {most:.4g}" for least, most in ends)
@@ -195,7 +197,9 @@ def kind_of(low: Any, high: Any, real: bool) -> str:
     """Return the annotation that is proposed for numbers of a range."""
     if real or not np.isfinite([low, high]).all():
         most = max(abs(float(low)), abs(float(high)), 1.0) if np.isfinite([low, high]).all() else 1024.0
-        return f"Signed[{int(most).bit_length() + 2 + FRACTION}, {FRACTION}]"  # twice what was seen, and a sign
+        return (
+            f"Signed[{int(most).bit_length() + 2 + FRACTION}, {FRACTION}]"  # twice what was seen, and a sign
+        )
     low, high = int(low), int(high)
     if low >= 0 and high <= 1:
         return "Flag"
@@ -209,4 +213,3 @@ def _told(values: list[Any], kinds: list[str]) -> str:
         some = sorted(set(values))
         return "one of " + ", ".join(map(repr, some[:6])) + (" ..." if len(some) > 6 else "")
     return f"{' or '.join(kinds)}: nothing that a field holds" if kinds else "None"
-

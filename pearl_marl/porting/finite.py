@@ -89,7 +89,9 @@ def finite(original: Original) -> Finite:
     size = result.states * len(result.rows[0]) * result.width
     seen = result.states * len(result.observations[0])
     if max(size, seen) > MOST_ENTRIES:
-        raise NotFinite(f"its {result.states:,} states make tables of {max(size, seen):,} entries, above {MOST_ENTRIES:,}")
+        raise NotFinite(
+            f"its {result.states:,} states make tables of {max(size, seen):,} entries, above {MOST_ENTRIES:,}"
+        )
     return result
 
 
@@ -157,7 +159,9 @@ def _hold_table(original: Original, found: Finite) -> None:
     for seed in range(RUNS):
         state = int(original.reset(seed)[0])
         if state not in firsts:
-            raise NotFinite(f"an episode begins in state {state}, which its initial_state_distrib does not list")
+            raise NotFinite(
+                f"an episode begins in state {state}, which its initial_state_distrib does not list"
+            )
         for _ in range(RUN_STEPS):
             (action,) = original.actions(rng)
             outcome = original.step([action])
@@ -220,7 +224,9 @@ class Ways:
     def _real(self, what: str) -> NoReturn:
         raise _Real(what)
 
-    def integers(self, low: Any, high: Any = None, size: Any = None, dtype: Any = None, endpoint: bool = False) -> Any:
+    def integers(
+        self, low: Any, high: Any = None, size: Any = None, dtype: Any = None, endpoint: bool = False
+    ) -> Any:
         """Return one of a range, as NumPy's generator does, or an array of such."""
         low, high = (0, low) if high is None else (low, high)
         if np.ndim(low) or np.ndim(high):
@@ -229,7 +235,9 @@ class Ways:
         if size is None:
             return int(low) + self._below(count)
         shape = (size,) if np.ndim(size) == 0 else tuple(size)
-        return np.array([int(low) + self._below(count) for _ in range(math.prod(shape))], dtype or np.int64).reshape(shape)
+        return np.array(
+            [int(low) + self._below(count) for _ in range(math.prod(shape))], dtype or np.int64
+        ).reshape(shape)
 
     randint = integers
 
@@ -300,7 +308,10 @@ class _Search:
                 f"it draws by {error}, whose outcomes cannot all be gone through ({self._found()})"
             ) from None
         result = Finite(
-            tuple((p, state) for (state, _, _), p in starts.items()), rows, tuple(self._observations), of_table=False
+            tuple((p, state) for (state, _, _), p in starts.items()),
+            rows,
+            tuple(self._observations),
+            of_table=False,
         )
         self._hold(result)
         return result

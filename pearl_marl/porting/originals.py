@@ -76,7 +76,9 @@ class Original:
         if not self.names:
             space = getattr(self.env, f"{what}_space", None)
             if not isinstance(space, Space):
-                raise ArgumentError(f"{self.name} has no {what}_space after it is made; it takes a space of Gymnasium")
+                raise ArgumentError(
+                    f"{self.name} has no {what}_space after it is made; it takes a space of Gymnasium"
+                )
             return space
         spaces = [getattr(self.env, f"{what}_space")(agent) for agent in self.names]
         if any(space != spaces[0] for space in spaces):
@@ -102,7 +104,9 @@ class Original:
                 self.seen = [seen]
                 return Outcome(self.seen, [float(reward)], [bool(terminated)], bool(truncated))
             alive = list(self.env.agents)
-            given = {agent: action for agent, action in zip(self.names, actions, strict=True) if agent in alive}
+            given = {
+                agent: action for agent, action in zip(self.names, actions, strict=True) if agent in alive
+            }
             seen, rewards, ends, truncations, _ = self.env.step(given)
         self._ended = [
             ended or bool(ends.get(agent)) for agent, ended in zip(self.names, self._ended, strict=True)
@@ -163,7 +167,9 @@ def why_no_action(space: Space[Any]) -> str | None:
     if isinstance(space, Box):
         taken = space.shape == (1,) and space.dtype == np.float32 and space.is_bounded()
         return None if taken else "of Boxes a bounded float32 one of shape (1,) is taken"
-    return f"a {type(space).__name__} is not taken: an action is one word, so a Discrete or a Box of shape (1,)"
+    return (
+        f"a {type(space).__name__} is not taken: an action is one word, so a Discrete or a Box of shape (1,)"
+    )
 
 
 def _short(space: Space[Any]) -> str:
@@ -193,7 +199,9 @@ def _made(name: str, options: Mapping[str, Any]) -> Any:
     if hasattr(env, "possible_agents") and not hasattr(env, "agent_selection"):
         return env
     if hasattr(env, "agent_selection"):
-        raise ArgumentError(f"{name} is an AEC environment of PettingZoo; take its parallel one: parallel_env")
+        raise ArgumentError(
+            f"{name} is an AEC environment of PettingZoo; take its parallel one: parallel_env"
+        )
     raise ArgumentError(
         f"{name} makes a {type(env).__name__}; it must be an environment of Gymnasium (gymnasium.Env) or a "
         "parallel one of PettingZoo"
@@ -256,7 +264,11 @@ def _registered(name: str, options: Mapping[str, Any]) -> gymnasium.Env[Any, Any
     try:
         with _quiet():
             return gymnasium.make(name, **options)
-    except (gymnasium.error.NameNotFound, gymnasium.error.VersionNotFound, gymnasium.error.NamespaceNotFound) as error:
+    except (
+        gymnasium.error.NameNotFound,
+        gymnasium.error.VersionNotFound,
+        gymnasium.error.NamespaceNotFound,
+    ) as error:
         raise ArgumentError(
             f"Gymnasium has no environment {name!r}: {told(error)} (a class is named 'package.module:Class')"
         ) from None

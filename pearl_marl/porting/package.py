@@ -58,7 +58,9 @@ def of_tables(name: str, original: Original, found: Finite, made: Tables) -> dic
     source = original.name + options_on_a_command(original.options)
     module = written(made, name, source)
     words = {**own_words(name), **common_words(original), **_table_words(original, found, made)}
-    words["@files@"] = "``tables.py``" if module.arrays is None else "``tables.npz``, which ``tables.py`` reads"
+    words["@files@"] = (
+        "``tables.py``" if module.arrays is None else "``tables.npz``, which ``tables.py`` reads"
+    )
     folder = snake_case(name)
     listed = [f"`{folder}/tables.py`", *[f"`{folder}/tables.npz`"][: module.arrays is not None]]
     words["@tables@"] = ", ".join(listed)
@@ -88,7 +90,9 @@ def common_words(original: Original) -> dict[str, str]:
         "@original_arguments@": arguments,
         "@observation_space@": space_text(original.observation_space),
         "@action_space@": space_text(original.action_space),
-        "        observation_space=@observation_space@,": space_line("observation_space", original.observation_space),
+        "        observation_space=@observation_space@,": space_line(
+            "observation_space", original.observation_space
+        ),
         "@max_cycles@": str(original.limit),
         "@summary@": f"As {original.name}",
     }
@@ -159,7 +163,9 @@ def _bound_text(bound: Any, dtype: str) -> str:
 
 def _table_words(original: Original, found: Finite, made: Tables) -> dict[str, str]:
     actions = len(found.rows[0])
-    row = "ACTIONS * state.number + " + ("action" if actions & (actions - 1) == 0 else "min(action, ACTIONS - 1)")
+    row = "ACTIONS * state.number + " + (
+        "action" if actions & (actions - 1) == 0 else "min(action, ACTIONS - 1)"
+    )
     lines = [f"row = {row}"]
     entry = "row"
     helpers = False
@@ -198,7 +204,9 @@ def _table_words(original: Original, found: Finite, made: Tables) -> dict[str, s
     modes = tuple(original.env.metadata.get("render_modes", ())) if rendered else ()
     more = ""
     if rendered:
-        more = f'        oracle="{original.name}",\n        pose=pose,\n        render_modes={quoted(modes)},\n'
+        more = (
+            f'        oracle="{original.name}",\n        pose=pose,\n        render_modes={quoted(modes)},\n'
+        )
     else:
         told = original.name + options_on_a_command(original.options)
         more = f"        follows={quoted(told)},\n"
@@ -207,10 +215,14 @@ def _table_words(original: Original, found: Finite, made: Tables) -> dict[str, s
         "@states@": str(found.states),
         "@actions@": str(actions),
         "@outcomes@": str(made.outcomes),
-        "@which@": ": the original's own number" if found.of_table else ", in the order in which they were found",
+        "@which@": ": the original's own number"
+        if found.of_table
+        else ", in the order in which they were found",
         "@source@": "the original's own" if found.of_table else "all that can be reached",
         "@start@": f"{len(made.starts)} state{'s' * (len(made.starts) > 1)}",
-        "@rewards@": ", ".join(map(str, made.rewards)) if len(made.rewards) <= 16 else f"{len(made.rewards)} values",
+        "@rewards@": ", ".join(map(str, made.rewards))
+        if len(made.rewards) <= 16
+        else f"{len(made.rewards)} values",
         "@view@": view,
         "@initial@": "\n".join(f"    {line}" for line in start),
         "@step@": "\n".join(f"    {line}" for line in lines),
@@ -235,7 +247,9 @@ def _view(original: Original, made: Tables) -> str:
     """Return the class of an observation of several numbers; nothing where the space says how wide they are."""
     if not isinstance(original.observation_space, Box):
         return ""
-    words = np.array(made.observations if made.observations is not None else [[0], [made.after and max(made.after)]])
+    words = np.array(
+        made.observations if made.observations is not None else [[0], [made.after and max(made.after)]]
+    )
     low, high, size = int(words.min()), int(words.max()), words.shape[1]
     if made.fraction:
         bits = max(high.bit_length(), (~low).bit_length() if low < 0 else 0, made.fraction) + 1

@@ -107,7 +107,10 @@ class Port:
         for field, own, due in zip(self._layout.fields, np.array(ours).T, np.array(theirs).T, strict=True):
             spread = np.hypot(own.std(), due.std()) / np.sqrt(STARTS) + 1e-9
             scale = 2.0**-field.fraction
-            if abs(own.mean() - due.mean()) > 6 * spread or not 0.7 <= (own.std() + 1e-9) / (due.std() + 1e-9) <= 1.4:
+            if (
+                abs(own.mean() - due.mean()) > 6 * spread
+                or not 0.7 <= (own.std() + 1e-9) / (due.std() + 1e-9) <= 1.4
+            ):
                 return (
                     f"{field.name} of a start is {own.mean() * scale:.6g} +- {own.std() * scale:.6g}, "
                     f"the original's {due.mean() * scale:.6g} +- {due.std() * scale:.6g}"
@@ -247,7 +250,8 @@ class Port:
     def _close(self, one: Sequence[Any], two: Sequence[Any]) -> bool:
         fields = self._columns()
         return all(
-            self._near(a * 2.0**-f.fraction, b * 2.0**-f.fraction) for f, a, b in zip(fields, one, two, strict=False)
+            self._near(a * 2.0**-f.fraction, b * 2.0**-f.fraction)
+            for f, a, b in zip(fields, one, two, strict=False)
         )
 
 

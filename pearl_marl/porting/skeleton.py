@@ -19,7 +19,12 @@ WIDTH = 108
 
 def of_skeleton(name: str, original: Original, seen: Seen, why: str | None) -> dict[str, str | bytes]:
     """Return the files of a package to fill in; ``why`` says why no tables were made of the original."""
-    words = {**own_words(name), **common_words(original), **_step_words(original, seen), **_spec_words(original, seen)}
+    words = {
+        **own_words(name),
+        **common_words(original),
+        **_step_words(original, seen),
+        **_spec_words(original, seen),
+    }
     words |= _page_words(original, seen, why)
     return {**filled("environment", words), **filled("port", words)}
 
@@ -51,7 +56,9 @@ def _step_words(original: Original, seen: Seen) -> dict[str, str]:
         lines += [line + comment] if len(line + comment) <= WIDTH else [*_comment(attribute.note), line]
         fraction = f", {FRACTION}" if attribute.real else ""
         read.append(f"        {attribute.name}=as_words(env.{attribute.path}{fraction}),")
-        pose.append(f"    env.{attribute.path} = like(env.{attribute.path}, state.{attribute.name}{fraction})")
+        pose.append(
+            f"    env.{attribute.path} = like(env.{attribute.path}, state.{attribute.name}{fraction})"
+        )
     helpers = "Original, as_words, like" if read else "Original"
     if not read:
         lines.append("    something: Flag  # no attribute that a field holds was seen to change")
@@ -60,13 +67,19 @@ def _step_words(original: Original, seen: Seen) -> dict[str, str]:
     view = _view_kind(original, seen)
     size = int(np.prod(original.observation_space.shape or ()))
     kinds = {kind for kind in ("Array", "Bits", "Flag", "Range", "Signed") if f"{kind}" in " ".join(lines)}
-    kinds = {kind for kind in kinds if re.search(rf": .*\b{kind}\b", "\n".join(x for x in lines if "    #" not in x))}
+    kinds = {
+        kind
+        for kind in kinds
+        if re.search(rf": .*\b{kind}\b", "\n".join(x for x in lines if "    #" not in x))
+    }
     view_class = ""
     if view:
         kinds |= {"Array", view.partition("[")[0]}
         view_class = '\n\nclass View(NamedTuple):\n    """What an agent sees, element by element."""\n\n'
         view_class += f"    elements: Array[{view}, {size}]\n"
-    result = "View" if view else "Word" if isinstance(original.observation_space, Discrete) else "tuple[Word, ...]"
+    result = (
+        "View" if view else "Word" if isinstance(original.observation_space, Discrete) else "tuple[Word, ...]"
+    )
     table = len(seen.rewards) <= MOST_REWARDS
     if several:
         step = "def step(\n    state: State, actions: list[Word], draws: Draws\n) -> tuple[State, list[Word], list[Word]]:"
@@ -105,7 +118,11 @@ def _spec_words(original: Original, seen: Seen) -> dict[str, str]:
     view = _view_kind(original, seen)
     fraction = 0 if all(float(reward).is_integer() for reward in seen.rewards) else FRACTION
     table = len(seen.rewards) <= MOST_REWARDS
-    bits = int(max(1.0, *(abs(reward) for reward in seen.rewards))).bit_length() + 2 + fraction if seen.rewards else 8
+    bits = (
+        int(max(1.0, *(abs(reward) for reward in seen.rewards))).bit_length() + 2 + fraction
+        if seen.rewards
+        else 8
+    )
     reward = f'\n        reward=Field("reward", {bits}, signed=True, fraction={fraction}),'
     action = ""
     space = original.action_space
@@ -125,7 +142,9 @@ def _spec_words(original: Original, seen: Seen) -> dict[str, str]:
         more = f"        oracle={quoted(original.name)},\n        render_modes={quoted(modes)},\n"
     return {
         "@spec_imports@": "\n".join(imports),
-        "@step_names@": "REWARDS, State, View, initial, observe, step" if view else "REWARDS, State, initial, observe, step",
+        "@step_names@": "REWARDS, State, View, initial, observe, step"
+        if view
+        else "REWARDS, State, initial, observe, step",
         "@reward@": "" if table else reward,
         "@action@": action,
         "@golden_view@": ", view=View" if view else "",
@@ -186,6 +205,5 @@ def _page_words(original: Original, seen: Seen, why: str | None) -> dict[str, st
         "@pictures@": "the original draws them, put into a slot's state by `pose`; nothing is to be done."
         if original.registered and not original.options
         else "the original has no id with Gymnasium, so give the spec `draw=`, a function that makes an image of a slot's "
-        "words, and `render_modes=(\"rgb_array\",)`; or leave them out.",
+        'words, and `render_modes=("rgb_array",)`; or leave them out.',
     }
-

@@ -218,7 +218,9 @@ def first_wrong_transition(spec: EnvSpec, original: Original) -> str | None:
     found = finite(original)
     step, initial = spec.positional.step, spec.positional.initial
     rows = [(state, action) for state in range(found.states) for action in range(len(found.rows[0]))]
-    cuts = sorted({cut for actions in found.rows for row in actions for cut in _least([t.probability for t in row])})
+    cuts = sorted(
+        {cut for actions in found.rows for row in actions for cut in _least([t.probability for t in row])}
+    )
     values = np.array(spec.rewards or (0.0,))
 
     def stepped(states: Any, actions: Any, draws: Any) -> list[tuple[int, float, bool]]:
@@ -255,7 +257,9 @@ def first_wrong_transition(spec: EnvSpec, original: Original) -> str | None:
 
 def _wrong_observation(spec: EnvSpec, found: Finite) -> str | None:
     words = call_reference(spec.positional.observe, (np.arange(found.states),))
-    columns = [np.ldexp(np.asarray(w, float), -f.fraction) for w, f in zip(words, spec.observation, strict=True)]
+    columns = [
+        np.ldexp(np.asarray(w, float), -f.fraction) for w, f in zip(words, spec.observation, strict=True)
+    ]
     seen = np.stack([np.broadcast_to(column, found.states) for column in columns], 1)
     wrong = np.flatnonzero((seen != np.array(found.observations)).any(1))
     if not wrong.size:
@@ -297,6 +301,8 @@ def _compared(ours: dict[Any, float], theirs: dict[Any, float]) -> str | None:
     for outcome in {**theirs, **ours}:
         got, due = ours.get(outcome, 0.0), theirs.get(outcome, 0.0)
         if abs(got - due) >= PROBABILITY_ERROR:
-            told = " and ".join(map(str, outcome[1:] and (f"to {outcome[0]}", *outcome[1:]) or (f"to {outcome[0]}",)))
+            told = " and ".join(
+                map(str, (outcome[1:] and (f"to {outcome[0]}", *outcome[1:])) or (f"to {outcome[0]}",))
+            )
             return f"{told} has probability {got:.10g}, the original's is {due:.10g}"
     return None
