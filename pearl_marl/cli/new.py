@@ -41,9 +41,9 @@ From = Annotated[
     typer.Option(
         "--from",
         metavar="PACKAGE:CLASS|ID",
-        help="An environment of Gymnasium or a parallel one of PettingZoo to follow, such as CliffWalking-v1: of a "
-        "finite one all is made, of others a package to fill in, with tests against the original and a page that says "
-        "how (PORTING.md).",
+        help="An environment to follow, of Gymnasium or a parallel one of PettingZoo: CliffWalking-v1. Of a "
+        "finite one the whole is made; of others a package to fill in, with tests against the original and a "
+        "page, PORTING.md, that says how.",
     ),
 ]
 OptionsOfOriginal = Annotated[
@@ -77,9 +77,7 @@ def command(
     folder = _checked(name, out)
     if original is not None:
         if agents != 1:
-            raise ArgumentError(
-                "--agents is for a world to start from; with --from the original says how many"
-            )
+            raise ArgumentError("--agents is for a world to start from; with --from the original has them")
         _follow(name, original, common.env_options(option), rules, folder, as_json)
         return
     if option or rules:
@@ -144,7 +142,8 @@ def _follow(
     if package.whole:
         against = escape(package.against)
         console.print(
-            f"It is whole: {install}, [bold]pytest[/], [bold]pearl verify {snake}:{name} --against {against}[/], "
+            f"It is whole: {install}, [bold]pytest[/], "
+            f"[bold]pearl verify {snake}:{name} --against {against}[/], "
             f"[bold]pearl verify {snake}:{name} --device rtl --steps 20[/].",
             soft_wrap=True,
         )

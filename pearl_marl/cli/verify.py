@@ -65,7 +65,7 @@ Against = Annotated[
     typer.Option(
         "--against",
         metavar="PACKAGE:CLASS|ID",
-        help="Compare the golden functions with the environment that they follow, instead of a device with them.",
+        help="Compare the golden functions with the environment that they follow, not a device with them.",
     ),
 ]
 OptionOfOriginal = Annotated[
@@ -127,8 +127,8 @@ def command(
         others = device, reference, n_agents, max_cycles, autoreset_mode, initial_states, env, out
         if any(given is not None for given in others):
             raise ArgumentError(
-                "--against compares golden functions with an original: of the options it takes --steps, --seed, "
-                "--option, --original-option and --json"
+                "--against compares golden functions with an original: of the options it takes --steps, "
+                "--seed, --option, --original-option and --json"
             )
         _against(common.spec_of(subject, option), against, original_option, steps, seed, as_json)
         return
@@ -214,11 +214,8 @@ def _against(
     from pearl_marl.porting import Original
     from pearl_marl.porting.against import compare
 
-    given = (
-        common.env_options(options, "--original-option")
-        if options
-        else dict(spec.options if spec.oracle else {})
-    )
+    given = dict(spec.options) if spec.oracle == name else {}  # which has the same arguments
+    given |= common.env_options(options, "--original-option")
     result = compare(spec, Original(name, **given), steps, seed)
     if as_json:
         errors = [error._asdict() for error in result.errors]

@@ -81,12 +81,10 @@ class _Ours:
 
     def observation(self, agent: int) -> tuple[float, ...]:
         """Return what an agent sees, element by element."""
-        spec, words = self.spec, self._observe[agent](*self.state)
-        words = [int(word) for word in words]
+        spec, words = self.spec, [int(word) for word in self._observe[agent](*self.state)]
         if spec.unpack is not None:
-            row = np.zeros(
-                spec.observation_size, np.uint8 if spec.observation_dtype == bool else spec.observation_dtype
-            )
+            dtype = np.dtype(np.uint8) if spec.observation_dtype.kind == "b" else spec.observation_dtype
+            row = np.zeros(spec.observation_size, dtype)
             spec.unpack(*words, row)
             return tuple(map(float, row))
         return tuple(float(f.value(w)) for f, w in zip(spec.observation, words, strict=True))
@@ -190,7 +188,8 @@ def _side_by_side(
             if wrong:
                 last = ", ".join(map(str, actions[-8:]))
                 return taken, (
-                    f"from {_named(ours.spec, begun)} after {len(actions)} steps, the last by the actions {last}: {wrong}"
+                    f"from {_named(ours.spec, begun)} after {len(actions)} steps, the last by the actions "
+                    f"{last}: {wrong}"
                 )
             if all(ends) or outcome.over:
                 break
@@ -247,7 +246,7 @@ def _errors(
     """Yield the errors of one step over states that are reached, or random ones within those."""
     spec = ours.spec
     original.reset(seed=0)
-    reached, rows = [], []
+    reached, found = [], []
     ours.reset(rng)
     age = 0
     for _ in range(max(steps, 1)):
@@ -274,8 +273,8 @@ def _errors(
         for agent in range(spec.agents):
             row += ours.observation(agent)
             due += elements(spec.observation_space, outcome.observations[agent])
-        rows.append(np.abs(np.subtract(row, due)))
-    table = np.array(rows)
+        found.append(np.abs(np.subtract(row, due)))
+    table = np.array(found)
     several = spec.agents > 1
     names = [f"{what}{f' {k}' * several}" for what in ("reward", "terminated") for k in range(spec.agents)]
     fields = [f.name for f in spec.observation]

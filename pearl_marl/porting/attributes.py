@@ -1,4 +1,4 @@
-"""What the state of an original is: those of its attributes that a reset or a step changes, found by running it."""
+"""What the state of an original is: the attributes that a reset or a step changes, found by running it."""
 
 from __future__ import annotations
 

@@ -38,7 +38,7 @@ def is_group(value: object) -> bool:
 
 
 def frozen(value: Any, inside: tuple[int, ...] = ()) -> Hashable:
-    """Return what tells two contents apart: equal for equal data; generators and foreign objects are left out."""
+    """Return what tells two contents apart: equal for equal data, without generators and windows."""
     if isinstance(value, np.ndarray):
         if value.dtype == object:
             return ("array", value.shape, frozen(value.tolist(), inside))

@@ -1,6 +1,6 @@
 """All transitions of an original that has few states: of its own table ``P``, or found by running it.
 
-To find them, its random numbers are replaced by :class:`Ways`, which goes through every way that they can fall.
+To find them, its random numbers are replaced by :class:`Ways`, which goes through all ways they can fall.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ class Finite(NamedTuple):
         return max(len(outcomes) for actions in self.rows for outcomes in actions)
 
 
-class NotFinite(PearlError, ValueError):
+class NotFiniteError(PearlError, ValueError):
     """Why no tables can be made, as a sentence."""
 
 
@@ -73,13 +73,13 @@ def finite(original: Original) -> Finite:
 
     Raises
     ------
-    NotFinite
+    NotFiniteError
         It has too many states, or what it does cannot be told by running it.
     """
     if original.agents > 1:
-        raise NotFinite(f"tables are made for one agent, and it has {original.agents}")
+        raise NotFiniteError(f"tables are made for one agent, and it has {original.agents}")
     if not isinstance(original.action_space, Discrete):
-        raise NotFinite("its actions are real numbers")
+        raise NotFiniteError("its actions are real numbers")
     table = getattr(original.env, "P", None)
     if isinstance(original.observation_space, Discrete) and table is not None:
         result = _of_table(original, table)
@@ -89,7 +89,7 @@ def finite(original: Original) -> Finite:
     size = result.states * len(result.rows[0]) * result.width
     seen = result.states * len(result.observations[0])
     if max(size, seen) > MOST_ENTRIES:
-        raise NotFinite(
+        raise NotFiniteError(
             f"its {result.states:,} states make tables of {max(size, seen):,} entries, above {MOST_ENTRIES:,}"
         )
     return result
@@ -114,9 +114,9 @@ def _of_table(original: Original, table: Any) -> Finite:
     assert isinstance(space, Discrete)
     assert isinstance(action_space, Discrete)
     if n != space.n or space.start != 0:
-        raise NotFinite(f"its P has {n} states and {space} has others")
+        raise NotFiniteError(f"its P has {n} states and {space} has others")
     if n > MOST_STATES:
-        raise NotFinite(f"its P has {n:,} states, and tables take {MOST_STATES:,}")
+        raise NotFiniteError(f"its P has {n:,} states, and tables take {MOST_STATES:,}")
     rows = []
     for state in states:
         actions = []
@@ -128,12 +128,12 @@ def _of_table(original: Original, table: Any) -> Finite:
                     if p > 0
                 ]
             except (KeyError, IndexError, TypeError, ValueError):
-                raise NotFinite(
+                raise NotFiniteError(
                     f"its P[{state}][{action}] is no list of (probability, next state, reward, terminated)"
                 ) from None
             total = sum(t.probability for t in listed)
             if not listed or abs(total - 1) > 1e-6 or any(not 0 <= t.after < n for t in listed):
-                raise NotFinite(f"the probabilities of its P[{state}][{action}] make {total}")
+                raise NotFiniteError(f"the probabilities of its P[{state}][{action}] make {total}")
             if len(merged(tuple(listed))) == 1:
                 listed = listed[:1]
                 total = listed[0].probability
@@ -143,10 +143,10 @@ def _of_table(original: Original, table: Any) -> Finite:
     if shares is None:
         firsts = {int(original.reset(seed)[0]) for seed in range(RUNS)}
         if len(firsts) > 1:
-            raise NotFinite("it has a P, but no initial_state_distrib that says where episodes begin")
+            raise NotFiniteError("it has a P, but no initial_state_distrib that says where episodes begin")
         shares = [float(state in firsts) for state in states]
     if len(shares) != n:
-        raise NotFinite(f"its initial_state_distrib has {len(shares)} entries for {n} states")
+        raise NotFiniteError(f"its initial_state_distrib has {len(shares)} entries for {n} states")
     total = float(sum(shares))
     starts = tuple((float(shares[state]) / total, state) for state in states if shares[state] > 0)
     return Finite(starts, tuple(rows), tuple((float(state),) for state in states), of_table=True)
@@ -159,7 +159,7 @@ def _hold_table(original: Original, found: Finite) -> None:
     for seed in range(RUNS):
         state = int(original.reset(seed)[0])
         if state not in firsts:
-            raise NotFinite(
+            raise NotFiniteError(
                 f"an episode begins in state {state}, which its initial_state_distrib does not list"
             )
         for _ in range(RUN_STEPS):
@@ -168,7 +168,7 @@ def _hold_table(original: Original, found: Finite) -> None:
             after = int(outcome.observations[0])
             known = merged(found.rows[state][action])
             if (after, outcome.rewards[0], outcome.terminated[0]) not in known:
-                raise NotFinite(
+                raise NotFiniteError(
                     f"its step() goes from state {state} by action {action} to {after} with reward "
                     f"{outcome.rewards[0]}, which its P does not list"
                 )
@@ -180,7 +180,7 @@ def _hold_table(original: Original, found: Finite) -> None:
 # ---- Running it in every state ----
 
 
-class _Real(Exception):
+class _RealDrawError(Exception):
     """A draw that has too many outcomes to go through."""
 
 
@@ -205,13 +205,13 @@ class Ways:
             if not self._script:
                 return
             self._script[-1][0] += 1
-        raise NotFinite(f"its random numbers fall in more than {most:,} ways in one step")
+        raise NotFiniteError(f"its random numbers fall in more than {most:,} ways in one step")
 
     def _choose(self, shares: list[float]) -> int:
         possible = [k for k, share in enumerate(shares) if share > 0]
         if self._asked == len(self._script):
             if len(possible) > MOST_WAYS:
-                raise _Real("integers() of so many outcomes")
+                raise _RealDrawError("integers() of so many outcomes")
             self._script.append([0, possible])
         place, outcomes = self._script[self._asked]
         self._asked += 1
@@ -222,7 +222,7 @@ class Ways:
         return self._choose([1 / n] * n) if n <= MOST_WAYS else self._real("integers() of so many outcomes")
 
     def _real(self, what: str) -> NoReturn:
-        raise _Real(what)
+        raise _RealDrawError(what)
 
     def integers(
         self, low: Any, high: Any = None, size: Any = None, dtype: Any = None, endpoint: bool = False
@@ -241,7 +241,7 @@ class Ways:
 
     randint = integers
 
-    def choice(self, a: Any, size: Any = None, replace: bool = True, p: Any = None, **_: Any) -> Any:
+    def choice(self, a: Any, size: Any = None, replace: bool = True, p: Any = None, **other: Any) -> Any:
         """Return one of several, as NumPy's generator does, or an array of such."""
         options = list(range(a)) if np.ndim(a) == 0 else list(a)
         shares = [1 / len(options)] * len(options) if p is None else [float(share) for share in p]
@@ -303,8 +303,8 @@ class _Search:
         try:
             starts = merged(iter([Transition(p, s, 0, False) for p, s in self._begin()]))
             rows = self._expand()
-        except _Real as error:
-            raise NotFinite(
+        except _RealDrawError as error:
+            raise NotFiniteError(
                 f"it draws by {error}, whose outcomes cannot all be gone through ({self._found()})"
             ) from None
         result = Finite(
@@ -359,7 +359,9 @@ class _Search:
         ways = Ways()
         for _ in ways.all(most):
             if time.monotonic() > self._until:
-                raise NotFinite(f"after {SECONDS:.0f} seconds there were still new states ({self._found()})")
+                raise NotFiniteError(
+                    f"after {SECONDS:.0f} seconds there were still new states ({self._found()})"
+                )
             there = here.copied()
             there.draw_from(ways)
             outcome = None
@@ -368,9 +370,9 @@ class _Search:
             else:
                 outcome = there.step([action])
                 if outcome.truncated:
-                    raise NotFinite(
-                        "its step() truncates episodes by itself, which is `max_cycles` here: make it without a "
-                        f"limit of its own ({self._found()})"
+                    raise NotFiniteError(
+                        "its step() truncates episodes by itself, which is `max_cycles` here: make it "
+                        f"without a limit of its own ({self._found()})"
                     )
             yield there, ways.probability, outcome
 
@@ -379,7 +381,9 @@ class _Search:
         number = self._numbers.setdefault(key, len(self._at))
         if number == len(self._at):
             if number >= MOST_STATES:
-                raise NotFinite(f"it has too many states for tables: {number:,} were found before giving up")
+                raise NotFiniteError(
+                    f"it has too many states for tables: {number:,} were found before giving up"
+                )
             self._at.append(original)
             self._observations.append(elements(original.observation_space, seen))
             self._continued.append(False)
@@ -395,9 +399,9 @@ class _Search:
             state = self._numbers.get(frozen(original.env))
             for _ in range(RUN_STEPS):
                 if state is None:
-                    raise NotFinite(
-                        "run by seeds it comes to states that were not found: it has random numbers, or a state, "
-                        f"elsewhere than in its attributes ({self._found()})"
+                    raise NotFiniteError(
+                        "run by seeds it comes to states that were not found: it has random numbers, or a "
+                        f"state, elsewhere than in its attributes ({self._found()})"
                     )
                 (action,) = original.actions(rng)
                 outcome = original.step([action])

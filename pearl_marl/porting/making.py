@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 from pearl_marl.porting.attributes import observed
-from pearl_marl.porting.finite import NotFinite, finite
+from pearl_marl.porting.finite import NotFiniteError, finite
 from pearl_marl.porting.originals import Original
 from pearl_marl.porting.package import of_tables, options_on_a_command
 from pearl_marl.porting.skeleton import of_skeleton
@@ -28,7 +28,7 @@ class Package(NamedTuple):
 
 
 def made(name: str, original_name: str, options: dict[str, Any], rules: bool = False) -> Package:
-    """Return the package of an environment called ``name`` that follows an original; ``rules`` makes no tables.
+    """Return the package of an environment that follows an original; with ``rules`` no tables are made.
 
     Raises
     ------
@@ -44,12 +44,12 @@ def made(name: str, original_name: str, options: dict[str, Any], rules: bool = F
             result = tables(found)
             if not isinstance(result, str):
                 said = (
-                    f"All {found.states:,} states of {original_name} and their transitions are in its tables, with "
-                    f"{found.width} outcome{'s' * (found.width > 1)} of an action at most."
+                    f"All {found.states:,} states of {original_name} with their transitions are in tables, "
+                    f"with {found.width} outcome{'s' * (found.width > 1)} of an action at most."
                 )
                 return Package(of_tables(name, original, found, result), True, None, said, against)
             why = result
-        except NotFinite as error:
+        except NotFiniteError as error:
             why = str(error)
         except Exception as error:  # of the original, run with what it does not expect
             why = f"it cannot be run in every state: {type(error).__name__}: {error}"

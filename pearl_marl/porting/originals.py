@@ -54,7 +54,7 @@ class Original:
 
     def __init__(self, name: str, **options: Any) -> None:
         self.name, self.options = name, options
-        env = _made(name, options)
+        env: Any = _made(name, options)
         self.limit: int | None = getattr(getattr(env, "spec", None), "max_episode_steps", None)
         self.registered = ":" not in name
         self.env: Any = env.unwrapped if isinstance(env, gymnasium.Env) else getattr(env, "unwrapped", env)
@@ -80,11 +80,11 @@ class Original:
                     f"{self.name} has no {what}_space after it is made; it takes a space of Gymnasium"
                 )
             return space
-        spaces = [getattr(self.env, f"{what}_space")(agent) for agent in self.names]
+        spaces: list[Space[Any]] = [getattr(self.env, f"{what}_space")(agent) for agent in self.names]
         if any(space != spaces[0] for space in spaces):
             raise ArgumentError(
-                f"{self.name}: its agents have different {what} spaces; `pearl new NAME --agents {self.agents}` "
-                "starts a world, whose spec takes roles"
+                f"{self.name}: its agents have different {what} spaces; `pearl new NAME "
+                f"--agents {self.agents}` starts a world, whose spec takes roles"
             )
         return spaces[0]
 
@@ -102,7 +102,7 @@ class Original:
             if not self.names:
                 seen, reward, terminated, truncated, _ = self.env.step(actions[0])
                 self.seen = [seen]
-                return Outcome(self.seen, [float(reward)], [bool(terminated)], bool(truncated))
+                return Outcome(self.seen, [float(reward) + 0.0], [bool(terminated)], bool(truncated))
             alive = list(self.env.agents)
             given = {
                 agent: action for agent, action in zip(self.names, actions, strict=True) if agent in alive
@@ -114,7 +114,7 @@ class Original:
         self.seen = [seen.get(agent) for agent in self.names]
         return Outcome(
             self.seen,
-            [float(rewards.get(agent, 0)) for agent in self.names],
+            [float(rewards.get(agent, 0)) + 0.0 for agent in self.names],
             list(self._ended),
             any(truncations.values()),
         )
@@ -153,7 +153,7 @@ def why_no_observation(space: Space[Any]) -> str | None:
     if isinstance(space, Box):
         size = int(np.prod(space.shape))
         if size > MOST_ELEMENTS:
-            return f"its {size:,} elements are more than a hardware word has ({MOST_ELEMENTS:,}): observe the state"
+            return f"its {size:,} elements are more than a word has ({MOST_ELEMENTS:,}): observe the state"
         return None
     if isinstance(space, Dict):
         return "a Dict is not taken, as an observation is one row of words: wrap it in FlattenObservation"
@@ -221,7 +221,8 @@ def _found(name: str) -> Any:
         if error.name is None or not f"{module_name}.".startswith(f"{error.name}."):
             raise ArgumentError(f"module {module_name!r} cannot be imported: {told(error)}") from error
         raise ArgumentError(
-            f"there is no module {error.name!r} for {name!r}; install its package, or add its folder to PYTHONPATH"
+            f"there is no module {error.name!r} for {name!r}; install its package, or add its folder to "
+            "PYTHONPATH"
         ) from None
     if attribute in gymnasium.registry:  # Gymnasium's own form, `module:Id-v0`
         return None

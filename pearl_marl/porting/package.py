@@ -175,7 +175,7 @@ def _table_words(original: Original, found: Finite, made: Tables) -> dict[str, s
         else:
             padded = padded_size(made)
             kind = f"{padded} * CHANCES[row]" if len(made.least) > 1 else "0"
-            lines.append(f"outcome = place_of(draws.bits(), LEAST, {kind}, {padded})")
+            lines.append(f"outcome = min(place_of(draws.bits(), LEAST, {kind}, {padded}), OUTCOMES - 1)")
             helpers = True
         lines.append("entry = OUTCOMES * row + outcome")
         entry = "entry"
@@ -186,7 +186,10 @@ def _table_words(original: Original, found: Finite, made: Tables) -> dict[str, s
         start = ["return State(STARTS[draws.below(len(STARTS))])"]
     else:
         size = 1 << (len(made.starts) - 1).bit_length()
-        start = [f"return State(STARTS[place_of(draws.bits(), START_LEAST, 0, {size})])"]
+        start = [
+            f"place = place_of(draws.bits(), START_LEAST, 0, {size})",
+            "return State(STARTS[min(place, len(STARTS) - 1)])",
+        ]
         helpers = True
     view = _view(original, made)
     kinds = ["Range"] + (["Array"] if view else []) + (["Signed"] if "Signed[" in view else [])
@@ -244,12 +247,10 @@ def _table_words(original: Original, found: Finite, made: Tables) -> dict[str, s
 
 
 def _view(original: Original, made: Tables) -> str:
-    """Return the class of an observation of several numbers; nothing where the space says how wide they are."""
+    """Return the class of what is observed; nothing where the space says how wide it is."""
     if not isinstance(original.observation_space, Box):
         return ""
-    words = np.array(
-        made.observations if made.observations is not None else [[0], [made.after and max(made.after)]]
-    )
+    words = np.array([[0], [max(made.after)]] if made.observations is None else made.observations)
     low, high, size = int(words.min()), int(words.max()), words.shape[1]
     if made.fraction:
         bits = max(high.bit_length(), (~low).bit_length() if low < 0 else 0, made.fraction) + 1

@@ -19,7 +19,7 @@ SEEDS, STEPS = 40, 100
 """Episodes of the original that a part is compared over, and their steps at most."""
 
 SAMPLES, CHANCES, OFTEN = 100, 60, 0.1
-"""Outcomes that are drawn on both sides of a step, how many steps are compared so, and the share of an outcome that
+"""Outcomes that are drawn on both sides of a step, how many steps are compared so, and the share of one that
 has to be on both."""
 
 STARTS = 400
@@ -88,7 +88,10 @@ class Port:
             first, second = one.step(actions), two.step(actions)
             wrong = self._first_difference(self._flat(self.read(one.env)), self._flat(self.read(two.env)))
             if wrong is None and (first.rewards, first.terminated) != (second.rewards, second.terminated):
-                wrong = f"reward {first.rewards} and {second.rewards}, terminated {first.terminated} and {second.terminated}"
+                wrong = (
+                    f"reward {first.rewards} and {second.rewards}, "
+                    f"terminated {first.terminated} and {second.terminated}"
+                )
             if wrong:
                 return f"{where}: posed, the original goes on otherwise after actions {actions}: {wrong}"
         return None
@@ -134,7 +137,8 @@ class Port:
                 for k, (word, fraction, right) in enumerate(zip(words, scales, due, strict=True)):
                     own = word * 2.0**-fraction
                     if not self._near(own, right):
-                        return f"{where}: element {k} of the observation is {own}, the original's {right} ({state})"
+                        what = f"element {k} of the observation"
+                        return f"{where}: {what} is {own:g}, the original's {right:g} ({state})"
         return None
 
     def wrong_step(self) -> str | None:
@@ -172,7 +176,7 @@ class Port:
         return [int(word) for word in self._layout.flat(state)]
 
     def _reached(self, seeds: int = SEEDS, leaving: bool = False) -> Iterator[tuple[str, Any]]:
-        """Yield states of the original, which is in them, as ours; with ``leaving`` not those that are over."""
+        """Yield states of the original, which is in them, as ours; with ``leaving`` only where it goes on."""
         rng = np.random.default_rng(0)
         for seed in range(seeds):
             self.original.reset(seed)

@@ -1,4 +1,4 @@
-"""The files of a package whose golden functions are still to be written, beside the original that they follow."""
+"""The files of a package whose golden functions are still to be written, after an original."""
 
 from __future__ import annotations
 
@@ -82,7 +82,8 @@ def _step_words(original: Original, seen: Seen) -> dict[str, str]:
     )
     table = len(seen.rewards) <= MOST_REWARDS
     if several:
-        step = "def step(\n    state: State, actions: list[Word], draws: Draws\n) -> tuple[State, list[Word], list[Word]]:"
+        given = "state: State, actions: list[Word], draws: Draws"
+        step = f"def step({given}) -> tuple[State, list[Word], list[Word]]:"
     else:
         step = "def step(state: State, action: Word, draws: Draws) -> tuple[State, Word, Word]:"
     return {
@@ -175,9 +176,9 @@ def _page_words(original: Original, seen: Seen, why: str | None) -> dict[str, st
     view = _view_kind(original, seen)
     agents = (
         f"- **Agents**: {original.agents} share the state, in the order "
-        f"{', '.join(map(str, original.names[:8]))}{' ...' if original.agents > 8 else ''}. `actions` is a list, and "
-        "rewards and ends are lists, agent 0 first. Who has ended before its world is out of the game: nothing may "
-        "depend on its action.\n"
+        f"{', '.join(map(str, original.names[:8]))}{' ...' if original.agents > 8 else ''}. `actions` is a "
+        "list, and rewards and ends are lists, agent 0 first. Who has ended before its world is out: nothing "
+        "may depend on its action.\n"
     )
     return {
         "@why@": f"\nNo tables were made of it, which would need no porting: {why}.\n" if why else "",
@@ -195,15 +196,15 @@ def _page_words(original: Original, seen: Seen, why: str | None) -> dict[str, st
         "@random_note@": "It draws random numbers in a step; each draw of it is a request to `draws`."
         if seen.random_steps
         else "No step was seen to draw a random number.",
-        "@reward_note@": "return a category, an index into `REWARDS`, which lists what was seen; add what was not."
+        "@reward_note@": "return an index into `REWARDS`, which lists what was seen; add what was not."
         if table
-        else "return the value itself, a word of the spec's field `reward`; if there are few different ones, list them "
-        "as `REWARDS` and return an index.",
+        else "return the value itself, a word of the spec's field `reward`; if there are few different ones, "
+        "list them as `REWARDS` and return an index.",
         "@mask_agent@": agent,
         "@agents_note@": agents if several else "",
         "@rtl_agents@": str(original.agents * 64 if several else 64),
         "@pictures@": "the original draws them, put into a slot's state by `pose`; nothing is to be done."
         if original.registered and not original.options
-        else "the original has no id with Gymnasium, so give the spec `draw=`, a function that makes an image of a slot's "
-        'words, and `render_modes=("rgb_array",)`; or leave them out.',
+        else "the original has no id with Gymnasium; give the spec `draw=`, which makes an image of a slot's words, "
+        'and `render_modes=("rgb_array",)`, or leave them out.',
     }

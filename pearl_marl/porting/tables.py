@@ -6,6 +6,7 @@ import io
 import math
 import textwrap
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -167,7 +168,7 @@ def written(made: Tables, name: str, source: str) -> Written:
         stream = io.BytesIO()
         np.savez_compressed(stream, **{column: _narrow(values) for column, _, values in columns})  # type: ignore[arg-type]
         file = stream.getvalue()
-    return Written("\n".join(parts), file, tuple(sorted(column for column, _, _ in columns)))
+    return Written("\n".join(parts), file, tuple(sorted((column for column, _, _ in columns), key=str.lower)))
 
 
 def side_by_side(made: Tables) -> bool:
@@ -211,7 +212,7 @@ def _wrapped(line: str) -> list[str]:
 
 
 def first_wrong_transition(spec: EnvSpec, original: Original) -> str | None:
-    """Compare all transitions of an environment made of tables with the original's; return what differs first.
+    """Compare all transitions of an environment made of tables with its original's; return what differs.
 
     The original is run in every state again. Probabilities may differ by less than ``2**-31``.
     """
@@ -265,13 +266,14 @@ def _wrong_observation(spec: EnvSpec, found: Finite) -> str | None:
     if not wrong.size:
         return None
     state = int(wrong[0])
-    return f"state {state}: observed is {tuple(seen[state].tolist())}, the original's {found.observations[state]}"
+    own, due = tuple(seen[state].tolist()), found.observations[state]
+    return f"state {state}: observed is {own}, the original's {due}"
 
 
 def _points(cuts: Iterable[int]) -> list[int]:
     """Return draws around every cut: both ends of each interval in which the outcome stays."""
     edges = sorted({0, ALL, *(min(max(c + d, 0), ALL) for c in cuts for d in (-1, 0, 1))})
-    return [point for low, high in zip(edges, edges[1:], strict=False) for point in (low, high - 1)]
+    return [point for low, high in pairwise(edges) for point in (low, high - 1)]
 
 
 def _measured(outcomes: Callable[[Any], list[Any]], cuts: Sequence[int]) -> dict[Any, float]:

@@ -1,4 +1,7 @@
-"""The golden step of MyEnvironment, to be filled in as PORTING.md says: what @original@ does, on integers."""
+"""The golden step of MyEnvironment, to be filled in as PORTING.md says.
+
+What @original@ does, on integers.
+"""
 
 from typing import NamedTuple
 
@@ -10,7 +13,7 @@ REWARDS = @rewards@
 
 
 class State(NamedTuple):
-    """What @original@ changes from step to step, with what was seen in @steps@ steps of it.
+    """What the original changes from step to step, with what was seen in @steps@ steps of it.
 
     Widen each range to all that there can be; leave out what only pictures need.
     """

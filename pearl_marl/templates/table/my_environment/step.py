@@ -1,4 +1,4 @@
-"""The golden step of MyEnvironment: a look into the tables of all that @original@ does.
+"""The golden step of MyEnvironment: a look into the tables of all that its original does.
 
 The tables are in @files@, written by
 
