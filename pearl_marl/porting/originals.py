@@ -58,7 +58,8 @@ class Original:
         self.limit: int | None = getattr(getattr(env, "spec", None), "max_episode_steps", None)
         self.registered = ":" not in name
         self.env: Any = env.unwrapped if isinstance(env, gymnasium.Env) else getattr(env, "unwrapped", env)
-        self.names: list[Any] = [] if isinstance(env, gymnasium.Env) else list(self.env.possible_agents)
+        several = not isinstance(env, gymnasium.Env)
+        self.names = list(getattr(self.env, "possible_agents", ())) if several else []
         self.agents = max(1, len(self.names))
         if self.agents > MAX_AGENTS:
             raise ArgumentError(f"{name} has {self.agents} agents; a world has 1 to {MAX_AGENTS}")

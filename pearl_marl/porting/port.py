@@ -245,17 +245,17 @@ class Port:
             both = (own + due) / 2
             chance = np.sqrt(both * (1 - both) * (1 / n + 1 / m))
             if (max(own, due) >= OFTEN and min(own, due) == 0) or abs(own - due) > 6 * chance:
-                names = ", ".join(
-                    f"{field.name} {value}" for field, value in zip(self._columns(), outcome, strict=False)
-                )
+                fields = self._columns()[: len(outcome)]  # of a start, those of the state
+                pairs = zip(fields, outcome, strict=True)
+                names = ", ".join(f"{field.name} {value}" for field, value in pairs)
                 return f"{what} ({names}) with a share of {own:.3f}, the original's is {due:.3f}"
         return None
 
     def _close(self, one: Sequence[Any], two: Sequence[Any]) -> bool:
-        fields = self._columns()
+        fields = self._columns()[: len(one)]
         return all(
             self._near(a * 2.0**-f.fraction, b * 2.0**-f.fraction)
-            for f, a, b in zip(fields, one, two, strict=False)
+            for f, a, b in zip(fields, one, two, strict=True)
         )
 
 

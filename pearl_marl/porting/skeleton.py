@@ -205,6 +205,6 @@ def _page_words(original: Original, seen: Seen, why: str | None) -> dict[str, st
         "@rtl_agents@": str(original.agents * 64 if several else 64),
         "@pictures@": "the original draws them, put into a slot's state by `pose`; nothing is to be done."
         if original.registered and not original.options
-        else "the original has no id with Gymnasium; give the spec `draw=`, which makes an image of a slot's words, "
-        'and `render_modes=("rgb_array",)`, or leave them out.',
+        else "the original has no id with Gymnasium; give the spec `draw=`, which makes an image of a slot's "
+        'words, and `render_modes=("rgb_array",)`, or leave them out.',
     }
