@@ -139,7 +139,10 @@ def _poser(spec: EnvSpec, original: Original) -> tuple[Callable[[tuple[int, ...]
     if own is not None:
         return lambda words: own(original.env, words), "posed by the spec's pose()"
     original.reset(seed=0)
-    there = {path.replace(".", "_"): path for path, _ in leaves_of(original.env)}
+    paths = [path for path, _ in leaves_of(original.env)]
+    there = {path.rpartition(".")[2]: path for path in paths} | {
+        path.replace(".", "_"): path for path in paths
+    }
     names = list(getattr(spec.golden.state, "__annotations__", ()))
     missing = [name for name in names if name not in there]
     if missing:

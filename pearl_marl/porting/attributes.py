@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import enum
+import keyword
 import re
 import time
 from typing import Any, NamedTuple
@@ -20,6 +21,8 @@ LOOKS_AT_DICTS = 50
 
 FRACTION = 16
 """Bits behind the binary point that a real is given to begin with."""
+
+RESERVED = ("elapsed", "ended", *keyword.kwlist)
 
 MOST_PARTS = 1024
 """Numbers of an array that a skeleton gives a state."""
@@ -138,9 +141,10 @@ def _copied(value: Any) -> Any:
 
 def _attribute(path: str, values: list[Any], taken: set[str]) -> Attribute:
     """Return what is proposed for an attribute with these values."""
-    name = re.sub(r"\W|^(?=\d)", "_", path).strip("_") or "value"
-    while name in taken or name in ("elapsed", "ended"):
-        name += "_"
+    parts = [re.sub(r"\W|^(?=\d)", "_", part).strip("_") or "value" for part in path.split(".")]
+    names = ["_".join(parts[k:]) for k in range(len(parts) - 1, -1, -1)]  # the shortest that is free
+    free = (name for name in names if name not in taken and name not in RESERVED)
+    name = next(free, f"{names[-1]}_{len(taken)}")
     taken.add(name)
     there = [value for value in values if value is not None]
     kinds = sorted({type(value).__name__ for value in there})

@@ -5,7 +5,7 @@ from __future__ import annotations
 import enum
 import random
 import types
-from collections.abc import Hashable, Iterator
+from collections.abc import Callable, Hashable, Iterator
 from typing import Any
 
 import numpy as np
@@ -89,13 +89,20 @@ def kept(root: Any) -> dict[int, Any]:
     return {id(v): v for v in _objects(root) if not isinstance(v, copied) and not is_group(v)}
 
 
-def replaced(root: Any, generator: Any) -> None:
-    """Put another generator of random numbers wherever an object has one."""
+def reseeded(generator: Any, seed: int) -> Any:
+    """Return a generator of the same kind with a seed."""
+    if isinstance(generator, np.random.RandomState):
+        return np.random.RandomState(seed)  # noqa: NPY002 - as the original has it
+    return random.Random(seed) if isinstance(generator, random.Random) else np.random.default_rng(seed)
+
+
+def replaced(root: Any, other: Callable[[Any], Any]) -> None:
+    """Put another generator of random numbers, made for it, wherever an object has one."""
     for value in list(_objects(root)):
         if is_group(value):
             for key, part in list(vars(value).items()):
                 if is_generator(part):
-                    setattr(value, key, generator)
+                    setattr(value, key, other(part))
 
 
 def leaves_of(root: Any, prefix: str = "", depth: int = 0) -> Iterator[tuple[str, Any]]:

@@ -15,7 +15,7 @@ from gymnasium import Space
 from gymnasium.spaces import Box, Dict, Discrete, Tuple
 
 from pearl_marl.errors import ArgumentError, told
-from pearl_marl.porting.contents import kept, replaced
+from pearl_marl.porting.contents import kept, replaced, reseeded
 from pearl_marl.spec import MAX_AGENTS
 
 MOST_ELEMENTS = 4096
@@ -136,11 +136,11 @@ class Original:
 
     def draw_from(self, generator: Any) -> None:
         """Have every random generator in it replaced."""
-        replaced(self.env, generator)
+        replaced(self.env, lambda old: generator)
 
     def reseed(self, seed: int) -> None:
         """Have its next draws depend on a seed."""
-        self.draw_from(np.random.default_rng(seed))
+        replaced(self.env, lambda old: reseeded(old, seed))
 
 
 def why_no_observation(space: Space[Any]) -> str | None:

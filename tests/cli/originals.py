@@ -140,3 +140,23 @@ class Meeting:
         if met:
             self.agents = []
         return self._seen(), rewards, ends, dict.fromkeys(self.possible_agents, False), {}
+
+
+class Ball(gymnasium.Env[Any, Any]):
+    """Real numbers: something that is pushed, and slows down."""
+
+    observation_space = Box(-50, 50, (2,), np.float32)
+    action_space = Discrete(3)
+
+    def reset(self, *, seed: int | None = None, options: Any = None) -> tuple[Any, Any]:
+        super().reset(seed=seed)
+        self.place, self.speed = float(self.np_random.uniform(-1, 1)), 0.0
+        return self._seen(), {}
+
+    def _seen(self) -> Any:
+        return np.array([self.place, self.speed], np.float32)
+
+    def step(self, action: Any) -> tuple[Any, float, bool, bool, Any]:
+        self.speed = 0.9 * self.speed + 0.1 * (int(action) - 1)
+        self.place += self.speed
+        return self._seen(), -1.0, abs(self.place) > 4, False, {}

@@ -167,17 +167,17 @@ def test_too_many_states_make_a_skeleton(pearl: Any, tmp_path: Path) -> None:
 # ---- What is filled in ----
 
 GARDEN = {
-    "initial()": "return State(gardener_bed=draws.below(3), beds=[0, 0, 0])",
+    "initial()": "return State(bed=draws.below(3), beds=[0, 0, 0])",
     "step()": """rains = draws.chance(0.25)
     beds = [min(bed + rains, 9) for bed in state.beds]
-    place = state.gardener_bed
+    place = state.bed
     if action == 2:
         beds[place] = 0
     else:
         place = (place + action + 1) % 3
     wild = max(beds) >= 9
     return State(place, beds), 2 if wild else action == 2, wild""",
-    "observe()": "return (*state.beds, state.gardener_bed)",
+    "observe()": "return (*state.beds, state.bed)",
 }
 
 MEETING = {
@@ -186,6 +186,16 @@ MEETING = {
     met = left >= right
     return State([min(left, 9), max(right, 0)]), [2 if met else action for action in actions], [met, met]""",
     "observe()": "return state.places[agent]",
+}
+
+
+BALL = {
+    "initial()": "return State(place=draws.bits(17) - 65536, speed=0)",
+    "step()": """speed = (state.speed * 58982 + (action - 1) * 6554 * 65536) // 65536
+    speed = min(max(speed, -100000), 100000)
+    place = min(max(state.place + speed, -400000), 400000)
+    return State(place, speed), 0, abs(place) > 4 * 65536""",
+    "observe()": "return View([state.place, state.speed])",
 }
 
 
@@ -224,7 +234,7 @@ def test_a_skeleton_says_what_is_to_be_written(pearl: Any, monkeypatch: pytest.M
 
 
 BREAKS = {
-    "wrong_start": ("draws.below(3)", "draws.below(2)", "episodes begin in (gardener_bed "),
+    "wrong_start": ("draws.below(3)", "draws.below(2)", "episodes begin in (bed "),
     "wrong_observation": (
         "*state.beds, state",
         "*state.beds[:2], 0, state",
@@ -234,7 +244,7 @@ BREAKS = {
     "wrong_state": (
         "beds: Array[Range[0, 9], 3]",
         "beds: Array[Bits[2], 3]",
-        "beds_0 is 4, and its field holds 0",
+        " is 4, and its field holds 0 to 3",
     ),
 }
 
@@ -263,8 +273,8 @@ def test_a_filled_skeleton(pearl: Any, monkeypatch: pytest.MonkeyPatch) -> None:
 def test_an_attribute_that_is_missing_is_seen(pearl: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     folder = made(pearl, monkeypatch, "Plot", f"{HERE}:Garden")
     for name, line in (
-        ("step", "    gardener_bed: "),
-        ("original", "        gardener_bed="),
+        ("step", "    bed: "),
+        ("original", "        bed="),
         ("original", "    env.gar"),
     ):
         path = folder / "plot" / f"{name}.py"
@@ -282,6 +292,31 @@ def test_a_world_of_several_agents(pearl: Any, monkeypatch: pytest.MonkeyPatch) 
     assert [port.wrong_state(), port.wrong_start(), port.wrong_observation(), port.wrong_step()] == [None] * 4
     status, out, err = pearl("verify", "pair:Pair", "--against", f"{HERE}:Meeting", "--steps", 50)
     assert (status, "Equal in 50 steps." in out) == (0, True), out + err
+
+
+def test_reals(pearl: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = made(pearl, monkeypatch, "Ball", f"{HERE}:Ball")
+    path = folder / "ball" / "step.py"
+    text = path.read_text()
+    assert "    place: Signed[" in text
+    assert "  # real, seen -" in text
+    path.write_text(re.sub(r"(place|speed|elements): (Array\[)?Signed\[\d+", r"\1: \2Signed[20", text))
+    fill(folder, BALL)
+    port = parts(folder)
+    checks = ("wrong_state", "wrong_pose", "wrong_start", "wrong_observation", "wrong_step")
+    assert [getattr(port, check)() for check in checks] == [None] * 5
+    status, out, err = pearl("verify", "ball:Ball", "--against", f"{HERE}:Ball", "--steps", 100, "--json")
+    assert status == 0, err
+    errors = {(error["name"], error["states"]): error for error in json.loads(out)["errors"]}
+    for states in ("reached", "random"):
+        assert errors["reward", states]["most"] == 0
+        for name in ("elements_0", "elements_1"):
+            assert 0 < errors[name, states]["mean"] <= errors[name, states]["most"] < 1e-4
+    path.write_text(path.read_text().replace("58982", "50000"))
+    wrong = parts(folder).wrong_step()
+    assert wrong is not None
+    assert "is " in wrong
+    assert ", the original's " in wrong
 
 
 @pytest.mark.parametrize(
