@@ -264,6 +264,8 @@ def chosen_entry(graph: Graph, entries: Sequence[Any], index: Node) -> Any:
         parts = [chosen_entry(graph, column, index) for column in zip(*entries, strict=True)]
         kind = type(entries[0])
         return kind(*parts) if hasattr(kind, "_fields") else kind(parts)
+    if all(type(entry) is int for entry in entries):  # a long table, without a node for each
+        return Word(graph, graph.table(entries, index))
     nodes = [node_of(graph, entry) for entry in entries]
     if all(node.is_constant() for node in nodes):
         return Word(graph, graph.table([node.imm for node in nodes], index))
