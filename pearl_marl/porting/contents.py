@@ -92,7 +92,7 @@ def kept(root: Any) -> dict[int, Any]:
 def reseeded(generator: Any, seed: int) -> Any:
     """Return a generator of the same kind with a seed."""
     if isinstance(generator, np.random.RandomState):
-        return np.random.RandomState(seed)  # noqa: NPY002 - as the original has it
+        return np.random.RandomState(seed)
     return random.Random(seed) if isinstance(generator, random.Random) else np.random.default_rng(seed)
 
 

@@ -126,7 +126,7 @@ def test_a_p_that_the_step_does_not_follow_is_refused() -> None:
     [
         ("NoSuch-v1", "Gymnasium has no environment 'NoSuch-v1'"),
         ("no_such_module:Env", "there is no module 'no_such_module' for 'no_such_module:Env'; install"),
-        (f"{HERE}:Corr", "has no class 'Corr'; there are Broken, Corridor, "),
+        (f"{HERE}:Corr", "has no class 'Corr'; there are Ball, Broken, Corridor, "),
         (f"{HERE}:Named", "cannot be made without title: give --option title=VALUE"),
         (f"{HERE}:Broken", "cannot be made: RuntimeError: no display"),
         (f"{HERE}:Dicts", "the observation space is Dict('cell': Discrete(7)); a Dict is not taken, as"),
