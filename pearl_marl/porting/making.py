@@ -37,7 +37,7 @@ def made(name: str, original_name: str, options: dict[str, Any], rules: bool = F
         There is no such original, or this platform has no such spaces.
     """
     original = Original(original_name, **options)
-    against = original_name + options_on_a_command(options)
+    against = original_name + options_on_a_command(options, "--original-option")
     why: str | None = None
     if not rules:
         try:

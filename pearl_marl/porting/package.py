@@ -87,6 +87,7 @@ def common_words(original: Original) -> dict[str, str]:
     return {
         "@original@": original.name,
         "@option@": options_on_a_command(original.options),
+        "@against@": original.name + options_on_a_command(original.options, "--original-option"),
         "@original_arguments@": arguments,
         "@observation_space@": space_text(original.observation_space),
         "@action_space@": space_text(original.action_space),
@@ -103,9 +104,9 @@ def quoted(value: Any) -> str:
     return repr(value).replace("'", '"')
 
 
-def options_on_a_command(options: Mapping[str, Any]) -> str:
+def options_on_a_command(options: Mapping[str, Any], option: str = "--option") -> str:
     """Return options as a command takes them, after a blank."""
-    return "".join(f" --option {shlex.quote(f'{key}={value}')}" for key, value in options.items())
+    return "".join(f" {option} {shlex.quote(f'{key}={value}')}" for key, value in options.items())
 
 
 def import_line(module: str, names: list[str]) -> str:

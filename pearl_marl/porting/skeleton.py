@@ -181,7 +181,7 @@ def _page_words(original: Original, seen: Seen, why: str | None) -> dict[str, st
         "may depend on its action.\n"
     )
     return {
-        "@why@": f"\nNo tables were made of it, which would need no porting: {why}.\n" if why else "",
+        "@why@": f"\nNo tables were made of it, which would need no porting:\n{why}.\n" if why else "",
         "@table@": "\n".join(rows),
         "@starts@": "Different seeds of it begin in different states."
         if seen.random_starts

@@ -102,6 +102,8 @@ def test_what_was_made_is_told(pearl: Any, tmp_path: Path) -> None:
     told = json.loads(out)
     assert (status, told["whole"], told["why"]) == (0, True, None)
     assert "wet/tables.npz" in told["files"]
+    against = "pearl verify wet:Wet --against Taxi-v4 --original-option is_rainy=True\n"
+    assert against in (tmp_path / "wet" / "README.md").read_text()
     assert '"wet" = ["tables.npz"]' in (tmp_path / "wet" / "pyproject.toml").read_text()
 
 
