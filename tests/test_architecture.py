@@ -48,7 +48,7 @@ ROOMS = (
     ),
     *("batch", "rendering", "comparison", "compiler", "packing", "policies", "hardware", "devices"),
     *("verification", "latency", "evaluation", "interfaces", "wrappers", "plan", "benchmark"),
-    *("testing", "training", "training_benchmark", "experiments", "cli"),
+    *("porting", "testing", "training", "training_benchmark", "experiments", "cli"),
 )
 """From the lowest up. The package itself, ``pearl_marl/__init__.py``, is above all: no module imports it."""
 
