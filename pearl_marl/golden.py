@@ -141,8 +141,8 @@ class Draws:
     def digit(self, n: Word, most: int | None = None) -> Word:
         """Return a number below ``n``, of the same draw as the digits before as long as that suffices.
 
-        It suffices for up to 65,536 outcomes of all of them together, so that each is off by less than ``2**-16``
-        of its probability. Where ``n`` is a word, ``most`` is the most that it can be.
+        It suffices for up to 65,536 outcomes of all of them together, so that each is off by less than
+        ``2**-16`` of its probability. Where ``n`` is a word, ``most`` is the most that it can be.
         """
         most = n if most is None else most
         self._outcomes *= most

@@ -346,7 +346,10 @@ def jostled(name: str, turns: int, n: int) -> Counter[str]:
     """Take one step of many crowds, again and again; most often all robots go ahead."""
     spec, generator = spec_of((CASES | OTHERS)[name]), np.random.default_rng(turns)
     rules, k = rules_for(spec), spec.agents
-    step, views = reference(spec.positional.step), [reference(spec.positional.observe, *view) for view in spec.views]
+    step, views = (
+        reference(spec.positional.step),
+        [reference(spec.positional.observe, *view) for view in spec.views],
+    )
     oracles, table, count = [Oracle(rules) for _ in range(n)], np.array(spec.rewards), Counter[str]()
     for _ in range(turns):
         rows = [crowded(rules, generator) for _ in range(n)]
