@@ -50,6 +50,33 @@ def assert_same(
         assert all(node.low <= found[node] <= node.high for node in nodes), case
 
 
+def test_writes_into_lists_that_a_branch_has_joined() -> None:
+    """Such a list is made after the branch; what a side knows of an element is not known of the old one."""
+    f = function("""
+        def f(a, b):
+            rows = [a, b]
+            if a == 1:
+                rows = [b, a]
+            if b == 3:
+                rows[0] = 7
+            if a == 2:
+                rows[1] = b + rows[0]
+            if rows[0] == 5:
+                rows[0] = 8
+            return rows[0], rows[1]
+    """)
+    words = [("a", 4, False), ("b", 4, False)]
+    assert_same(f, words, list(itertools.product(range(16), repeat=2)))
+    wide = function("""
+        def f(a, b):
+            rows = [a]
+            if a == 3:
+                rows[0] = b
+            return rows[0]
+    """)
+    assert_same(wide, [("a", 32, False), ("b", 4, False)], [(3, 4), (5, 6), (1 << 31, 3)])
+
+
 @pytest.mark.parametrize("seed", sampled(range(2000), range(60)))
 def test_random_programs(seed: int) -> None:
     """With every kind of statement, some inside others."""
