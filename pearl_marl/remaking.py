@@ -16,8 +16,13 @@ import numpy as np
 
 from pearl_marl.errors import ArgumentError
 
-CHOICES = (np.where, np.minimum, np.maximum, np.clip)
-"""What of NumPy golden functions have, besides the types of integers."""
+_INSTEAD = {
+    np.where: "`a if test else b`",
+    np.minimum: "`min(a, b)`",
+    np.maximum: "`max(a, b)`",
+    np.clip: "`min(max(x, low), high)`",
+}
+"""What golden functions of integers say where NumPy's would make its own integers, which overflow."""
 
 
 def remade(
@@ -86,7 +91,7 @@ class Vocabulary(NamedTuple):
         if type(value) in (list, tuple):
             return self.table(value)
         if isinstance(getattr(value, "__self__", value), _DICE):
-            return _refused(getattr(value, "__name__", "random numbers"), "; random draws come as arguments")
+            return _refused(getattr(value, "__name__", "random numbers"), "; ask `draws` for random numbers")
         return value
 
 
@@ -106,17 +111,17 @@ class _Module:
         if isinstance(value, float) and self._vocabulary.functions:
             return value
         if module is np:
-            if value in CHOICES or isinstance(value, int):
+            if isinstance(value, int):
                 return value
             if not isinstance(value, type) or not issubclass(value, np.integer):
-                raise ArgumentError(
-                    f"golden functions have no np.{name}; of NumPy they have where, minimum, maximum and clip"
-                )
+                instead = next((text for function, text in _INSTEAD.items() if function is value), None)
+                write = f"write {instead}" if instead else "use Python's own functions"
+                raise ArgumentError(f"golden functions of integers have no np.{name}; {write}")
         random_one = module.__name__ in ("random", "secrets")
         if isinstance(value, types.FunctionType) and not random_one:
             return remade(value, self._vocabulary.meaning)
         if callable(value) and not isinstance(value, type):
-            hint = "; random draws come as arguments" if random_one else ""
+            hint = "; ask `draws` for random numbers" if random_one else ""
             return _refused(f"{module.__name__}.{name}", hint)
         return self._vocabulary.meaning(value)
 

@@ -115,8 +115,8 @@ def ended_twice(state: State, action: Any, draws: Draws) -> Any:
 WRONG: dict[Callable[..., Any], str] = {
     floating: "0.5 is a float; golden functions work on integers",
     undefined: "AttributeError: 'State' object has no attribute 'levle'",
-    rolls: "golden functions cannot use random.randint; random draws come as arguments",
-    rolls_by_name: "golden functions cannot use randint; random draws come as arguments",
+    rolls: "golden functions cannot use random.randint; ask `draws` for random numbers",
+    rolls_by_name: "golden functions cannot use randint; ask `draws` for random numbers",
     of_numpy: "golden functions have no np.random",
     overflowing: "overflowing() returns 0 to 18 for level, and 4 bits hold 0 to 15; "
     "for example 16, where level is 13 and action is 3; "

@@ -176,12 +176,6 @@ class Word:
     def __array_function__(self, function: Any, types_: Any, args: Any, keywords: Any) -> Any:
         if any(isinstance(x, Beyond) for x in args):
             return NotImplemented
-        if function is np.where and len(args) == 3:
-            flag, a, b = (node_of(self.graph, x) for x in args)
-            return Word(self.graph, self.graph.choose(flag_of(self.graph, flag), a, b))
-        if function is np.clip and len(args) == 3:
-            value, low, high = (node_of(self.graph, x) for x in args)
-            return Word(self.graph, self.graph.minimum(self.graph.maximum(value, low), high))
         _no(function.__name__)
 
 
@@ -207,8 +201,6 @@ for _name in ("eq", "ne", "lt", "le", "gt", "ge", "pow"):
     setattr(Word, f"__{_name}__", _leaving(f"__{_name}__"))
 
 _UFUNCS: dict[str, Any] = {
-    "minimum": _binary("minimum"),
-    "maximum": _binary("maximum"),
     **{f"bitwise_{name}": getattr(operator, f"{name}_") for name in ("and", "or")},
     "bitwise_xor": operator.xor,
     "add": operator.add,

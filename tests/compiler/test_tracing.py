@@ -11,7 +11,7 @@ import pytest
 
 from pearl_marl.errors import ArgumentError
 from pearl_marl.tracing.graph import Graph
-from pearl_marl.tracing.nodes import values
+from pearl_marl.tracing.nodes import arrays, values
 from pearl_marl.tracing.trace import trace
 
 TABLE = np.array([5, 7, 11, 13])
@@ -222,7 +222,7 @@ REFUSED = {
     sine: "golden functions have no np.sin",
     divided: r"a divisor can be -1 to 2, and `//` and `%` take one from 1; `max\(n, 1\)` keeps it in",
     beyond: "an index can be 1 to 4, and the table has 4 entries",
-    drawn: "golden functions cannot use random.randint; random draws come as arguments",
+    drawn: "golden functions cannot use random.randint; ask `draws` for random numbers",
     unknown: "NameError: name 'heights' is not defined",
     counted: "Python needs a number here",
     back: "a shift can be by -2 to 1; possible are 0 to 63",
