@@ -117,7 +117,7 @@ WRONG: dict[Callable[..., Any], str] = {
     undefined: "AttributeError: 'State' object has no attribute 'levle'",
     rolls: "golden functions cannot use random.randint; ask `draws` for random numbers",
     rolls_by_name: "golden functions cannot use randint; ask `draws` for random numbers",
-    of_numpy: "golden functions have no np.random",
+    of_numpy: "golden functions of integers have no np.random",
     overflowing: "overflowing() returns 0 to 18 for level, and 4 bits hold 0 to 15; "
     "for example 16, where level is 13 and action is 3; "
     "`min` and `max` keep it in, and `& 15` lets it wrap around",

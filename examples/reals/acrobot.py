@@ -10,6 +10,7 @@ from pearl_marl.layout import Array, Real
 from pearl_marl.spec import EnvSpec, Golden
 
 DT, MAX_VEL_1, MAX_VEL_2, G, L1, LC1, LC2, M1, M2, MOI = 0.2, 4 * pi, 9 * pi, 9.8, 1.0, 0.5, 0.5, 1.0, 1.0, 1.0
+STAGE_1, STAGE_2 = 160.0, 320.0
 State = NamedTuple("State", [("theta1", Real[-pi, pi]), ("theta2", Real[-pi, pi]),
                              ("dtheta1", Real[-MAX_VEL_1, MAX_VEL_1]), ("dtheta2", Real[-MAX_VEL_2, MAX_VEL_2])])  # fmt: skip
 View = NamedTuple("View", [("angles", Array[Real[-1.0, 1.0], 4]), ("dtheta1", Real[-MAX_VEL_1, MAX_VEL_1]),
@@ -33,7 +34,7 @@ def wrap(x: Any) -> Any:
 
 
 def dsdt(s: Any, a: Any) -> tuple[Any, ...]:
-    theta1, theta2, dtheta1, dtheta2 = s[0], s[1], np.clip(s[2], -160.0, 160.0), np.clip(s[3], -320.0, 320.0)
+    theta1, theta2, dtheta1, dtheta2 = s[0], s[1], np.clip(s[2], -STAGE_1, STAGE_1), np.clip(s[3], -STAGE_2, STAGE_2)
     d1 = M1 * LC1**2 + M2 * (L1**2 + LC2**2 + 2 * L1 * LC2 * cos(theta2)) + MOI + MOI
     d2 = M2 * (LC2**2 + L1 * LC2 * cos(theta2)) + MOI
     phi2 = M2 * LC2 * G * cos(theta1 + theta2 - pi / 2.0)

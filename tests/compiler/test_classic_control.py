@@ -6,95 +6,97 @@ import functools
 import math
 import random
 from typing import Any
+from unittest import mock
 
 import gymnasium
 import numpy as np
 import pytest
-from pearl_marl.envs.cart_pole import step as cart_pole_step
-from pearl_marl.envs.mountain_car import step as mountain_car_step
-from pearl_marl.envs.pendulum import step as pendulum_step
 
+from pearl_marl import registry
 from pearl_marl.errors import ArgumentError
-from pearl_marl.reals import Real, admitted, stored
-from pearl_marl.reals.numbers import constant
+from pearl_marl.golden import GoldenFunction, call_reference
+from pearl_marl.reals import constant
+from pearl_marl.registry import get_spec
+from pearl_marl.spec import EnvSpec, Field
 from pearl_marl.tracing.graph import Graph
 from pearl_marl.tracing.nodes import Node, in_order, values
 from pearl_marl.tracing.trace import trace
-from pearl_marl.tracing.words import Word
-from tests import classic_control
-from tests.classic_control import ANGLE, CONTROLS, STAGE_1, STAGE_2, Control, dsdt, moved
 
-IDS = {
-    "CartPole": "CartPole-v1",
-    "MountainCar": "MountainCar-v0",
-    "Pendulum": "Pendulum-v1",
-    "Acrobot": "Acrobot-v1",
-}
+with mock.patch.dict(registry._specs):
+    from examples.reals import SPECS, acrobot
+
+ENVIRONMENTS = {spec.name.removeprefix("Real"): spec for spec in SPECS}
+ANGLES = {"Pendulum": {"th"}, "Acrobot": {"theta1", "theta2"}}
 
 
-def fielded(control: Control, results: Any) -> list[Any]:
-    """The words of a step: of its fields, and of what else it returns."""
-    bounds = [*control.bounds, *[(-64.0, 64.0)] * (len(results) - len(control.bounds))]
-    return [stored(x, *ends, control.fraction) for x, ends in zip(results, bounds, strict=True)]
+def inputs(spec: EnvSpec) -> list[Field]:
+    """Return the fields of what a step takes."""
+    return [*spec.state, *spec.action_fields]
 
 
 @functools.cache
-def traced(name: str) -> list[Node]:
-    """The words that an environment's step returns, of inputs that are within their fields."""
-    control, graph = CONTROLS[name], admitted(Graph())
-
-    def real(name: str, ends: tuple[float, float]) -> Real:
-        node = graph.input(name, 32, signed=True)
-        low, high = (constant(end, control.fraction) for end in ends)
-        return Real(Word(graph, graph.within(node, low, high)), control.fraction)
-
-    state = [real(f"s{k}", ends) for k, ends in enumerate(control.bounds)]
-    action: Any
-    if control.action:
-        action = real("action", control.action)
-    else:
-        action = Word(graph, graph.within(graph.input("action", 2), 0, control.actions - 1))
-    return [word.node for word in fielded(control, control.step(state, action))]
+def traced(function: GoldenFunction, *fields: Field) -> list[Node]:
+    """Return the words that a function makes of inputs within these fields."""
+    graph = Graph()
+    return trace(graph, function, [graph.input(f.name, f.bits, f.signed, *f.range) for f in fields])
 
 
-def posed(control: Control, generator: random.Random) -> tuple[list[int], int]:
-    """A random state and an action, as words."""
-
-    def word(ends: tuple[float, float]) -> int:
-        return generator.randint(*(constant(end, control.fraction) for end in ends))
-
-    action = word(control.action) if control.action else generator.randrange(control.actions)
-    return [word(ends) for ends in control.bounds], action
+def posed(spec: EnvSpec, generator: random.Random) -> list[int]:
+    """Return the words of a random state and of an action."""
+    ends = [field.range for field in inputs(spec)]
+    if spec.action_counts:
+        ends[-1] = (0, spec.action_counts[0] - 1)
+    return [generator.randint(*pair) for pair in ends]
 
 
-def reference(control: Control, state: list[int], action: int) -> list[Any]:
-    """What the step returns of Python's integers."""
-    given = Real(action, control.fraction) if control.action else action
-    return list(control.step([Real(word, control.fraction) for word in state], given))
+@pytest.mark.parametrize("name", ENVIRONMENTS)
+def test_functions_are_the_same_traced(name: str) -> None:
+    spec, generator = ENVIRONMENTS[name], random.Random(0)
+    for function, fields in (
+        (spec.positional.step, inputs(spec)),
+        (spec.positional.observe, list(spec.state)),
+    ):
+        roots = traced(function, *fields)
+        for _ in range(40):
+            words = posed(spec, generator)[: len(fields)]
+            found = values(roots, {f.name: word for f, word in zip(fields, words, strict=True)})
+            assert all(node.low <= value <= node.high and node.bits <= 64 for node, value in found.items())
+            assert [found[root] for root in roots] == list(call_reference(function, words))
 
 
-@pytest.mark.parametrize("name", CONTROLS)
-def test_a_step_is_the_same_traced(name: str) -> None:
-    control, roots, generator = CONTROLS[name], traced(name), random.Random(0)
-    for _ in range(40):
-        state, action = posed(control, generator)
-        inputs = {"action": action, **{f"s{k}": word for k, word in enumerate(state)}}
-        found = values(roots, inputs)
-        assert all(node.low <= value <= node.high and node.bits <= 64 for node, value in found.items())
-        assert [found[root] for root in roots] == fielded(control, reference(control, state, action))
+STARTS = {
+    "CartPole": [(-0.05, 0.05)] * 4,
+    "MountainCar": [(-0.6, -0.4), (0.0, 0.0)],
+    "MountainCarContinuous": [(-0.6, -0.4), (0.0, 0.0)],
+    "Pendulum": [(-math.pi, math.pi), (-1.0, 1.0)],
+    "Acrobot": [(-0.1, 0.1)] * 4,
+}
+"""Gymnasium's ranges of what an episode begins with."""
 
 
-def gymnasiums(name: str, env: Any, state: list[float], action: Any) -> tuple[list[float], float, bool]:
-    """The state, the reward and the end that Gymnasium's step makes of a state."""
+@pytest.mark.parametrize("name", ENVIRONMENTS)
+def test_episodes_begin_as_gymnasiums(name: str) -> None:
+    spec = ENVIRONMENTS[name]
+    for end, draw in enumerate((0, (1 << 32) - 1)):
+        words = call_reference(spec.positional.initial, [draw] * spec.reset_draws)
+        for word, field, ends in zip(words, spec.state, STARTS[name], strict=True):
+            assert abs(word - constant(ends[end], field.fraction)) <= 1
+
+
+def gymnasiums(
+    spec: EnvSpec, env: Any, state: list[float], action: Any
+) -> tuple[list[float], float, bool, Any]:
+    """Return the state, the reward, the end and the observation that Gymnasium's step makes of a state."""
     env.reset()
-    env.unwrapped.state = tuple(state) if name == "MountainCar" else np.array(state)
-    _, reward, terminated, *_ = env.unwrapped.step(action)
-    return [float(x) for x in env.unwrapped.state], float(reward), terminated
+    env.unwrapped.state = tuple(state) if spec.oracle == "MountainCar-v0" else np.array(state)
+    obs, reward, terminated, *_ = env.unwrapped.step(action)
+    return [float(x) for x in env.unwrapped.state], float(reward), terminated, obs
 
 
 MOST: dict[str, list[float]] = {
     "CartPole": [0.51, 0.6, 0.51, 2.0],
     "MountainCar": [1.1, 1.1],
+    "MountainCarContinuous": [65.0, 5.0],  # of floats of 32 bits, in which Gymnasium keeps its state
     "Pendulum": [1.5, 1.5],
     "Acrobot": [50.0, 150.0, 1500.0, 10000.0],
 }
@@ -103,108 +105,107 @@ MOST_REACHED = {**MOST, "Acrobot": [1.0, 1.0, 3.0, 5.0]}
 """The same from states that random play reaches: Acrobot's are slower."""
 
 
-def compared(name: str, env: Any, words: list[int], action: int) -> list[float]:
+def number(word: int, field: Field) -> float:
+    return int(word) / 2.0**field.fraction
+
+
+def compared(name: str, env: Any, words: list[int]) -> list[float]:
     """Compare a step with Gymnasium's; return how far its fields are off, in units of their last place."""
-    control = CONTROLS[name]
-    scale = 2.0**control.fraction
-    state = [word / scale for word in words]
-    given = np.array([action / scale]) if control.action else action
-    truth, reward, terminated = gymnasiums(name, env, state, given)
-    results = reference(control, words, action)
-    if name == "Pendulum":
-        assert float(results[-1]) == pytest.approx(reward, abs=5e-8)
-    else:
-        assert results[-1] == terminated
-    errors = []
-    for x, y, ends in zip(results[: len(truth)], truth, control.bounds, strict=True):
-        error = float(x) - y
-        if ends == ANGLE:
-            error = (error + math.pi) % (2 * math.pi) - math.pi
-        errors.append(abs(error) * scale)
+    spec = ENVIRONMENTS[name]
+    *state, action = [number(word, field) for word, field in zip(words, inputs(spec), strict=True)]
+    given = int(action) if spec.action_counts else np.array([action])
+    truth, reward, terminated, obs = gymnasiums(spec, env, state, given)
+    *after, found, end = call_reference(spec.positional.step, words)
+    assert end == terminated
+    found = number(found, spec.reward) if spec.rewards is None else spec.rewards[found]
+    assert found == pytest.approx(reward, abs=5e-8)
+    errors, near = [], True
+    for word, y, field in zip(after, truth, spec.state, strict=True):
+        if field.name in ANGLES.get(name, ()):
+            error = (number(word, field) - y + math.pi) % (2 * math.pi) - math.pi
+        else:
+            low, high = (number(end, field) for end in field.range)
+            near &= low <= y <= high
+            error = number(word, field) - min(max(y, low), high)
+        errors.append(abs(error) * 2.0**field.fraction)
+    if near and name != "Acrobot":
+        seen = call_reference(spec.positional.observe, after)
+        seen = [number(word, field) for word, field in zip(seen, spec.observation, strict=True)]
+        assert seen == pytest.approx(obs.tolist(), abs=1e-6)
     return errors
 
 
 def assert_near(name: str, errors: list[list[float]], most: list[float]) -> None:
-    worst, scale = np.max(errors, 0), 2.0 ** CONTROLS[name].fraction
-    told = ", ".join(f"{x / scale:.1e} ({x:.2f} ulp)" for x in worst)
-    print(f"{name}, {len(errors)} states, {CONTROLS[name].fraction} fraction bits: {told}")
+    worst, fraction = np.max(errors, 0), ENVIRONMENTS[name].layout.fraction
+    assert fraction is not None
+    told = ", ".join(f"{x / 2.0**fraction:.1e} ({x:.2f} ulp)" for x in worst)
+    print(f"{name}, {len(errors)} states, {fraction} fraction bits: {told}")
     print(f"    median {np.median(errors, 0)} ulp")
     assert (worst < most).all()
 
 
-@pytest.mark.parametrize("name", CONTROLS)
+@pytest.mark.parametrize("name", ENVIRONMENTS)
 def test_a_step_from_any_state_is_gymnasiums(name: str) -> None:
-    generator, env, errors = random.Random(1), gymnasium.make(IDS[name]), []
+    spec, generator, errors = ENVIRONMENTS[name], random.Random(1), []
+    env = gymnasium.make(str(spec.oracle))
     for _ in range(600):
-        words, action = posed(CONTROLS[name], generator)
-        if name != "Acrobot" or not beyond([word / 2**26 for word in words], action - 1):
-            errors.append(compared(name, env, words, action))
+        words = posed(spec, generator)
+        if name != "Acrobot" or not beyond([word / 2**26 for word in words[:-1]], words[-1] - 1):
+            errors.append(compared(name, env, words))
     assert len(errors) > 500
     assert_near(name, errors, MOST[name])
 
 
-@pytest.mark.parametrize("name", CONTROLS)
+@pytest.mark.parametrize("name", ENVIRONMENTS)
 def test_a_step_from_a_state_that_is_reached_is_gymnasiums(name: str) -> None:
-    control, generator, errors = CONTROLS[name], random.Random(2), []
-    env, other = gymnasium.make(IDS[name]), gymnasium.make(IDS[name])
+    spec, generator, errors = ENVIRONMENTS[name], random.Random(2), []
+    env, other = gymnasium.make(str(spec.oracle)), gymnasium.make(str(spec.oracle))
     for seed in range(4):
         env.reset(seed=seed)
         for _ in range(100):
             state = [float(x) for x in env.unwrapped.state]
             if name == "Pendulum":
                 state[0] = (state[0] + math.pi) % (2 * math.pi) - math.pi
-            words = fielded(control, [Real.of(x, control.fraction) for x in state])
-            action = posed(control, generator)[1]
-            errors.append(compared(name, other, words, action))
-            given = np.array([action / 2**control.fraction]) if control.action else action
-            if env.step(given)[2]:
+            words = [constant(x, field.fraction) for x, field in zip(state, spec.state, strict=True)]
+            action = posed(spec, generator)[-1]
+            errors.append(compared(name, other, [*words, action]))
+            real = np.array([number(action, spec.action_fields[0])])
+            if env.step(action if spec.action_counts else real)[2]:
                 break
     assert_near(name, errors, MOST_REACHED[name])
 
 
 def beyond(state: list[float], torque: float) -> bool:
-    """Whether a step of Acrobot has speeds inside of it that its author binds."""
+    """Return whether a step of Acrobot has speeds inside of it that its author binds."""
     k: tuple[float, ...] = (0.0,) * 4
     for dt in (0.0, 0.1, 0.1, 0.2):
-        stage = moved(state, k, dt)
-        if abs(stage[2]) > STAGE_1 or abs(stage[3]) > STAGE_2:
+        stage = [y + dt * change for y, change in zip(state, k, strict=True)]
+        if abs(stage[2]) > acrobot.STAGE_1 or abs(stage[3]) > acrobot.STAGE_2:
             return True
-        k = dsdt(stage, torque)
+        k = acrobot.dsdt(stage, torque)
     return False
 
 
 def test_acrobot_has_to_bind_its_speeds_within_a_step(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(classic_control, "STAGE_1", 1e9)
-    monkeypatch.setattr(classic_control, "STAGE_2", 1e9)
-    with pytest.raises(
-        ArgumentError, match=r"and reals end at 1\.374e\+11 here, .*; np.clip what it is made of"
-    ):
-        traced.__wrapped__("Acrobot")
+    monkeypatch.setattr(acrobot, "STAGE_1", 1e9)
+    monkeypatch.setattr(acrobot, "STAGE_2", 1e9)
+    says = r"acrobot\.py, line \d+: .* and reals end at 1\.374e\+11 here, .*; np.clip what it is made of"
+    with pytest.raises(ArgumentError, match=says):
+        traced.__wrapped__(acrobot.SPEC.positional.step, *inputs(acrobot.SPEC))
 
 
-def cost(roots: list[Node]) -> tuple[int, int, int]:
-    """Nodes, multiplications and the widest node's bits."""
-    order = in_order(roots)
+def cost(spec: EnvSpec) -> tuple[int, int, int]:
+    """Return the nodes of a step, its multiplications and the bits of its widest node."""
+    order = in_order(traced(spec.positional.step, *inputs(spec)))
     return len(order), sum(node.op == "mul" for node in order), max(node.bits for node in order)
 
 
-def by_hand(function: Any, fields: int, *more: tuple[str, int]) -> list[Node]:
-    graph = Graph()
-    given = [graph.input(f"s{k}", 32, signed=True) for k in range(fields)]
-    return trace(graph, function, [*given, *(graph.input(*word) for word in more)])
-
-
 def test_what_steps_take_against_those_written_by_hand() -> None:
-    hand = {
-        "CartPole": by_hand(cart_pole_step.step, 4, ("action", 1)),
-        "MountainCar": by_hand(mountain_car_step.step(0), 2, ("action", 2)),
-        "Pendulum": by_hand(pendulum_step.step(pendulum_step.fall(10.0)), 3),
-    }
-    for name in CONTROLS:
-        found = cost(traced(name))
+    for name, spec in ENVIRONMENTS.items():
+        found = cost(spec)
         print(f"{name}: {found[0]} nodes, {found[1]} multiplications, up to {found[2]} bits")
-        if name in hand:
-            nodes, multiplications, _ = cost(hand[name])
+        if name in registry.names():
+            nodes, multiplications, _ = cost(get_spec(name))
             print(f"    by hand: {nodes} nodes, {multiplications} multiplications")
             assert found[0] <= 1.2 * nodes
             assert found[1] <= 1.34 * multiplications

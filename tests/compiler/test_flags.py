@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -27,6 +27,8 @@ MIXED = [
 
 
 class State(NamedTuple):
+    """Two words of random bits."""
+
     first: Bits[32]
     second: Bits[32]
 
@@ -35,7 +37,7 @@ def initial(draws: Draws) -> State:
     return State(draws.bits(), draws.bits())
 
 
-def step(state: State, actions: Any, draws: Draws) -> tuple[State, Any, Any]:
+def step(state: State, actions: list[Word], draws: Draws) -> tuple[State, list[Word], list[Word]]:
     first, second = state
     flipped = first ^ (first << 13 & 0xFFFFFFFF)
     return State(second, flipped ^ (flipped >> 17) ^ actions[0]), [0, 0], [first & 1, second & 1]
@@ -44,13 +46,13 @@ def step(state: State, actions: Any, draws: Draws) -> tuple[State, Any, Any]:
 def spec(fields: list[Field], dtype: type, masks: bool) -> EnvSpec:
     """Return a world of two agents who see the bits of the state, and lack some of the actions by turns."""
 
-    def observe(state: State, agent: int) -> tuple[Word, ...]:
+    def observe(state: State, agent: int) -> list[Word]:
         word, words, at = state[agent], [], 0
         for field in fields:
             bits = word >> at & (1 << field.bits) - 1
             words.append(bits - (1 << field.bits - 1) if field.signed else bits)
             at = (at + field.bits) % 25
-        return tuple(words)
+        return words
 
     def allowed(state: State, agent: int) -> tuple[Word, ...]:
         return 1, state.first & 1, (state.first >> 1 & 1) ^ agent

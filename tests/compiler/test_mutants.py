@@ -55,9 +55,9 @@ def check_gating(_: Path) -> None:
 def check_lowering(_: Path) -> None:
     for env in ("Taxi", "Blackjack", "MountainCar"):
         assert next(unproved_lowering(get_spec(env), TARGETS[: 1 + (env == "MountainCar")]), None) is None
-    divided = wide(lambda word, by: ((word & 0xFFF) // 13, (word & 0x7FF) % 20))
+    divided = wide(lambda state: ((state.word & 0xFFF) // 13, (state.word & 0x7FF) % 20))
     assert next(unproved_lowering(divided, TARGETS), None) is None
-    by_words = wide(lambda word, by: (((word & 0xF) - 7) // ((by & 7) | 1), (word & 0xF) % ((by & 7) | 1)))
+    by_words = wide(lambda s: (((s.word & 0xF) - 7) // ((s.by & 7) | 1), (s.word & 0xF) % ((s.by & 7) | 1)))
     assert next(unproved_lowering(by_words, TARGETS), None) is None
 
 

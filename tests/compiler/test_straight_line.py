@@ -15,7 +15,7 @@ import pytest
 from pearl_marl.compiler import llvm_functions, llvm_words, scalar_words
 from pearl_marl.compiler.straight_line import golden_functions, maskers, observers
 from pearl_marl.errors import ArgumentError
-from pearl_marl.golden import call_reference
+from pearl_marl.golden import Draws, Word, call_reference
 from pearl_marl.layout import Bits
 from pearl_marl.registry import get_spec, names
 from pearl_marl.spec import EnvSpec, Field, Golden
@@ -142,7 +142,8 @@ def test_divisions_and_tables_in_llvm() -> None:
     """Rounded down, below 0 too; a large table is read from memory."""
     table = np.random.default_rng(0).integers(-(2**30), 2**30, 256)
 
-    def observe(word: Any, by: Any) -> Any:
+    def observe(state: Wide) -> Any:
+        word, by = state
         less = (word & 0xFFFF) - 0x8000
         return (less // 7) & 0xFFFFFF, (table[word & 255] + less % 100 + by // 5 + by % 3) & 0x7F
 
@@ -150,25 +151,28 @@ def test_divisions_and_tables_in_llvm() -> None:
 
 
 class Wide(NamedTuple):
+    """A word that is as wide as they come, and a narrow one."""
+
     word: Bits[64]
     by: Bits[7]
 
 
-def wide(observe: Callable[[Any, Any], Any]) -> EnvSpec:
+def wide(observe: Callable[[Wide], Any]) -> EnvSpec:
     """Return an environment of a word of 64 bits and one of 7, observed as two numbers."""
-    golden = Golden(
-        Wide,
-        lambda draws: Wide(0, 0),
-        lambda state, action, draws: (state, 0, 0),
-        lambda state: observe(*state),
-    )
-    return replace(random_spec(0), golden=golden)
+
+    def initial(draws: Draws) -> Wide:
+        return Wide(0, 0)
+
+    def step(state: Wide, action: Word, draws: Draws) -> tuple[Wide, Word, Word]:
+        return state, 0, 0
+
+    return replace(random_spec(0), golden=Golden(Wide, initial, step, observe))
 
 
 def test_bits_beyond_a_words_range() -> None:
-    def observe(word: Any, by: Any) -> Any:
-        small, other = word & 31, by & 127
-        chosen = (small if other & 1 == 0 else other) >> 5
+    def observe(state: Wide) -> Any:
+        small, other = state.word & 31, state.by & 127
+        chosen = (other if other & 1 else small) >> 5
         return (small & 40) + ((small ^ other) >> 5), ((small + (other << 5)) & 0xE7) + chosen
 
     assert_means_the_golden_functions(wide(observe), random.Random(0))
@@ -187,7 +191,8 @@ def test_a_division_that_no_processor_can(made: Callable[[EnvSpec], dict[str, An
 
 
 def test_bits_beyond_a_word_that_is_narrowed_down() -> None:
-    def observe(word: Any, by: Any) -> Any:
+    def observe(state: Wide) -> Any:
+        by = state.by
         near = by & 31
         if 64 < by < 70 and 0 < near < 6:
             return near * 3, by - 64
@@ -201,22 +206,23 @@ def test_bits_beyond_a_word_that_is_narrowed_down() -> None:
 
 @pytest.mark.parametrize("by", [0, 7, 63, 64, 1 << 63, (1 << 64) - 1])
 def test_shifts_by_any_number(by: int) -> None:
-    spec = wide(lambda word, _: (((word | 1) >> word) & 255, 0))
+    spec = wide(lambda state: (((state.word | 1) >> state.word) & 255, 0))
     found = functions(spec)["observe"](np.uint64(by), np.uint8(0))
     assert int(found[0]) == ((by | 1) >> by) & 255
 
 
 def test_shifts_by_more_than_the_width() -> None:
-    def observe(word: Any, by: Any) -> Any:
+    def observe(state: Wide) -> Any:
+        word, by = state
         return (word >> by) & 0xFFFFFF, ((word << (by & 15)) & 0xFF) < 200
 
     assert_means_the_golden_functions(wide(observe), random.Random(0))
 
 
 def test_a_word_that_no_kernel_can_hold() -> None:
-    def observe(word: Any, by: Any) -> Any:
-        square = word * word
-        return (square >> 100) & 1, by
+    def observe(state: Wide) -> Any:
+        square = state.word * state.word
+        return (square >> 100) & 1, state.by
 
     with pytest.raises(ArgumentError, match=r"test_straight_line\.py, line \d+: square takes 101 bits here"):
         golden_functions(wide(observe))

@@ -14,7 +14,7 @@ from bench import spec_of
 from harness import whole
 from linters import lint
 from pyslang.parsing import TokenKind
-from wide_steps import spec_with
+from wide_steps import renamed, spec_with
 
 from pearl_marl.compiler.cores import BACKBONE, core_name, generated_core
 from pearl_marl.compiler.expressions import KEYWORDS, TAKEN, identifier
@@ -59,12 +59,13 @@ def test_names_that_every_core_has_are_known() -> None:
 
 def fields_named(names: list[str]) -> EnvSpec:
     """Return an environment with fields of these names, each of which moves to the next."""
-    words = ", ".join(f"w{k}" for k in range(len(names)))
-    moved = ", ".join(f"w{k} ^ (action & 1)" for k in range(1, len(names)))
+    count = len(names)
+    moved = ", ".join(f"state.w{k} ^ (action & 1)" for k in range(1, count))
     zeros = ", ".join("0" for _ in names)
-    text = f"def step({words}, action, draw): return {moved}, w0, w1, w2 & 1\n"
-    text += f"def initial(draw): return {zeros}\ndef observe({words}): return w0, w1\n"
-    return spec_with(text, [Field(name, 3) for name in names], Field("reward", 3))
+    text = f"def step(state, action, draws): return State({moved}, state.w0), state.w1, state.w2 & 1\n"
+    text += f"def initial(draws): return State({zeros})\ndef observe(state): return state.w0, state.w1\n"
+    spec = spec_with(text, [Field(f"w{k}", 3) for k in range(count)], Field("reward", 3))
+    return renamed(spec, names)
 
 
 def variables_named(names: list[str]) -> EnvSpec:
@@ -75,8 +76,9 @@ def variables_named(names: list[str]) -> EnvSpec:
         lines.append(f"    {name} = ((x >> 3) + {last} * 3) & 0xFFFF")
         lines.append(f"    x = (x ^ {name}) + FOUR[x & 3]")
         last = name
-    text = "def step(x, action, draw):\n" + "\n".join(lines) + f"\n    return x & 0xFFFF, {last} & 7, 0\n"
-    text += "def initial(draw): return draw & 7\ndef observe(x): return x, 1\n"
+    text = "def step(state, action, draws):\n    x = state.x\n" + "\n".join(lines)
+    text += f"\n    return State(x & 0xFFFF), {last} & 7, 0\n"
+    text += "def initial(draws): return State(draws.bits(3))\ndef observe(state): return state.x, 1\n"
     return spec_with(text, [Field("x", 16)], Field("reward", 3))
 
 

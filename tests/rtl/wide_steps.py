@@ -10,6 +10,8 @@ from __future__ import annotations
 import hashlib
 import itertools
 import random
+from collections.abc import Iterable
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -270,6 +272,13 @@ def spec_with(text: str, fields: list[Field], reward: Field) -> EnvSpec:
         action_space=Discrete(4),
         golden=Golden(state, scope["initial"], scope["step"], scope["observe"]),
     )
+
+
+def renamed(spec: EnvSpec, names: Iterable[str]) -> EnvSpec:
+    """Return a spec with these names of state fields, some of which no class of Python's can have."""
+    result = replace(spec)
+    result.layout.fields = tuple(replace(f, name=name) for f, name in zip(spec.state, names, strict=True))
+    return result
 
 
 def wide_spec(number: int) -> EnvSpec:

@@ -1,6 +1,7 @@
 """The proof that a pass of the compiler changes nothing: what became of each node is equal to it.
 
-Each is proved by those before it, in the order in which they are made: as polynomials, or by z3.
+Each is proved by those before it, in the order in which they are made: as polynomials, or by z3. Words that are
+loose may become others where nobody looks at them: then what is made of them is proved without them.
 """
 
 from __future__ import annotations
@@ -31,7 +32,8 @@ def unequal(
     roots: Iterable[Node], made: Mapping[Node, Node], widths: Mapping[Node, int] | None = None
 ) -> Iterator[Node]:
     """Yield the nodes that are not proved equal to what became of them, modulo bits of these widths."""
-    yield from _Pass(in_order(roots), made, widths).unequal()
+    roots = list(roots)
+    yield from _Pass(in_order(roots), made, widths).unequal(set(roots))
 
 
 class _Pass:
@@ -41,14 +43,19 @@ class _Pass:
         self.order, self.made, self.widths = order, made, widths
         self.origins: dict[Node, dict[Node, int | None]] = defaultdict(dict)
         """The nodes that a new one is known to be equal to, and modulo how many bits."""
+        self.apart: set[Node] = set()
+        """Loose nodes that are not known to be equal to what became of them."""
 
-    def unequal(self) -> Iterator[Node]:
+    def unequal(self, roots: Set[Node]) -> Iterator[Node]:
         for node in self.order:
             if (
                 node.op not in ("constant", "input")
                 and self.made[node] is not node
                 and not self._is_equal(node)
             ):
+                if node.loose and node not in roots:
+                    self.apart.add(node)
+                    continue
                 yield node
             new, width = self.made[node], self._width(node)
             self.origins[new][node] = width
@@ -69,7 +76,7 @@ class _Pass:
         return any(self._proved(node, by, order) for by, order in ways)
 
     def _proved(self, node: Node, by: Callable[..., bool], order: Iterable[Set[str]]) -> bool:
-        opened = {node}
+        opened = {node, *self.apart}
         for _ in range(DEPTH):
             used: set[Node] = set()
             try:
@@ -147,6 +154,10 @@ class _Pass:
                     new[n] = before(n)
                 elif origin is None:
                     new[n] = operation(n, [after(a) for a in n.args])
+                    for old, width in self.origins[n].items():
+                        if old in words:  # looked into, and proved before
+                            bits = width or max(new[n].size(), words[old].size())
+                            facts.append(fitted(new[n], bits) == fitted(words[old], bits))
                 elif origin[1] is None:
                     new[n] = fitted(before(origin[0]), size(n))
                     facts.extend(in_range(n, new[n]))
