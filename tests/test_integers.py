@@ -85,7 +85,16 @@ def test_a_cast_wraps(dtype: type[np.integer[Any]], x: int) -> None:
 
 def test_choices() -> None:
     def function(a: Any, b: Any) -> tuple[Any, ...]:
-        return b if a else 7, min(a, b), max(3, b), min(max(b, -1), a), a if True else b, not a, a and b, a or b
+        return (
+            b if a else 7,
+            min(a, b),
+            max(3, b),
+            min(max(b, -1), a),
+            a if True else b,
+            not a,
+            a and b,
+            a or b,
+        )
 
     a, b = np.array([0, 1, 200], np.uint8), np.array([-5, 5, 6], np.int8)
     wanted = [[7, 5, 6], [-5, 1, 6], [3, 5, 6], [-1, 1, 6], [0, 1, 200], [1, 0, 0], [0, 5, 6], [-5, 1, 200]]

@@ -10,14 +10,11 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from pearl_marl.errors import ArgumentError
 from pearl_marl.tracing.joining import check_defined, joined, merged, variables
-from pearl_marl.tracing.paths import Exits, Literal, Path
-
-if TYPE_CHECKING:
-    from pearl_marl.tracing.runtime import Runtime
+from pearl_marl.tracing.paths import Exits, Literal, Path, Walk
 
 MOST_ROUNDS = 1000
 """Rounds after which a ``while`` counts as one without a bound."""
@@ -26,7 +23,7 @@ MOST_ROUNDS = 1000
 class Frame:
     """The paths of one call of a function."""
 
-    def __init__(self, runtime: Runtime) -> None:
+    def __init__(self, runtime: Walk) -> None:
         self.runtime, self.entry, self.mark = runtime, runtime.here, len(runtime.exits)
         self.results: list[tuple[Path, Any]] = []
 
@@ -62,7 +59,7 @@ class Frame:
 class Fork:
     """The two sides of an ``if``."""
 
-    def __init__(self, runtime: Runtime, test: Any, before: tuple[Any, ...]) -> None:
+    def __init__(self, runtime: Walk, test: Any, before: tuple[Any, ...]) -> None:
         self.runtime, self.variables, self.start = runtime, before, runtime.here
         self.flag = runtime.truth(test)
         self.sides: list[Path | None]

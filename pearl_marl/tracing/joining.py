@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import Any, NoReturn
 
 import numpy as np
 
@@ -13,9 +13,6 @@ from pearl_marl.tracing.graph import Graph
 from pearl_marl.tracing.nodes import Node
 from pearl_marl.tracing.paths import Exits, Path
 from pearl_marl.tracing.words import Beyond, Word, node_of
-
-if TYPE_CHECKING:
-    from pearl_marl.tracing.runtime import Runtime
 
 
 class Undefined:
@@ -85,7 +82,8 @@ class Listed(list[Any]):
 
     path: Path | None = None
     """The path on which it was made."""
-    runtime: Runtime | None = None
+    runtime: Any = None
+    """The :class:`~pearl_marl.tracing.runtime.Runtime` that made it."""
 
     def _grow(self) -> None:
         if self.runtime is not None:

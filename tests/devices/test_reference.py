@@ -99,9 +99,11 @@ def narrow(name: str) -> EnvSpec:
     if name == "cell":
         return replace(CLIFF, observation=(Field("cell", 5),))
 
+    row_bits, column_bits = 2 - (name == "row"), 4 - (name == "column")
+
     class Narrow(NamedTuple):
-        row: Bits[1 if name == "row" else 2]
-        column: Bits[3 if name == "column" else 4]
+        row: Bits[row_bits]
+        column: Bits[column_bits]
 
     first, then = CLIFF.golden.initial, CLIFF.golden.step
 
