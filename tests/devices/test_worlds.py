@@ -18,7 +18,7 @@ from pearl_marl.batch.saved_state import SavedState
 from pearl_marl.devices import BatchConfig, BatchStep, Cuda, Device, Lockstep, Native, Reference, Rtl, Sharded
 from pearl_marl.errors import ActionError, ArgumentError, LockstepError
 from pearl_marl.golden import call_reference
-from pearl_marl.spec import EnvSpec, Field, Golden, Role
+from pearl_marl.spec import EnvSpec, Field, Role
 
 from ..sampling import sampled
 from ..toy_world import MEADOW, NIM, SNAIL, crowd
@@ -358,37 +358,40 @@ def test_what_a_spec_may_not_say() -> None:
 
 
 def test_golden_functions_are_traced_for_every_agent() -> None:
-    def observe(*words: Any) -> Any:
-        *state, agent = words
-        return state[agent], state[4], state[5], state[6] + (16 if agent == 3 else 0)
+    def observe(state: Any, agent: int) -> Any:
+        return state.place[agent], state.energy[0], state.energy[1], state.energy[2] + 16 * (agent == 3)
 
     narrow = (*MEADOW.observation[:3], Field("snail", 4))
     golden = MEADOW.golden._replace(observe=observe)
     wrong(r"returns 16 to 31 for snail of agent 3, and 4 bits", golden=golden, observation=narrow, roles=())
 
-    def step(heap: Any, turn: Any, first: Any) -> Any:
-        return heap, turn, 0, 0, 0, 0
+    def step(state: Any, action: Any) -> Any:
+        return state, [0, 0], [0, 0]
 
-    wrong(r"step\(\) is called with 4 words, heap, turn, action_0 and action_1", NIM,
-          golden=NIM.golden._replace(step=step))  # fmt: skip
+    wrong(r"step\(\) is called with \(state, actions, draws\)", NIM, golden=NIM.golden._replace(step=step))
 
-    def short(heap: Any, turn: Any, *actions: Any) -> Any:
-        return heap, turn, 0, 0, 0
+    def few(state: Any, actions: Any, draws: Any) -> Any:
+        return state, [0, 0], [0]
 
-    wrong(r"takes 6: heap, turn, outcome_0, outcome_1, terminated_0 and terminated_1", NIM,
-          golden=NIM.golden._replace(step=short))  # fmt: skip
+    wrong(r"step\(\) returns \[0\] for its flags of termination; there are 2 agents", NIM,
+          golden=NIM.golden._replace(step=few))  # fmt: skip
 
-    def alone(heap: Any, turn: Any) -> Any:
-        return heap
+    def bare(state: Any, actions: Any, draws: Any) -> Any:
+        return state, 0, [0, 0]
 
-    wrong(r"alone\(\) is called with 3 words, heap, turn and agent", NIM,
-          golden=NIM.golden._replace(observe=alone))  # fmt: skip
+    wrong(r"step\(\) returns 0 for its rewards; there are 2 agents", NIM,
+          golden=NIM.golden._replace(step=bare))  # fmt: skip
 
-    def flags(heap: Any, turn: Any, agent: int) -> Any:
+    def alone(state: Any) -> Any:
+        return state.heap
+
+    wrong(r"alone\(\) is called with \(state, agent\)", NIM, golden=NIM.golden._replace(observe=alone))
+
+    def flags(state: Any, agent: int) -> Any:
         return 2, 1, 0
 
     wrong(
         r"flags\(\) returns 2 for mask_0 of agent 0, and 1 bit holds 0 to 1",
         NIM,
-        golden=Golden(*NIM.golden[:3], flags),
+        golden=NIM.golden._replace(masks=flags),
     )

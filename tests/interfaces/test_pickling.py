@@ -296,38 +296,42 @@ def test_what_was_replaced_by_hand_comes_back() -> None:
 
 
 USERS = """
+from typing import NamedTuple
 from gymnasium.spaces import Discrete
 import pearl_marl
 from pearl_marl import EnvSpec
-from pearl_marl.spec import Field, Golden
+from pearl_marl.layout import Bits
+from pearl_marl.spec import Golden
+
+class State(NamedTuple):
+    place: Bits[4]
 
 def make_step(by):
-    def step(place, action):
-        return (place + by * action) & 15, 0, place == 9
+    def step(state, action, draws):
+        return State((state.place + by * action) & 15), 0, state.place == 9
     return step
 
 def configure(by=1):
     return EnvSpec(
-        name="Configured", version=0, summary="", state=(Field("place", 4),), action=Field("action", 1),
-        observation=(Field("place", 4),), reward=Field("reward", 1), rewards=(1.0,),
+        name="Configured", version=0, summary="", rewards=(1.0,),
         observation_space=Discrete(16), action_space=Discrete(2),
-        golden=Golden(lambda: 0, make_step(by), lambda place: place), options={"by": by}, configure=configure)
+        golden=Golden(State, lambda draws: State(0), make_step(by), lambda state: state.place),
+        options={"by": by}, configure=configure)
 
-def plain_step(place, action):
-    return (place + action) & 15, 0, place == 9
+def plain_step(state, action, draws):
+    return State((state.place + action) & 15), 0, state.place == 9
 
 def plain(name, step):
     return EnvSpec(
-        name=name, version=0, summary="", state=(Field("place", 4),), action=Field("action", 1),
-        observation=(Field("place", 4),), reward=Field("reward", 1), rewards=(1.0,),
+        name=name, version=0, summary="", rewards=(1.0,),
         observation_space=Discrete(16), action_space=Discrete(2),
-        golden=Golden(initial, step, observe))
+        golden=Golden(State, initial, step, observe))
 
-def initial():
-    return 0
+def initial(draws):
+    return State(0)
 
-def observe(place):
-    return place
+def observe(state):
+    return state.place
 
 CONFIGURED = configure()
 PLAIN = plain("Plain", plain_step)
