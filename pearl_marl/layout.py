@@ -305,7 +305,7 @@ def leaves(value: Any) -> list[Any]:
 
 def _told(value: Any) -> str:
     if isinstance(value, (tuple, list)):
-        return f"a {type(value).__name__} of {len(value)}"
+        return f"a {'list' if isinstance(value, list) else type(value).__name__} of {len(value)}"
     if value is None:
         return "nothing"
     return repr(value) if isinstance(value, (int, str)) else f"a {type(value).__name__}"

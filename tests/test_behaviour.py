@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import json
 import os
 import pickle
@@ -12,9 +13,8 @@ import zlib
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
-import numpy as np
 import pytest
 from gymnasium.spaces import Discrete
 
@@ -22,35 +22,42 @@ from pearl_marl.batch.saved_state import SavedState
 from pearl_marl.devices import BatchConfig, Native, Rtl, Xdma
 from pearl_marl.devices.simulator.model_build import library
 from pearl_marl.errors import DeviceError, SavedStateError
-from pearl_marl.golden import i16, u8, u32
+from pearl_marl.golden import Draws, i16, u8, u32
 from pearl_marl.hardware.build import Build
 from pearl_marl.hardware.elaboration import env_hash
+from pearl_marl.layout import Bits
 from pearl_marl.registry import get_spec, names
 from pearl_marl.spec import EnvSpec, Field, Golden
+from pearl_marl.tracing.records import RULES
 
 from .devices.boards import served
+from .rtl.programs import defined
 from .toy_world import MEADOW, NIM
 
 TABLE, ROWS, SCALE = (5, 6, 7, 8), ((1, 2), (3, 4)), 3
 
 
-def initial(draw: Any) -> Any:
-    return draw >> 28
+class State(NamedTuple):
+    x: Bits[4]
 
 
-def step(x: Any, action: Any, draw: Any) -> Any:
-    moved = (x + action) & 15
-    flag = (moved > 12) | (TABLE[action] == 6)
+def initial(draws: Draws) -> State:
+    return State(draws.bits(4))
+
+
+def step(state: State, action: Any, draws: Draws) -> Any:
+    moved, draw = (state.x + action) & 15, draws.bits()
+    flag = moved > 12 or TABLE[action] == 6
     seen = ROWS[moved & 1][action >> 1] + u8(draw) - i16(draw)
-    return np.where(flag, moved, np.minimum(moved, 9)), (seen * SCALE) & 15, moved == 15
+    return State(moved if flag else min(moved, 9)), (seen * SCALE) & 15, moved == 15
 
 
-def observe(x: Any) -> Any:
-    return x
+def observe(state: State) -> Any:
+    return state.x
 
 
-def masks(x: Any) -> Any:
-    return 1, 1, x < 8, 1
+def masks(state: State) -> Any:
+    return 1, 1, state.x < 8, 1
 
 
 def shift(step: Any = step, **parts: Any) -> EnvSpec:
@@ -60,75 +67,72 @@ def shift(step: Any = step, **parts: Any) -> EnvSpec:
         "name": "Shift",
         "version": 0,
         "summary": "A counter",
-        "state": (Field("x", 4),),
-        "action": Field("action", 2),
         "observation": (Field("x", 4),),
         "reward": Field("reward", 4),
         "rewards": None,
         "observation_space": Discrete(16),
         "action_space": Discrete(4),
-        "golden": Golden(step=step, **golden),
-        "reset_draws": 1,
-        "step_draws": 1,
+        "golden": Golden(State, step=step, **golden),
     }
     return EnvSpec(**{**whole, **parts})
 
 
+TEXT = inspect.getsource(step)
+
+
 def written(old: str, new: str) -> Callable[..., Any]:
     """Return the step above with some of its text replaced."""
-    lines = (
-        "def step(x, action, draw):\n"
-        "    moved = (x + action) & 15\n"
-        "    flag = (moved > 12) | (TABLE[action] == 6)\n"
-        "    seen = ROWS[moved & 1][action >> 1] + u8(draw) - i16(draw)\n"
-        "    return np.where(flag, moved, np.minimum(moved, 9)), (seen * SCALE) & 15, moved == 15\n"
-    )
-    assert old in lines
-    scope: dict[str, Any] = {"np": np, "u8": u8, "u32": u32, "i16": i16}
+    assert old in TEXT
+    text = TEXT.replace(old, new)
+    scope: dict[str, Any] = {"State": State, "Draws": Draws, "Any": Any, "u8": u8, "u32": u32, "i16": i16}
     scope |= {"TABLE": TABLE, "ROWS": ROWS, "SCALE": SCALE}
-    exec(lines.replace(old, new), scope)
-    return scope["step"]  # type: ignore[no-any-return]
+    found: Callable[..., Any] = defined(text, scope, f"<a step with {new}>")["step"]
+    return found
 
 
 SAME = {
-    "as it is written": ("x", "x"),
+    "as it is written": ("moved", "moved"),
     "names of variables": ("moved", "where_it_goes"),
-    "names of arguments": ("draw", "dice"),
+    "names of arguments": ("draws", "dice"),
     "a comment": ("    flag =", "    # whether it is over\n    flag ="),
     "another way to write it": ("moved > 12", "12 < moved"),
-    "terms in another order": ("x + action", "action + x"),
-    "NumPy's type of a constant": ("moved == 15", "moved == np.int64(15)"),
-    "a helper": ("(x + action) & 15", "(lambda a, b: (a + b) & 15)(x, action)"),
+    "an expression of flags": ("moved > 12 or TABLE[action] == 6", "(moved > 12) | (TABLE[action] == 6)"),
+    "terms in another order": ("state.x + action", "action + state.x"),
+    "a branch": (
+        "    return State(moved if flag else min(moved, 9)),",
+        "    if not flag:\n        x = min(moved, 9)\n    else:\n        x = moved\n    return State(x),",
+    ),
+    "a helper": ("(state.x + action) & 15", "(lambda a, b: (a + b) & 15)(state.x, action)"),
 }
 OTHER = {
-    "a factor": ("x + action", "x + 2 * action"),
-    "a sign": ("x + action", "x - action"),
+    "a factor": ("state.x + action", "state.x + 2 * action"),
+    "a sign": ("state.x + action", "state.x - action"),
     "terms of a difference": ("u8(draw) - i16(draw)", "i16(draw) - u8(draw)"),
     "a constant": ("moved > 12", "moved > 11"),
     "a comparison": ("moved > 12", "moved >= 12"),
     "its sides": ("moved > 12", "12 > moved"),
     "an equality": ("moved == 15", "moved != 15"),
     "a table": ("TABLE[action]", "(lambda t: t)(TABLE)[3 - action]"),
-    "an operation": (") | (", ") & ("),
-    "a choice": ("flag, moved,", "flag, draw >> 28,"),
-    "a minimum": ("np.minimum", "np.maximum"),
-    "a clip": ("np.minimum(moved, 9)", "np.clip(moved, 1, 9)"),
+    "an operation": (" or ", " and "),
+    "a choice": ("moved if flag", "draw >> 28 if flag"),
+    "a minimum": ("min(", "max("),
+    "both ends": ("min(moved, 9)", "min(max(moved, 1), 9)"),
     "a width": ("u8(draw)", "u32(draw)"),
     "a shift": ("action >> 1", "1 - (action >> 1)"),
     "one draw": ("u8(draw)", "u8(draw >> 1)"),
 }
 PARTS: dict[str, dict[str, Any]] = {
-    "the start": {"initial": lambda draw: draw >> 29},
-    "a constant start": {"initial": lambda draw: 3},
-    "what is seen": {"observe": lambda x: 15 - x},
-    "a mask": {"masks": lambda x: (1, 1, x < 9, 1)},
+    "the start": {"initial": lambda draws: State(draws.bits(3))},
+    "a constant start": {"initial": lambda draws: State(3)},
+    "a draw that is not needed": {"initial": lambda draws: State(draws.bits() & 0 | 3)},
+    "what is seen": {"observe": lambda state: 15 - state.x},
+    "a mask": {"masks": lambda state: (1, 1, state.x < 9, 1)},
     "no masks": {"masks": None},
     "a wider observation": {"observation": (Field("x", 5),)},
     "a wider reward": {"reward": Field("reward", 5)},
     "a reward's scale": {"reward": Field("reward", 4, fraction=1)},
     "a table of rewards": {"rewards": tuple(float(k) for k in range(16))},
-    "a draw less": {"initial": lambda: 0, "reset_draws": 0},
-    "a draw more": {"initial": lambda draw, more: draw >> 28, "reset_draws": 2},
+    "a draw more": {"initial": lambda draws: State(max(draws.bits(4), 0 * draws.bits()))},
 }
 
 
@@ -142,7 +146,7 @@ def test_what_does_something_else_is_another() -> None:
     found |= {change: shift(written(*OTHER[change])).behaviour for change in OTHER}
     found |= {change: shift(**PARTS[change]).behaviour for change in PARTS}
     for name, value in {"TABLE": (5, 6, 7, 9), "ROWS": ((1, 2), (3, 5)), "SCALE": 4}.items():
-        changed = written("x", "x")
+        changed = written("moved", "moved")
         changed.__globals__[name] = value
         found[name] = shift(changed).behaviour
     rewards = [float(k) for k in range(15)]
@@ -158,34 +162,20 @@ def test_options_are_in_it_by_what_they_do() -> None:
 
 @pytest.mark.parametrize("spec", [MEADOW, NIM], ids=["Meadow", "Nim"])
 def test_each_agent_of_a_world_counts(spec: EnvSpec) -> None:
-    def other(*words: Any) -> Any:
-        *_, agent = words
-        seen = spec.positional.observe(*words)
-        if agent != spec.agents - 1:
-            return seen
-        return (1 - (seen[0] & 1), *seen[1:]) if isinstance(seen, tuple) else 1 - (seen & 1)
+    observe, last = spec.golden.observe, spec.agents - 1
+
+    def other(state: Any, agent: int) -> Any:
+        first, *rest = observe(state, agent)
+        return (1 - (first & 1), *rest) if agent == last else (first, *rest)
 
     changed = replace(spec, golden=spec.golden._replace(observe=other))
     assert changed.behaviour != spec.behaviour
 
 
-KNOWN = {
-    "Blackjack": "481df7d15dae7737",
-    "CartPole": "5b479b5fdd671295",
-    "CliffWalking": "5bc2a621c5bb173a",
-    "CoinGame": "cc0a0edd400bef91",
-    "ConnectFour": "fe72203342a73218",
-    "FrozenLake": "19543b72de10640e",
-    "LevelBasedForaging": "821a7c62c24e189c",
-    "MountainCar": "ea418932461240a7",
-    "Overcooked": "9bd638803cd007a6",
-    "Pendulum": "75f022ae84c5904e",
-    "RobotWarehouse": "8dd2f24f65bbe913",
-    "Seaquest": "a1299b1ddb778853",
-    "Taxi": "d48b3d752050b457",
-}
-"""As of all environments in all versions: boards are built with these. A change of one of them has to be
-meant, since boards and saved states of that environment are refused from then on."""
+KNOWN = json.loads(Path(__file__).with_name("behaviours.json").read_text())
+"""As of all environments under the compiler's rules of now: boards are built with these. ``python -m
+tests.test_behaviour`` writes them anew. Where the functions are what they were, the compiler has changed:
+then count ``pearl_marl.tracing.records.RULES`` up, so that saved states load all the same."""
 
 
 def behaviours() -> dict[str, str]:
@@ -228,7 +218,7 @@ def test_it_is_not_pickled(monkeypatch: pytest.MonkeyPatch) -> None:
     assert pickle.loads(content).behaviour == shift(changed).behaviour != before
 
 
-OLD, NEW, N = shift(), shift(written("x + action", "x + 2 * action")), 7
+OLD, NEW, N = shift(), shift(written("state.x + action", "state.x + 2 * action")), 7
 REFUSED = (
     rf"has env_hash {env_hash(OLD):#x}, this batch needs {env_hash(NEW):#x}: it is built for another "
     r"environment, or one with other options or golden functions, not for Shift-v0: .* build it anew"
@@ -254,9 +244,9 @@ def test_a_known_environment_with_other_functions_is_named(monkeypatch: pytest.M
     cliff = get_spec("CliffWalking")
     step = cliff.golden.step
 
-    def other(*words: Any) -> Any:
-        row, column, reward, terminated = step(*words)
-        return row, column, reward, terminated & (column > 3)
+    def other(state: Any, action: Any, draws: Draws) -> Any:
+        after, reward, terminated = step(state, action, draws)
+        return after, reward, terminated and after.row < 3
 
     built = library(Build.of(cliff, 7, 4, 32))
     monkeypatch.setattr("pearl_marl.devices.rtl.library", lambda *_, **__: built)
@@ -275,18 +265,39 @@ def snapshot(spec: EnvSpec) -> tuple[BatchConfig, bytes]:
 
 def test_a_saved_state_is_of_what_the_functions_did() -> None:
     (_, saved), (changed, _) = snapshot(OLD), snapshot(NEW)
-    with pytest.raises(SavedStateError, match=r"golden_functions = '[0-9a-f]{16}'; this environment has '"):
+    with pytest.raises(
+        SavedStateError, match=r"golden_functions = '\d+:[0-9a-f]{16}'; this environment has '"
+    ):
         SavedState.from_bytes(saved, changed)
     renamed, _ = snapshot(shift(written("moved", "there")))
     assert SavedState.from_bytes(saved, renamed).to_bytes() == saved
 
 
-def test_saved_states_of_0_1_0_are_read_without_it() -> None:
-    config, saved = snapshot(OLD)
+def told(saved: bytes, *golden_functions: str) -> bytes:
+    """Return a saved state that tells something else of its golden functions, or nothing."""
     length = struct.unpack_from("<Q", saved, 12)[0]
     header = json.loads(saved[20 : 20 + length])
     del header["identity"]["golden_functions"]
+    header["identity"].update(dict.fromkeys(["golden_functions"][: len(golden_functions)], *golden_functions))
     head = json.dumps(header).encode()
     body = struct.pack("<Q", len(head)) + head + saved[20 + length :]
-    blob = saved[:8] + struct.pack("<I", zlib.crc32(body)) + body
-    assert SavedState.from_bytes(blob, config).to_bytes() == saved
+    return saved[:8] + struct.pack("<I", zlib.crc32(body)) + body
+
+
+def test_saved_states_of_0_1_0_are_read_without_it() -> None:
+    config, saved = snapshot(OLD)
+    assert SavedState.from_bytes(told(saved), config).to_bytes() == saved
+
+
+@pytest.mark.parametrize("hash_", ["5bc2a621c5bb173a", f"{RULES - 1}:0123456789abcdef"])
+def test_saved_states_of_other_rules_are_read(hash_: str) -> None:
+    """Theirs is another hash of the same functions."""
+    config, saved = snapshot(OLD)
+    assert SavedState.from_bytes(told(saved, hash_), config).to_bytes() == saved
+    with pytest.raises(SavedStateError, match="golden_functions"):
+        SavedState.from_bytes(told(saved, f"{RULES}:0123456789abcdef"), config)
+
+
+if __name__ == "__main__":
+    text = json.dumps(behaviours(), indent=4)
+    Path(__file__).with_name("behaviours.json").write_text(f"{text}\n")

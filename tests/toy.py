@@ -13,6 +13,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from copy import copy
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -177,4 +180,15 @@ SLIDE = EnvSpec(
 )
 
 TOYS = (DRIFT, LADDER, SLIDE)
+
+
+def with_state(spec: EnvSpec, fields: Sequence[Field]) -> EnvSpec:
+    """Return a spec whose state has other fields than its class declares, as many."""
+    changed = replace(spec)
+    layout = copy(spec.layout)
+    layout.fields = tuple(fields)
+    vars(changed)["layout"] = layout
+    return changed
+
+
 ENVIRONMENTS = (*pearl_marl.envs(), *(spec.name for spec in TOYS))

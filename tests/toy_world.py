@@ -10,7 +10,7 @@
 """
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from gymnasium.spaces import Box, Discrete
@@ -183,24 +183,21 @@ def crowd(agents: int, masked: bool = True, pictures: bool = False) -> EnvSpec:
         draw = draws.bits()
         return State([(draw >> k % 29 & 7) + 1 for k in range(agents)])
 
-    def step(state: State, actions: Any, draws: Draws) -> tuple[State, Any, Any]:
+    def step(state: State, actions: list[Word], draws: Draws) -> tuple[State, list[Word], list[Word]]:
         draw = draws.bits()
-        if agents == 1:
-            actions = [actions]
         # The dead count on, below 0 and round, which nobody sees; but an action does nothing for them.
         after = [
             (count - (draw >> k % 30 & 1) - (action == 2)) & 15
             for k, (count, action) in enumerate(zip(state.counts, actions, strict=True))
         ]
         rewards = [(count + 3 * action) % 5 for count, action in zip(after, actions, strict=True)]
-        ends = [count == 0 for count in after]
-        return (State(after), rewards[0], ends[0]) if agents == 1 else (State(after), rewards, ends)
+        return State(after), rewards, [count == 0 for count in after]
 
-    def observe(state: State, agent: int = 0) -> View:
+    def observe(state: State, agent: int) -> View:
         own = state.counts[agent]
         return View(own, (own + state.counts[agent - 1]) & 7)
 
-    def masks(state: State, agent: int = 0) -> tuple[Word, ...]:
+    def masks(state: State, agent: int) -> tuple[Word, ...]:
         own, other = observe(state, agent)
         return 1, other > 2, own > 4
 

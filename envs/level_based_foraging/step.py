@@ -155,12 +155,14 @@ def make_golden(rules: Rules) -> Golden:
     def initial(draws: Draws) -> State:
         """Put players and food onto a new grid.
 
-        Players are in different cells. Food comes to any cell that is free, not on an edge and far enough from
-        other food, each as likely; where there is none left, there is no more food. (The package tries cells by
-        chance, up to 1000 times.)
+        Players are in different cells. Food comes to any cell that is free, not on an edge and far enough
+        from other food, each as likely; where there is none left, there is no more food. (The package tries
+        cells by chance, up to 1000 times.)
         """
-        players, foods = [], []
-        cells, levels, given, which = [], [], [], 0
+        cells: list[Word] = []
+        levels: list[Word] = []
+        given: list[Word] = []
+        players, which = [], 0
         free = [sum(1 << column for column in inner)] * size  # a bit a column
         for _ in range(rules.players):
             cell, cells = another(draws, size * size, cells)
@@ -173,7 +175,8 @@ def make_golden(rules: Rules) -> Golden:
             levels = inserted(levels, level)
             free = [bits & ~(1 << player.column) if r == player.row else bits for r, bits in enumerate(free)]
 
-        given, which = [], 0
+        foods: list[tuple[Word, Word]] = []
+        which, given = 0, []
         for _ in range(rules.foods):
             counts = [ones(free[r]) for r in inner]
             room = sum(counts)
@@ -191,11 +194,11 @@ def make_golden(rules: Rules) -> Golden:
                 if food[0] < other[0]:
                     foods[k], food = food, other
             foods.append(food)
-        foods = [Food(cell // size, cell % size, level) for cell, level in foods]
-        return State(players, foods, sum(food.level for food in foods))
+        placed = [Food(cell // size, cell % size, level) for cell, level in foods]
+        return State(players, placed, sum(level for _, level in foods))
 
     def step(state: State, actions: Sequence[Word], draws: Draws) -> tuple[State, list[Word], list[Word]]:
-        """Let players move and load; an action that the mask leaves out is a wait, as it is in the package."""
+        """Let players move and load; an action that the mask leaves out is a wait, as in the package."""
         players = list(zip(state.players, actions, strict=True))
         wishes = [wish(player, action, state.foods) for player, action in players]
         moved = []
@@ -253,24 +256,16 @@ def make_golden(rules: Rules) -> Golden:
         me, sight = state.players[agent], rules.sight
         others = state.players[:agent] + state.players[agent + 1 :]
         shown = [food.level != 0 for food in state.foods]
-        top, left = 0, 0
-        if not rules.sees_all:
+        if rules.sees_all:
+            foods, players = closed_up(state.foods, shown), [me, *others]
+        else:
             top, left = max(me.row - sight, 0), max(me.column - sight, 0)
             for k, food in enumerate(state.foods):
-                shown[k] = (
-                    shown[k] and abs(food.row - me.row) <= sight and abs(food.column - me.column) <= sight
-                )
-
-        def placed(things):
-            return [(thing.row - top, thing.column - left, thing.level) for thing in things]
-
-        me, *others = placed([me, *others])
-        if not rules.sees_all:
-            others = closed_up(
-                others, [0 <= row <= 2 * sight and 0 <= column <= 2 * sight for row, column, _ in others]
-            )
-        foods = closed_up(placed(state.foods), shown)
-        players = [me, *others]
+                shown[k] &= (abs(food.row - me.row) <= sight) & (abs(food.column - me.column) <= sight)
+            mine, *theirs = [(p.row - top, p.column - left, p.level) for p in (me, *others)]
+            near = [0 <= row <= 2 * sight and 0 <= column <= 2 * sight for row, column, _ in theirs]
+            foods = closed_up([(f.row - top, f.column - left, f.level) for f in state.foods], shown)
+            players = [mine, *closed_up(theirs, near)]
         return foods, players if rules.shows_levels else [player[:2] for player in players]
 
     return Golden(State, initial, step, observe, masks, View)

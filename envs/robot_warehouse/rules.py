@@ -43,12 +43,6 @@ class Rules(NamedTuple):
         return self.cell(self.width - 1, self.height - 1).bit_length()  # type: ignore[no-any-return]
 
     @property
-    def near_bits(self) -> int:
-        """The width in which no cell that is seen beyond an edge has the number of a cell."""
-        beyond = self.cell(self.sight, self.sight)
-        return (self.cell(self.width - 1, self.height - 1) + 2 * beyond).bit_length()  # type: ignore[no-any-return]
-
-    @property
     def goals(self) -> tuple[Word, Word]:
         """The cells of the two goals, in the middle of the lowest row."""
         middle = self.cell(self.width // 2, self.height - 1)

@@ -58,13 +58,15 @@ def configure(
     rules = rules_of(size, robots, request_queue_size, column_height, sensor_range, reward_type)
     if max_steps is not None:
         max_steps = _integer("max_steps", max_steps, 1, MOST_STEPS)
-    golden = make_golden(rules)
+    golden, table = make_golden(rules), REWARDS[reward_type]
+    assert golden.view is not None
+    size_seen = len(Layout(golden.view).fields)
     return EnvSpec(
         name="RobotWarehouse",
         version=0,
         summary="Carry requested shelves to a goal and back, in each other's way",
-        rewards=REWARDS[reward_type],
-        observation_space=Box(-np.inf, np.inf, (len(Layout(golden.view).fields),), np.float32),
+        rewards=table,
+        observation_space=Box(-np.inf, np.inf, (size_seen,), np.float32),
         action_space=Discrete(5),
         golden=golden,
         agents=rules.robots,

@@ -49,7 +49,7 @@ def make_golden(rules: Rules) -> Golden:
         origin: Bits[rules.cell_bits]
         """The rack that the shelf it carries is from."""
         brought: Bits[rules.two_stage]
-        """Whether it has brought a shelf that was asked for, and put none down since; only where that pays."""
+        """Whether it has brought what was asked for, and put nothing down since; only where that pays."""
 
     class State(NamedTuple):
         robots: Array[Robot, rules.robots]
@@ -77,7 +77,9 @@ def make_golden(rules: Rules) -> Golden:
 
     def initial(draws: Draws) -> State:
         """Put robots into different cells, and ask for some of the shelves."""
-        places, taken, asked = [], [], []
+        taken: list[Word] = []
+        asked: list[Word] = []
+        places = []
         for _ in range(rules.robots):
             place, taken = another(draws, rules.width * rules.height, taken)
             places.append(place)
@@ -239,7 +241,7 @@ def delivered(
     now, brought, total = list(requests), [0] * len(robots), 0
     # The racks of the shelf that the first goal had, and of the one that is asked for instead.
     old, new = NONE, NONE
-    asked = []
+    asked: list[Word] = []
     for number in racks:
         asked = inserted(asked, number)
     for goal in rules.goals:

@@ -1,4 +1,4 @@
-"""``pearl new``: an environment in a package of its own, to start from."""
+"""``pearl new``: an environment in a package of its own, to start from or made of somebody else's."""
 
 from __future__ import annotations
 
@@ -6,10 +6,11 @@ import importlib.util
 import keyword
 import re
 import shutil
+from collections.abc import Iterable
 from importlib import resources
 from importlib.resources.abc import Traversable
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 from rich.markup import escape
@@ -35,6 +36,23 @@ NewName = Annotated[
     str, typer.Argument(metavar="NAME", help="The new environment's name, for example FrozenLake.")
 ]
 SharedBy = Annotated[int, typer.Option("--agents", help="Number of agents that share a world.")]
+From = Annotated[
+    str | None,
+    typer.Option(
+        "--from",
+        metavar="PACKAGE:CLASS|ID",
+        help="An environment to follow, of Gymnasium or a parallel one of PettingZoo: CliffWalking-v1. Of a "
+        "finite one the whole is made; of others a package to fill in, with tests against the original and a "
+        "page, PORTING.md, that says how.",
+    ),
+]
+OptionsOfOriginal = Annotated[
+    list[str] | None,
+    typer.Option("--option", metavar="NAME=VALUE", help="An argument of the original; may be repeated."),
+]
+Rules = Annotated[
+    bool, typer.Option("--rules", help="Write a package to fill in even where the original is finite.")
+]
 Where = Annotated[
     Path,
     typer.Option(
@@ -43,9 +61,27 @@ Where = Annotated[
 ]
 
 
-def command(name: NewName, agents: SharedBy = 1, out: Where = Path(), as_json: common.AsJson = False) -> None:
-    """Write a package with a small environment of that name: golden step, spec, tests, all working."""
+def command(
+    name: NewName,
+    agents: SharedBy = 1,
+    original: From = None,
+    option: OptionsOfOriginal = None,
+    rules: Rules = False,
+    out: Where = Path(),
+    as_json: common.AsJson = False,
+) -> None:
+    """Write a package with a small environment of that name: golden step, spec, tests, all working.
+
+    With --from it follows an environment that there is.
+    """
     folder = _checked(name, out)
+    if original is not None:
+        if agents != 1:
+            raise ArgumentError("--agents is for a world to start from; with --from the original has them")
+        _follow(name, original, common.env_options(option), rules, folder, as_json)
+        return
+    if option or rules:
+        raise ArgumentError(f"{'--rules' if rules else '--option'} is about the original of --from: give one")
     if not 1 <= agents <= MAX_AGENTS:
         raise ArgumentError(f"--agents is {agents}; a world has 1 to {MAX_AGENTS}")
     words = {
@@ -60,23 +96,66 @@ def command(name: NewName, agents: SharedBy = 1, out: Where = Path(), as_json: c
         if agents > 1:
             copied |= set(_copy(templates / "world", folder, words))  # over the other
     except OSError as error:
-        shutil.rmtree(folder, ignore_errors=True)  # half a package would be in the way of the next try
-        raise ArgumentError(
-            f"{folder} cannot be written: {error.strerror}; make room for it, or choose another --out"
-        ) from None
-    written = sorted(copied)
-    if as_json:
-        common.print_json(
-            {"folder": str(folder), "files": [str(path.relative_to(folder)) for path in written]}
-        )
+        raise _unwritable(folder, error) from None
+    if _tell(folder, copied, as_json):
         return
-    say(f"Wrote {folder}:")
-    for path in written:
-        say(f"  {path.relative_to(folder)}")
     console.print(
         f"It works as it is: [bold]cd {escape(str(folder))}[/], [bold]pip install -e '.\\[test]'[/], "
         f"[bold]pytest[/], [bold]pearl verify {snake_case(name)}:{name} --device rtl[/].",
         soft_wrap=True,
+    )
+
+
+def _tell(folder: Path, paths: Iterable[Path], as_json: bool, **more: Any) -> bool:
+    """Say what was written; return whether that was all that is wanted, as JSON."""
+    written = [str(path.relative_to(folder)) for path in sorted(paths)]
+    if as_json:
+        common.print_json({"folder": str(folder), "files": written, **more})
+        return True
+    say(f"Wrote {folder}:")
+    for path in written:
+        say(f"  {path}")
+    return False
+
+
+def _follow(
+    name: str, original_name: str, options: dict[str, Any], rules: bool, folder: Path, as_json: bool
+) -> None:
+    """Write a package after an environment that there is."""
+    from pearl_marl.porting.making import made
+
+    package = made(name, original_name, options, rules)
+    paths = []
+    try:
+        for relative, content in package.files.items():
+            path = folder / relative
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_bytes(content if isinstance(content, bytes) else content.encode())
+            paths.append(path)
+    except OSError as error:
+        raise _unwritable(folder, error) from None
+    if _tell(folder, paths, as_json, original=original_name, whole=package.whole, why=package.why):
+        return
+    say(f"{package.said}")
+    snake = snake_case(name)
+    install = f"[bold]cd {escape(str(folder))}[/], [bold]pip install -e '.\\[test]'[/]"
+    if package.whole:
+        against = escape(package.against)
+        console.print(
+            f"It is whole: {install}, [bold]pytest[/], "
+            f"[bold]pearl verify {snake}:{name} --against {against}[/], "
+            f"[bold]pearl verify {snake}:{name} --device rtl --steps 20[/].",
+            soft_wrap=True,
+        )
+    else:
+        console.print(f"Go on: {install}, and read [bold]PORTING.md[/].", soft_wrap=True)
+
+
+def _unwritable(folder: Path, error: OSError) -> ArgumentError:
+    """Return the error for a package that cannot be written, of which nothing stays."""
+    shutil.rmtree(folder, ignore_errors=True)  # half a package would be in the way of the next try
+    return ArgumentError(
+        f"{folder} cannot be written: {error.strerror}; make room for it, or choose another --out"
     )
 
 

@@ -1,4 +1,4 @@
-"""``pearl verify``: a device against the golden functions, bit for bit."""
+"""``pearl verify``: a device against the golden functions, bit for bit; or those against an original."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from pearl_marl.devices import Lockstep
 from pearl_marl.errors import ArgumentError, DeviceError, LockstepError
 from pearl_marl.limits import MANY
 from pearl_marl.registry import get_spec
-from pearl_marl.spec import MAX_CYCLES
+from pearl_marl.spec import MAX_CYCLES, EnvSpec
 from pearl_marl.verification import Run, replay, runs, verify
 
 
@@ -60,6 +60,22 @@ ReferenceName = Annotated[
         show_default="reference, or the file's",
     ),
 ]
+Against = Annotated[
+    str | None,
+    typer.Option(
+        "--against",
+        metavar="PACKAGE:CLASS|ID",
+        help="Compare the golden functions with the environment that they follow, not a device with them.",
+    ),
+]
+OptionOfOriginal = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--original-option",
+        metavar="NAME=VALUE",
+        help="An argument of the original of --against; may be repeated.",
+    ),
+]
 STEPS = 300
 StepsOfAll = Annotated[
     int,
@@ -97,6 +113,8 @@ def command(
     initial_states: InitialStates = None,
     option: common.Options = None,
     env: EnvOfFile = None,
+    against: Against = None,
+    original_option: OptionOfOriginal = None,
     out: common.Out = None,
     as_json: common.AsJson = False,
 ) -> None:
@@ -105,6 +123,17 @@ def command(
     Exit status 0: bit-exact. 1: not, and the first divergence is shown; with --out, it is also
     written as a file that `pearl verify FILE` replays. 2: the call was refused.
     """
+    if against is not None:
+        others = device, reference, n_agents, max_cycles, autoreset_mode, initial_states, env, out
+        if any(given is not None for given in others):
+            raise ArgumentError(
+                "--against compares golden functions with an original: of the options it takes --steps, "
+                "--seed, --option, --original-option and --json"
+            )
+        _against(common.spec_of(subject, option), against, original_option, steps, seed, as_json)
+        return
+    if original_option is not None:
+        raise ArgumentError("--original-option is about the original of --against: give one")
     if subject.endswith(".json") or Path(subject).is_file():
         modes = n_agents, max_cycles, autoreset_mode, initial_states, option, out
         if any(given is not None for given in modes) or (steps, seed) != (STEPS, 0):
@@ -176,6 +205,42 @@ def command(
             "Warning: no episode ended, so no restart was compared. Take more --steps or --n-agents.",
             style="yellow",
         )
+
+
+def _against(
+    spec: EnvSpec, name: str, options: list[str] | None, steps: int, seed: int, as_json: bool
+) -> None:
+    """Compare golden functions with the environment that they follow."""
+    from pearl_marl.porting import Original
+    from pearl_marl.porting.against import compare
+
+    given = dict(spec.options) if spec.oracle == name else {}  # which has the same arguments
+    given |= common.env_options(options, "--original-option")
+    result = compare(spec, Original(name, **given), steps, seed)
+    if as_json:
+        errors = [error._asdict() for error in result.errors]
+        common.print_json({"environment": spec.id, "original": name, **result._asdict(), "errors": errors})
+    else:
+        common.say(f"{spec.id} beside {name}: {result.how}.")
+        if result.difference is not None:
+            console.print(f"[bold red]It differs.[/] {escape(result.difference)}.", soft_wrap=True)
+        elif result.errors:
+            grid = common.table(
+                f"Error of one step, {result.steps:,} steps", ["of", "states"], ["max", "mean"]
+            )
+            for error in result.errors:
+                grid.add_row(escape(error.name), error.states, f"{error.most:.3g}", f"{error.mean:.3g}")
+            console.print(grid)
+        elif result.steps:
+            console.print(f"[bold green]Equal in {result.steps:,} steps.[/]")
+        (mean, spread), (other, other_spread) = result.returns
+        mine, theirs = result.lengths
+        common.say(
+            f"Returns of a random policy: {mean:.4g} +- {spread:.3g} in {mine:.4g} steps, the original's "
+            f"{other:.4g} +- {other_spread:.3g} in {theirs:.4g} steps."
+        )
+    if not result.equal:
+        sys.exit(1)
 
 
 def _smallest(recorded: Replay, device: str, reference: str) -> Replay:

@@ -9,21 +9,47 @@ a list is written under the condition of its path, so a list that keeps its name
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Callable, Sequence
+from typing import Any, Protocol
 
 from pearl_marl.errors import ArgumentError
+from pearl_marl.tracing.graph import Graph
 from pearl_marl.tracing.joining import check_defined, joined, merged, variables
-from pearl_marl.tracing.paths import Exits, Literal, Path, Walk
+from pearl_marl.tracing.nodes import Node
+from pearl_marl.tracing.paths import Exits, Literal, Path
 
 MOST_ROUNDS = 1000
 """Rounds after which a ``while`` counts as one without a bound."""
 
 
+class Runtime(Protocol):
+    """What is known of the statement at hand: :class:`pearl_marl.tracing.runtime.Runtime`."""
+
+    graph: Graph
+    exits: list[Any]
+
+    @property
+    def path(self) -> Path | None:
+        """The path at hand; ``None`` where none is left."""
+
+    @path.setter
+    def path(self, path: Path | None) -> None: ...
+
+    @property
+    def here(self) -> Path:
+        """The path at hand, where one is."""
+
+    def truth(self, value: Any) -> bool | Node:
+        """Return whether a value counts as true."""
+
+    def at(self, path: Path, function: Callable[[], Any]) -> Any:
+        """Return what a function gives on a path."""
+
+
 class Frame:
     """The paths of one call of a function."""
 
-    def __init__(self, runtime: Walk) -> None:
+    def __init__(self, runtime: Runtime) -> None:
         self.runtime, self.entry, self.mark = runtime, runtime.here, len(runtime.exits)
         self.results: list[tuple[Path, Any]] = []
 
@@ -59,7 +85,7 @@ class Frame:
 class Fork:
     """The two sides of an ``if``."""
 
-    def __init__(self, runtime: Walk, test: Any, before: tuple[Any, ...]) -> None:
+    def __init__(self, runtime: Runtime, test: Any, before: tuple[Any, ...]) -> None:
         self.runtime, self.variables, self.start = runtime, before, runtime.here
         self.flag = runtime.truth(test)
         self.sides: list[Path | None]

@@ -83,7 +83,7 @@ class Listed(list[Any]):
     path: Path | None = None
     """The path on which it was made."""
     runtime: Any = None
-    """The :class:`~pearl_marl.tracing.runtime.Runtime` that made it."""
+    """What it was made by: it knows where a word decides."""
 
     def _grow(self) -> None:
         if self.runtime is not None:

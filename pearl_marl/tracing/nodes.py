@@ -284,7 +284,13 @@ def arrays(nodes: Sequence[Node], inputs: Mapping[str, npt.NDArray[Any]]) -> lis
         elif node.op == "constant":
             value = np.array(node.imm, None if abs(node.imm) < SAFE else object)
         else:
-            value = VALUES[node.op](node.imm, *(found[arg] for arg in node.args))
-        # Beyond 64 bits they are Python's own integers.
-        found[node] = np.asarray(value).astype(np.int64 if max(-node.low, node.high) < SAFE else object)
+            # Beyond 64 bits they are Python's own integers.
+            args = (found[arg].astype(_dtype(node, found[arg].dtype)) for arg in node.args)
+            value = VALUES[node.op](node.imm, *args)
+        found[node] = np.asarray(value).astype(_dtype(node, np.dtype(np.int64)))
     return [found[node] for node in nodes]
+
+
+def _dtype(node: Node, narrow: np.dtype[Any]) -> np.dtype[Any]:
+    """Return the type in which a node is computed."""
+    return narrow if max(-node.low, node.high) < SAFE else np.dtype(object)

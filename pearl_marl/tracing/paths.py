@@ -7,12 +7,11 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 from pearl_marl.tracing.graph import Graph
 from pearl_marl.tracing.nodes import Node
-from pearl_marl.tracing.words import Beyond, Word, flag_of, node_of
 
 Exits = frozenset[Any]
 
@@ -76,63 +75,6 @@ class Path:
             if not literal.exits or not literal.exits <= but:
                 result = self.graph.and_(result, literal.flag)
         return result
-
-
-class Walk:
-    """Where a function is while it is traced: the path at hand, and what has ended others."""
-
-    def __init__(self, graph: Graph) -> None:
-        self.graph = graph
-        self.root = Path(graph)
-        self.exits: list[Any] = []
-        """What has ended paths, in order, until it is joined."""
-        self._path: Path | None = self.root
-
-    @property
-    def path(self) -> Path | None:
-        """The path at hand; ``None`` where none is left."""
-        return self._path
-
-    @path.setter
-    def path(self, path: Path | None) -> None:
-        self._path = path
-        self.graph.known = path.known if path is not None else {}
-        self.graph.certain = path is not None and not path.literals
-
-    @property
-    def here(self) -> Path:
-        """The path at hand, where one is."""
-        assert self._path is not None
-        return self._path
-
-    def at(self, path: Path, function: Callable[[], Any]) -> Any:
-        """Return what a function gives on a path."""
-        before, self.path = self.path, path
-        try:
-            return function()
-        finally:
-            self.path = before
-
-    def truth(self, value: Any) -> bool | Node:
-        """Return whether a value counts as true: a flag, where that depends on a word."""
-        if isinstance(value, Beyond):
-            value = value.__ne__(0)
-        if not isinstance(value, Word):
-            return bool(value)
-        flag = flag_of(self.graph, node_of(self.graph, value))
-        decided = self.here.decided(flag)
-        return flag if decided is None else decided
-
-    def condition_since(self, start: Path | None) -> Node | None:
-        """Return the condition that has come about since a path; ``None`` where there is none."""
-        start = start or self.root
-        if self._path is None:
-            return None
-        # A list that was made on a side that has been left is seen by its own path only.
-        if self._path.literals[: len(start.literals)] != start.literals:
-            start = self.root
-        condition = self._path.since(start)
-        return None if condition.is_constant(1) else condition
 
 
 def _depend(a: Node, b: Node) -> bool:

@@ -10,8 +10,10 @@ Lines stay the author's. :mod:`pearl_marl.tracing.runtime` is what the calls do.
 """
 
 from __future__ import annotations
+import __future__
 
 import ast
+import copy
 import functools
 import linecache
 import types
@@ -39,15 +41,58 @@ def rewritten(code: types.CodeType) -> types.CodeType:
     Raises
     ------
     ArgumentError
-        The function does what cannot be traced, such as ``yield``; names the file and the line.
+        The function does what cannot be traced, such as ``yield``, or its file says something else by now;
+        names the file and the line.
     """
-    node = _source_of(code)
-    if node is None:
+    found = copy.deepcopy(_source_of(code))
+    if found is None:
         return code
-    if isinstance(node, ast.Lambda):
-        node = _named(node)
-    new = _Function(code.co_filename).of(node)
+    if isinstance(found, ast.Lambda):
+        found = _named(found)
+    elif _has_changed(found, code):
+        raise Refusal(
+            f"{place_of(code.co_filename, code.co_firstlineno)}: {code.co_name}() is not what its file says; "
+            "the file has changed since it was imported: start Python anew"
+        )
+    new = _Function(code.co_filename).of(found)
     return _compiled(new, code)
+
+
+def _has_changed(node: ast.FunctionDef, code: types.CodeType) -> bool:
+    """Return whether a definition is not what code was compiled from."""
+    # A test's `assert` is another statement where pytest runs it.
+    if any(isinstance(inner, ast.Assert) for inner in ast.walk(node)):
+        return False
+    now = _codes(code.co_filename, code.co_flags & __future__.annotations.compiler_flag)
+    found = now.get((code.co_qualname, code.co_firstlineno))
+    return found is not None and not _same(found, code)
+
+
+def _same(one: Any, other: Any) -> bool:
+    """Return whether two functions run the same instructions on the same constants."""
+    if not isinstance(one, types.CodeType) or not isinstance(other, types.CodeType):
+        return type(one) is type(other) and bool(one == other)
+    if one.co_code != other.co_code or one.co_names != other.co_names:
+        return False
+    return len(one.co_consts) == len(other.co_consts) and all(map(_same, one.co_consts, other.co_consts))
+
+
+def _codes(file: str, flags: int) -> dict[tuple[str, int], types.CodeType]:
+    """Return all functions that a file makes now, by their qualified names and lines."""
+    text = "".join(linecache.getlines(file))
+    key = file, text, flags
+    if key not in _COMPILED:
+        found: dict[tuple[str, int], types.CodeType] = {}
+        left: list[Any] = [compile(text, file, "exec", flags, dont_inherit=True)]
+        while left:
+            code = left.pop()
+            found[code.co_qualname, code.co_firstlineno] = code
+            left += (constant for constant in code.co_consts if isinstance(constant, types.CodeType))
+        _COMPILED[key] = found
+    return _COMPILED[key]
+
+
+_COMPILED: dict[tuple[str, str, int], dict[tuple[str, int], types.CodeType]] = {}
 
 
 def _source_of(code: types.CodeType) -> ast.FunctionDef | ast.Lambda | None:
@@ -100,7 +145,7 @@ def _compiled(node: ast.FunctionDef, code: types.CodeType) -> types.CodeType:
     outer.args.args = [ast.arg(name) for name in code.co_freevars]
     outer.body = [node, *outer.body]
     # By its own name it would be a variable there, and what calls itself names itself as its module does.
-    node.name = "_pearl_function"
+    node.name, node.decorator_list = "_pearl_function", []
     module = ast.fix_missing_locations(ast.Module([outer], []))
     whole = compile(module, code.co_filename, "exec", dont_inherit=True)
     inner = _constants(_constants(whole, "_outer"), node.name)

@@ -13,17 +13,38 @@ from pearl_marl.tracing.branches import Frame
 from pearl_marl.tracing.graph import Graph
 from pearl_marl.tracing.joining import Listed, Undefined, has_words, joined
 from pearl_marl.tracing.nodes import Node
-from pearl_marl.tracing.paths import Walk
+from pearl_marl.tracing.paths import Path
 from pearl_marl.tracing.twins import Twins
-from pearl_marl.tracing.words import Beyond, Word, chosen_entry, node_of, word_of
+from pearl_marl.tracing.words import Beyond, Word, chosen_entry, flag_of, node_of, word_of
 
 
-class Runtime(Walk):
+class Runtime:
     """What rewritten functions call: see :mod:`pearl_marl.tracing.rewriting`."""
 
     def __init__(self, graph: Graph) -> None:
-        super().__init__(graph)
+        self.graph = graph
         self.twins = graph.twins = Twins(graph)
+        self.root = Path(graph)
+        self.exits: list[Any] = []
+        """What has ended paths, in order, until it is joined."""
+        self._path: Path | None = self.root
+
+    @property
+    def path(self) -> Path | None:
+        """The path at hand; ``None`` where none is left."""
+        return self._path
+
+    @path.setter
+    def path(self, path: Path | None) -> None:
+        self._path = path
+        self.graph.known = path.known if path is not None else {}
+        self.graph.certain = path is not None and not path.literals
+
+    @property
+    def here(self) -> Path:
+        """The path at hand, where one is."""
+        assert self._path is not None
+        return self._path
 
     def frame(self) -> Frame:
         """Return what keeps the paths of a call."""
@@ -32,6 +53,27 @@ class Runtime(Walk):
     def unbound(self, name: str) -> Undefined:
         """Return a variable's value before it has one."""
         return Undefined(f"`{name}` has no value on every path that leads here; give it one before")
+
+    def truth(self, value: Any) -> bool | Node:
+        """Return whether a value counts as true: a flag, where that depends on a word."""
+        if isinstance(value, Beyond):
+            value = value.__ne__(0)
+        if not isinstance(value, Word):
+            return bool(value)
+        flag = flag_of(self.graph, node_of(self.graph, value))
+        decided = self.here.decided(flag)
+        return flag if decided is None else decided
+
+    def condition_since(self, start: Path | None) -> Node | None:
+        """Return the condition that has come about since a path; ``None`` where there is none."""
+        start = start or self.root
+        if self._path is None:
+            return None
+        # A list that was made on a side that has been left is seen by its own path only.
+        if self._path.literals[: len(start.literals)] != start.literals:
+            start = self.root
+        condition = self._path.since(start)
+        return None if condition.is_constant(1) else condition
 
     def either(self, test: Any, a: Callable[[], Any], b: Callable[[], Any]) -> Any:
         """Return ``a() if test else b()``."""
@@ -43,6 +85,14 @@ class Runtime(Walk):
     def on(self, flag: Node, function: Callable[[], Any]) -> Any:
         """Return what a function gives where a flag is set."""
         return self.at(self.here.where(flag), function)
+
+    def at(self, path: Path, function: Callable[[], Any]) -> Any:
+        """Return what a function gives on a path."""
+        before, self.path = self.path, path
+        try:
+            return function()
+        finally:
+            self.path = before
 
     def both(self, a: Any, b: Callable[[], Any]) -> Any:
         """Return ``a and b()``."""
@@ -187,7 +237,7 @@ class Runtime(Walk):
         """Return the node of an index, which is within a sequence."""
         node = node_of(self.graph, index)
         low, high = node.low, node.high
-        if self.path is not None and (low < 0 or high >= len(of)):
+        if self._path is not None and (low < 0 or high >= len(of)):
             # What is known here may say more than the word itself.
             inside = self.graph.choose(self.here.condition, node, self.graph.constant(max(low, 0)))
             low, high = max(low, inside.low), min(high, inside.high)
@@ -261,7 +311,7 @@ class Runtime(Walk):
     def listed(self, values: Iterable[Any]) -> Listed:
         """Return a list whose elements may be written by words."""
         result = Listed(values)
-        result.path, result.runtime = self.path, self
+        result.path, result.runtime = self._path, self
         return result
 
     def items(self, values: Any) -> Any:

@@ -77,13 +77,14 @@ def _traced(graph: Graph, function: types.FunctionType) -> Callable[..., Any]:
     return made
 
 
-_OUR_OWN = "golden", "fixed_point", "envs"
-"""Of this package, where functions are written as an author's are."""
+_OUR_OWN = "golden", "fixed_point", "envs."
+"""Of this package's functions, those that are written as an author's are."""
 
 
 def _code(function: types.FunctionType) -> types.CodeType:
-    package, *inside = function.__globals__.get("__name__", "").split(".")
-    if package == "numpy" or (package == "pearl_marl" and not {*inside[:1]} <= {*_OUR_OWN}):
+    module = function.__globals__.get("__name__", "")
+    package, _, rest = module.partition(".")
+    if package == "numpy" or (package == "pearl_marl" and not rest.startswith(_OUR_OWN)):
         return function.__code__
     return rewritten(function.__code__)
 

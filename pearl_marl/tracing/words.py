@@ -319,6 +319,8 @@ def chosen_entry(graph: Graph, entries: Sequence[Any], index: Node) -> Any:
             places = range(max(index.low, 0), min(index.high, len(entries) - 1) + 1)
             graph.twins.chosen(new, [(graph.equal(index, graph.constant(k)), entries[k]) for k in places])
         return new
+    if all(type(entry) is int for entry in entries):  # a long table, without a node for each
+        return Word(graph, graph.table(entries, index))
     nodes = [node_of(graph, entry) for entry in entries]
     if all(node.is_constant() for node in nodes):
         return Word(graph, graph.table([node.imm for node in nodes], index))

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import importlib.util
 import itertools
+import linecache
 import random
 import re
 import textwrap
 import time
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -45,6 +48,33 @@ def assert_same(
         found = values(nodes, {name: value for (name, *_), value in zip(words, case, strict=True)})
         assert [found[node] for node in nodes] == [int(word) for word in run(*case)], case
         assert all(node.low <= found[node] <= node.high for node in nodes), case
+
+
+def test_writes_into_lists_that_a_branch_has_joined() -> None:
+    """Such a list is made after the branch; what a side knows of an element is not known of the old one."""
+    f = function("""
+        def f(a, b):
+            rows = [a, b]
+            if a == 1:
+                rows = [b, a]
+            if b == 3:
+                rows[0] = 7
+            if a == 2:
+                rows[1] = b + rows[0]
+            if rows[0] == 5:
+                rows[0] = 8
+            return rows[0], rows[1]
+    """)
+    words = [("a", 4, False), ("b", 4, False)]
+    assert_same(f, words, list(itertools.product(range(16), repeat=2)))
+    wide = function("""
+        def f(a, b):
+            rows = [a]
+            if a == 3:
+                rows[0] = b
+            return rows[0]
+    """)
+    assert_same(wide, [("a", 32, False), ("b", 4, False)], [(3, 4), (5, 6), (1 << 31, 3)])
 
 
 @pytest.mark.parametrize("seed", sampled(range(2000), range(60)))
@@ -686,3 +716,19 @@ def test_mistakes(what: str) -> None:
         traced(function(text), ("a", 4, False), ("b", 32, False))
     assert str(found.value).startswith("pump/step.py, line ")
     assert "\n" not in str(found.value)
+
+
+def test_a_file_that_has_changed_since_it_was_imported_is_noticed(tmp_path: Path) -> None:
+    """Or Python would run the old function, and kernels and hardware the new one."""
+    file = tmp_path / "changing.py"
+    file.write_text("def step(a):\n    if a > 3:\n        return a - 3\n    return a\n")
+    spec = importlib.util.spec_from_file_location("changing", file)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    file.write_text("def step(a):\n    if a > 3:\n        return a - 2\n    return a\n")
+    linecache.clearcache()
+    graph = Graph()
+    with pytest.raises(ArgumentError, match=r"changing.py, line 1: step\(\) is not what its file says"):
+        trace(graph, module.step, [graph.input("a", 4)])

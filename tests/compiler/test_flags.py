@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from typing import Any, NamedTuple
+
 import numpy as np
 import pytest
 from gymnasium.spaces import Box, Discrete
 
 from pearl_marl.compiler.flag_pieces import Run, runs
 from pearl_marl.devices import BatchConfig, Lockstep
-from pearl_marl.golden import Word
+from pearl_marl.golden import Draws, Word
+from pearl_marl.layout import Bits
 from pearl_marl.spec import EnvSpec, Field, Golden
 
 LONG = [Field(f"flag_{k}", 1) for k in range(19)]
@@ -23,44 +26,47 @@ MIXED = [
 """Runs of 8, 8 and 3 flags, of 8 and 1, and what is no flag before, between and after them."""
 
 
-def initial(first: Word, second: Word) -> tuple[Word, Word]:
-    return first, second
+class State(NamedTuple):
+    first: Bits[32]
+    second: Bits[32]
 
 
-def step(first: Word, second: Word, *actions: Word) -> tuple[Word, ...]:
+def initial(draws: Draws) -> State:
+    return State(draws.bits(), draws.bits())
+
+
+def step(state: State, actions: Any, draws: Draws) -> tuple[State, Any, Any]:
+    first, second = state
     flipped = first ^ (first << 13 & 0xFFFFFFFF)
-    return second, flipped ^ (flipped >> 17) ^ actions[0], 0, 0, first & 1, second & 1
+    return State(second, flipped ^ (flipped >> 17) ^ actions[0]), [0, 0], [first & 1, second & 1]
 
 
 def spec(fields: list[Field], dtype: type, masks: bool) -> EnvSpec:
     """Return a world of two agents who see the bits of the state, and lack some of the actions by turns."""
 
-    def observe(first: Word, second: Word, agent: int) -> tuple[Word, ...]:
-        word, words, at = (first, second)[agent], [], 0
+    def observe(state: State, agent: int) -> tuple[Word, ...]:
+        word, words, at = state[agent], [], 0
         for field in fields:
             bits = word >> at & (1 << field.bits) - 1
             words.append(bits - (1 << field.bits - 1) if field.signed else bits)
             at = (at + field.bits) % 25
         return tuple(words)
 
-    def allowed(first: Word, second: Word, agent: int) -> tuple[Word, ...]:
-        return 1, first & 1, (first >> 1 & 1) ^ agent
+    def allowed(state: State, agent: int) -> tuple[Word, ...]:
+        return 1, state.first & 1, (state.first >> 1 & 1) ^ agent
 
     low, high = (0, 1) if dtype is np.bool_ else (-16, 31)
     return EnvSpec(
         name="Bits",
         version=0,
         summary="Look at the bits of two words",
-        state=(Field("first", 32), Field("second", 32)),
-        action=Field("action", 2),
         observation=tuple(fields),
         reward=Field("reward", 1),
         rewards=None,
         observation_space=Box(low, high, (len(fields),), dtype),  # type: ignore[arg-type]
         action_space=Discrete(3),
-        golden=Golden(initial, step, observe, allowed if masks else None),
+        golden=Golden(State, initial, step, observe, allowed if masks else None),
         agents=2,
-        reset_draws=2,
         max_cycles=5,
     )
 

@@ -11,14 +11,15 @@ import subprocess
 import sys
 import tempfile
 import types
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numba
 import numpy as np
 import pytest
+from pearl_marl.envs.cliff_walking.step import State
 
 import pearl_marl
 from pearl_marl import rng
@@ -28,10 +29,11 @@ from pearl_marl.compiler.cuda_source import cuda_source
 from pearl_marl.compiler.kernel_source import kernel_source
 from pearl_marl.compiler.pieces import PREFIXES
 from pearl_marl.devices import BatchConfig, Native
-from pearl_marl.golden import u32
-from pearl_marl.spec import EnvSpec, Golden
+from pearl_marl.golden import Draws, u32
+from pearl_marl.layout import Bits
+from pearl_marl.spec import EnvSpec, Field, Golden
 
-from ..toy import DRIFT, LADDER, SLIDE
+from ..toy import DRIFT, LADDER, SLIDE, with_state
 
 SPEC = pearl_marl.get_spec("CliffWalking")
 
@@ -182,11 +184,12 @@ def test_the_source_can_be_read(cache: Path) -> None:
 @pytest.mark.parametrize("spec", [SPEC, DRIFT, LADDER, SLIDE, pearl_marl.get_spec("Seaquest")])
 def test_no_name_of_a_field_can_be_in_the_way(source: Callable[[EnvSpec], str], spec: EnvSpec) -> None:
     """What is named after a field begins with one of the prefixes, and nothing else does."""
-    mine = dataclasses.replace(
-        spec,
-        state=tuple(dataclasses.replace(f, name=f"{f.name}_mine") for f in spec.state),
-        observation=tuple(dataclasses.replace(f, name=f"{f.name}_mine") for f in spec.observation),
-    )
+
+    def renamed(fields: Sequence[Field]) -> tuple[Field, ...]:
+        return tuple(dataclasses.replace(f, name=f"{f.name}_mine") for f in fields)
+
+    seen = dataclasses.replace(spec, observation=renamed(spec.observation))
+    mine = with_state(seen, renamed(spec.state))
     text = source(mine)
     kernels_alone = text.split("@kernel", 1)[1]
     names = set(re.findall(r"\b[A-Za-z_]\w*", kernels_alone))
@@ -202,10 +205,20 @@ def test_no_name_of_a_field_can_be_in_the_way(source: Callable[[EnvSpec], str], 
             assert not prefixes or re.fullmatch(r"at_(elapsed|ended)", name)
 
 
-@pytest.mark.parametrize("names", [("uint8_equal", "np"), ("for", "golden_step")])
+@pytest.mark.parametrize("names", [("uint8_equal", "np"), ("range", "golden_step")])
 def test_fields_may_be_named_like_anything_in_a_kernel(cache: Path, names: tuple[str, str]) -> None:
-    fields = [dataclasses.replace(f, name=name) for f, name in zip(SPEC.state, names, strict=True)]
-    odd = dataclasses.replace(SPEC, state=tuple(fields))
+    state = NamedTuple("State", [(names[0], Bits[2]), (names[1], Bits[4])])  # type: ignore[misc]
+    begin, move, see = SPEC.golden[1:4]
+
+    def initial(draws: Draws) -> Any:
+        return state(*begin(draws))
+
+    def step(state_: Any, action: Any, draws: Draws) -> Any:
+        after, reward, terminated = move(State(*state_), action, draws)
+        return state(*after), reward, terminated
+
+    golden = Golden(state, initial, step, lambda odd: see(State(*odd)))
+    odd = dataclasses.replace(SPEC, golden=golden)
     expected, found = (Native().open(BatchConfig(spec=spec, n_envs=3)) for spec in (SPEC, odd))
     for device in (expected, found):
         device.reset(seed=1)
@@ -217,37 +230,37 @@ def test_fields_may_be_named_like_anything_in_a_kernel(cache: Path, names: tuple
 
 
 def with_step(step: Callable[..., Any]) -> EnvSpec:
-    return dataclasses.replace(SPEC, golden=Golden(SPEC.positional.initial, step, SPEC.positional.observe))
+    return dataclasses.replace(SPEC, golden=SPEC.golden._replace(step=step))
 
 
 def by_closure(k: int) -> Callable[..., Any]:
-    def step(row: Any, column: Any, action: Any) -> Any:
-        return (row + k) & 3, column, 0, 0
+    def step(state: State, action: Any, draws: Draws) -> Any:
+        return State((state.row + k) & 3, state.column), 0, 0
 
     return step
 
 
 def by_default(k: int) -> Callable[..., Any]:
-    def step(row: Any, column: Any, action: Any, more: int = k) -> Any:
-        return (row + more) & 3, column, 0, 0
+    def step(state: State, action: Any, draws: Draws, more: int = k) -> Any:
+        return State((state.row + more) & 3, state.column), 0, 0
 
     return step
 
 
-def using_global(row: Any, column: Any, action: Any) -> Any:
-    return (row + AMOUNT) & 3, column, 0, 0
+def using_global(state: State, action: Any, draws: Draws) -> Any:
+    return State((state.row + AMOUNT) & 3, state.column), 0, 0
 
 
-def using_table(row: Any, column: Any, action: Any) -> Any:
-    return AMOUNTS[row] & 3, column, 0, 0
+def using_table(state: State, action: Any, draws: Draws) -> Any:
+    return State(AMOUNTS[state.row] & 3, state.column), 0, 0
 
 
-def using_helper(row: Any, column: Any, action: Any) -> Any:
-    return (row + add(row)) & 3, column, 0, 0
+def using_helper(state: State, action: Any, draws: Draws) -> Any:
+    return State((state.row + add(state.row)) & 3, state.column), 0, 0
 
 
-def using_module(row: Any, column: Any, action: Any) -> Any:
-    return (row + numbers.AMOUNT) & 3, column, 0, 0
+def using_module(state: State, action: Any, draws: Draws) -> Any:
+    return State((state.row + numbers.AMOUNT) & 3, state.column), 0, 0
 
 
 def in_globals(function: Any, **names: Any) -> Callable[..., Any]:
@@ -309,8 +322,8 @@ def test_other_changes_make_another_kernel(cache: Path) -> None:
             SPEC,
             SPEC.with_options(is_slippery=True),
             dataclasses.replace(SPEC, rewards=(-1.0, -100.0, 3.0), reward=DRIFT.state[1]),
-            dataclasses.replace(SPEC, golden=Golden(lambda: (0, 0), *SPEC.golden[1:])),
-            dataclasses.replace(SPEC, golden=Golden(*SPEC.golden[:2], lambda row, column: column)),
+            dataclasses.replace(SPEC, golden=SPEC.golden._replace(initial=lambda draws: State(0, 0))),
+            dataclasses.replace(SPEC, golden=SPEC.golden._replace(observe=lambda state: state.column)),
         )
     }
     assert len(paths) == 5
@@ -322,14 +335,13 @@ def test_nested_functions_hash_alike_in_every_process(tmp_path: Path) -> None:
     script = """
 import json, dataclasses, pearl_marl
 from pearl_marl.compiler import kernels
-from pearl_marl.spec import Golden
 spec = pearl_marl.get_spec("CliffWalking")
 waste = [object() for _ in range(%d)]
-def observe(row, column):
+def observe(state):
     def inner(x):
         return x
-    return inner(column)
-golden = Golden(*spec.golden[:2], observe)
+    return inner(state.column)
+golden = spec.golden._replace(observe=observe)
 print(json.dumps(str(kernels.compile_kernels(dataclasses.replace(spec, golden=golden)).path)))
 """
     assert process(script % 1, tmp_path) == process(script % 100_000, tmp_path)

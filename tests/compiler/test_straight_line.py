@@ -6,7 +6,7 @@ import inspect
 import random
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numba
 import numpy as np
@@ -16,6 +16,7 @@ from pearl_marl.compiler import llvm_functions, llvm_words, scalar_words
 from pearl_marl.compiler.straight_line import golden_functions, maskers, observers
 from pearl_marl.errors import ArgumentError
 from pearl_marl.golden import call_reference
+from pearl_marl.layout import Bits
 from pearl_marl.registry import get_spec, names
 from pearl_marl.spec import EnvSpec, Field, Golden
 
@@ -148,16 +149,26 @@ def test_divisions_and_tables_in_llvm() -> None:
     assert_means_the_golden_functions(wide(observe), random.Random(0), compiled)
 
 
+class Wide(NamedTuple):
+    word: Bits[64]
+    by: Bits[7]
+
+
 def wide(observe: Callable[[Any, Any], Any]) -> EnvSpec:
     """Return an environment of a word of 64 bits and one of 7, observed as two numbers."""
-    golden = Golden(lambda draw: (0, 0), lambda word, by, action, draw: (word, by, 0, 0), observe)
-    return replace(random_spec(0), state=(Field("word", 64), Field("by", 7)), golden=golden)
+    golden = Golden(
+        Wide,
+        lambda draws: Wide(0, 0),
+        lambda state, action, draws: (state, 0, 0),
+        lambda state: observe(*state),
+    )
+    return replace(random_spec(0), golden=golden)
 
 
 def test_bits_beyond_a_words_range() -> None:
     def observe(word: Any, by: Any) -> Any:
         small, other = word & 31, by & 127
-        chosen = np.where((other & 1) == 0, small, other) >> 5
+        chosen = (small if other & 1 == 0 else other) >> 5
         return (small & 40) + ((small ^ other) >> 5), ((small + (other << 5)) & 0xE7) + chosen
 
     assert_means_the_golden_functions(wide(observe), random.Random(0))

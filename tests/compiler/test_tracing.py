@@ -252,3 +252,12 @@ def test_nodes_have_the_names_and_lines_of_their_author() -> None:
     (result,) = trace(graph, step, [graph.input("a", 2), graph.input("b", 2)])
     (total, _) = result.args
     assert (total.name, total.line, result.line) == ("total", first + 1, first + 2)
+
+
+def test_graphs_of_arrays_are_exact_beyond_64_bits() -> None:
+    graph = Graph()
+    word = graph.input("word", 60)
+    nodes = trace(graph, lambda word: (word * 13 >> 60, word * 13 & 255), [word])
+    given = [0, 1, (1 << 60) - 1, 987654321987654321]
+    found = arrays(nodes, {"word": np.array(given)})
+    assert [column.tolist() for column in found] == [[x * 13 >> 60 for x in given], [x * 13 & 255 for x in given]]

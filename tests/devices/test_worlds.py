@@ -359,33 +359,30 @@ def test_what_a_spec_may_not_say() -> None:
 
 def test_golden_functions_are_traced_for_every_agent() -> None:
     def observe(state: Any, agent: int) -> Any:
-        return state.place[agent], state.energy[0], state.energy[1], state.energy[2] + 16 * (agent == 3)
+        snail = state.energy[2] + (16 if agent == 3 else 0)
+        return state.place[agent], state.energy[0], state.energy[1], snail
 
     narrow = (*MEADOW.observation[:3], Field("snail", 4))
     golden = MEADOW.golden._replace(observe=observe)
     wrong(r"returns 16 to 31 for snail of agent 3, and 4 bits", golden=golden, observation=narrow, roles=())
 
-    def step(state: Any, action: Any) -> Any:
+    def step(state: Any, actions: Any) -> Any:
         return state, [0, 0], [0, 0]
 
-    wrong(r"step\(\) is called with \(state, actions, draws\)", NIM, golden=NIM.golden._replace(step=step))
+    wrong(r"step\(\) is called with \(state, actions, draws\): too many", NIM,
+          golden=NIM.golden._replace(step=step))  # fmt: skip
 
-    def few(state: Any, actions: Any, draws: Any) -> Any:
+    def short(state: Any, actions: Any, draws: Any) -> Any:
         return state, [0, 0], [0]
 
     wrong(r"step\(\) returns \[0\] for its flags of termination; there are 2 agents", NIM,
-          golden=NIM.golden._replace(step=few))  # fmt: skip
-
-    def bare(state: Any, actions: Any, draws: Any) -> Any:
-        return state, 0, [0, 0]
-
-    wrong(r"step\(\) returns 0 for its rewards; there are 2 agents", NIM,
-          golden=NIM.golden._replace(step=bare))  # fmt: skip
+          golden=NIM.golden._replace(step=short))  # fmt: skip
 
     def alone(state: Any) -> Any:
         return state.heap
 
-    wrong(r"alone\(\) is called with \(state, agent\)", NIM, golden=NIM.golden._replace(observe=alone))
+    wrong(r"alone\(\) is called with \(state, agent\): too many", NIM,
+          golden=NIM.golden._replace(observe=alone))  # fmt: skip
 
     def flags(state: Any, agent: int) -> Any:
         return 2, 1, 0

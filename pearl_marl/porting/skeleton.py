@@ -1,0 +1,210 @@
+"""The files of a package whose golden functions are still to be written, after an original."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+from gymnasium.spaces import Box, Discrete
+
+from pearl_marl.porting.attributes import FRACTION, Attribute, Seen, kind_of
+from pearl_marl.porting.originals import Original
+from pearl_marl.porting.package import common_words, filled, own_words, quoted, space_text
+
+MOST_REWARDS = 16
+"""Different rewards that a table is proposed for."""
+
+WIDTH = 108
+
+
+def of_skeleton(name: str, original: Original, seen: Seen, why: str | None) -> dict[str, str | bytes]:
+    """Return the files of a package to fill in; ``why`` says why no tables were made of the original."""
+    words = {
+        **own_words(name),
+        **common_words(original),
+        **_step_words(original, seen),
+        **_spec_words(original, seen),
+    }
+    words |= _page_words(original, seen, why)
+    return {**filled("environment", words), **filled("port", words)}
+
+
+def _fields(seen: Seen) -> list[Attribute]:
+    return [attribute for attribute in seen.attributes if attribute.kind is not None]
+
+
+def _view_kind(original: Original, seen: Seen) -> str | None:
+    """Return how wide the elements of an observation are, where the space does not say so."""
+    space = original.observation_space
+    if not isinstance(space, Box) or (np.issubdtype(space.dtype, np.integer) and space.low.min() >= 0):
+        return None
+    low, high = float(seen.observed[0].min()), float(seen.observed[1].max())
+    if space.is_bounded() and np.abs([space.low.min(), space.high.max()]).max() < 2**20:
+        low, high = float(space.low.min()), float(space.high.max())
+    return kind_of(low, high, not seen.whole)
+
+
+def _step_words(original: Original, seen: Seen) -> dict[str, str]:
+    several = original.agents > 1
+    lines, read, pose = [], [], []
+    for attribute in seen.attributes:
+        if attribute.kind is None:
+            lines += _comment(f"{attribute.name}: {attribute.note}")
+            continue
+        line = f"    {attribute.name}: {attribute.kind}"
+        comment = f"  # {attribute.note}"
+        lines += [line + comment] if len(line + comment) <= WIDTH else [*_comment(attribute.note), line]
+        fraction = f", {FRACTION}" if attribute.real else ""
+        read.append(f"        {attribute.name}=as_words(env.{attribute.path}{fraction}),")
+        pose.append(
+            f"    env.{attribute.path} = like(env.{attribute.path}, state.{attribute.name}{fraction})"
+        )
+    helpers = "Original, as_words, like" if read else "Original"
+    if not read:
+        lines.append("    something: Flag  # no attribute that a field holds was seen to change")
+        read = ["        something=0,  # what an original has is to be read of `env` here"]
+        pose = ["    del env, state  # what an original has is to be set here"]
+    view = _view_kind(original, seen)
+    size = int(np.prod(original.observation_space.shape or ()))
+    kinds = {kind for kind in ("Array", "Bits", "Flag", "Range", "Signed") if f"{kind}" in " ".join(lines)}
+    kinds = {
+        kind
+        for kind in kinds
+        if re.search(rf": .*\b{kind}\b", "\n".join(x for x in lines if "    #" not in x))
+    }
+    view_class = ""
+    if view:
+        kinds |= {"Array", view.partition("[")[0]}
+        view_class = '\n\nclass View(NamedTuple):\n    """What an agent sees, element by element."""\n\n'
+        view_class += f"    elements: Array[{view}, {size}]\n"
+    result = (
+        "View" if view else "Word" if isinstance(original.observation_space, Discrete) else "tuple[Word, ...]"
+    )
+    table = len(seen.rewards) <= MOST_REWARDS
+    if several:
+        given = "state: State, actions: list[Word], draws: Draws"
+        step = f"def step({given}) -> tuple[State, list[Word], list[Word]]:"
+    else:
+        step = "def step(state: State, action: Word, draws: Draws) -> tuple[State, Word, Word]:"
+    return {
+        "@kinds@": ", ".join(sorted(kinds)),
+        "@rewards@": repr(tuple(sorted(seen.rewards, key=abs))) if table else "None",
+        "@rewards_note@": f"The reward of each category, as seen in {seen.steps:,} steps."
+        if table
+        else "There are more than a table should have: a step returns the value itself.",
+        "@steps@": f"{seen.steps:,}",
+        "@fields@": "\n".join(lines),
+        "@helpers@": helpers,
+        "@read@": "\n".join(read),
+        "@view@": view_class,
+        "@def_step@": step,
+        "@def_observe@": f"def observe(state: State{', agent: int' * several}) -> {result}:",
+        "@an_action@": "an action of each agent" if several else "an action",
+        "@what_rewards@": "the rewards" if several else "the reward",
+        "@what_ends@": "who has ended" if several else "whether the episode ends",
+        "@an_agent@": "an agent" if several else "the agent",
+    } | ({"\n@pose@\n": "\n" + "\n".join(pose) + "\n"})
+
+
+def _comment(text: str) -> list[str]:
+    words, lines = text.split(), ["    #"]
+    for word in words:
+        if len(lines[-1]) + len(word) >= WIDTH:
+            lines.append("    #  ")
+        lines[-1] += f" {word}"
+    return lines
+
+
+def _spec_words(original: Original, seen: Seen) -> dict[str, str]:
+    view = _view_kind(original, seen)
+    fraction = 0 if all(float(reward).is_integer() for reward in seen.rewards) else FRACTION
+    table = len(seen.rewards) <= MOST_REWARDS
+    bits = (
+        int(max(1.0, *(abs(reward) for reward in seen.rewards))).bit_length() + 2 + fraction
+        if seen.rewards
+        else 8
+    )
+    reward = f'\n        reward=Field("reward", {bits}, signed=True, fraction={fraction}),'
+    action = ""
+    space = original.action_space
+    if isinstance(space, Box):
+        most = int(np.abs([space.low, space.high]).max()).bit_length() + 1
+        action = f'\n        action=Field("action", {most + FRACTION}, signed=True, fraction={FRACTION}),'
+    fields = "Field, " * (not table or bool(action))
+    spaces = space_text(original.observation_space) + space_text(space)
+    used = [kind for kind in ("Box", "Discrete", "Tuple") if f"{kind}(" in spaces]
+    imports = ["import numpy as np"] * ("np." in spaces)
+    imports += [f"from gymnasium.spaces import {', '.join(used)}"]
+    imports += [f"from pearl_marl.spec import EnvSpec, {fields}Golden", ""]
+    drawn = original.registered and not original.options
+    modes = tuple(getattr(original.env, "metadata", {}).get("render_modes", ())) if drawn else ()
+    more = f"        follows={quoted(original.name)},\n"
+    if drawn:
+        more = f"        oracle={quoted(original.name)},\n        render_modes={quoted(modes)},\n"
+    return {
+        "@spec_imports@": "\n".join(imports),
+        "@step_names@": "REWARDS, State, View, initial, observe, step"
+        if view
+        else "REWARDS, State, initial, observe, step",
+        "@reward@": "" if table else reward,
+        "@action@": action,
+        "@golden_view@": ", view=View" if view else "",
+        "@spec_agents@": f"        agents={original.agents},\n" if original.agents > 1 else "",
+        "@agents@": str(original.agents) if original.agents > 1 else "1",
+        "@more@": more,
+        "@imported_view@": "View, " if view else "",
+        "@port_more@": "".join(
+            f"    {part},\n"
+            for part, wanted in (
+                (f"reward_fraction={fraction}", fraction and not table),
+                ("view=View", view),
+                ("tolerance=0.001", any(a.real for a in seen.attributes) or not seen.whole),
+            )
+            if wanted
+        ),
+    }
+
+
+def _page_words(original: Original, seen: Seen, why: str | None) -> dict[str, str]:
+    several = original.agents > 1
+    table = len(seen.rewards) <= MOST_REWARDS
+    rows = [
+        f"| `{a.path}` | {f'`{a.name}: {a.kind}`' if a.kind else 'nothing'} | {a.note.replace('|', ' or ')} |"
+        for a in seen.attributes
+    ] or ["| none was found | | |"]
+    agent = ", agent" if several else ""
+    view = _view_kind(original, seen)
+    agents = (
+        f"- **Agents**: {original.agents} share the state, in the order "
+        f"{', '.join(map(str, original.names[:8]))}{' ...' if original.agents > 8 else ''}. `actions` is a "
+        "list, and rewards and ends are lists, agent 0 first. Who has ended before its world is out: nothing "
+        "may depend on its action.\n"
+    )
+    return {
+        "@why@": f"\nNo tables were made of it, which would need no porting:\n{why}.\n" if why else "",
+        "@table@": "\n".join(rows),
+        "@starts@": "Different seeds of it begin in different states."
+        if seen.random_starts
+        else "Every seed of it began in the same state.",
+        "@view_note@": " to the agent with this number, a plain `int`" if several else "",
+        "@words_note@": "return a `View`, whose elements are in the order of the flattened array"
+        + (f", with {FRACTION} bits behind the point." if view and view.count(",") else ".")
+        if view
+        else "return one word."
+        if isinstance(original.observation_space, Discrete)
+        else "return its elements as a tuple, in the order of the flattened array.",
+        "@random_note@": "It draws random numbers in a step; each draw of it is a request to `draws`."
+        if seen.random_steps
+        else "No step was seen to draw a random number.",
+        "@reward_note@": "return an index into `REWARDS`, which lists what was seen; add what was not."
+        if table
+        else "return the value itself, a word of the spec's field `reward`; if there are few different ones, "
+        "list them as `REWARDS` and return an index.",
+        "@mask_agent@": agent,
+        "@agents_note@": agents if several else "",
+        "@rtl_agents@": str(original.agents * 64 if several else 64),
+        "@pictures@": "the original draws them, put into a slot's state by `pose`; nothing is to be done."
+        if original.registered and not original.options
+        else "the original has no id with Gymnasium; give the spec `draw=`, which makes an image of a slot's "
+        'words, and `render_modes=("rgb_array",)`, or leave them out.',
+    }
