@@ -8,6 +8,7 @@ or 1. Calling one of the types below is the one place where a value wraps around
 from __future__ import annotations
 
 import functools
+import operator
 import types
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any, TypeAlias
@@ -223,7 +224,7 @@ def reference(function: GoldenFunction, *agent: int) -> Callable[..., tuple[Any,
     @functools.lru_cache(1 << 14)
     def once(*words: int) -> tuple[int, ...]:
         result = again(*words, *agent)
-        return tuple(map(int, result if isinstance(result, (tuple, list)) else (result,)))
+        return tuple(map(operator.index, result if isinstance(result, (tuple, list)) else (result,)))
 
     def run(*arguments: Any) -> tuple[Any, ...]:
         given = [np.asarray(argument) for argument in arguments]

@@ -163,13 +163,20 @@ def test_a_wrong_constant() -> None:
     assert error.divergence.slots == 30
 
 
-def wrong_step(row: Any, column: Any, action: Any) -> tuple[Any, ...]:
+def wrong_step(state: Any, action: Any, draws: Any) -> tuple[Any, ...]:
     # The golden step with 10 where LAST_COLUMN was.
-    row = row + ((action == 2) & (row < 3)) - ((action == 0) & (row > 0))
-    column = column + ((action == 1) & (column < 10)) - ((action == 3) & (column > 0))
-    terminated = (row == 3) & (column == 11)
-    fell = (row == 3) & (column > 0) & (column < 11)
-    return row, np.where(fell, 0, column), fell, terminated
+    row, column = state
+    if action == 0:
+        row = max(row - 1, 0)
+    elif action == 2:
+        row = min(row + 1, 3)
+    elif action == 3:
+        column = max(column - 1, 0)
+    else:
+        column = min(column + 1, 10)
+    if row == 3 and 0 < column < 11:
+        return state._replace(row=3, column=0), 1, 0
+    return state._replace(row=row, column=column), 0, row == 3 and column == 11
 
 
 def test_resets() -> None:

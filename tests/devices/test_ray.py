@@ -460,15 +460,15 @@ def test_another_version(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_another_environment(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Golden functions of a module that is another one there, or that is not there."""
     module = tmp_path / "own_golden.py"
-    module.write_text("def observe(*state):\n    return state[0]\n")
+    module.write_text("def observe(state):\n    return state.row\n")
     monkeypatch.syspath_prepend(str(tmp_path))
     observe = importlib.import_module("own_golden").observe
     spec = replace(SPEC, name="Own", golden=SPEC.golden._replace(observe=observe))
     with pytest.raises(DeviceError, match=r"cannot load the environment Own .*own_golden.*PYTHONPATH"):
         Ray(["native"]).open(BatchConfig(spec=spec, n_envs=N))
 
-    before = SPEC.positional.observe.__globals__["observe"]
-    changed = pickle.loads(ray.cloudpickle.dumps(lambda row, column: row))
+    before = SPEC.golden.observe
+    changed = pickle.loads(ray.cloudpickle.dumps(lambda state: state.row))
     changed.__module__, changed.__qualname__ = before.__module__, before.__qualname__
     monkeypatch.setitem(before.__globals__, "observe", changed)
     spec = replace(SPEC, golden=SPEC.golden._replace(observe=changed))
