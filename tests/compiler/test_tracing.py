@@ -217,7 +217,7 @@ REFUSED = {
     half: "`/` makes a float; golden functions divide by `//`",
     floats: "0.5 is a float; golden functions work on integers",
     returned_float: r"returned_float\(\) returns 1.5 is a float",
-    sine: "golden functions have no np.sin",
+    sine: "golden functions of integers have no np.sin",
     divided: r"a divisor can be -1 to 2, and `//` and `%` take one from 1; `max\(n, 1\)` keeps it in",
     beyond: "an index can be 1 to 4, and there are 4 elements; `min`, `max` or an `if` keeps it in",
     drawn: "golden functions cannot use random.randint; ask `draws` for random numbers",
