@@ -11,19 +11,16 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from pearl_marl.layout import Layout
-
 CELL = 32
 """Width and height of a cell, in pixels."""
 GROUND, LINE, WRITING = (255, 255, 255), (200, 200, 200), (255, 255, 255)
 PLAYER, FOOD = (40, 90, 190), (200, 40, 40)
 
 
-def make_draw(state_class: type, size: int) -> Callable[[tuple[int, ...]], npt.NDArray[np.uint8]]:
+def make_draw(size: int) -> Callable[[Any], npt.NDArray[np.uint8]]:
     """Return what draws a state of a grid with so many rows; it needs Pillow."""
-    layout = Layout(state_class)
 
-    def draw(state: tuple[int, ...]) -> npt.NDArray[np.uint8]:
+    def draw(state: Any) -> npt.NDArray[np.uint8]:
         from PIL import Image, ImageDraw, ImageFont
 
         side = size * CELL + 1
@@ -32,7 +29,7 @@ def make_draw(state_class: type, size: int) -> Callable[[tuple[int, ...]], npt.N
         for at in range(0, side, CELL):
             pen.line((at, 0, at, side), LINE)
             pen.line((0, at, side, at), LINE)
-        players, foods, _ = layout.built(state)
+        players, foods, _ = state
         for row, column, level in foods:
             if level:
                 box = _inside(row, column, 4)

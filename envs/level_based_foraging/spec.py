@@ -130,7 +130,7 @@ def configure(
             "penalty": float(penalty),
         },
         configure=configure,
-        draw=make_draw(golden.state, size),
+        draw=make_draw(size),
         follows="lbforaging Foraging-8x8-2p-3f-v3",
         render_modes=("rgb_array",),
         grid=grid(rules) if rules.sees_all else None,

@@ -8,8 +8,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from pearl_marl.layout import Layout
-
 from .kitchen import DIRECTIONS, Cell, Kitchen
 
 SIZE = 48
@@ -21,13 +19,12 @@ COUNTER, BOX, SERVING = (160, 120, 80), (120, 90, 60), (110, 170, 110)
 GROUND = {"X": COUNTER, "P": COUNTER, "O": BOX, "T": BOX, "D": BOX, "S": SERVING}
 
 
-def make_draw(kitchen: Kitchen, layout: Layout) -> Callable[[tuple[int, ...]], npt.NDArray[np.uint8]]:
-    """Return what draws a state, given its words; it needs Pillow."""
+def make_draw(kitchen: Kitchen) -> Callable[[Any], npt.NDArray[np.uint8]]:
+    """Return what draws a state; it needs Pillow."""
 
-    def draw(words: tuple[int, ...]) -> npt.NDArray[np.uint8]:
+    def draw(state: Any) -> npt.NDArray[np.uint8]:
         from PIL import Image, ImageDraw, ImageFont
 
-        state = layout.built(words)
         image = Image.new("RGB", (kitchen.width * SIZE, kitchen.height * SIZE), FLOOR)
         pen, font = ImageDraw.Draw(image), ImageFont.load_default(SIZE // 3)
 

@@ -10,7 +10,6 @@ import numpy.typing as npt
 from gymnasium.spaces import Box, Discrete
 
 from pearl_marl.errors import ArgumentError
-from pearl_marl.layout import Layout
 from pearl_marl.spec import EnvSpec, Golden, Grid, is_number
 
 from .kitchen import LAYOUTS, MOST
@@ -86,7 +85,7 @@ def configure(
             "rew_shaping_params": None if rew_shaping_params is None else shaping,
         },
         configure=configure,
-        draw=make_draw(kitchen, Layout(state)),
+        draw=make_draw(kitchen),
         follows="overcooked-ai cramped_room",
         render_modes=("rgb_array",),
         grid=Grid(kitchen.height, kitchen.width, _cell),

@@ -6,11 +6,10 @@ A white line shows where a robot faces. The package's own renderer needs a scree
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-
-from pearl_marl.layout import Layout
 
 from .moves import AHEAD
 from .rules import Rules
@@ -23,14 +22,13 @@ GOAL, SHELF, ASKED = (60, 60, 60), (110, 90, 200), (0, 150, 140)
 ROBOT, LOADED = (240, 150, 0), (200, 40, 40)
 
 
-def make_draw(rules: Rules, state_class: type) -> Callable[[tuple[int, ...]], npt.NDArray[np.uint8]]:
+def make_draw(rules: Rules) -> Callable[[Any], npt.NDArray[np.uint8]]:
     """Return what draws a state; it needs Pillow."""
-    layout = Layout(state_class)
 
-    def draw(state: tuple[int, ...]) -> npt.NDArray[np.uint8]:
+    def draw(state: Any) -> npt.NDArray[np.uint8]:
         from PIL import Image, ImageDraw
 
-        robots, requests = layout.built(state)
+        robots, requests = state
         image = Image.new("RGB", (rules.width * CELL + 1, rules.height * CELL + 1), GROUND)
         pen = ImageDraw.Draw(image)
 

@@ -81,7 +81,7 @@ def configure(
             "max_steps": max_steps,
         },
         configure=configure,
-        draw=make_draw(rules, golden.state),
+        draw=make_draw(rules),
         follows="rware rware-tiny-2ag-v2",
         render_modes=("rgb_array",),
         grid=grid(rules),

@@ -86,9 +86,8 @@ def unpack(seen: View, row: Any) -> None:
         mark(row, number(hostile.column, bit), number(hostile.row, bit) + 1, HOSTILE_BULLET)
 
 
-def minatar_attributes(words: tuple[int, ...]) -> dict[str, Any]:
+def minatar_attributes(state: State) -> dict[str, Any]:
     """Return the attributes that MinAtar's ``seaquest.Env`` has in this state, its lists in their order."""
-    state: State = LAYOUT.built(map(int, words))
     enemies, timers, hostile = state.enemies, state.timers, state.hostile
 
     def entries(alive: int, *planes: Any) -> list[list[int]]:
@@ -132,11 +131,11 @@ def minatar_attributes(words: tuple[int, ...]) -> dict[str, Any]:
     }
 
 
-def pose(oracle: Env[Any, Any], state: tuple[int, ...]) -> None:
+def pose(oracle: Env[Any, Any], state: State) -> None:
     """Put MinAtar's Seaquest into a slot's state, for rendering."""
     game = oracle.game  # type: ignore[attr-defined]
     vars(game.env).update(minatar_attributes(state))
-    game.last_action = int(state[0])
+    game.last_action = state.last_action
 
 
 def configure(sticky_action_prob: float = 0.1, difficulty_ramping: bool = True) -> EnvSpec:

@@ -86,7 +86,8 @@ class Word:
     def __bool__(self) -> NoReturn:
         raise ArgumentError(
             "a word decides what Python does next, where its source is not at hand, as in a library's "
-            "function; write it in a file (or a notebook's cell), not in an interactive shell or by exec()"
+            "function or an object's method; write a function in a file (or a notebook's cell), not in an "
+            "interactive shell or by exec(), and name it where you call it"
         )
 
     def asked(self) -> None:

@@ -329,7 +329,7 @@ def test_pictures() -> None:
     assert spec.draw is not None
     # The second and the third player are in one cell, and the last food is gone.
     players, foods = [(0, 7, 1), (5, 2, 2), (5, 2, 1)], [(2, 3, 3), (4, 4, 1), (6, 6, 0)]
-    drawn = spec.draw((*itertools.chain(*players, *foods), 4))
+    drawn = spec.draw(spec.layout.built((*itertools.chain(*players, *foods), 4)))
     assert (drawn.shape, drawn.dtype) == ((8 * CELL + 1, 8 * CELL + 1, 3), np.uint8)
 
     def colours(row: int, column: int) -> set[tuple[int, ...]]:
@@ -341,7 +341,7 @@ def test_pictures() -> None:
         assert (PLAYER in held) == ((row, column) in {(0, 7), (5, 2)})
         assert (FOOD in held) == ((row, column) in {(2, 3), (4, 4)})
     stronger = [(0, 7, 3), *players[1:]]
-    assert not np.array_equal(drawn, spec.draw((*itertools.chain(*stronger, *foods), 4)))
+    assert not np.array_equal(drawn, spec.draw(spec.layout.built((*itertools.chain(*stronger, *foods), 4))))
 
 
 @pytest.mark.parametrize("name", CASES)

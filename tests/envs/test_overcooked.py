@@ -267,7 +267,7 @@ def test_pictures() -> None:
     spec, kitchen = spec_of(), LAYOUTS["cramped_room"]
     assert spec.draw is not None
     start = tuple(call_reference(spec.positional.initial, ()))
-    drawn = spec.draw(start)
+    drawn = spec.draw(spec.layout.built(start))
     assert (drawn.shape, drawn.dtype) == ((4 * SIZE, 5 * SIZE, 3), np.uint8)
 
     def cells(drawn: Array, colour: tuple[int, int, int]) -> set[tuple[int, int]]:
@@ -279,13 +279,13 @@ def test_pictures() -> None:
     assert cells(drawn, ONION) == boxes
     holding = list(start)
     holding[2] = kitchen.onion
-    assert cells(spec.draw(tuple(holding)), ONION) == {*boxes, kitchen.floor[kitchen.starts[0]]}
+    assert cells(spec.draw(spec.layout.built(holding)), ONION) == {*boxes, kitchen.floor[kitchen.starts[0]]}
     lying = list(start)
     lying[8] = 1 << 3  # the highest of three bits, of the fourth counter
-    assert cells(spec.draw(tuple(lying)), ONION) == {*boxes, kitchen.counters[3]}
+    assert cells(spec.draw(spec.layout.built(lying)), ONION) == {*boxes, kitchen.counters[3]}
     cooking = list(start)
     cooking[9:11] = 3, 12
-    assert cells(spec.draw(tuple(cooking)), ONION) == {*boxes, *kitchen.pots}
+    assert cells(spec.draw(spec.layout.built(cooking)), ONION) == {*boxes, *kitchen.pots}
 
 
 REFUSED = {

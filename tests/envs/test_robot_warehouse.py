@@ -584,7 +584,7 @@ def test_pictures() -> None:
     loaded_robot = Robot(goal % rules.stride, rules.height - 1, 0, empty)
     state = whole(rules, [loaded_robot, Robot(1, 5, 3, 0)], [goal, asked])
     assert spec.draw is not None
-    drawn, side = spec.draw(state), picture.CELL
+    drawn, side = spec.draw(spec.layout.built(state)), picture.CELL
     assert drawn.shape == (rules.height * side + 1, rules.width * side + 1, 3)
     for x, y in itertools.product(range(rules.width), range(rules.height)):
         cell = rules.cell(x, y)
@@ -596,7 +596,7 @@ def test_pictures() -> None:
         assert (picture.SHELF in held) == (cell in {*rules.racks} - {empty, asked})
         assert (picture.GOAL in held) == (cell in rules.goals)
     turned = whole(rules, [loaded_robot._replace(direction=1), Robot(1, 5, 3, 0)], [goal, asked])
-    assert not np.array_equal(drawn, spec.draw(turned))
+    assert not np.array_equal(drawn, spec.draw(spec.layout.built(turned)))
 
 
 REFUSED: dict[str, dict[str, Any]] = {

@@ -91,7 +91,7 @@ class Match:
     def put(self, k: int, ramp: int, divers: int) -> None:
         """Give one game a higher difficulty and some divers."""
         self.ours[COLUMN["ramp"]][k], self.ours[COLUMN["aboard"]][k] = ramp, divers
-        words = minatar_attributes(tuple(column[k] for column in self.ours))
+        words = minatar_attributes(LAYOUT.built(int(column[k]) for column in self.ours))
         vars(self.theirs[k].env).update(words)
 
     def step(self, actions: Array, draw_0: Array, draw_1: Array) -> None:
@@ -106,7 +106,7 @@ class Match:
             environment.random.expect(game, int(draw_0[k]), int(draw_1[k]))
             assert environment.act(int(actions[k])) == (rewards[k], bool(ends[k]))
             assert not environment.random.queue
-            ours = minatar_attributes(tuple(column[k] for column in after))
+            ours = minatar_attributes(LAYOUT.built(int(column[k]) for column in after))
             # MinAtar counts to -1 in the step that ends an episode.
             theirs = {name: getattr(game, name) for name in ours} | {"oxygen": max(0, game.oxygen)}
             assert ours == theirs
