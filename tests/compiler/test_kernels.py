@@ -29,11 +29,13 @@ from pearl_marl.compiler.kernel_source import kernel_source
 from pearl_marl.compiler.pieces import PREFIXES
 from pearl_marl.devices import BatchConfig, Native
 from pearl_marl.golden import u32
-from pearl_marl.spec import EnvSpec, Golden
+from pearl_marl.spec import EnvSpec
 
+from ..rtl.wide_steps import renamed
 from ..toy import DRIFT, LADDER, SLIDE
 
 SPEC = pearl_marl.get_spec("CliffWalking")
+State: Any = SPEC.golden.state
 
 FIRST_STEP = """
 import json, sys
@@ -182,11 +184,8 @@ def test_the_source_can_be_read(cache: Path) -> None:
 @pytest.mark.parametrize("spec", [SPEC, DRIFT, LADDER, SLIDE, pearl_marl.get_spec("Seaquest")])
 def test_no_name_of_a_field_can_be_in_the_way(source: Callable[[EnvSpec], str], spec: EnvSpec) -> None:
     """What is named after a field begins with one of the prefixes, and nothing else does."""
-    mine = dataclasses.replace(
-        spec,
-        state=tuple(dataclasses.replace(f, name=f"{f.name}_mine") for f in spec.state),
-        observation=tuple(dataclasses.replace(f, name=f"{f.name}_mine") for f in spec.observation),
-    )
+    observed = tuple(dataclasses.replace(f, name=f"{f.name}_mine") for f in spec.observation)
+    mine = renamed(dataclasses.replace(spec, observation=observed), [f"{f.name}_mine" for f in spec.state])
     text = source(mine)
     kernels_alone = text.split("@kernel", 1)[1]
     names = set(re.findall(r"\b[A-Za-z_]\w*", kernels_alone))
@@ -204,9 +203,8 @@ def test_no_name_of_a_field_can_be_in_the_way(source: Callable[[EnvSpec], str], 
 
 @pytest.mark.parametrize("names", [("uint8_equal", "np"), ("for", "golden_step")])
 def test_fields_may_be_named_like_anything_in_a_kernel(cache: Path, names: tuple[str, str]) -> None:
-    fields = [dataclasses.replace(f, name=name) for f, name in zip(SPEC.state, names, strict=True)]
-    odd = dataclasses.replace(SPEC, state=tuple(fields))
-    expected, found = (Native().open(BatchConfig(spec=spec, n_envs=3)) for spec in (SPEC, odd))
+    specs = SPEC, renamed(SPEC, names)
+    expected, found = (Native().open(BatchConfig(spec=spec, n_envs=3)) for spec in specs)
     for device in (expected, found):
         device.reset(seed=1)
     actions = np.array([0, 1, 2], np.uint8)
@@ -216,38 +214,43 @@ def test_fields_may_be_named_like_anything_in_a_kernel(cache: Path, names: tuple
 # What has to make another kernel. Each pair of functions differs in one thing only.
 
 
-def with_step(step: Callable[..., Any]) -> EnvSpec:
-    return dataclasses.replace(SPEC, golden=Golden(SPEC.positional.initial, step, SPEC.positional.observe))
+def with_step(move: Callable[..., Any]) -> EnvSpec:
+    """Return a spec whose step moves to another row."""
+
+    def step(state: Any, action: Any, draws: Any) -> Any:
+        return state._replace(row=move(state.row) & 3), 0, 0
+
+    return dataclasses.replace(SPEC, golden=SPEC.golden._replace(step=step))
 
 
 def by_closure(k: int) -> Callable[..., Any]:
-    def step(row: Any, column: Any, action: Any) -> Any:
-        return (row + k) & 3, column, 0, 0
+    def move(row: Any) -> Any:
+        return row + k
 
-    return step
+    return move
 
 
 def by_default(k: int) -> Callable[..., Any]:
-    def step(row: Any, column: Any, action: Any, more: int = k) -> Any:
-        return (row + more) & 3, column, 0, 0
+    def move(row: Any, more: int = k) -> Any:
+        return row + more
 
-    return step
-
-
-def using_global(row: Any, column: Any, action: Any) -> Any:
-    return (row + AMOUNT) & 3, column, 0, 0
+    return move
 
 
-def using_table(row: Any, column: Any, action: Any) -> Any:
-    return AMOUNTS[row] & 3, column, 0, 0
+def using_global(row: Any) -> Any:
+    return row + AMOUNT
 
 
-def using_helper(row: Any, column: Any, action: Any) -> Any:
-    return (row + add(row)) & 3, column, 0, 0
+def using_table(row: Any) -> Any:
+    return AMOUNTS[row]
 
 
-def using_module(row: Any, column: Any, action: Any) -> Any:
-    return (row + numbers.AMOUNT) & 3, column, 0, 0
+def using_helper(row: Any) -> Any:
+    return row + add(row)
+
+
+def using_module(row: Any) -> Any:
+    return row + numbers.AMOUNT
 
 
 def in_globals(function: Any, **names: Any) -> Callable[..., Any]:
@@ -309,8 +312,8 @@ def test_other_changes_make_another_kernel(cache: Path) -> None:
             SPEC,
             SPEC.with_options(is_slippery=True),
             dataclasses.replace(SPEC, rewards=(-1.0, -100.0, 3.0), reward=DRIFT.state[1]),
-            dataclasses.replace(SPEC, golden=Golden(lambda: (0, 0), *SPEC.golden[1:])),
-            dataclasses.replace(SPEC, golden=Golden(*SPEC.golden[:2], lambda row, column: column)),
+            dataclasses.replace(SPEC, golden=SPEC.golden._replace(initial=lambda draws: State(0, 0))),
+            dataclasses.replace(SPEC, golden=SPEC.golden._replace(observe=lambda state: state.column)),
         )
     }
     assert len(paths) == 5
@@ -322,14 +325,13 @@ def test_nested_functions_hash_alike_in_every_process(tmp_path: Path) -> None:
     script = """
 import json, dataclasses, pearl_marl
 from pearl_marl.compiler import kernels
-from pearl_marl.spec import Golden
 spec = pearl_marl.get_spec("CliffWalking")
 waste = [object() for _ in range(%d)]
-def observe(row, column):
+def observe(state):
     def inner(x):
         return x
-    return inner(column)
-golden = Golden(*spec.golden[:2], observe)
+    return inner(state.column)
+golden = spec.golden._replace(observe=observe)
 print(json.dumps(str(kernels.compile_kernels(dataclasses.replace(spec, golden=golden)).path)))
 """
     assert process(script % 1, tmp_path) == process(script % 100_000, tmp_path)
@@ -354,12 +356,12 @@ def has_avx2() -> bool:
 
 @pytest.mark.skipif(not has_avx2(), reason="looks for AVX2 instructions, which this CPU has not")
 def test_the_step_is_simd_code(tmp_path: Path) -> None:
-    """Sums of bytes in 32- or 64-byte registers can only come from ``row + down - up`` over many slots."""
+    """Sums of bytes in 32- or 64-byte registers can only come from rows and columns of many slots."""
     step, advance = process(ASSEMBLY, tmp_path)
     for name, versions in (("step", step), ("advance", advance)):
         for text in versions:
             wide = re.findall(r"\bvp(?:add|sub)b\s[^\n]*%[yz]mm", text)
-            assert len(wide) >= 4, f"{name} adds and subtracts bytes one by one"
+            assert len(wide) >= 3, f"{name} adds and subtracts bytes one by one"
             if name == "advance":  # a gather would be put together byte by byte
                 assert not re.search(r"\bvpinsr[bw]\b", text), f"{name} looks bytes up one by one"
             assert re.search(r"\bvpcmp\w*b\s[^\n]*%[yz]mm", text), f"{name} compares bytes one by one"
