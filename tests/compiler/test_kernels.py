@@ -11,15 +11,14 @@ import subprocess
 import sys
 import tempfile
 import types
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numba
 import numpy as np
 import pytest
-from pearl_marl.envs.cliff_walking.step import State
 
 import pearl_marl
 from pearl_marl import rng
@@ -29,13 +28,14 @@ from pearl_marl.compiler.cuda_source import cuda_source
 from pearl_marl.compiler.kernel_source import kernel_source
 from pearl_marl.compiler.pieces import PREFIXES
 from pearl_marl.devices import BatchConfig, Native
-from pearl_marl.golden import Draws, u32
-from pearl_marl.layout import Bits
-from pearl_marl.spec import EnvSpec, Field, Golden
+from pearl_marl.golden import u32
+from pearl_marl.spec import EnvSpec
 
-from ..toy import DRIFT, LADDER, SLIDE, with_state
+from ..rtl.wide_steps import renamed
+from ..toy import DRIFT, LADDER, SLIDE
 
 SPEC = pearl_marl.get_spec("CliffWalking")
+State: Any = SPEC.golden.state
 
 FIRST_STEP = """
 import json, sys
@@ -184,12 +184,8 @@ def test_the_source_can_be_read(cache: Path) -> None:
 @pytest.mark.parametrize("spec", [SPEC, DRIFT, LADDER, SLIDE, pearl_marl.get_spec("Seaquest")])
 def test_no_name_of_a_field_can_be_in_the_way(source: Callable[[EnvSpec], str], spec: EnvSpec) -> None:
     """What is named after a field begins with one of the prefixes, and nothing else does."""
-
-    def renamed(fields: Sequence[Field]) -> tuple[Field, ...]:
-        return tuple(dataclasses.replace(f, name=f"{f.name}_mine") for f in fields)
-
-    seen = dataclasses.replace(spec, observation=renamed(spec.observation))
-    mine = with_state(seen, renamed(spec.state))
+    observed = tuple(dataclasses.replace(f, name=f"{f.name}_mine") for f in spec.observation)
+    mine = renamed(dataclasses.replace(spec, observation=observed), [f"{f.name}_mine" for f in spec.state])
     text = source(mine)
     kernels_alone = text.split("@kernel", 1)[1]
     names = set(re.findall(r"\b[A-Za-z_]\w*", kernels_alone))
@@ -205,21 +201,10 @@ def test_no_name_of_a_field_can_be_in_the_way(source: Callable[[EnvSpec], str], 
             assert not prefixes or re.fullmatch(r"at_(elapsed|ended)", name)
 
 
-@pytest.mark.parametrize("names", [("uint8_equal", "np"), ("range", "golden_step")])
+@pytest.mark.parametrize("names", [("uint8_equal", "np"), ("for", "golden_step")])
 def test_fields_may_be_named_like_anything_in_a_kernel(cache: Path, names: tuple[str, str]) -> None:
-    state = NamedTuple("State", [(names[0], Bits[2]), (names[1], Bits[4])])  # type: ignore[misc]
-    begin, move, see = SPEC.golden[1:4]
-
-    def initial(draws: Draws) -> Any:
-        return state(*begin(draws))
-
-    def step(state_: Any, action: Any, draws: Draws) -> Any:
-        after, reward, terminated = move(State(*state_), action, draws)
-        return state(*after), reward, terminated
-
-    golden = Golden(state, initial, step, lambda odd: see(State(*odd)))
-    odd = dataclasses.replace(SPEC, golden=golden)
-    expected, found = (Native().open(BatchConfig(spec=spec, n_envs=3)) for spec in (SPEC, odd))
+    specs = SPEC, renamed(SPEC, names)
+    expected, found = (Native().open(BatchConfig(spec=spec, n_envs=3)) for spec in specs)
     for device in (expected, found):
         device.reset(seed=1)
     actions = np.array([0, 1, 2], np.uint8)
@@ -229,38 +214,43 @@ def test_fields_may_be_named_like_anything_in_a_kernel(cache: Path, names: tuple
 # What has to make another kernel. Each pair of functions differs in one thing only.
 
 
-def with_step(step: Callable[..., Any]) -> EnvSpec:
+def with_step(move: Callable[..., Any]) -> EnvSpec:
+    """Return a spec whose step moves to another row."""
+
+    def step(state: Any, action: Any, draws: Any) -> Any:
+        return state._replace(row=move(state.row) & 3), 0, 0
+
     return dataclasses.replace(SPEC, golden=SPEC.golden._replace(step=step))
 
 
 def by_closure(k: int) -> Callable[..., Any]:
-    def step(state: State, action: Any, draws: Draws) -> Any:
-        return State((state.row + k) & 3, state.column), 0, 0
+    def move(row: Any) -> Any:
+        return row + k
 
-    return step
+    return move
 
 
 def by_default(k: int) -> Callable[..., Any]:
-    def step(state: State, action: Any, draws: Draws, more: int = k) -> Any:
-        return State((state.row + more) & 3, state.column), 0, 0
+    def move(row: Any, more: int = k) -> Any:
+        return row + more
 
-    return step
-
-
-def using_global(state: State, action: Any, draws: Draws) -> Any:
-    return State((state.row + AMOUNT) & 3, state.column), 0, 0
+    return move
 
 
-def using_table(state: State, action: Any, draws: Draws) -> Any:
-    return State(AMOUNTS[state.row] & 3, state.column), 0, 0
+def using_global(row: Any) -> Any:
+    return row + AMOUNT
 
 
-def using_helper(state: State, action: Any, draws: Draws) -> Any:
-    return State((state.row + add(state.row)) & 3, state.column), 0, 0
+def using_table(row: Any) -> Any:
+    return AMOUNTS[row]
 
 
-def using_module(state: State, action: Any, draws: Draws) -> Any:
-    return State((state.row + numbers.AMOUNT) & 3, state.column), 0, 0
+def using_helper(row: Any) -> Any:
+    return row + add(row)
+
+
+def using_module(row: Any) -> Any:
+    return row + numbers.AMOUNT
 
 
 def in_globals(function: Any, **names: Any) -> Callable[..., Any]:
@@ -366,12 +356,12 @@ def has_avx2() -> bool:
 
 @pytest.mark.skipif(not has_avx2(), reason="looks for AVX2 instructions, which this CPU has not")
 def test_the_step_is_simd_code(tmp_path: Path) -> None:
-    """Sums of bytes in 32- or 64-byte registers can only come from ``row + down - up`` over many slots."""
+    """Sums of bytes in 32- or 64-byte registers can only come from rows and columns of many slots."""
     step, advance = process(ASSEMBLY, tmp_path)
     for name, versions in (("step", step), ("advance", advance)):
         for text in versions:
             wide = re.findall(r"\bvp(?:add|sub)b\s[^\n]*%[yz]mm", text)
-            assert len(wide) >= 4, f"{name} adds and subtracts bytes one by one"
+            assert len(wide) >= 3, f"{name} adds and subtracts bytes one by one"
             if name == "advance":  # a gather would be put together byte by byte
                 assert not re.search(r"\bvpinsr[bw]\b", text), f"{name} looks bytes up one by one"
             assert re.search(r"\bvpcmp\w*b\s[^\n]*%[yz]mm", text), f"{name} compares bytes one by one"

@@ -227,10 +227,10 @@ def test_a_core_that_nobody_wrote_is_generated() -> None:
 def test_what_no_hardware_can_is_said() -> None:
     spec = get_spec("CliffWalking")
 
-    def step(row: Any, column: Any, action: Any) -> Any:
-        return (row, column, 0, 0) if action else (column, row, 0, 0)
+    def step(state: Any, action: Any, draws: Any) -> Any:
+        return state, sorted([action, state.row])[0], 0
 
-    with pytest.raises(ArgumentError, match=r"rtl/test_elaboration.py, line \d+: a word decides"):
+    with pytest.raises(ArgumentError, match=r"rtl/test_elaboration.py, line \d+: sorted\(\) of words"):
         dataclasses.replace(spec, golden=spec.golden._replace(step=step))
 
 

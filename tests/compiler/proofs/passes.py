@@ -1,7 +1,7 @@
 """The proof that a pass of the compiler changes nothing: what became of each node is equal to it.
 
-Each is proved by those before it, in the order in which they are made: as polynomials, or by z3. Words that are
-loose may become others where nobody looks at them: then what is made of them is proved without them.
+Each is proved by those before it, in the order in which they are made: as polynomials, or by z3. Loose words
+may become others where nobody looks at them: then what is made of them is proved without them.
 """
 
 from __future__ import annotations
