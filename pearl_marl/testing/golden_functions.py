@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import gymnasium
-import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode
 
-from pearl_marl.batch.actions import encode, random_actions, room_for_words
+from pearl_marl.batch.actions import encode, room_for_words
 from pearl_marl.devices import BatchConfig, Reference
 from pearl_marl.elements import bounds
-from pearl_marl.golden import call_reference
 from pearl_marl.spec import EnvSpec
 from pearl_marl.testing.case import Array, by_mode
 from pearl_marl.verification import sticky_actions
@@ -27,29 +24,6 @@ def contains_all(space: gymnasium.Space[Any], observations: Array) -> bool:
 
 class GoldenContract:
     """Tests that need no device."""
-
-    def test_golden_functions_mean_the_same_on_scalars_and_arrays(self, spec: EnvSpec) -> None:
-        """The reference runs them on arrays, cocotb and a reader on scalars."""
-        n, generator = 5, np.random.default_rng(3)
-
-        def run(function: Callable[..., Any], arguments: list[Array], *agent: int) -> list[Array]:
-            whole = [np.broadcast_to(word, n) for word in call_reference(function, arguments, *agent)]
-            one_by_one = [call_reference(function, [a[i] for a in arguments], *agent) for i in range(n)]
-            for k, word in enumerate(whole):
-                np.testing.assert_array_equal(word, [words[k] for words in one_by_one])
-            return whole
-
-        def draws(count: int) -> list[Array]:
-            return [generator.integers(2**32, size=n, dtype=np.uint32) for _ in range(count)]
-
-        state = run(spec.positional.initial, draws(spec.reset_draws))
-        for _ in range(20):
-            words = room_for_words(spec, n * spec.agents)
-            actions = encode(random_actions(spec, generator, len(words)), spec, words).reshape(n, -1).T
-            state = run(spec.positional.step, [*state, *actions, *draws(spec.step_draws)])[: len(spec.state)]
-            for agent in spec.views:
-                for view in spec.functions[2:]:
-                    run(view, state, *agent)
 
     def test_golden_functions_suit_the_spec(self, spec: EnvSpec) -> None:
         """As many words in and out as it says, all of them within their fields and the table of rewards.
