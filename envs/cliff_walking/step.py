@@ -39,16 +39,11 @@ def initial(draws: Draws) -> State:
 
 def step(state: State, action: Word, draws: Draws) -> tuple[State, Word, Word]:
     """Move one cell; return the state, the category of the reward and whether the episode terminated."""
-    # Plain Python. Hardware does both sides of an `if` at the same time, and chooses.
+    # Plain Python, in which a comparison is 0 or 1, and so can be added. An `if` for each direction would do,
+    # too; but hardware does both sides of an `if` at the same time, and then chooses.
     row, column = state
-    if action == UP:
-        row = max(row - 1, 0)
-    elif action == DOWN:
-        row = min(row + 1, LAST_ROW)
-    elif action == LEFT:
-        column = max(column - 1, 0)
-    else:
-        column = min(column + 1, LAST_COLUMN)
+    row += (action == DOWN and row < LAST_ROW) - (action == UP and row > 0)
+    column += (action == RIGHT and column < LAST_COLUMN) - (action == LEFT and column > 0)
 
     if row == LAST_ROW and 0 < column < LAST_COLUMN:
         return State(LAST_ROW, 0), FELL, False

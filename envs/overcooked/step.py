@@ -118,20 +118,6 @@ def make_step(kitchen: Kitchen, horizon: int) -> GoldenFunction:
     any_soup, n_prices = (1 << kitchen.soup_bits) - 1, len(kitchen.prices)
     is_full = [len(kitchen.soups.get(soup, "")) == MOST for soup in range(any_soup + 1)]
 
-    def at_pot(pot: Any, held: Word) -> tuple[Any, Word, Word]:
-        """Use a pot; return it, what the hand holds then, and what came of it."""
-        soup, clock = pot
-        if held == 0:
-            if soup > 0 and clock == 0:
-                clock = times[soup] + 1
-        elif held == dish:
-            if clock == 1:
-                return pot._replace(soup=0, clock=0), soup, SOUP_TAKEN
-        elif held in (onion, tomato) and clock == 0 and not is_full[soup]:
-            more = MORE["o"] if held == onion else MORE["t"]
-            return pot._replace(soup=(soup + more) & any_soup), 0, POTTED
-        return pot._replace(clock=clock), held, NOTHING
-
     def step(state: Any, actions: list[Word], draws: Draws) -> tuple[Any, list[Word], list[Word]]:
         cells, facing, holds = ([cook[part] for cook in state.cooks] for part in range(3))
         planes, pots = list(state.counters), list(state.pots)
@@ -151,8 +137,19 @@ def make_step(kitchen: Kitchen, horizon: int) -> GoldenFunction:
             holds[k] = held ^ change
 
             for number, pot in enumerate(pots):
-                if acts and thing == first_pot + number:
-                    pots[number], holds[k], outcomes[k] = at_pot(pot, held)
+                here = acts and thing == first_pot + number
+                soup, clock = pot
+                starts = here and held == 0 and soup > 0 and clock == 0
+                takes = here and held == dish and clock == 1
+                adds = here and held in (onion, tomato) and clock == 0 and not is_full[soup]
+                if starts:
+                    clock = times[soup] + 1
+                elif takes:
+                    holds[k], soup, clock, outcomes[k] = soup, 0, 0, SOUP_TAKEN
+                elif adds:
+                    more = MORE["o"] if held == onion else MORE["t"]
+                    holds[k], soup, outcomes[k] = 0, (soup + more) & any_soup, POTTED
+                pots[number] = pot._replace(soup=soup, clock=clock)
             if acts and held == 0:
                 if thing == onions:
                     holds[k] = onion

@@ -1,5 +1,13 @@
 """The golden step of Taxi, in sun and rain, with passengers of any temper.
 
+The town, in which ``|`` is a wall and R, G, Y, B are the stands 0 to 3::
+
+    R: | : :G      row 0
+     : | : :       row 1
+     : : : :       row 2
+     | : | :       row 3
+    Y| : |B:       row 4
+
 Follows https://gymnasium.farama.org/environments/toy_text/taxi/ (Taxi-v4), itself after Dietterich,
 *Hierarchical Reinforcement Learning with the MAXQ Value Function Decomposition*, 2000.
 """
@@ -11,20 +19,14 @@ from typing import NamedTuple
 from pearl_marl.golden import Draws, GoldenFunction, Word, u32
 from pearl_marl.layout import Bits, Flag
 
-TOWN = (
-    "|R: | : :G|",
-    "| : | : : |",
-    "| : : : : |",
-    "| | : | : |",
-    "|Y| : |B: |",
-)
-"""Gymnasium's: ``|`` is a wall, and R, G, Y and B are the stands 0 to 3."""
-STANDS = (0, 0), (0, 4), (4, 0), (4, 3)
 SIDE, LAST = 5, 4
 SOUTH, NORTH, EAST, WEST, PICKUP, DROPOFF = 0, 1, 2, 3, 4, 5
 LEFT_OF, RIGHT_OF = (EAST, WEST, NORTH, SOUTH), (WEST, EAST, SOUTH, NORTH)
+STANDS = (0, 0), (0, 4), (4, 0), (4, 3)
 ABOARD, NOWHERE = 4, 5
 """Where a passenger is who is at none of the stands; and what is no stand."""
+CELLS = [divmod(cell, 8) for cell in range(64)]  # that three bits for a row and a column can tell
+STAND = [STANDS.index(cell) if cell in STANDS else NOWHERE for cell in CELLS]
 THIRD, TWO_THIRDS = 0x55555556, 0xAAAAAAAB
 """The least draws whose products with 3 reach ``2**32`` and ``2 * 2**32``."""
 ROUTINE, ILLEGAL, DELIVERED = 0, 1, 2
@@ -43,17 +45,6 @@ class State(NamedTuple):
 def other(k: Word, stand: Word) -> Word:
     """Return the ``k``-th of the three stands that are not ``stand``."""
     return k + (k >= stand)
-
-
-def gaps(side: int) -> list[int]:
-    """Return for each row of three bits where there is no wall on a side of a column, a bit each."""
-    rows = [sum((line[2 * column + side] == ":") << column for column in range(SIDE)) for line in TOWN]
-    return rows + [0] * (8 - SIDE)
-
-
-FREE_WEST, FREE_EAST = gaps(0), gaps(2)
-CELLS = [divmod(cell, 8) for cell in range(64)]  # that three bits for a row and a column can tell
-STAND = [STANDS.index(cell) if cell in STANDS else NOWHERE for cell in CELLS]
 
 
 def make_initial(fickle_below: int) -> GoldenFunction:
@@ -91,27 +82,36 @@ def make_step(is_rainy: bool, is_fickle: bool, forward_below: int, left_below: i
         draw = draws.bits() if is_rainy or is_fickle else 0
         # The halves of draw * 3; two comparisons cost less than the upper half of a product.
         third, rest = (draw >= THIRD) + (draw >= TWO_THIRDS), u32(draw * 3)
-        free = row < LAST, row > 0, FREE_EAST[row] >> column & 1, FREE_WEST[row] >> column & 1
-        stand = STAND[8 * row + column]
+        # Walls are east of column 1 in the upper two rows, and of columns 0 and 2 in the lower two.
+        top, bottom, odd = row < 2, row > 2, column & 1
+        east_wall = (top and column == 1) or (bottom and not odd)
+        west_wall = (top and column == 2) or (bottom and odd)
+        free = row < LAST, row > 0, column < LAST and not east_wall, column > 0 and not west_wall
+        # A flag for each direction: to choose one by its number takes longer.
+        moves = [action == to and way for to, way in enumerate(free)]
+        if is_rainy:
+            drives, ahead = any(moves), action & 3
+            aside = LEFT_OF[ahead] if rest < left_below else RIGHT_OF[ahead]
+            direction = ahead if rest < forward_below else aside
+            moves = [drives and direction == to and way for to, way in enumerate(free)]
+        down, up, right, left = moves
+        # At the first move with him a fickle passenger changes his mind, once.
+        if is_fickle and fickle and passenger == ABOARD and any(moves):
+            destination, fickle = other(third, destination), False
 
-        if action <= WEST and free[action]:
-            direction = action
-            if is_rainy and rest >= forward_below:
-                direction = LEFT_OF[action] if rest < left_below else RIGHT_OF[action]
-            if free[direction]:
-                row += (direction == SOUTH) - (direction == NORTH)
-                column += (direction == EAST) - (direction == WEST)
-                # At the first move with him a fickle passenger changes his mind, once.
-                if is_fickle and fickle and passenger == ABOARD:
-                    destination, fickle = other(third, destination), False
-        reward, delivered = ROUTINE, False
-        if action == PICKUP and passenger == stand:
-            passenger = ABOARD
-        elif action == DROPOFF and passenger == ABOARD and stand != NOWHERE:
-            passenger, delivered = stand, stand == destination
-            reward = DELIVERED if delivered else ROUTINE
-        elif action >= PICKUP:
+        stand = STAND[8 * row + column]
+        picks_up = action == PICKUP and passenger == stand
+        drops_off = action == DROPOFF and passenger == ABOARD and stand != NOWHERE
+        delivered, reward = drops_off and stand == destination, ROUTINE
+        if delivered:
+            reward = DELIVERED
+        elif action >= PICKUP and not picks_up and not drops_off:
             reward = ILLEGAL
+        if picks_up:
+            passenger = ABOARD
+        elif drops_off:
+            passenger = stand
+        row, column = row + down - up, column + right - left
         return State(row, column, passenger, destination, fickle), reward, delivered
 
     return step
