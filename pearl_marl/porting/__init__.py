@@ -8,7 +8,7 @@ the original, and :mod:`~pearl_marl.porting.against` the whole.
 """
 
 from pearl_marl.porting.originals import Original
-from pearl_marl.porting.port import Port, as_words, like
+from pearl_marl.porting.port import Port, as_numbers, like
 from pearl_marl.porting.tables import first_wrong_transition
 
-__all__ = ["Original", "Port", "as_words", "first_wrong_transition", "like"]
+__all__ = ["Original", "Port", "as_numbers", "first_wrong_transition", "like"]

@@ -7,12 +7,11 @@ from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
-from gymnasium.spaces import Discrete
 
+from pearl_marl.batch.actions import encode, room_for_words
 from pearl_marl.errors import ArgumentError
 from pearl_marl.golden import reference
-from pearl_marl.porting.contents import leaves_of
-from pearl_marl.porting.finite import elements
+from pearl_marl.porting.contents import elements, leaves_of
 from pearl_marl.porting.originals import Original
 from pearl_marl.porting.port import like
 from pearl_marl.spec import EnvSpec
@@ -137,7 +136,7 @@ def _poser(spec: EnvSpec, original: Original) -> tuple[Callable[[tuple[int, ...]
     """Return what puts the original into a state, and how."""
     own = spec.pose
     if own is not None:
-        return lambda words: own(original.env, words), "posed by the spec's pose()"
+        return lambda words: own(original.env, spec.layout.built(words)), "posed by the spec's pose()"
     original.reset(seed=0)
     paths = [path for path, _ in leaves_of(original.env)]
     there = {path.rpartition(".")[2]: path for path in paths} | {
@@ -152,15 +151,15 @@ def _poser(spec: EnvSpec, original: Original) -> tuple[Callable[[tuple[int, ...]
         )
 
     def by_names(words: tuple[int, ...]) -> None:
+        if spec.layout.fraction is None:  # otherwise reals are made of words
+            words = tuple(f.value(word) for f, word in zip(spec.state, words, strict=True))  # type: ignore[misc]
         state = spec.layout.built(words)
-        fractions = {f.name: f.fraction for f in spec.state}
         for name in names:
             *groups, last = there[name].split(".")
             owner = original.env
             for group in groups:
                 owner = getattr(owner, group)
-            fraction = next((b for f, b in fractions.items() if f == name or f.startswith(f"{name}_")), 0)
-            setattr(owner, last, like(getattr(owner, last), getattr(state, name), fraction))
+            setattr(owner, last, like(getattr(owner, last), getattr(state, name)))
 
     return by_names, "posed by attributes of the same names"
 
@@ -222,7 +221,7 @@ def _outcomes(
             original.reseed(int(rng.integers(1 << 31)))
             outcome = original.step(given)
             seen = outcome.observations[0]
-            row = () if seen is None else elements(original.observation_space, seen)
+            row = () if seen is None else elements(seen)
             theirs[(*outcome.rewards, *outcome.terminated, *row)] += 1
         for result in {} if known else {**theirs, **mine}:
             own, due = mine[result] / SAMPLES, theirs[result] / SAMPLES
@@ -275,7 +274,7 @@ def _errors(
         due = [*outcome.rewards, *map(float, outcome.terminated)]
         for agent in range(spec.agents):
             row += ours.observation(agent)
-            due += elements(spec.observation_space, outcome.observations[agent])
+            due += elements(outcome.observations[agent])
         found.append(np.abs(np.subtract(row, due)))
     table = np.array(found)
     several = spec.agents > 1
@@ -301,7 +300,7 @@ def _wrong_view(ours: _Ours, original: Original) -> str | None:
     for agent, seen in enumerate(original.seen):
         if seen is None:
             continue
-        mine, due = ours.observation(agent), elements(original.observation_space, seen)
+        mine, due = ours.observation(agent), elements(seen)
         for k, (a, b) in enumerate(zip(mine, due, strict=True)):
             if np.float32(a) != np.float32(b):
                 where = f"element {k} of the observation" if len(due) > 1 else "the observation"
@@ -315,9 +314,7 @@ def _named(spec: EnvSpec, state: tuple[int, ...]) -> str:
 
 
 def _words(spec: EnvSpec, actions: list[Any]) -> list[int]:
-    if isinstance(spec.action_space, Discrete):
-        return [int(action) for action in actions]
-    return [round(float(action[0]) * 2**spec.action.fraction) for action in actions]
+    return encode(np.stack(actions), spec, room_for_words(spec, len(actions))).ravel().tolist()
 
 
 def _draws(rng: np.random.Generator, count: int) -> list[int]:

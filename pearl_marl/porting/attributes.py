@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import enum
 import keyword
+import math
 import re
 import time
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from pearl_marl.porting.contents import frozen, leaves_of
+from pearl_marl.porting.contents import elements, frozen, leaves_of
 from pearl_marl.porting.originals import Original
 
 EPISODES, STEPS, SECONDS = 30, 200, 3.0
@@ -19,8 +20,8 @@ EPISODES, STEPS, SECONDS = 30, 200, 3.0
 LOOKS_AT_DICTS = 50
 """How often it is looked into a dict, which may be a large table that never changes."""
 
-FRACTION = 16
-"""Bits behind the binary point that a real is given to begin with."""
+MOST = 1e6
+"""The greatest bound of a real that is proposed."""
 
 RESERVED = ("elapsed", "ended", *keyword.kwlist)
 
@@ -40,9 +41,6 @@ class Attribute(NamedTuple):
     real: bool
     note: str
     """What was seen."""
-    shape: tuple[int, ...] = ()
-    dtype: str | None = None
-    """Of an array; ``None`` of a number or a list."""
 
 
 class Seen(NamedTuple):
@@ -60,6 +58,11 @@ class Seen(NamedTuple):
     """The least and the greatest observation, element by element."""
     whole: bool
     """Whether observations are integers."""
+
+    @property
+    def reals(self) -> bool:
+        """Whether the state has reals."""
+        return any(attribute.real and attribute.kind for attribute in self.attributes)
 
 
 def observed(original: Original) -> Seen:
@@ -81,7 +84,7 @@ def observed(original: Original) -> Seen:
             of_path = values.setdefault(path, {})
             if len(of_path) < 4096:
                 of_path.setdefault(frozen(value), _copied(value))
-        rows.extend(_row(seen) for seen in original.seen if seen is not None)
+        rows.extend(elements(seen) for seen in original.seen if seen is not None)
 
     for seed in range(EPISODES):
         original.reset(seed)
@@ -113,14 +116,6 @@ def observed(original: Original) -> Seen:
         tuple(rewards),
         (matrix.min(0), matrix.max(0)),
         bool(np.array_equal(matrix, np.rint(matrix))),
-    )
-
-
-def _row(seen: Any) -> list[float]:
-    return (
-        [float(part) for part in np.concatenate([np.ravel(part) for part in seen])]
-        if isinstance(seen, tuple)
-        else [float(part) for part in np.ravel(seen)]
     )
 
 
@@ -176,12 +171,8 @@ def _attribute(path: str, values: list[Any], taken: set[str]) -> Attribute:
     kind = kind_of(low, high, real)
     if shape:
         kind = f"Array[{kind}, {', '.join(map(str, shape))}]"
-    first = there[0]
-    dtype = str(first.dtype) if isinstance(first, np.ndarray) else "float" if floats else None
-    if isinstance(first, tuple):
-        dtype = "tuple"
     what = "real, " if real else "whole numbers in floats, " if floats else ""
-    return Attribute(path, name, kind, real, f"{what}seen {span}", shape, dtype)
+    return Attribute(path, name, kind, real, f"{what}seen {span}")
 
 
 def _is_regular(value: Any) -> bool:
@@ -200,16 +191,25 @@ def _is_regular(value: Any) -> bool:
 def kind_of(low: Any, high: Any, real: bool) -> str:
     """Return the annotation that is proposed for numbers of a range."""
     if real or not np.isfinite([low, high]).all():
-        most = max(abs(float(low)), abs(float(high)), 1.0) if np.isfinite([low, high]).all() else 1024.0
-        return (
-            f"Signed[{int(most).bit_length() + 2 + FRACTION}, {FRACTION}]"  # twice what was seen, and a sign
-        )
+        if low < 0 < high:
+            low, high = min(low, -high), max(high, -low)
+        return f"Real[{_outward(min(low, 0))}, {_outward(max(high, 0))}]"
     low, high = int(low), int(high)
     if low >= 0 and high <= 1:
         return "Flag"
     if low >= 0 and high & (high + 1) == 0:
         return f"Bits[{high.bit_length()}]"
     return f"Range[{min(low, 0)}, {high}]"
+
+
+def _outward(end: float) -> str:
+    """Return the first of 1, 2 and 5 times powers of ten that is as far from 0 as a number, or farther."""
+    most = min(abs(float(end)), MOST) if math.isfinite(end) else 1000.0
+    if most == 0:
+        return "0"
+    power = 10.0 ** math.floor(math.log10(most))
+    found = next(step * power for step in (1, 2, 5, 10) if step * power >= most)
+    return f"{math.copysign(found, end):g}".replace("e+06", "_000_000")
 
 
 def _told(values: list[Any], kinds: list[str]) -> str:

@@ -64,6 +64,11 @@ def frozen(value: Any, inside: tuple[int, ...] = ()) -> Hashable:
     return None
 
 
+def elements(seen: Any) -> tuple[float, ...]:
+    """Return an observation as numbers, one a field."""
+    return tuple(map(float, np.ravel(seen)))
+
+
 def _objects(root: Any) -> Iterator[Any]:
     """Yield what an object holds that is no number or text, itself first, each once."""
     waiting, met = [root], {id(root)}

@@ -11,10 +11,10 @@ from collections.abc import Hashable, Iterator, Mapping
 from typing import Any, NamedTuple, NoReturn
 
 import numpy as np
-from gymnasium.spaces import Box, Discrete, Tuple
+from gymnasium.spaces import Discrete
 
 from pearl_marl.errors import PearlError
-from pearl_marl.porting.contents import frozen
+from pearl_marl.porting.contents import elements, frozen
 from pearl_marl.porting.originals import Original
 
 MOST_STATES = 1 << 16
@@ -79,7 +79,7 @@ def finite(original: Original) -> Finite:
     if original.agents > 1:
         raise NotFiniteError(f"tables are made for one agent, and it has {original.agents}")
     if not isinstance(original.action_space, Discrete):
-        raise NotFiniteError("its actions are real numbers")
+        raise NotFiniteError(f"tables are made for a Discrete, and its actions are a {original.action_space}")
     table = getattr(original.env, "P", None)
     if isinstance(original.observation_space, Discrete) and table is not None:
         result = _of_table(original, table)
@@ -385,7 +385,7 @@ class _Search:
                     f"it has too many states for tables: {number:,} were found before giving up"
                 )
             self._at.append(original)
-            self._observations.append(elements(original.observation_space, seen))
+            self._observations.append(elements(seen))
             self._continued.append(False)
         self._continued[number] |= not over
         return number
@@ -412,15 +412,6 @@ class _Search:
                 if outcome.over and after is not None:
                     break
                 state = after
-
-
-def elements(space: Any, seen: Any) -> tuple[float, ...]:
-    """Return an observation as numbers, one a field."""
-    if isinstance(space, Tuple):
-        return tuple(float(part) for part in seen)
-    if isinstance(space, Box):
-        return tuple(float(part) for part in np.asarray(seen).ravel())
-    return (float(seen),)
 
 
 def options_text(options: Mapping[str, Any]) -> str:

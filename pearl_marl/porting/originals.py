@@ -14,6 +14,8 @@ import numpy as np
 from gymnasium import Space
 from gymnasium.spaces import Box, Dict, Discrete, Tuple
 
+from pearl_marl.batch.actions import random_numbers
+from pearl_marl.elements import action_counts, are_numbers, bounds
 from pearl_marl.errors import ArgumentError, told
 from pearl_marl.porting.contents import kept, replaced, reseeded
 from pearl_marl.spec import MAX_AGENTS
@@ -122,11 +124,8 @@ class Original:
 
     def actions(self, rng: np.random.Generator) -> list[Any]:
         """Return a random action of each agent."""
-        if isinstance(self.action_space, Discrete):
-            return [int(rng.integers(self.action_space.n)) for _ in range(self.agents)]
-        space = self.action_space
-        assert isinstance(space, Box)
-        return [rng.uniform(space.low, space.high).astype(space.dtype) for _ in range(self.agents)]
+        numbers = random_numbers(self.action_space, rng.integers(1 << 32, size=self.agents, dtype=np.uint32))
+        return numbers.tolist() if isinstance(self.action_space, Discrete) else list(numbers)
 
     def copied(self) -> Original:
         """Return a copy that goes its own way; what is no state, such as windows and spaces, is shared."""
@@ -145,32 +144,29 @@ class Original:
 
 def why_no_observation(space: Space[Any]) -> str | None:
     """Return why an observation space is not taken, as a part of a sentence; ``None`` where it is."""
-    if isinstance(space, Discrete):
-        return None if space.start >= 0 else "a Discrete observation starts from 0 or more"
-    if isinstance(space, Tuple):
-        if all(isinstance(part, Discrete) and part.start >= 0 for part in space.spaces):
-            return None
-        return "a Tuple is taken of Discretes only: put a wrapper around it that makes one Box of all"
-    if isinstance(space, Box):
-        size = int(np.prod(space.shape))
-        if size > MOST_ELEMENTS:
-            return f"its {size:,} elements are more than a word has ({MOST_ELEMENTS:,}): observe the state"
-        return None
+    kind = type(space).__name__
     if isinstance(space, Dict):
         return "a Dict is not taken, as an observation is one row of words: wrap it in FlattenObservation"
-    return f"a {type(space).__name__} is not taken: Discrete, Tuple of Discretes and Box are"
+    if isinstance(space, Tuple) and not are_numbers(space):
+        return "a Tuple is taken of Discretes only: put a wrapper around it that makes one Box of all"
+    if not isinstance(space, Box) and not are_numbers(space):
+        return f"a {kind} is not taken: Discrete, Tuple of Discretes, MultiDiscrete, MultiBinary and Box are"
+    low, _ = bounds(space)
+    if not isinstance(space, Box) and low.min() < 0:
+        return f"a {kind} observation starts from 0 or more"
+    if low.size > MOST_ELEMENTS:
+        return f"its {low.size:,} elements are more than a word has ({MOST_ELEMENTS:,}): observe the state"
+    return None
 
 
 def why_no_action(space: Space[Any]) -> str | None:
     """Return why an action space is not taken, as a part of a sentence; ``None`` where it is."""
-    if isinstance(space, Discrete):
-        return None if space.start == 0 else "a Discrete action starts from 0"
     if isinstance(space, Box):
-        taken = space.shape == (1,) and space.dtype == np.float32 and space.is_bounded()
-        return None if taken else "of Boxes a bounded float32 one of shape (1,) is taken"
-    return (
-        f"a {type(space).__name__} is not taken: an action is one word, so a Discrete or a Box of shape (1,)"
-    )
+        taken = len(space.shape) == 1 and space.dtype == np.float32 and space.is_bounded()
+        return None if taken else "of Boxes a bounded float32 one of shape (n,) is taken"
+    if action_counts(space):
+        return None
+    return "taken are Discrete, MultiDiscrete and MultiBinary, from 0 and of one dimension, and Box"
 
 
 def _short(space: Space[Any]) -> str:

@@ -10,7 +10,7 @@ from importlib.resources.abc import Traversable
 from typing import Any
 
 import numpy as np
-from gymnasium.spaces import Box, Discrete, Tuple
+from gymnasium.spaces import Box, Discrete, MultiBinary, MultiDiscrete, Tuple
 
 from pearl_marl.porting.finite import Finite, options_text
 from pearl_marl.porting.originals import Original
@@ -18,6 +18,7 @@ from pearl_marl.porting.tables import Tables, padded_size, side_by_side, written
 from pearl_marl.spec import snake_case
 
 TEMPLATE = "MyEnvironment"
+SPACES = ("Box", "Discrete", "MultiBinary", "MultiDiscrete", "Tuple")
 WIDTH = 110
 """Letters of a line of code."""
 
@@ -141,11 +142,23 @@ def space_text(space: Any) -> str:
     if isinstance(space, Tuple):
         parts = [space_text(part) for part in space.spaces]
         return f"Tuple(({', '.join(parts)}{',' * (len(parts) == 1)}))"
+    if isinstance(space, MultiBinary):
+        return f"MultiBinary({space.n if isinstance(space.n, int) else list(space.n)})"
+    if isinstance(space, MultiDiscrete):
+        start = f", start={space.start.tolist()}" if space.start.any() else ""
+        dtype = "" if space.dtype == np.int64 else f", dtype=np.{space.dtype}"
+        return f"MultiDiscrete({space.nvec.tolist()}{dtype}{start})"
     assert isinstance(space, Box)
     dtype = _dtype_text(space)
     low, high = _bound_text(space.low, dtype), _bound_text(space.high, dtype)
     shape = "" if low.startswith("np.array") or high.startswith("np.array") else f"{space.shape!r}, "
     return f"Box({low}, {high}, {shape}dtype={dtype})"
+
+
+def spaces_import(text: str) -> str:
+    """Return the import of the spaces that a text makes."""
+    kinds = sorted({match[1] for match in re.finditer(r"\b(\w+)\(", text)} & set(SPACES))
+    return f"from gymnasium.spaces import {', '.join(kinds)}"
 
 
 def _bound_text(bound: Any, dtype: str) -> str:
@@ -197,8 +210,7 @@ def _table_words(original: Original, found: Finite, made: Tables) -> dict[str, s
     rendered = original.registered and not original.options and found.of_table and hasattr(original.env, "s")
     imports = ["from pearl_marl.spec import EnvSpec, Golden", ""]
     spaces = space_text(original.observation_space) + space_text(original.action_space)
-    used = [kind for kind in ("Box", "Discrete", "Tuple") if f"{kind}(" in spaces]
-    first = [f"from gymnasium.spaces import {', '.join(used)}"]
+    first = [spaces_import(spaces)]
     if rendered:
         first.insert(0, "from gymnasium import Env")
     if "np." in spaces:
@@ -282,8 +294,8 @@ def place_of(draw: Word, least: tuple[int, ...], first: Word, size: int) -> Word
 
 _POSE = '''
 
-def pose(oracle: Env[Any, Any], state: tuple[int, ...]) -> None:
+def pose(oracle: Env[Any, Any], state: State) -> None:
     """Put {name} into a state, for rendering and for `pearl verify --against`."""
-    (oracle.s,) = state  # type: ignore[attr-defined]
+    oracle.s = state.number  # type: ignore[attr-defined]
     oracle.lastaction = None  # type: ignore[attr-defined]
 '''

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
+from gymnasium.spaces import Box
 
 from pearl_marl.fields import Field
 from pearl_marl.golden import CountingDraws, Draws, as_python_runs_it
 from pearl_marl.layout import Layout, leaves
-from pearl_marl.porting.finite import elements
+from pearl_marl.porting.contents import elements
 from pearl_marl.porting.originals import Original
+from pearl_marl.reals import Real
 
 SEEDS, STEPS = 40, 100
 """Episodes of the original that a part is compared over, and their steps at most."""
@@ -25,14 +28,20 @@ has to be on both."""
 STARTS = 400
 
 
-def as_words(value: Any, fraction: int = 0) -> Any:
-    """Return a number as a word, or an array of them as lists of words, with bits behind the binary point."""
-    return np.rint(np.ldexp(np.asarray(value, float), fraction)).astype(np.int64).tolist()
+FRACTION = 16
+"""Bits behind the binary point of actions in a ``Box`` where the state has no reals."""
 
 
-def like(old: Any, words: Any, fraction: int = 0) -> Any:
-    """Return words as what an original keeps in their place: an array, list or number of the same kind."""
-    value = np.ldexp(np.asarray(words, float), -fraction) if fraction else np.asarray(words)
+def as_numbers(value: Any) -> Any:
+    """Return a number as Python's, or an array of them as lists, such as fields of a state are."""
+    return np.asarray(value).tolist()
+
+
+def like(old: Any, numbers: Any) -> Any:
+    """Return fields as what an original keeps in their place: an array, list or number of the same kind."""
+    value = np.asarray(numbers)
+    if value.dtype == object:
+        value = value.astype(float)
     if isinstance(old, np.ndarray):
         return value.astype(old.dtype)
     if isinstance(old, (list, tuple)):
@@ -53,20 +62,22 @@ class Port:
     step: Callable[..., Any]
     observe: Callable[..., Any]
     read: Callable[[Any], Any]
-    pose: Callable[[Any, tuple[int, ...]], None]
+    pose: Callable[[Any, Any], None]
     rewards: Sequence[float] | None
     reward_fraction: int = 0
+    """Bits behind the point of rewards that are words: of a state without reals."""
     view: type | None = None
     tolerance: float = 0.0
     """By how much of itself, or of 1, a real may differ."""
 
     def wrong_state(self) -> str | None:
         """Compare the ranges of fields with what the original has in them."""
-        for where, state in self._reached():
-            for field, word in zip(self._layout.fields, self._flat(state), strict=True):
-                low, high = field.range
-                if not low <= word <= high:
-                    return f"{where}: {field.name} is {word}, and its field holds {low} to {high}"
+        for where in self._reached():
+            numbers = leaves(self.read(self.original.env))
+            for field, number in zip(self._layout.fields, numbers, strict=True):
+                low, high = field.low, field.high
+                if not self._near(min(max(number, low), high), number):
+                    return f"{where}: {field.name} is {number}, and its field holds {low:g} to {high:g}"
         return None
 
     def wrong_pose(self) -> str | None:
@@ -74,10 +85,10 @@ class Port:
         other = self.original.copied()
         other.reset(seed=12345)
         rng = np.random.default_rng(0)
-        for where, state in self._reached(SEEDS // 4):
-            words = tuple(self._flat(state))
-            self.pose(other.env, words)
-            again = self._flat(self.read(other.env))
+        for where in self._reached(SEEDS // 4):
+            words = self._words(self.original)
+            self.pose(other.env, self._layout.built(words))
+            again = self._words(other)
             wrong = self._first_difference(words, again)
             if wrong:
                 return f"{where}: posed, the original has other values: {wrong}"
@@ -86,7 +97,7 @@ class Port:
             two.reseed(1)
             actions = self.original.actions(rng)
             first, second = one.step(actions), two.step(actions)
-            wrong = self._first_difference(self._flat(self.read(one.env)), self._flat(self.read(two.env)))
+            wrong = self._first_difference(self._words(one), self._words(two))
             if wrong is None and (first.rewards, first.terminated) != (second.rewards, second.terminated):
                 wrong = (
                     f"reward {first.rewards} and {second.rewards}, "
@@ -98,13 +109,13 @@ class Port:
 
     def wrong_start(self) -> str | None:
         """Compare the states that episodes begin in."""
-        initial = as_python_runs_it(self.initial)
+        initial = self._python(self.initial)
         rng = np.random.default_rng(0)
-        ours = [tuple(self._flat(initial(_draws(rng)))) for _ in range(STARTS)]
+        ours = [self._flat(initial(self._draws(rng))) for _ in range(STARTS)]
         theirs = []
         for seed in range(STARTS):
             self.original.reset(seed)
-            theirs.append(tuple(self._flat(self.read(self.original.env))))
+            theirs.append(self._words(self.original))
         if len(set(theirs)) <= STARTS // 10 or len(set(ours)) <= STARTS // 10:
             return self._often(Counter(ours), Counter(theirs), "episodes begin in")
         for field, own, due in zip(self._layout.fields, np.array(ours).T, np.array(theirs).T, strict=True):
@@ -122,20 +133,24 @@ class Port:
 
     def wrong_observation(self) -> str | None:
         """Compare what is observed in each state that the original comes to."""
-        observe = as_python_runs_it(self.observe)
-        fields = Layout(self.view).fields if self.view else ()
-        for where, state in self._reached():
+        observe = self._python(self.observe)
+        view = None if self.view is None else Layout(self.view, self._layout.fraction)
+        for where in self._reached():
+            state = self._state()
             for agent in range(self.original.agents):
                 seen = self.original.seen[agent]
                 if seen is None:  # it has left
                     continue
-                words = leaves(observe(state, *[agent][: self.original.agents > 1]))
-                due = elements(self.original.observation_space, seen)
-                if len(words) != len(due):
-                    return f"{where}: observe() returns {len(words)} words, and the space has {len(due)}"
-                scales = [f.fraction for f in fields] or [0] * len(due)
-                for k, (word, fraction, right) in enumerate(zip(words, scales, due, strict=True)):
-                    own = word * 2.0**-fraction
+                result = observe(state, *[agent][: self.original.agents > 1])
+                if view is None:
+                    numbers = leaves(result)
+                else:
+                    pairs = zip(view.fields, view.flat(result), strict=True)
+                    numbers = [field.value(word) for field, word in pairs]
+                due = elements(seen)
+                if len(numbers) != len(due):
+                    return f"{where}: observe() returns {len(numbers)} numbers, and the space has {len(due)}"
+                for k, (own, right) in enumerate(zip(numbers, due, strict=True)):
                     if not self._near(own, right):
                         what = f"element {k} of the observation"
                         return f"{where}: {what} is {own:g}, the original's {right:g} ({state})"
@@ -143,14 +158,14 @@ class Port:
 
     def wrong_step(self) -> str | None:
         """Step from each state that the original comes to, by the same actions."""
-        step = as_python_runs_it(self.step)
+        step = self._python(self.step)
         rng = np.random.default_rng(1)
         sampled = 0
-        for where, state in self._reached(leaving=True):
-            actions = self.original.actions(rng)
-            given = actions if self.original.agents > 1 else actions[0]
-            given = [int(a) for a in given] if isinstance(given, list) else given
-            counted = CountingDraws()
+        for where in self._reached(leaving=True):
+            state, actions = self._state(), self.original.actions(rng)
+            each = list(map(self._action, actions))
+            given = each if self.original.agents > 1 else each[0]
+            counted = CountingDraws(self._layout.fraction)
             own = self._outcome(step(state, given, counted))
             theirs = self._sampled(actions, 1)[0]
             again = self._sampled(actions, 3)
@@ -160,7 +175,7 @@ class Port:
                     return f"{where}, action {_short(actions)}: {wrong} (from {state})"
             elif sampled < CHANCES:
                 sampled += 1
-                ours = Counter(self._outcome(step(state, given, _draws(rng))) for _ in range(SAMPLES))
+                ours = Counter(self._outcome(step(state, given, self._draws(rng))) for _ in range(SAMPLES))
                 wrong = self._often(ours, Counter(self._sampled(actions, SAMPLES)), "a step comes to")
                 if wrong:
                     return f"{where}, action {_short(actions)}: {wrong} (from {state})"
@@ -168,23 +183,47 @@ class Port:
 
     # ---- Both sides as tuples: the words of a state, then rewards, then ends ----
 
-    @property
+    @functools.cached_property
     def _layout(self) -> Layout:
         return Layout(self.state)
 
-    def _flat(self, state: Any) -> list[int]:
-        return [int(word) for word in self._layout.flat(state)]
+    def _python(self, function: Callable[..., Any]) -> Callable[..., Any]:
+        return as_python_runs_it(function, self._layout.fraction is not None)
 
-    def _reached(self, seeds: int = SEEDS, leaving: bool = False) -> Iterator[tuple[str, Any]]:
-        """Yield states of the original, which is in them, as ours; with ``leaving`` only where it goes on."""
+    def _draws(self, rng: np.random.Generator) -> Draws:
+        return Draws((int(word) for word in iter(lambda: rng.integers(1 << 32), None)), self._layout.fraction)
+
+    def _flat(self, state: Any) -> tuple[int, ...]:
+        return tuple(map(round, self._layout.flat(state)))
+
+    def _words(self, original: Original) -> tuple[int, ...]:
+        """Return the words of the state that an original is in."""
+        return self._flat(self.read(original.env))
+
+    def _state(self) -> Any:
+        """Return the state that the original is in, as a step takes it: reals are rounded to their fields."""
+        return self._layout.built(self._words(self.original))
+
+    def _action(self, action: Any) -> Any:
+        """Return an action as a step takes it."""
+        parts = np.ravel(action).tolist()
+        fraction = self._layout.fraction
+        if isinstance(self.original.action_space, Box):
+            parts = [
+                round(part * 2**FRACTION) if fraction is None else Real.of(part, fraction) for part in parts
+            ]
+        return parts[0] if len(parts) == 1 else tuple(parts)
+
+    def _reached(self, seeds: int = SEEDS, leaving: bool = False) -> Iterator[str]:
+        """Say where the original is, at each state that it comes to; with ``leaving`` where it goes on."""
         rng = np.random.default_rng(0)
         for seed in range(seeds):
             self.original.reset(seed)
-            yield f"seed {seed}, reset", self.read(self.original.env)
+            yield f"seed {seed}, reset"
             for k in range(STEPS):
                 outcome = self.original.step(self.original.actions(rng))
                 if not (leaving and outcome.over):
-                    yield f"seed {seed}, step {k + 1}", self.read(self.original.env)
+                    yield f"seed {seed}, step {k + 1}"
                 if outcome.over:
                     break
 
@@ -194,8 +233,7 @@ class Port:
             other = self.original.copied()
             other.reseed(seed)
             outcome = other.step(actions)
-            words = self._flat(self.read(other.env))
-            results.append((*words, *outcome.rewards, *map(bool, outcome.terminated)))
+            results.append((*self._words(other), *outcome.rewards, *map(bool, outcome.terminated)))
         return results
 
     def _outcome(self, result: Any) -> tuple[Any, ...]:
@@ -203,7 +241,7 @@ class Port:
         agents = self.original.agents
         rewards, ends = ([rewards], [ends]) if agents == 1 else (rewards, ends)
         if self.rewards is None:
-            worth = [reward * 2.0**-self.reward_fraction for reward in rewards]
+            worth = [float(reward) * 2.0**-self.reward_fraction for reward in rewards]
         else:
             worth = [float(self.rewards[int(category)]) for category in rewards]
         return (*self._flat(after), *worth, *map(bool, ends))
@@ -257,10 +295,6 @@ class Port:
             self._near(a * 2.0**-f.fraction, b * 2.0**-f.fraction)
             for f, a, b in zip(fields, one, two, strict=True)
         )
-
-
-def _draws(rng: np.random.Generator) -> Draws:
-    return Draws(int(word) for word in iter(lambda: rng.integers(1 << 32), None))
 
 
 def _short(actions: list[Any]) -> str:

@@ -7,9 +7,10 @@ import re
 import numpy as np
 from gymnasium.spaces import Box, Discrete
 
-from pearl_marl.porting.attributes import FRACTION, Attribute, Seen, kind_of
+from pearl_marl.porting.attributes import Seen, kind_of
 from pearl_marl.porting.originals import Original
-from pearl_marl.porting.package import common_words, filled, own_words, quoted, space_text
+from pearl_marl.porting.package import common_words, filled, own_words, quoted, space_text, spaces_import
+from pearl_marl.porting.port import FRACTION
 
 MOST_REWARDS = 16
 """Different rewards that a table is proposed for."""
@@ -29,8 +30,17 @@ def of_skeleton(name: str, original: Original, seen: Seen, why: str | None) -> d
     return {**filled("environment", words), **filled("port", words)}
 
 
-def _fields(seen: Seen) -> list[Attribute]:
-    return [attribute for attribute in seen.attributes if attribute.kind is not None]
+def _kind(seen: Seen, low: float, high: float, real: bool) -> str:
+    """Return the annotation of a number that is no part of the state: a real, if the state has reals."""
+    if real and not seen.reals:
+        return f"Signed[{_bits(FRACTION, low, high)}, {FRACTION}]"
+    return kind_of(low, high, real)
+
+
+def _bits(fraction: int, *numbers: float) -> int:
+    """Return the bits of signed words up to twice these, with so many behind the point."""
+    most = max([1.0, *(abs(number) for number in numbers if np.isfinite(number))])
+    return int(most).bit_length() + 2 + fraction
 
 
 def _view_kind(original: Original, seen: Seen) -> str | None:
@@ -41,7 +51,7 @@ def _view_kind(original: Original, seen: Seen) -> str | None:
     low, high = float(seen.observed[0].min()), float(seen.observed[1].max())
     if space.is_bounded() and np.abs([space.low.min(), space.high.max()]).max() < 2**20:
         low, high = float(space.low.min()), float(space.high.max())
-    return kind_of(low, high, not seen.whole)
+    return _kind(seen, low, high, not seen.whole)
 
 
 def _step_words(original: Original, seen: Seen) -> dict[str, str]:
@@ -54,19 +64,16 @@ def _step_words(original: Original, seen: Seen) -> dict[str, str]:
         line = f"    {attribute.name}: {attribute.kind}"
         comment = f"  # {attribute.note}"
         lines += [line + comment] if len(line + comment) <= WIDTH else [*_comment(attribute.note), line]
-        fraction = f", {FRACTION}" if attribute.real else ""
-        read.append(f"        {attribute.name}=as_words(env.{attribute.path}{fraction}),")
-        pose.append(
-            f"    env.{attribute.path} = like(env.{attribute.path}, state.{attribute.name}{fraction})"
-        )
-    helpers = "Original, as_words, like" if read else "Original"
+        read.append(f"        {attribute.name}=as_numbers(env.{attribute.path}),")
+        pose.append(f"    env.{attribute.path} = like(env.{attribute.path}, state.{attribute.name})")
+    helpers = "Original, as_numbers, like" if read else "Original"
     if not read:
         lines.append("    something: Flag  # no attribute that a field holds was seen to change")
         read = ["        something=0,  # what an original has is to be read of `env` here"]
         pose = ["    del env, state  # what an original has is to be set here"]
     view = _view_kind(original, seen)
     size = int(np.prod(original.observation_space.shape or ()))
-    kinds = {kind for kind in ("Array", "Bits", "Flag", "Range", "Signed") if f"{kind}" in " ".join(lines)}
+    kinds = {kind for kind in ("Array", "Bits", "Flag", "Range", "Real") if f"{kind}" in " ".join(lines)}
     kinds = {
         kind
         for kind in kinds
@@ -117,24 +124,28 @@ def _comment(text: str) -> list[str]:
 
 def _spec_words(original: Original, seen: Seen) -> dict[str, str]:
     view = _view_kind(original, seen)
-    fraction = 0 if all(float(reward).is_integer() for reward in seen.rewards) else FRACTION
     table = len(seen.rewards) <= MOST_REWARDS
-    bits = (
-        int(max(1.0, *(abs(reward) for reward in seen.rewards))).bit_length() + 2 + fraction
-        if seen.rewards
-        else 8
-    )
-    reward = f'\n        reward=Field("reward", {bits}, signed=True, fraction={fraction}),'
-    action = ""
     space = original.action_space
-    if isinstance(space, Box):
-        most = int(np.abs([space.low, space.high]).max()).bit_length() + 1
-        action = f'\n        action=Field("action", {most + FRACTION}, signed=True, fraction={FRACTION}),'
-    fields = "Field, " * (not table or bool(action))
+    box = space if isinstance(space, Box) and not seen.reals else None
+    reward, action = "", ""
+    fraction = 0 if all(float(reward).is_integer() for reward in seen.rewards) else FRACTION
+    if not table and seen.reals:
+        ends = min(seen.rewards), max(seen.rewards)
+        reward = f"reward={kind_of(*ends, True)},  # seen {ends[0]:.3g} to {ends[1]:.3g}: widen it"
+    elif not table:
+        bits = _bits(fraction, *seen.rewards)
+        reward = f'reward=Field("reward", {bits}, signed=True, fraction={fraction}),'
+    if box is not None:
+        words = [
+            f'Field("action_{k}", {_bits(FRACTION, *ends)}, signed=True, fraction={FRACTION})'
+            for k, ends in enumerate(zip(box.low.tolist(), box.high.tolist(), strict=True))
+        ]
+        action = f"action={words[0]}" if len(words) == 1 else f"action=({', '.join(words)})"
+    fields = "Field, " * ("Field(" in reward + action)
     spaces = space_text(original.observation_space) + space_text(space)
-    used = [kind for kind in ("Box", "Discrete", "Tuple") if f"{kind}(" in spaces]
     imports = ["import numpy as np"] * ("np." in spaces)
-    imports += [f"from gymnasium.spaces import {', '.join(used)}"]
+    imports += [spaces_import(spaces)]
+    imports += ["from pearl_marl.layout import Real"] * ("Real[" in reward)
     imports += [f"from pearl_marl.spec import EnvSpec, {fields}Golden", ""]
     drawn = original.registered and not original.options
     modes = tuple(getattr(original.env, "metadata", {}).get("render_modes", ())) if drawn else ()
@@ -146,8 +157,8 @@ def _spec_words(original: Original, seen: Seen) -> dict[str, str]:
         "@step_names@": "REWARDS, State, View, initial, observe, step"
         if view
         else "REWARDS, State, initial, observe, step",
-        "@reward@": "" if table else reward,
-        "@action@": action,
+        "@reward@": f"\n        {reward}" if reward else "",
+        "@action@": f"\n        {action}," if action else "",
         "@golden_view@": ", view=View" if view else "",
         "@spec_agents@": f"        agents={original.agents},\n" if original.agents > 1 else "",
         "@agents@": str(original.agents) if original.agents > 1 else "1",
@@ -156,13 +167,26 @@ def _spec_words(original: Original, seen: Seen) -> dict[str, str]:
         "@port_more@": "".join(
             f"    {part},\n"
             for part, wanted in (
-                (f"reward_fraction={fraction}", fraction and not table),
+                (f"reward_fraction={fraction}", fraction and not seen.reals and not table),
                 ("view=View", view),
-                ("tolerance=0.001", any(a.real for a in seen.attributes) or not seen.whole),
+                ("tolerance=1e-5", seen.reals),
+                ("tolerance=0.001", not seen.reals and not seen.whole),
             )
             if wanted
         ),
     }
+
+
+def _action_note(original: Original, seen: Seen) -> str:
+    """Return what a step is given as an action."""
+    space = original.action_space
+    if not isinstance(space, Box):
+        count = int(np.prod(space.shape))
+        several = f"It is a tuple of {count} integers. " if count > 1 else ""
+        return f"{several}Take any action that its bits can hold, and never fail."
+    number = "real" if seen.reals else f"word with {FRACTION} bits behind the point"
+    count = space.shape[0]
+    return f"It is a tuple of {count} numbers, each a {number}." if count > 1 else f"It is one {number}."
 
 
 def _page_words(original: Original, seen: Seen, why: str | None) -> dict[str, str]:
@@ -188,7 +212,11 @@ def _page_words(original: Original, seen: Seen, why: str | None) -> dict[str, st
         else "Every seed of it began in the same state.",
         "@view_note@": " to the agent with this number, a plain `int`" if several else "",
         "@words_note@": "return a `View`, whose elements are in the order of the flattened array"
-        + (f", with {FRACTION} bits behind the point." if view and view.count(",") else ".")
+        + (
+            f", each a word of {FRACTION} bits behind the point: 1.5 is `3 << {FRACTION - 1}`."
+            if "Signed" in view
+            else "."
+        )
         if view
         else "return one word."
         if isinstance(original.observation_space, Discrete)
@@ -198,8 +226,10 @@ def _page_words(original: Original, seen: Seen, why: str | None) -> dict[str, st
         else "No step was seen to draw a random number.",
         "@reward_note@": "return an index into `REWARDS`, which lists what was seen; add what was not."
         if table
-        else "return the value itself, a word of the spec's field `reward`; if there are few different ones, "
-        "list them as `REWARDS` and return an index.",
+        else "return the value itself. Widen `reward` in the spec to all that there can be: what is beyond\n"
+        "  becomes its end. If there are few different ones, list them as `REWARDS`, leave `reward` out, and "
+        "return\n  an index.",
+        "@action_note@": _action_note(original, seen),
         "@mask_agent@": agent,
         "@agents_note@": agents if several else "",
         "@rtl_agents@": str(original.agents * 64 if several else 64),

@@ -103,7 +103,7 @@ class Dicts(Corridor):
 
 
 class Many(Corridor):
-    action_space = MultiDiscrete([2, 2])  # type: ignore[assignment]
+    action_space = MultiDiscrete([2, 2], start=[1, 1])  # type: ignore[assignment]
 
 
 class Broken(Corridor):

@@ -33,6 +33,7 @@ pytestmark = pytest.mark.usefixtures("registry")
 def _quick(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(attributes, "EPISODES", 8)
     monkeypatch.setattr(against, "EPISODES", 5)
+    monkeypatch.setattr(sys, "dont_write_bytecode", True)  # a change within a second would not be seen
 
 
 def made(pearl: Any, monkeypatch: pytest.MonkeyPatch, name: str, original: str, *more: str) -> Path:
@@ -132,7 +133,7 @@ def test_a_p_that_the_step_does_not_follow_is_refused() -> None:
         (f"{HERE}:Named", "cannot be made without title: give --option title=VALUE"),
         (f"{HERE}:Broken", "cannot be made: RuntimeError: no display"),
         (f"{HERE}:Dicts", "the observation space is Dict('cell': Discrete(7)); a Dict is not taken, as"),
-        (f"{HERE}:Many", "the action space is MultiDiscrete([2 2]); a MultiDiscrete is not taken: an action"),
+        (f"{HERE}:Many", "the action space is MultiDiscrete([2 2], start=[1 1]); taken are Discrete, Multi"),
         (f"{HERE}:np", "has no class 'np'"),
         ("json:dumps", "json:dumps cannot be made without obj"),
         ("collections:Counter", "makes a Counter; it must be an environment of Gymnasium"),
@@ -192,11 +193,10 @@ MEETING = {
 
 
 BALL = {
-    "initial()": "return State(place=draws.bits(17) - 65536, speed=0)",
-    "step()": """speed = (state.speed * 58982 + (action - 1) * 6554 * 65536) // 65536
-    speed = min(max(speed, -100000), 100000)
-    place = min(max(state.place + speed, -400000), 400000)
-    return State(place, speed), 0, abs(place) > 4 * 65536""",
+    "initial()": "return State(place=draws.uniform(-1, 1), speed=0.0)",
+    "step()": """speed = 0.9 * state.speed + 0.1 * (action - 1)
+    place = state.place + speed
+    return State(place, speed), 0, abs(place) > 4""",
     "observe()": "return View([state.place, state.speed])",
 }
 
@@ -300,9 +300,10 @@ def test_reals(pearl: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     folder = made(pearl, monkeypatch, "Ball", f"{HERE}:Ball")
     path = folder / "ball" / "step.py"
     text = path.read_text()
-    assert "    place: Signed[" in text
-    assert "  # real, seen -" in text
-    path.write_text(re.sub(r"(place|speed|elements): (Array\[)?Signed\[\d+", r"\1: \2Signed[20", text))
+    assert "    place: Real[-5, 5]  # real, seen -" in text
+    assert "    speed: Real[-0.5, 0.5]  # real, seen -" in text
+    assert "    elements: Array[Real[-50, 50], 2]\n" in text
+    path.write_text(text.replace("Real[-0.5, 0.5]", "Real[-1, 1]"))  # as its page says, all that there can be
     fill(folder, BALL)
     port = parts(folder)
     checks = ("wrong_state", "wrong_pose", "wrong_start", "wrong_observation", "wrong_step")
@@ -313,8 +314,13 @@ def test_reals(pearl: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     for states in ("reached", "random"):
         assert errors["reward", states]["most"] == 0
         for name in ("elements_0", "elements_1"):
-            assert 0 < errors[name, states]["mean"] <= errors[name, states]["most"] < 1e-4
-    path.write_text(path.read_text().replace("58982", "50000"))
+            assert 0 < errors[name, states]["mean"] <= errors[name, states]["most"] < 4e-6  # float32
+    right = path.read_text()
+    path.write_text(right.replace("place: Real[-5, 5]", "place: Real[-2, 2]"))
+    wrong = parts(folder).wrong_state()
+    assert wrong is not None
+    assert "and its field holds -2 to 2" in wrong
+    path.write_text(right.replace("0.9 *", "0.8999 *"))
     wrong = parts(folder).wrong_step()
     assert wrong is not None
     assert "is " in wrong

@@ -2,12 +2,9 @@
 
 from typing import Any
 
-from pearl_marl.layout import Layout
 from pearl_marl.porting import @helpers@
 
 from .step import State
-
-LAYOUT = Layout(State)
 
 
 def original() -> Original:
@@ -22,7 +19,6 @@ def read(env: Any) -> State:
     )
 
 
-def pose(env: Any, words: tuple[int, ...]) -> None:
+def pose(env: Any, state: State) -> None:
     """Put an original into a state of ours."""
-    state: State = LAYOUT.built(words)
 @pose@

@@ -1,6 +1,6 @@
 """The golden step of MyEnvironment, to be filled in as PORTING.md says.
 
-What @original@ does, on integers.
+What @original@ does, in plain Python.
 """
 
 from typing import NamedTuple
