@@ -44,5 +44,6 @@ HIGH = np.array([MAX_POSITION, MAX_SPEED], np.float32)
 SPEC = EnvSpec(
     name="RealMountainCar", version=0, summary="Drive up a hill, by Gymnasium's formulas", max_cycles=200,
     rewards=(-1.0,), observation_space=Box(np.array([MIN_POSITION, -MAX_SPEED], np.float32), HIGH),
-    action_space=Discrete(3), golden=Golden(State, initial, step, observe, view=State), oracle="MountainCar-v0",
+    action_space=Discrete(3), golden=Golden(State, initial, step, observe, view=State),
+    oracle="MountainCar-v0",
 )  # fmt: skip
