@@ -1,6 +1,6 @@
 """A core against its golden functions.
 
-Every state word, reachable or not, with every action, started or not and held or not, if these are few
+Every state within its ranges, reachable or not, with every action, started or not and held or not, if these are few
 enough; as many of them by chance if not.
 """
 
