@@ -129,8 +129,8 @@ def compared(name: str, env: Any, words: list[int]) -> list[float]:
             error = number(word, field) - min(max(y, low), high)
         errors.append(abs(error) * 2.0**field.fraction)
     if near and name != "Acrobot":
-        seen = call_reference(spec.positional.observe, after)
-        seen = [number(word, field) for word, field in zip(seen, spec.observation, strict=True)]
+        words_seen = call_reference(spec.positional.observe, after)
+        seen = [number(word, field) for word, field in zip(words_seen, spec.observation, strict=True)]
         assert seen == pytest.approx(obs.tolist(), abs=1e-6)
     return errors
 
@@ -159,7 +159,8 @@ def test_a_step_from_any_state_is_gymnasiums(name: str) -> None:
 @pytest.mark.parametrize("name", ENVIRONMENTS)
 def test_a_step_from_a_state_that_is_reached_is_gymnasiums(name: str) -> None:
     spec, generator, errors = ENVIRONMENTS[name], random.Random(2), []
-    env, other = gymnasium.make(str(spec.oracle)), gymnasium.make(str(spec.oracle))
+    env: Any = gymnasium.make(str(spec.oracle))
+    other = gymnasium.make(str(spec.oracle))
     for seed in range(4):
         env.reset(seed=seed)
         for _ in range(100):
@@ -177,7 +178,7 @@ def test_a_step_from_a_state_that_is_reached_is_gymnasiums(name: str) -> None:
 
 def beyond(state: list[float], torque: float) -> bool:
     """Return whether a step of Acrobot has speeds inside of it that its author binds."""
-    k: tuple[float, ...] = (0.0,) * 4
+    k: tuple[Any, ...] = (0.0,) * 4
     for dt in (0.0, 0.1, 0.1, 0.2):
         stage = [y + dt * change for y, change in zip(state, k, strict=True)]
         if abs(stage[2]) > acrobot.STAGE_1 or abs(stage[3]) > acrobot.STAGE_2:

@@ -72,8 +72,8 @@ def assert_means_the_golden_functions(
     found = functions(spec)
     draws = [Field(f"draw_{k}", 32) for k in range(spec.reset_draws + spec.step_draws)]
     # Words, whatever they stand for.
-    state = [Field(f.name, f.bits, f.signed) for f in spec.state]
-    actions = [Field(f.name, f.bits, f.signed) for f in spec.each_agent(*spec.action_fields)]
+    state = [replace(f, fraction=0) for f in spec.state]
+    actions = [replace(f, fraction=0) for f in spec.each_agent(*spec.action_fields)]
     steps = [*state, *actions, *draws[spec.reset_draws :]]
     calls: list[tuple[str, Any, list[Field], tuple[int, ...]]] = [
         ("initial", spec.positional.initial, draws[: spec.reset_draws], ()),

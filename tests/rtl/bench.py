@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import itertools
 import re
+import sys
 from collections.abc import Callable, Sequence
 from importlib.util import module_from_spec, spec_from_file_location
 from types import SimpleNamespace
@@ -81,7 +82,7 @@ def spec_of(name: str, options: dict[str, Any]) -> Any:
         found = spec_from_file_location(TOYS[name], harness.HERE.parent / f"{TOYS[name]}.py")
         assert found is not None
         assert found.loader is not None
-        module = module_from_spec(found)
+        module = sys.modules[TOYS[name]] = module_from_spec(found)
         found.loader.exec_module(module)
         return getattr(module, name.upper()).with_options(**options)
     if name == "Random":

@@ -1,7 +1,7 @@
 """A core against its golden functions.
 
-Every state word, reachable or not, with every action, started or not and held or not, if these are few
-enough; as many of them by chance if not.
+Every state that fits its fields, reachable or not, with every action, started or not and held or not, if
+these are few enough; as many of them by chance if not.
 """
 
 from __future__ import annotations

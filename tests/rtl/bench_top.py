@@ -150,7 +150,9 @@ async def steps_equal_the_model_in_every_mode(dut: Any) -> None:
             model.tick = int(generator.choice([0, 0xFFFFFFFF, 1 << 40]))
             model.first_slot = int(generator.integers(0, 1 << 31))
             model.max_cycles = max_cycles
-            model.initial_states = [generator.integers(0, 1 << f.bits, n).astype(f.dtype) for f in SPEC.state]
+            model.initial_states = [
+                generator.integers(*f.range, n, f.dtype, endpoint=True) for f in SPEC.state
+            ]
             await host.load(model)
             for step in range(ARGUMENTS["steps"]):
                 mode = base | (Mode.RESET_ALL if step == 0 else Mode(0))
@@ -189,7 +191,7 @@ async def a_saved_state_goes_on_where_it_was(dut: Any) -> None:
     model = Model(SPEC, LAYOUT)
     model.max_cycles = 9
     model.tick = 77
-    model.states = [generator.integers(0, 1 << f.bits, n).astype(f.dtype) for f in SPEC.state]
+    model.states = [generator.integers(*f.range, n, f.dtype, endpoint=True) for f in SPEC.state]
     model.elapsed = generator.integers(0, 9, n).astype(np.uint32)
     model.ters = generator.integers(0, 2 << SPEC.agents, n).astype(model.ters.dtype)
     await host.load(model)

@@ -11,7 +11,7 @@ import numpy as np
 from pearl_marl.compiler.core_graph import core_graph
 from pearl_marl.elements import bounds
 from pearl_marl.golden import call_reference
-from pearl_marl.spec import TERMINATED, EnvSpec, Field, word_bits
+from pearl_marl.spec import TERMINATED, EnvSpec, Field
 from pearl_marl.tracing.nodes import Node
 
 
@@ -83,19 +83,21 @@ def all_cases(
 
     Actions have a column for each field of each agent of a slot.
     """
-    bits, scales = word_bits(spec.state), [2**f.fraction for f in spec.action_fields]
+    scales = [2**f.fraction for f in spec.action_fields]
     least, most = (
         spec.agents * np.round(np.atleast_1d(end) * scales).astype(np.int64).tolist()
         for end in bounds(spec.action_space)
     )
     ranges = [range(low, high + 1) for low, high in zip(least, most, strict=True)]
-    if math.prod(map(len, ranges)) * 4 << bits <= limit:
+    words = [range(low, high + 1) for low, high in (f.range for f in spec.state)]
+    if math.prod(each.stop - each.start for each in words + ranges) * 4 <= limit:
         flags = (False, True)
-        actions = itertools.product(*ranges)
-        cases = itertools.product(range(1 << bits), actions, flags, flags)
+        cases = itertools.product(itertools.product(*words), itertools.product(*ranges), flags, flags)
         states, *rest = zip(*cases, strict=True)
-        return (list(states), *map(np.array, rest))
-    states = [int.from_bytes(generator.bytes(-(-bits // 8))) >> -bits % 8 for _ in range(limit)]
+        columns = zip(*states, strict=True)
+        return (join(columns, spec.state, len(states)), *map(np.array, rest))
+    columns = [generator.integers(*f.range, limit, f.dtype, endpoint=True) for f in spec.state]
+    states = join(columns, spec.state, limit)
     first, hold = generator.random((2, limit)) < 0.25
     return states, generator.integers(least, most, (limit, len(least)), endpoint=True), first, hold
 

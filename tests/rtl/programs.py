@@ -219,7 +219,7 @@ class Program:
         if same and self.chance.random() < 0.5:
             texts[0] = self.chance.choice(same)
         self.write(f"{name} = [{', '.join(texts)}]")
-        for place in {self.index(rows) for _ in range(2)}:
+        for place in dict.fromkeys(self.index(rows) for _ in range(2)):
             self.lists[f"{name}[{place}]"] = columns
 
     def list_(self) -> None:

@@ -177,7 +177,7 @@ def steps_of(script: Script, base: Mode, max_cycles: int) -> None:
     model.tick = (int(random.integers(0, 1 << 30)) << 32) + ALL - int(random.integers(0, 4))
     model.first_slot = int(random.integers(0, 1 << 32))
     model.max_cycles = max_cycles
-    model.initial_states = [random.integers(0, 1 << f.bits, n).astype(f.dtype) for f in spec.state]
+    model.initial_states = [random.integers(*f.range, n, f.dtype, endpoint=True) for f in spec.state]
     initial = model.bytes_of("initial_states", spec.state, model.initial_states)
     script.write_bytes("initial_states", initial)
     script.load()
@@ -214,7 +214,7 @@ def limits(script: Script) -> None:
         model.max_cycles = limit
         below = script.random.choice([1, 1, 2, 2, 3, limit // 2 + 1], n)
         model.elapsed = np.minimum(np.maximum(limit - below, 0), ALL - 1).astype(np.uint32)
-        model.states = [script.random.integers(0, 1 << f.bits, n).astype(f.dtype) for f in state]
+        model.states = [script.random.integers(*f.range, n, f.dtype, endpoint=True) for f in state]
         model.ters = script.random.choice([0, 0, 0, 1, 2, 3], n).astype(np.uint8)
         load_states(script)
         script.load()
