@@ -74,7 +74,7 @@ def observe(state: State, agent: int) -> View:
 
 def masks(state: State, agent: int) -> list[Word]:
     """Return which columns have room; none for who is not on turn."""
-    room = ~(state.boards[0] | state.boards[1]) if state.turn == agent else 0
+    room = ~(state.boards[0] | state.boards[1]) & TOP_ROW if state.turn == agent else 0
     return [room >> column & 1 for column in range(COLUMNS)]
 
 

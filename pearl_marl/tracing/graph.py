@@ -12,7 +12,8 @@ from pearl_marl.tracing.operations import word_range, wrapped
 class Graph(Nodes):
     """Nodes, and the operations that make others of them.
 
-    ``early`` graphs compare what a choice is made of beside the choice, as hardware should, not after it.
+    ``early`` graphs compare what a choice is made of beside the choice, as hardware should, not after it,
+    and choose once by two flags, not twice. A CPU has instructions for the less and the greater of two.
     """
 
     def __init__(self, exact: bool = True, early: bool = True) -> None:
@@ -338,6 +339,13 @@ class Graph(Nodes):
                 return self.or_(flag, b)
             if b.is_constant(1):
                 return self.or_(self.logical_not(flag), a)
+        for inner, other, there in ((a, b, flag), (b, a, self.logical_not(flag))) if self.early else ():
+            if inner.op == "choose" and other in inner.args[1:]:  # one choice, by both flags
+                also, x, y = inner.args
+                if other is x:
+                    also, x = self.logical_not(also), y
+                node = self.choose(self.and_(there, also), x, other)
+                return self.within(node, min(a.low, b.low), max(a.high, b.high))
         return self.make("choose", flag, a, b)
 
     def _arm(self, arm: Node, flag: Node, holds: bool) -> Node:
