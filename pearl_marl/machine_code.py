@@ -9,7 +9,10 @@ from __future__ import annotations
 import functools
 import hashlib
 import inspect
+import linecache
+import os
 import pickle
+import re
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -18,11 +21,13 @@ from typing import Any
 import numba
 import numpy as np
 from numba.core.caching import CompileResultCacheImpl
+from numba.core.errors import NumbaError
 from numba.core.serialize import dumps
 
 from pearl_marl import object_code
 from pearl_marl.cache import cache_folder, keep, kept, locked
-from pearl_marl.errors import DeviceError
+from pearl_marl.errors import ArgumentError, DeviceError
+from pearl_marl.places import place_of
 
 CONFIG: Any = numba.config
 
@@ -112,6 +117,8 @@ def kept_code(dispatcher: Any, name: str) -> Any:
     ------
     DeviceError
         Numba's compiler is turned off.
+    ArgumentError
+        At the first call: an author's ``unpack`` does what cannot be compiled; names the line.
     """
     if CONFIG.DISABLE_JIT:
         raise DeviceError(
@@ -124,10 +131,27 @@ def kept_code(dispatcher: Any, name: str) -> Any:
 
     def compile_alone(signature: Any) -> Any:
         with locked(cache_folder("kernels") / f"{name}.lock"):
-            return compile_(signature)
+            try:
+                return compile_(signature)
+            except NumbaError as error:
+                raise ArgumentError(_told(error)) from None
 
     dispatcher.compile = compile_alone
     return dispatcher
+
+
+def _told(error: NumbaError) -> str:
+    """Return what an author is told: the last line of a file of his own that is named."""
+    text = re.sub(r"\x1b\[[0-9;]*m", "", str(error))
+    places = re.findall(r'File "([^"]+)", line (\d+)', text)
+    for file, line in reversed(places):
+        statement = linecache.getline(os.path.abspath(file), int(line)).strip()
+        if statement and "kernels" not in Path(file).parts:
+            return (
+                f"{place_of(file, int(line))}: unpack() cannot be compiled here: `{statement}`; it takes numbers, "
+                "tuples of them, loops and `if`s, and writes elements of `row`"
+            )
+    return "unpack() cannot be compiled; it takes numbers, tuples of them, loops and `if`s"
 
 
 def compiled(function: Callable[..., Any]) -> Callable[..., Any]:

@@ -151,3 +151,19 @@ def test_what_is_refused() -> None:
     golden = Golden(State, initial, step, lambda state: (state.time, state.time), view=Plain)
     with pytest.raises(ArgumentError, match=r"takes a Plain; Numba knows NamedTuples only"):
         spec_of(golden=golden)
+
+
+def unpack_from_a_file(seen: Any, row: Any) -> None:
+    row[0] = 1
+    open("a file")  # noqa: SIM115
+
+
+def test_what_cannot_be_compiled_is_told_where_it_stands() -> None:
+    """In a sentence, without a word of the compiler's."""
+    line = unpack_from_a_file.__code__.co_firstlineno + 2
+    spec = spec_of(unpack=unpack_from_a_file)
+    device = make_device("native").open(BatchConfig(spec=spec, n_envs=3))
+    told = rf"test_unpack.py, line {line}: unpack\(\) cannot be compiled here"
+    with pytest.raises(ArgumentError, match=told) as error:
+        device.reset(seed=0)
+    assert "umba" not in str(error.value)
