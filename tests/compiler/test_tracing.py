@@ -122,6 +122,23 @@ def power(x: Any, n: int) -> Any:
     return x * power(x, n - 1) if n else 1
 
 
+def test_a_limit_under_a_condition_is_one_choice_by_two_flags() -> None:
+    graph = Graph()
+    word, zero = graph.input("word", 16, signed=True), graph.constant(0)
+    flag, sign = graph.input("flag", 1), graph.less(word, zero)
+    for extreme, chosen in ((graph.maximum, sign), (graph.minimum, graph.logical_not(sign))):
+        for there in (flag, graph.logical_not(flag)):
+            by_both = graph.and_(there, chosen)
+            limited = graph.choose(there, extreme(word, zero), word)
+            reset = graph.choose(there, extreme(word, zero), zero)
+            for node, wanted in (
+                (limited, graph.choose(by_both, zero, word)),
+                (reset, graph.choose(graph.and_(there, graph.logical_not(chosen)), word, zero)),
+            ):
+                assert node is wanted
+            assert (reset.low, reset.high) == ((0, 2**15 - 1) if chosen is sign else (-(2**15), 0))
+
+
 def test_a_helper_may_call_itself() -> None:
     def step(a: Any) -> Any:
         return power(a, 3)
