@@ -13,12 +13,14 @@ class Graph(Nodes):
     """Nodes, and the operations that make others of them.
 
     ``early`` graphs compare what a choice is made of beside the choice, as hardware should, not after it,
-    and choose once by two flags, not twice. A CPU has instructions for the less and the greater of two.
+    and choose once where a limit holds under a condition. A CPU is faster with the less or greater of two.
     """
 
     def __init__(self, exact: bool = True, early: bool = True) -> None:
         super().__init__(exact)
         self.early = early
+        self._limited: set[Node] = set()
+        """Choices of the less or the greater of two."""
         self.floats: Any = None
         """What words do that meet floats: see :func:`pearl_marl.reals.admitted`. ``None`` where none do."""
 
@@ -339,8 +341,9 @@ class Graph(Nodes):
                 return self.or_(flag, b)
             if b.is_constant(1):
                 return self.or_(self.logical_not(flag), a)
-        for inner, other, there in ((a, b, flag), (b, a, self.logical_not(flag))) if self.early else ():
-            if inner.op == "choose" and other in inner.args[1:]:  # one choice, by both flags
+        for inner, other in ((a, b), (b, a)) if self.early else ():
+            if inner in self._limited and other in inner.args[1:]:  # one choice, by both flags
+                there = flag if inner is a else self.logical_not(flag)
                 also, x, y = inner.args
                 if other is x:
                     also, x = self.logical_not(also), y
@@ -371,14 +374,19 @@ class Graph(Nodes):
         if a.high <= b.low or b.high <= a.low:
             return a if a.high <= b.low else b
         node = self.choose(self.less(a, b), a, b)
-        return self.within(node, min(a.low, b.low), min(a.high, b.high))
+        return self._limit(node, min(a.low, b.low), min(a.high, b.high))
 
     def maximum(self, a: Node, b: Node) -> Node:
         """Return the greater of two."""
         if a.high <= b.low or b.high <= a.low:
             return b if a.high <= b.low else a
         node = self.choose(self.less(a, b), b, a)
-        return self.within(node, max(a.low, b.low), max(a.high, b.high))
+        return self._limit(node, max(a.low, b.low), max(a.high, b.high))
+
+    def _limit(self, node: Node, low: int, high: int) -> Node:
+        if node.op == "choose":
+            self._limited.add(node)
+        return self.within(node, low, high)
 
     def narrow(self, a: Node, low: int, high: int) -> Node:
         """Return ``a`` as what it is known to be where anybody looks at what is made of the result."""

@@ -130,7 +130,7 @@ def power(x: Any, n: int) -> Any:
     return x * power(x, n - 1) if n else 1
 
 
-def test_a_choice_within_a_choice_is_one_by_two_flags() -> None:
+def test_a_limit_under_a_condition_is_one_choice_by_two_flags() -> None:
     graph = Graph()
     word, zero = graph.input("word", 16, signed=True), graph.constant(0)
     flag, sign = graph.input("flag", 1), graph.less(word, zero)
