@@ -6,9 +6,7 @@ import importlib.util
 import keyword
 import re
 import shutil
-from collections.abc import Iterable
-from importlib import resources
-from importlib.resources.abc import Traversable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -22,7 +20,6 @@ from pearl_marl.hardware import elaboration
 from pearl_marl.registry import names
 from pearl_marl.spec import MAX_AGENTS, snake_case
 
-TEMPLATE = "MyEnvironment"
 WORLD = "AGENTS = 2"
 """What says in the template of a world how many agents share it."""
 
@@ -84,20 +81,11 @@ def command(
         raise ArgumentError(f"{'--rules' if rules else '--option'} is about the original of --from: give one")
     if not 1 <= agents <= MAX_AGENTS:
         raise ArgumentError(f"--agents is {agents}; a world has 1 to {MAX_AGENTS}")
-    words = {
-        TEMPLATE: name,
-        snake_case(TEMPLATE): snake_case(name),
-        snake_case(TEMPLATE).replace("_", "-"): snake_case(name).replace("_", "-"),
-        WORLD: WORLD.replace("2", str(agents)),
-    }
-    templates = resources.files("pearl_marl") / "templates"
-    try:
-        copied = set(_copy(templates / "environment", folder, words))
-        if agents > 1:
-            copied |= set(_copy(templates / "world", folder, words))  # over the other
-    except OSError as error:
-        raise _unwritable(folder, error) from None
-    if _tell(folder, copied, as_json):
+    from pearl_marl.porting.package import filled, own_words
+
+    words = {**own_words(name), WORLD: WORLD.replace("2", str(agents))}
+    world = filled("world", words) if agents > 1 else {}
+    if _tell(folder, _write(folder, {**filled("environment", words), **world}), as_json):
         return
     console.print(
         f"It works as it is: [bold]cd {escape(str(folder))}[/], [bold]pip install -e '.\\[test]'[/], "
@@ -125,15 +113,7 @@ def _follow(
     from pearl_marl.porting.making import made
 
     package = made(name, original_name, options, rules)
-    paths = []
-    try:
-        for relative, content in package.files.items():
-            path = folder / relative
-            path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_bytes(content if isinstance(content, bytes) else content.encode())
-            paths.append(path)
-    except OSError as error:
-        raise _unwritable(folder, error) from None
+    paths = _write(folder, package.files)
     if _tell(folder, paths, as_json, original=original_name, whole=package.whole, why=package.why):
         return
     say(f"{package.said}")
@@ -151,12 +131,21 @@ def _follow(
         console.print(f"Go on: {install}, and read [bold]PORTING.md[/].", soft_wrap=True)
 
 
-def _unwritable(folder: Path, error: OSError) -> ArgumentError:
-    """Return the error for a package that cannot be written, of which nothing stays."""
-    shutil.rmtree(folder, ignore_errors=True)  # half a package would be in the way of the next try
-    return ArgumentError(
-        f"{folder} cannot be written: {error.strerror}; make room for it, or choose another --out"
-    )
+def _write(folder: Path, files: Mapping[str, str | bytes]) -> list[Path]:
+    """Write files by their paths in a new folder; if that fails, nothing of it stays."""
+    paths = []
+    try:
+        for relative, content in files.items():
+            path = folder / relative
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_bytes(content if isinstance(content, bytes) else content.encode())
+            paths.append(path)
+    except OSError as error:
+        shutil.rmtree(folder, ignore_errors=True)  # half a package would be in the way of the next try
+        raise ArgumentError(
+            f"{folder} cannot be written: {error.strerror}; make room for it, or choose another --out"
+        ) from None
+    return paths
 
 
 def _checked(name: str, out: Path) -> Path:
@@ -189,21 +178,3 @@ def _checked(name: str, out: Path) -> Path:
     if {f"{snake}_pe", f"{snake}_pkg"} & modules:
         raise ArgumentError(f"name {name!r}: the backbone has a module of its core's name, {snake}_pe")
     return folder
-
-
-def _copy(source: Traversable, target: Path, words: dict[str, str]) -> list[Path]:
-    """Copy a folder, with ``words`` replaced in the names and contents of its files; return the files."""
-    written = []
-    target.mkdir(parents=True, exist_ok=True)
-    for item in source.iterdir():
-        path = target / _replaced(item.name, words)
-        if item.is_file():
-            path.write_text(_replaced(item.read_text("utf-8"), words), "utf-8")
-            written.append(path)
-        elif not item.name.startswith((".", "_")):  # caches of pip and of linters
-            written += _copy(item, path, words)
-    return written
-
-
-def _replaced(text: str, words: dict[str, str]) -> str:
-    return re.sub("|".join(words), lambda match: words[match[0]], text)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterator
+from itertools import islice
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,15 +13,15 @@ from pearl_marl.batch.actions import encode, room_for_words
 from pearl_marl.errors import ArgumentError
 from pearl_marl.golden import reference
 from pearl_marl.porting.contents import elements, leaves_of
-from pearl_marl.porting.originals import Original
-from pearl_marl.porting.port import like
+from pearl_marl.porting.originals import Original, Outcome
+from pearl_marl.porting.port import first_unlike, like
 from pearl_marl.spec import EnvSpec
 
 EPISODES, LONGEST = 100, 1000
 """Of random policies, whose returns are compared; and their steps at most."""
 
-SAMPLES, OFTEN = 100, 0.1
-"""Outcomes of a step with draws, and the share of one that has to be on both sides."""
+SAMPLES = 100
+"""Outcomes of a step with draws."""
 
 MOST_SAMPLED = 300
 """Different states and actions whose outcomes are compared so."""
@@ -78,6 +79,20 @@ class _Ours:
         worth = [spec.rewards[r] if spec.rewards is not None else spec.reward.value(r) for r in rewards]
         return list(map(float, worth)), list(map(bool, result[n + spec.agents :]))
 
+    def walk(self, original: Original, rng: np.random.Generator, steps: int) -> Iterator[list[Any]]:
+        """Yield random actions in each of so many states that are reached, and take them then."""
+        left, episode = 0, -1
+        for _ in range(steps):
+            if left == 0:
+                self.reset(rng)
+                episode += 1
+                habits, left = original.habits(rng, episode), _limit(self.spec)
+            given, before = next(habits), self.state
+            yield given
+            self.state = before
+            _, ends = self.step(_words(self.spec, given), rng)
+            left = 0 if all(ends) else left - 1
+
     def observation(self, agent: int) -> tuple[float, ...]:
         """Return what an agent sees, element by element."""
         spec, words = self.spec, [int(word) for word in self._observe[agent](*self.state)]
@@ -118,18 +133,21 @@ def compare(spec: EnvSpec, original: Original, steps: int, seed: int) -> Compari
         taken, difference = _outcomes(ours, original, pose, rng, steps)
     else:
         taken, difference = _side_by_side(ours, original, pose, rng, steps)
-    limit = min(spec.max_cycles or LONGEST, LONGEST)
-    mine = list(_returns(lambda: _our_episode(ours, original, rng, limit)))
-    theirs = list(_returns(lambda: _their_episode(original, rng, limit)))
-    (a, b), (c, d) = zip(*mine, strict=True), zip(*theirs, strict=True)
-    return Comparison(
-        how,
-        taken,
-        difference,
-        errors,
-        ((float(np.mean(a)), float(np.std(a))), (float(np.mean(c)), float(np.std(c)))),
-        (float(np.mean(b)), float(np.mean(d))),
-    )
+
+    def our_step(given: list[Any]) -> tuple[float, bool]:
+        rewards, ends = ours.step(_words(spec, given), rng)
+        return sum(rewards), all(ends)
+
+    def their_step(given: list[Any]) -> tuple[float, bool]:
+        outcome = original.step(given)
+        return sum(outcome.rewards), outcome.over
+
+    def their_reset() -> None:
+        original.reset(seed=int(rng.integers(1 << 31)))
+
+    mine, length = _returns(original, lambda: ours.reset(rng), our_step, _limit(spec))
+    theirs, other_length = _returns(original, their_reset, their_step, _limit(spec))
+    return Comparison(how, taken, difference, errors, (mine, theirs), (length, other_length))
 
 
 def _poser(spec: EnvSpec, original: Original) -> tuple[Callable[[tuple[int, ...]], None] | None, str]:
@@ -168,6 +186,7 @@ def _side_by_side(
     ours: _Ours, original: Original, pose: Any, rng: np.random.Generator, steps: int
 ) -> tuple[int, str | None]:
     """Run both from the same states by the same actions, without draws."""
+    names = _names(ours.spec)
     taken = 0
     while taken < steps:
         ours.reset(rng)
@@ -176,25 +195,26 @@ def _side_by_side(
         if pose is not None:
             pose(begun)
         else:
-            wrong = _wrong_view(ours, original)
+            rewards, ends = [0.0] * original.agents, [False] * original.agents
+            outcome = Outcome(original.seen, rewards, ends, truncated=False)
+            wrong = _unequal(names, _both(ours, rewards, ends, outcome))
             if wrong:
                 return taken, f"at the start of an episode {wrong}"
         actions: list[Any] = []
-        for _ in range(min(ours.spec.max_cycles or LONGEST, LONGEST, steps - taken)):
-            given = original.actions(rng)
+        for given in islice(original.habits(rng, taken), min(_limit(ours.spec), steps - taken)):
             actions.append(given[0] if len(given) == 1 else given)
             rewards, ends = ours.step(_words(ours.spec, given), rng)
             outcome = original.step(given)
-            taken += 1
-            wrong = _wrong(rewards, ends, outcome.rewards, outcome.terminated) or _wrong_view(ours, original)
+            wrong = _unequal(names, _both(ours, rewards, ends, outcome))
             if wrong:
                 last = ", ".join(map(str, actions[-8:]))
-                return taken, (
+                return taken + len(actions), (
                     f"from {_named(ours.spec, begun)} after {len(actions)} steps, the last by the actions "
                     f"{last}: {wrong}"
                 )
             if all(ends) or outcome.over:
                 break
+        taken += len(actions)
     return taken, None
 
 
@@ -203,42 +223,29 @@ def _outcomes(
 ) -> tuple[int, str | None]:
     """Compare the outcomes of steps with draws: what happens often on one side happens on the other."""
     original.reset(seed=0)
-    ours.reset(rng)
-    age, compared = 0, set[tuple[Any, ...]]()
-    for taken in range(1, steps + 1):
-        before, given = ours.state, original.actions(rng)
-        words = _words(ours.spec, given)
-        mine, theirs = Counter[Any](), Counter[Any]()
-        known = (before, *words) in compared or len(compared) >= MOST_SAMPLED
+    compared = set[tuple[Any, ...]]()
+    for taken, given in enumerate(ours.walk(original, rng, steps), 1):
+        before, words = ours.state, _words(ours.spec, given)
+        if (before, *words) in compared or len(compared) >= MOST_SAMPLED:
+            continue
         compared.add((before, *words))
-        for _ in range(1 if known else SAMPLES):
+        mine, theirs = Counter[Any](), Counter[Any]()
+        for _ in range(SAMPLES):
             ours.state = before
             rewards, ends = ours.step(words, rng)
-            mine[(*rewards, *ends, *ours.observation(0))] += 1
-        last, last_ends = ours.state, ends
-        for _ in range(0 if known else SAMPLES):
             pose(before)
             original.reseed(int(rng.integers(1 << 31)))
-            outcome = original.step(given)
-            seen = outcome.observations[0]
-            row = () if seen is None else elements(seen)
-            theirs[(*outcome.rewards, *outcome.terminated, *row)] += 1
-        for result in {} if known else {**theirs, **mine}:
-            own, due = mine[result] / SAMPLES, theirs[result] / SAMPLES
-            both = (own + due) / 2
-            if (max(own, due) >= OFTEN and min(own, due) == 0) or abs(own - due) > 6 * np.sqrt(
-                both * (1 - both) * 2 / SAMPLES
-            ):
-                n = len(given)
-                told = f"reward {result[:n]}, terminated {result[n : 2 * n]}, observation {result[2 * n :]}"
-                return taken, (
-                    f"from {_named(ours.spec, before)} by action {_words(ours.spec, given)}: {told} "
-                    f"has a share of {own:.2f}, the original's is {due:.2f}"
-                )
-        ours.state, age = last, age + 1
-        if all(last_ends) or age >= (ours.spec.max_cycles or LONGEST):
-            ours.reset(rng)
-            age = 0
+            own, due = _both(ours, rewards, ends, original.step(given))
+            mine[tuple(own)] += 1
+            theirs[tuple(due)] += 1
+        unlike = first_unlike(mine, theirs)
+        if unlike:
+            result, share, right = unlike
+            told = ", ".join(f"{name} {x:g}" for name, x in zip(_names(ours.spec), result, strict=True))
+            return taken, (
+                f"from {_named(ours.spec, before)} by action {words}: {told} has a share of {share:.2f}, "
+                f"the original's is {right:.2f}"
+            )
     return steps, None
 
 
@@ -246,65 +253,52 @@ def _errors(
     ours: _Ours, original: Original, pose: Any, rng: np.random.Generator, steps: int, states: str
 ) -> Iterator[Errors]:
     """Yield the errors of one step over states that are reached, or random ones within those."""
-    spec = ours.spec
     original.reset(seed=0)
-    reached, found = [], []
-    ours.reset(rng)
-    age = 0
-    for _ in range(max(steps, 1)):
-        reached.append(ours.state)
-        _, ends = ours.step(_words(spec, original.actions(rng)), rng)
-        age += 1
-        if all(ends) or age >= (spec.max_cycles or LONGEST):
-            ours.reset(rng)
-            age = 0
+    reached = [ours.state for _ in ours.walk(original, rng, max(steps, 1))]
     if states == "random":
         low, high = np.array(reached).min(0), np.array(reached).max(0)
         reached = [
             tuple(map(int, row)) for row in rng.integers(low, high, (len(reached), len(low)), endpoint=True)
         ]
+    found = []
     for state in reached:
         given = original.actions(rng)
         ours.state = state
         pose(state)
         # Both begin from what the words stand for, so the error is of one step alone.
-        rewards, ends = ours.step(_words(spec, given), rng)
-        outcome = original.step(given)
-        row = [*rewards, *map(float, ends)]
-        due = [*outcome.rewards, *map(float, outcome.terminated)]
-        for agent in range(spec.agents):
-            row += ours.observation(agent)
-            due += elements(outcome.observations[agent])
-        found.append(np.abs(np.subtract(row, due)))
-    table = np.array(found)
-    several = spec.agents > 1
-    names = [f"{what}{f' {k}' * several}" for what in ("reward", "terminated") for k in range(spec.agents)]
-    fields = [f.name for f in spec.observation]
-    fields = fields if spec.unpack is None else [f"element {k}" for k in range(spec.observation_size)]
-    names += [f"{name}{f' of {k}' * several}" for k in range(spec.agents) for name in fields]
-    for name, column in zip(names, table.T, strict=True):
+        rewards, ends = ours.step(_words(ours.spec, given), rng)
+        found.append(np.abs(np.subtract(*_both(ours, rewards, ends, original.step(given)))))
+    for name, column in zip(_names(ours.spec), np.array(found).T, strict=True):
         yield Errors(name, states, float(column.max()), float(column.mean()))
 
 
-def _wrong(rewards: list[float], ends: list[bool], due: list[float], due_ends: list[bool]) -> str | None:
-    for k, (a, b) in enumerate(zip(rewards, due, strict=True)):
-        if np.float32(a) != np.float32(b):
-            return f"reward{f' {k}' * (len(due) > 1)} is {a}, the original's {b}"
-    for k, (own, other) in enumerate(zip(ends, due_ends, strict=True)):
-        if own != other:
-            return f"terminated{f' {k}' * (len(due) > 1)} is {own}, the original's {other}"
-    return None
+def _names(spec: EnvSpec) -> list[str]:
+    """Return what the numbers that a step gives are called: rewards, ends, and what each agent sees."""
+    several, agents = spec.agents > 1, range(spec.agents)
+    fields = [f.name for f in spec.observation]
+    fields = fields if spec.unpack is None else [f"element {k}" for k in range(spec.observation_size)]
+    names = [f"{what}{f' {k}' * several}" for what in ("reward", "terminated") for k in agents]
+    return names + [f"{name}{f' of {k}' * several}" for k in agents for name in fields]
 
 
-def _wrong_view(ours: _Ours, original: Original) -> str | None:
-    for agent, seen in enumerate(original.seen):
-        if seen is None:
-            continue
-        mine, due = ours.observation(agent), elements(seen)
-        for k, (a, b) in enumerate(zip(mine, due, strict=True)):
-            if np.float32(a) != np.float32(b):
-                where = f"element {k} of the observation" if len(due) > 1 else "the observation"
-                return f"{where} is {a:g}, the original's {b:g}"
+def _both(
+    ours: _Ours, rewards: list[float], ends: list[Any], outcome: Outcome
+) -> tuple[list[float], list[float]]:
+    """Return these numbers of both; an agent that has left the original sees what it sees here."""
+    own = [*rewards, *map(float, ends)]
+    due = [*outcome.rewards, *map(float, outcome.terminated)]
+    for agent, seen in enumerate(outcome.observations):
+        mine = ours.observation(agent)
+        own += mine
+        due += mine if seen is None else elements(seen)
+    return own, due
+
+
+def _unequal(names: list[str], both: tuple[list[float], list[float]]) -> str | None:
+    """Return the first number that differs."""
+    for name, own, due in zip(names, *both, strict=True):
+        if np.float32(own) != np.float32(due):
+            return f"{name} is {own:.9g}, the original's {due:.9g}"
     return None
 
 
@@ -314,34 +308,30 @@ def _named(spec: EnvSpec, state: tuple[int, ...]) -> str:
 
 
 def _words(spec: EnvSpec, actions: list[Any]) -> list[int]:
-    return encode(np.stack(actions), spec, room_for_words(spec, len(actions))).ravel().tolist()
+    words: list[int] = encode(np.stack(actions), spec, room_for_words(spec, len(actions))).ravel().tolist()
+    return words
 
 
 def _draws(rng: np.random.Generator, count: int) -> list[int]:
     return [int(word) for word in rng.integers(1 << 32, size=count)]
 
 
-def _returns(episode: Callable[[], tuple[float, int]]) -> Iterator[tuple[float, int]]:
-    return (episode() for _ in range(EPISODES))
+def _limit(spec: EnvSpec) -> int:
+    return min(spec.max_cycles or LONGEST, LONGEST)
 
 
-def _our_episode(ours: _Ours, original: Original, rng: np.random.Generator, limit: int) -> tuple[float, int]:
-    ours.reset(rng)
-    total = 0.0
-    for k in range(limit):
-        rewards, ends = ours.step(_words(ours.spec, original.actions(rng)), rng)
-        total += sum(rewards)
-        if all(ends):
-            return total, k + 1
-    return total, limit
-
-
-def _their_episode(original: Original, rng: np.random.Generator, limit: int) -> tuple[float, int]:
-    original.reset(seed=int(rng.integers(1 << 31)))
-    total = 0.0
-    for k in range(limit):
-        outcome = original.step(original.actions(rng))
-        total += sum(outcome.rewards)
-        if outcome.over:
-            return total, k + 1
-    return total, limit
+def _returns(
+    original: Original, reset: Callable[[], Any], step: Callable[[Any], tuple[float, bool]], limit: int
+) -> tuple[tuple[float, float], float]:
+    """Return mean and standard deviation of random episodes' returns, and their mean steps."""
+    rng = np.random.default_rng(0)
+    returns, lengths = [], []
+    for _ in range(EPISODES):
+        reset()
+        total, taken, over = 0.0, 0, False
+        while taken < limit and not over:
+            reward, over = step(original.actions(rng))
+            total, taken = total + reward, taken + 1
+        returns.append(total)
+        lengths.append(taken)
+    return (float(np.mean(returns)), float(np.std(returns))), float(np.mean(lengths))

@@ -7,6 +7,7 @@ import keyword
 import math
 import re
 import time
+from itertools import islice
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -90,8 +91,7 @@ def observed(original: Original) -> Seen:
         original.reset(seed)
         look()
         firsts.add(tuple(frozen(v) for _, v in leaves_of(original.env) if not isinstance(v, dict)))
-        for k in range(STEPS):
-            actions = original.actions(rng)
+        for k, actions in enumerate(islice(original.habits(rng, seed), STEPS)):
             if k < 5 and seed < 5:
                 random_steps |= _depends_on_chance(original, actions)
             outcome = original.step(actions)

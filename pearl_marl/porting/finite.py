@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Hashable, Iterator, Mapping
+from collections.abc import Callable, Hashable, Iterator
+from itertools import islice
 from typing import Any, NamedTuple, NoReturn
 
 import numpy as np
@@ -83,7 +84,7 @@ def finite(original: Original) -> Finite:
     table = getattr(original.env, "P", None)
     if isinstance(original.observation_space, Discrete) and table is not None:
         result = _of_table(original, table)
-        _hold_table(original, result)
+        _hold(original, result, lambda run: int(run.seen[0]), "which its P does not list")
     else:
         result = _Search(original).run()
     size = result.states * len(result.rows[0]) * result.width
@@ -152,29 +153,32 @@ def _of_table(original: Original, table: Any) -> Finite:
     return Finite(starts, tuple(rows), tuple((float(state),) for state in states), of_table=True)
 
 
-def _hold_table(original: Original, found: Finite) -> None:
-    """Refuse a table that is not what the original does."""
+def _hold(original: Original, found: Finite, number_of: Callable[[Original], int | None], why: str) -> None:
+    """Refuse what is not what the original does, run by seeds: it may draw, or keep a state, elsewhere."""
     firsts = {state for _, state in found.starts}
     rng = np.random.default_rng(0)
     for seed in range(RUNS):
-        state = int(original.reset(seed)[0])
+        run = original.copied()
+        run.reset(seed)
+        state = number_of(run)
         if state not in firsts:
-            raise NotFiniteError(
-                f"an episode begins in state {state}, which its initial_state_distrib does not list"
-            )
-        for _ in range(RUN_STEPS):
-            (action,) = original.actions(rng)
-            outcome = original.step([action])
-            after = int(outcome.observations[0])
-            known = merged(found.rows[state][action])
-            if (after, outcome.rewards[0], outcome.terminated[0]) not in known:
+            raise NotFiniteError(f"an episode begins in {_state(state)}, {why}")
+        for (action,) in islice(run.habits(rng, seed), RUN_STEPS):
+            outcome = run.step([action])
+            after = number_of(run)
+            assert state is not None
+            if (after, outcome.rewards[0], outcome.terminated[0]) not in merged(found.rows[state][action]):
                 raise NotFiniteError(
-                    f"its step() goes from state {state} by action {action} to {after} with reward "
-                    f"{outcome.rewards[0]}, which its P does not list"
+                    f"its step() goes from state {state} by action {action} to {_state(after)} with reward "
+                    f"{outcome.rewards[0]}, {why}"
                 )
             if outcome.over:
                 break
             state = after
+
+
+def _state(number: int | None) -> str:
+    return "a state that was not found" if number is None else f"state {number}"
 
 
 # ---- Running it in every state ----
@@ -313,7 +317,8 @@ class _Search:
             tuple(self._observations),
             of_table=False,
         )
-        self._hold(result)
+        why = "which running it did not show: it has random numbers, or a state, elsewhere than in attributes"
+        _hold(self._original, result, lambda run: self._numbers.get(frozen(run.env)), why)
         return result
 
     def _found(self) -> str:
@@ -389,31 +394,3 @@ class _Search:
             self._continued.append(False)
         self._continued[number] |= not over
         return number
-
-    def _hold(self, found: Finite) -> None:
-        """Refuse tables that are not what the original does: it may draw from elsewhere."""
-        rng = np.random.default_rng(0)
-        for seed in range(RUNS):
-            original = self._original.copied()
-            original.reset(seed)
-            state = self._numbers.get(frozen(original.env))
-            for _ in range(RUN_STEPS):
-                if state is None:
-                    raise NotFiniteError(
-                        "run by seeds it comes to states that were not found: it has random numbers, or a "
-                        f"state, elsewhere than in its attributes ({self._found()})"
-                    )
-                (action,) = original.actions(rng)
-                outcome = original.step([action])
-                after = self._numbers.get(frozen(original.env))
-                known = merged(found.rows[state][action])
-                if after is not None and (after, outcome.rewards[0], outcome.terminated[0]) not in known:
-                    after = None
-                if outcome.over and after is not None:
-                    break
-                state = after
-
-
-def options_text(options: Mapping[str, Any]) -> str:
-    """Return keyword arguments as Python writes them."""
-    return ", ".join(f"{key}={value!r}" for key, value in options.items())

@@ -6,8 +6,8 @@ import copy
 import importlib
 import inspect
 import warnings
-from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, NamedTuple, cast
 
 import gymnasium
 import numpy as np
@@ -15,7 +15,7 @@ from gymnasium import Space
 from gymnasium.spaces import Box, Dict, Discrete, Tuple
 
 from pearl_marl.batch.actions import random_numbers
-from pearl_marl.elements import action_counts, are_numbers, bounds
+from pearl_marl.elements import ActionSpace, action_counts, are_numbers, bounds
 from pearl_marl.errors import ArgumentError, told
 from pearl_marl.porting.contents import kept, replaced, reseeded
 from pearl_marl.spec import MAX_AGENTS
@@ -124,8 +124,21 @@ class Original:
 
     def actions(self, rng: np.random.Generator) -> list[Any]:
         """Return a random action of each agent."""
-        numbers = random_numbers(self.action_space, rng.integers(1 << 32, size=self.agents, dtype=np.uint32))
+        draws = rng.integers(1 << 32, size=self.agents, dtype=np.uint32)
+        numbers = random_numbers(cast(ActionSpace, self.action_space), draws)
         return numbers.tolist() if isinstance(self.action_space, Discrete) else list(numbers)
+
+    def habits(self, rng: np.random.Generator, episode: int) -> Iterator[list[Any]]:
+        """Yield random actions for an episode: independent ones hardly ever swing up a mountain.
+
+        Of every five episodes one never repeats an action, and the others do for 2, 4, 8 and 16 steps on
+        average.
+        """
+        actions = self.actions(rng)
+        while True:
+            yield actions
+            if rng.random() < 0.5 ** (episode % 5):
+                actions = self.actions(rng)
 
     def copied(self) -> Original:
         """Return a copy that goes its own way; what is no state, such as windows and spaces, is shared."""

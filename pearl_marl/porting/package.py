@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from gymnasium.spaces import Box, Discrete, MultiBinary, MultiDiscrete, Tuple
 
-from pearl_marl.porting.finite import Finite, options_text
+from pearl_marl.porting.finite import Finite
 from pearl_marl.porting.originals import Original
 from pearl_marl.porting.tables import Tables, padded_size, side_by_side, written
 from pearl_marl.spec import snake_case
@@ -56,8 +56,7 @@ def filled(template: str, words: Mapping[str, str]) -> dict[str, str]:
 
 def of_tables(name: str, original: Original, found: Finite, made: Tables) -> dict[str, str | bytes]:
     """Return the files of a package that looks into the tables of a finite original."""
-    source = original.name + options_on_a_command(original.options)
-    module = written(made, name, source)
+    module = written(made, name, named(original))
     words = {**own_words(name), **common_words(original), **_table_words(original, found, made)}
     words["@files@"] = (
         "``tables.py``" if module.arrays is None else "``tables.npz``, which ``tables.py`` reads"
@@ -82,22 +81,25 @@ def of_tables(name: str, original: Original, found: Finite, made: Tables) -> dic
 
 def common_words(original: Original) -> dict[str, str]:
     """Return what stands for the placeholders that all templates have."""
-    arguments = quoted(original.name)
-    if original.options:
-        arguments += f", {options_text(original.options)}"
+    given = [f"{key}={quoted(value)}" for key, value in original.options.items()]
     return {
         "@original@": original.name,
         "@option@": options_on_a_command(original.options),
         "@against@": original.name + options_on_a_command(original.options, "--original-option"),
-        "@original_arguments@": arguments,
+        "@original_arguments@": ", ".join([quoted(original.name), *given]),
         "@observation_space@": space_text(original.observation_space),
         "@action_space@": space_text(original.action_space),
         "        observation_space=@observation_space@,": space_line(
             "observation_space", original.observation_space
         ),
         "@max_cycles@": str(original.limit),
-        "@summary@": f"As {original.name}",
+        "@summary@": f"As {named(original)}",
     }
+
+
+def named(original: Original) -> str:
+    """Return an original's name with its options, as a command takes them."""
+    return original.name + options_on_a_command(original.options)
 
 
 def quoted(value: Any) -> str:
@@ -224,8 +226,7 @@ def _table_words(original: Original, found: Finite, made: Tables) -> dict[str, s
             f'        oracle="{original.name}",\n        pose=pose,\n        render_modes={quoted(modes)},\n'
         )
     else:
-        told = original.name + options_on_a_command(original.options)
-        more = f"        follows={quoted(told)},\n"
+        more = f"        follows={quoted(named(original))},\n"
     return {
         "@kinds@": ", ".join(sorted(kinds)),
         "@states@": str(found.states),

@@ -6,6 +6,7 @@ import dataclasses
 import functools
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
+from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -153,7 +154,9 @@ class Port:
                 for k, (own, right) in enumerate(zip(numbers, due, strict=True)):
                     if not self._near(own, right):
                         what = f"element {k} of the observation"
-                        return f"{where}: {what} is {own:g}, the original's {right:g} ({state})"
+                        return (
+                            f"{where}: {what} is {own:g}, the original's {right:g} (in {self._told(state)})"
+                        )
         return None
 
     def wrong_step(self) -> str | None:
@@ -169,16 +172,16 @@ class Port:
             own = self._outcome(step(state, given, counted))
             theirs = self._sampled(actions, 1)[0]
             again = self._sampled(actions, 3)
-            if counted.count == 0 and all(self._same(theirs, other) for other in again):
+            if counted.count == 0 and all(self._difference(theirs, other) is None for other in again):
                 wrong = self._difference(own, theirs)
                 if wrong:
-                    return f"{where}, action {_short(actions)}: {wrong} (from {state})"
+                    return f"{where}, action {_short(actions)}: {wrong} (from {self._told(state)})"
             elif sampled < CHANCES:
                 sampled += 1
                 ours = Counter(self._outcome(step(state, given, self._draws(rng))) for _ in range(SAMPLES))
                 wrong = self._often(ours, Counter(self._sampled(actions, SAMPLES)), "a step comes to")
                 if wrong:
-                    return f"{where}, action {_short(actions)}: {wrong} (from {state})"
+                    return f"{where}, action {_short(actions)}: {wrong} (from {self._told(state)})"
         return None
 
     # ---- Both sides as tuples: the words of a state, then rewards, then ends ----
@@ -204,6 +207,10 @@ class Port:
         """Return the state that the original is in, as a step takes it: reals are rounded to their fields."""
         return self._layout.built(self._words(self.original))
 
+    def _told(self, state: Any) -> str:
+        pairs = zip(self._layout.fields, self._flat(state), strict=True)
+        return ", ".join(f"{field.name} {field.value(word):.9g}" for field, word in pairs)
+
     def _action(self, action: Any) -> Any:
         """Return an action as a step takes it."""
         parts = np.ravel(action).tolist()
@@ -220,8 +227,8 @@ class Port:
         for seed in range(seeds):
             self.original.reset(seed)
             yield f"seed {seed}, reset"
-            for k in range(STEPS):
-                outcome = self.original.step(self.original.actions(rng))
+            for k, actions in enumerate(islice(self.original.habits(rng, seed), STEPS)):
+                outcome = self.original.step(actions)
                 if not (leaving and outcome.over):
                     yield f"seed {seed}, step {k + 1}"
                 if outcome.over:
@@ -269,25 +276,15 @@ class Port:
                 return f"{field.name} is {b}, and was {a}"
         return None
 
-    def _same(self, one: Sequence[Any], two: Sequence[Any]) -> bool:
-        return self._difference(one, two) is None
-
     def _often(self, ours: Counter[Any], theirs: Counter[Any], what: str) -> str | None:
         """Return which outcome happens often on one side, and never on the other or much less often."""
-        n, m = ours.total(), theirs.total()
-        for outcome in {**theirs, **ours}:
-            own, due = ours[outcome] / n, theirs[outcome] / m
-            if self.tolerance:
-                own = sum(c for o, c in ours.items() if self._close(o, outcome)) / n
-                due = sum(c for o, c in theirs.items() if self._close(o, outcome)) / m
-            both = (own + due) / 2
-            chance = np.sqrt(both * (1 - both) * (1 / n + 1 / m))
-            if (max(own, due) >= OFTEN and min(own, due) == 0) or abs(own - due) > 6 * chance:
-                fields = self._columns()[: len(outcome)]  # of a start, those of the state
-                pairs = zip(fields, outcome, strict=True)
-                names = ", ".join(f"{field.name} {value}" for field, value in pairs)
-                return f"{what} ({names}) with a share of {own:.3f}, the original's is {due:.3f}"
-        return None
+        unlike = first_unlike(ours, theirs, self._close if self.tolerance else None)
+        if unlike is None:
+            return None
+        outcome, own, due = unlike
+        fields = self._columns()[: len(outcome)]  # of a start, those of the state
+        names = ", ".join(f"{field.name} {value}" for field, value in zip(fields, outcome, strict=True))
+        return f"{what} ({names}) with a share of {own:.3f}, the original's is {due:.3f}"
 
     def _close(self, one: Sequence[Any], two: Sequence[Any]) -> bool:
         fields = self._columns()[: len(one)]
@@ -295,6 +292,28 @@ class Port:
             self._near(a * 2.0**-f.fraction, b * 2.0**-f.fraction)
             for f, a, b in zip(fields, one, two, strict=True)
         )
+
+
+def first_unlike(
+    ours: Counter[Any], theirs: Counter[Any], close: Callable[[Any, Any], bool] | None = None
+) -> tuple[Any, float, float] | None:
+    """Return an outcome that is often on one side, and never on the other or much less, and its shares.
+
+    Without ``close``, which tells what counts as the same, outcomes are equal.
+    """
+
+    def share(counts: Counter[Any], outcome: Any) -> float:
+        if close is None:
+            return counts[outcome] / counts.total()
+        return sum(count for other, count in counts.items() if close(other, outcome)) / counts.total()
+
+    for outcome in {**theirs, **ours}:
+        own, due = share(ours, outcome), share(theirs, outcome)
+        both = (own + due) / 2
+        chance = np.sqrt(both * (1 - both) * (1 / ours.total() + 1 / theirs.total()))
+        if (max(own, due) >= OFTEN and min(own, due) == 0) or abs(own - due) > 6 * chance:
+            return outcome, own, due
+    return None
 
 
 def _short(actions: list[Any]) -> str:

@@ -9,7 +9,15 @@ from gymnasium.spaces import Box, Discrete
 
 from pearl_marl.porting.attributes import Seen, kind_of
 from pearl_marl.porting.originals import Original
-from pearl_marl.porting.package import common_words, filled, own_words, quoted, space_text, spaces_import
+from pearl_marl.porting.package import (
+    common_words,
+    filled,
+    named,
+    own_words,
+    quoted,
+    space_text,
+    spaces_import,
+)
 from pearl_marl.porting.port import FRACTION
 
 MOST_REWARDS = 16
@@ -149,7 +157,7 @@ def _spec_words(original: Original, seen: Seen) -> dict[str, str]:
     imports += [f"from pearl_marl.spec import EnvSpec, {fields}Golden", ""]
     drawn = original.registered and not original.options
     modes = tuple(getattr(original.env, "metadata", {}).get("render_modes", ())) if drawn else ()
-    more = f"        follows={quoted(original.name)},\n"
+    more = f"        follows={quoted(named(original))},\n"
     if drawn:
         more = f"        oracle={quoted(original.name)},\n        render_modes={quoted(modes)},\n"
     return {
@@ -181,7 +189,7 @@ def _action_note(original: Original, seen: Seen) -> str:
     """Return what a step is given as an action."""
     space = original.action_space
     if not isinstance(space, Box):
-        count = int(np.prod(space.shape))
+        count = int(np.prod(space.shape or ()))
         several = f"It is a tuple of {count} integers. " if count > 1 else ""
         return f"{several}Take any action that its bits can hold, and never fail."
     number = "real" if seen.reals else f"word with {FRACTION} bits behind the point"

@@ -6,7 +6,7 @@ from typing import Any
 
 import gymnasium
 import numpy as np
-from gymnasium.spaces import Box, Dict, Discrete, MultiDiscrete
+from gymnasium.spaces import Box, Dict, Discrete, MultiBinary, MultiDiscrete
 
 
 class Corridor(gymnasium.Env[Any, Any]):
@@ -109,6 +109,23 @@ class Many(Corridor):
 class Broken(Corridor):
     def __init__(self) -> None:
         raise RuntimeError("no display")
+
+
+class Lamps(gymnasium.Env[Any, Any]):
+    """An action of two fields, a lamp and what becomes of it; and an observation of bits."""
+
+    observation_space = MultiBinary(4)
+    action_space = MultiDiscrete([4, 2])
+
+    def reset(self, *, seed: int | None = None, options: Any = None) -> tuple[Any, Any]:
+        super().reset(seed=seed)
+        self.lit = self.np_random.integers(0, 2, 4, np.int8)
+        return self.lit.copy(), {}
+
+    def step(self, action: Any) -> tuple[Any, float, bool, bool, Any]:
+        lamp, lights = action
+        self.lit[lamp] = lights
+        return self.lit.copy(), -1.0, bool(self.lit.all()), False, {}
 
 
 class Meeting:

@@ -128,14 +128,14 @@ def test_refused_names(pearl: Any, tmp_path: Path, name: str, words: str) -> Non
 
 
 def test_half_a_package_does_not_stay(pearl: Any, tmp_path: Path) -> None:
-    write = Path.write_text
+    write = Path.write_bytes
 
-    def until_full(path: Path, text: str, encoding: str) -> int:
+    def until_full(path: Path, data: bytes) -> int:
         if path.name == "README.md":
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-        return write(path, text, encoding)
+        return write(path, data)
 
-    with mock.patch.object(Path, "write_text", until_full):
+    with mock.patch.object(Path, "write_bytes", until_full):
         status, _, err = pearl("new", "TwoRooms")
     assert (status, list(tmp_path.iterdir())) == (2, [])
     assert err.startswith("pearl: two_rooms cannot be written: No space left on device; make room for it, or")

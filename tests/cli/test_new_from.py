@@ -192,12 +192,35 @@ MEETING = {
 }
 
 
+CHECKS = ("wrong_state", "wrong_pose", "wrong_start", "wrong_observation", "wrong_step")
+
 BALL = {
     "initial()": "return State(place=draws.uniform(-1, 1), speed=0.0)",
     "step()": """speed = 0.9 * state.speed + 0.1 * (action - 1)
     place = state.place + speed
     return State(place, speed), 0, abs(place) > 4""",
     "observe()": "return View([state.place, state.speed])",
+}
+
+HILL = {
+    "initial()": "return State([draws.uniform(-0.6, -0.4), 0.0])",
+    "step()": """position, velocity = state.state
+    velocity += min(max(action, -1.0), 1.0) * 0.0015 - 0.0025 * np.cos(3 * position)
+    velocity = min(max(velocity, -0.07), 0.07)
+    position = min(max(position + velocity, -1.2), 0.6)
+    if position == -1.2 and velocity < 0:
+        velocity = 0.0
+    arrived = position >= 0.45 and velocity >= 0
+    return State([position, velocity]), (100.0 if arrived else 0.0) - action**2 * 0.1, arrived""",
+    "observe()": "return View(state.state)",
+}
+
+LAMPS = {
+    "initial()": "return State([draws.bits(1) for _ in range(4)])",
+    "step()": """lamp, lights = action
+    state.lit[lamp] = lights
+    return state, 0, all(state.lit)""",
+    "observe()": "return tuple(state.lit)",
 }
 
 
@@ -255,8 +278,7 @@ def test_a_filled_skeleton(pearl: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     folder = made(pearl, monkeypatch, "Plot", f"{HERE}:Garden")
     fill(folder, GARDEN)
     port = parts(folder)
-    checks = ("wrong_state", "wrong_pose", "wrong_start", "wrong_observation", "wrong_step")
-    assert [getattr(port, check)() for check in checks] == [None] * 5
+    assert [getattr(port, check)() for check in CHECKS] == [None] * 5
     status, out, err = pearl("verify", "plot:Plot", "--against", f"{HERE}:Garden", "--steps", 40)
     assert status == 0, err
     assert "Equal in 40 steps." in out
@@ -301,13 +323,11 @@ def test_reals(pearl: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     path = folder / "ball" / "step.py"
     text = path.read_text()
     assert "    place: Real[-5, 5]  # real, seen -" in text
-    assert "    speed: Real[-0.5, 0.5]  # real, seen -" in text
+    assert "    speed: Real[-1, 1]  # real, seen -" in text
     assert "    elements: Array[Real[-50, 50], 2]\n" in text
-    path.write_text(text.replace("Real[-0.5, 0.5]", "Real[-1, 1]"))  # as its page says, all that there can be
     fill(folder, BALL)
     port = parts(folder)
-    checks = ("wrong_state", "wrong_pose", "wrong_start", "wrong_observation", "wrong_step")
-    assert [getattr(port, check)() for check in checks] == [None] * 5
+    assert [getattr(port, check)() for check in CHECKS] == [None] * 5
     status, out, err = pearl("verify", "ball:Ball", "--against", f"{HERE}:Ball", "--steps", 100, "--json")
     assert status == 0, err
     errors = {(error["name"], error["states"]): error for error in json.loads(out)["errors"]}
@@ -325,6 +345,36 @@ def test_reals(pearl: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     assert wrong is not None
     assert "is " in wrong
     assert ", the original's " in wrong
+
+
+def test_an_action_in_a_box_and_a_real_reward(pearl: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = made(pearl, monkeypatch, "Hill", "MountainCarContinuous-v0")
+    fill(folder, HILL)
+    path = folder / "hill" / "step.py"
+    text = path.read_text().replace("from typing", "import numpy as np\nfrom typing")
+    path.write_text(text.replace("state: Array[Real[-1, 1]", "state: Array[Real[-2, 2]"))
+    path = folder / "hill" / "spec.py"
+    path.write_text(re.sub(r"reward=Real\[.*\]", "reward=Real[-0.1, 100]", path.read_text()))
+    assert [getattr(parts(folder), check)() for check in CHECKS] == [None] * 5
+    assert pearl_marl.get_spec("hill:Hill").reward.high == 100
+    arguments = ("--against", "MountainCarContinuous-v0", "--steps", 60, "--json")
+    status, out, err = pearl("verify", "hill:Hill", *arguments)
+    assert status == 0, err
+    assert all(error["most"] < 1e-6 for error in json.loads(out)["errors"])
+
+
+def test_an_action_of_several_fields(pearl: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = made(pearl, monkeypatch, "Lamps", f"{HERE}:Lamps")
+    assert "It is a tuple of 2 integers. " in (folder / "PORTING.md").read_text()
+    fill(folder, LAMPS)
+    assert [getattr(parts(folder), check)() for check in CHECKS] == [None] * 5
+    status, out, err = pearl("verify", "lamps:Lamps", "--against", f"{HERE}:Lamps", "--steps", 60)
+    assert (status, "Equal in 60 steps." in out) == (0, True), out + err
+    path = folder / "lamps" / "step.py"
+    path.write_text(path.read_text().replace("[lamp] = lights", "[0] = lights"))
+    wrong = parts(folder).wrong_step()
+    assert wrong is not None
+    assert "lit_" in wrong
 
 
 @pytest.mark.parametrize(
@@ -349,6 +399,8 @@ def test_what_is_written_is_formatted(pearl: Any, tmp_path: Path) -> None:
         ("Pole", "CartPole-v1"),
         ("Swing", "Pendulum-v1"),
         ("Jack", "Acrobot-v1"),
+        ("Hill", "MountainCarContinuous-v0"),
+        ("Lamps", f"{HERE}:Lamps"),
         ("Pair", f"{HERE}:Meeting"),
     ):
         assert pearl("new", name, "--from", original)[0] == 0
