@@ -280,12 +280,13 @@ def test_a_core_of_another_latency_than_it_states(own_cache: Path, tmp_path: Pat
         device.step(ACTIONS[0])
 
 
-golden_step = SPEC.positional.step
+golden_step = SPEC.golden.step
 
 
-def blocked(row: Any, column: Any, action: Any) -> Any:
+def blocked(state: Any, action: Any, draws: Any) -> Any:
     """A step in which nobody gets to the right of the third column."""
-    return golden_step(row, column - ((column == 2) & (action == 1)), action)
+    held = state.column == 2 and action == 1
+    return golden_step(state._replace(column=state.column - held), action, draws)
 
 
 def test_a_broken_core_is_caught() -> None:
