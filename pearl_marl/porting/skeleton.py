@@ -81,15 +81,10 @@ def _step_words(original: Original, seen: Seen) -> dict[str, str]:
         pose = ["    del env, state  # what an original has is to be set here"]
     view = _view_kind(original, seen)
     size = int(np.prod(original.observation_space.shape or ()))
-    kinds = {kind for kind in ("Array", "Bits", "Flag", "Range", "Real") if f"{kind}" in " ".join(lines)}
-    kinds = {
-        kind
-        for kind in kinds
-        if re.search(rf": .*\b{kind}\b", "\n".join(x for x in lines if "    #" not in x))
-    }
+    kinds = [attribute.kind or "" for attribute in seen.attributes] if "like" in helpers else ["Flag"]
     view_class = ""
     if view:
-        kinds |= {"Array", view.partition("[")[0]}
+        kinds.append(f"Array[{view}]")
         view_class = '\n\nclass View(NamedTuple):\n    """What an agent sees, element by element."""\n\n'
         view_class += f"    elements: Array[{view}, {size}]\n"
     result = (
@@ -102,7 +97,7 @@ def _step_words(original: Original, seen: Seen) -> dict[str, str]:
     else:
         step = "def step(state: State, action: Word, draws: Draws) -> tuple[State, Word, Word]:"
     return {
-        "@kinds@": ", ".join(sorted(kinds)),
+        "@kinds@": ", ".join(sorted(set(re.findall(r"[A-Z]\w+", " ".join(kinds))))),
         "@rewards@": repr(tuple(sorted(seen.rewards, key=abs))) if table else "None",
         "@rewards_note@": f"The reward of each category, as seen in {seen.steps:,} steps."
         if table
