@@ -268,9 +268,7 @@ def _points(cuts: Iterable[int]) -> list[int]:
 def _shares(outcomes: Sequence[Any], points: Sequence[int]) -> dict[Any, float]:
     """Return the probability of each outcome, given those at both ends of each interval of draws."""
     result: dict[Any, float] = {}
-    for k, outcome in enumerate(
-        outcomes
-    ):  # those of both ends count by half
+    for k, outcome in enumerate(outcomes):  # those of both ends count by half
         first = k - k % 2
         half = (points[first + 1] - points[first] + 1) / 2
         result[outcome] = result.get(outcome, 0.0) + half / ALL
