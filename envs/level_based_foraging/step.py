@@ -234,7 +234,7 @@ def make_golden(rules: Rules) -> Golden:
     def number(parts: Sequence[Word]) -> Word:
         """Return the number of what is loaded among :func:`rewards`."""
         result = 0
-        for part, (low, high) in zip(parts, rules.limits[: len(parts)], strict=True):
+        for part, (low, high) in zip(parts[: len(rules.limits)], rules.limits, strict=True):
             result = result * (high - low + 1) + min(max(part, low), high) - low
         return result
 

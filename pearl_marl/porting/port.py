@@ -41,8 +41,6 @@ def as_numbers(value: Any) -> Any:
 def like(old: Any, numbers: Any) -> Any:
     """Return fields as what an original keeps in their place: an array, list or number of the same kind."""
     value = np.asarray(numbers)
-    if value.dtype == object:
-        value = value.astype(float)
     if isinstance(old, np.ndarray):
         return value.astype(old.dtype)
     if isinstance(old, (list, tuple)):
@@ -88,7 +86,8 @@ class Port:
         rng = np.random.default_rng(0)
         for where in self._reached(SEEDS // 4):
             words = self._words(self.original)
-            self.pose(other.env, self._layout.built(words))
+            pairs = zip(self._layout.fields, words, strict=True)
+            self.pose(other.env, self._layout.built(field.value(word) for field, word in pairs))
             again = self._words(other)
             wrong = self._difference(again, words)
             if wrong:
