@@ -153,7 +153,10 @@ class Layout:
         self.fields = tuple(self._tree.fields(""))
 
     def built(self, words: Iterable[Any]) -> Any:
-        """Return an object of the class, of as many words as it has fields; arrays are lists."""
+        """Return an object of the class, of as many words or values as it has fields; arrays are lists.
+
+        A word of a real is made one; a float stays what it is.
+        """
         return self._tree.built(iter(words))
 
     def flat(self, value: Any) -> list[Any]:
@@ -199,7 +202,8 @@ class _RealLeaf:
         yield dataclasses.replace(self.field, name=name)
 
     def built(self, words: Iterator[Any]) -> Any:
-        return Number(next(words), self.fraction)
+        word = next(words)
+        return word if isinstance(word, float) else Number(word, self.fraction)
 
     def flatten(self, value: Any, where: str, result: list[Any]) -> None:
         if isinstance(value, (tuple, list, str)) or value is None:

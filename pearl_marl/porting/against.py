@@ -154,7 +154,7 @@ def _poser(spec: EnvSpec, original: Original) -> tuple[Callable[[tuple[int, ...]
     """Return what puts the original into a state, and how."""
     own = spec.pose
     if own is not None:
-        return lambda words: own(original.env, spec.layout.built(words)), "posed by the spec's pose()"
+        return lambda words: own(original.env, _valued(spec, words)), "posed by the spec's pose()"
     original.reset(seed=0)
     paths = [path for path, _ in leaves_of(original.env)]
     there = {path.rpartition(".")[2]: path for path in paths} | {
@@ -169,9 +169,7 @@ def _poser(spec: EnvSpec, original: Original) -> tuple[Callable[[tuple[int, ...]
         )
 
     def by_names(words: tuple[int, ...]) -> None:
-        if spec.layout.fraction is None:  # otherwise reals are made of words
-            words = tuple(f.value(word) for f, word in zip(spec.state, words, strict=True))  # type: ignore[misc]
-        state = spec.layout.built(words)
+        state = _valued(spec, words)
         for name in names:
             *groups, last = there[name].split(".")
             owner = original.env
@@ -305,6 +303,11 @@ def _unequal(names: list[str], both: tuple[list[float], list[float]]) -> str | N
 def _named(spec: EnvSpec, state: tuple[int, ...]) -> str:
     pairs = [f"{f.name}={f.value(word)}" for f, word in zip(spec.state, state, strict=True)]
     return ", ".join(pairs if len(pairs) <= 12 else [*pairs[:12], "..."])
+
+
+def _valued(spec: EnvSpec, state: tuple[int, ...]) -> Any:
+    """Return a state as :attr:`EnvSpec.pose` takes it: fields with a fraction are floats."""
+    return spec.layout.built(f.value(word) for f, word in zip(spec.state, state, strict=True))
 
 
 def _words(spec: EnvSpec, actions: list[Any]) -> list[int]:

@@ -125,16 +125,17 @@ def space_line(name: str, space: Any) -> str:
     line = f"        {name}={space_text(space)},"
     if len(line) <= WIDTH or not isinstance(space, Box):
         return line
-    dtype = _dtype_text(space)
-    low, high = _bound_text(space.low, dtype), _bound_text(space.high, dtype)
-    shape = [] if low.startswith("np.array") or high.startswith("np.array") else [repr(space.shape)]
-    lines = [f"            {part}," for part in (low, high, *shape, f"dtype={dtype}")]
+    lines = [f"            {part}," for part in _box_parts(space)]
     lines = [part if len(part) <= WIDTH else f"{part}  # noqa: E501" for part in lines]
     return "\n".join([f"        {name}=Box(", *lines, "        ),"])
 
 
-def _dtype_text(space: Box) -> str:
-    return f"np.{space.dtype}" if space.dtype != bool else "np.bool_"
+def _box_parts(space: Box) -> list[str]:
+    """Return the arguments of a Box; one of its bounds may say its shape."""
+    dtype = f"np.{space.dtype}" if space.dtype != bool else "np.bool_"
+    ends = [_bound_text(end, dtype) for end in (space.low, space.high)]
+    shape = [] if any(end.startswith("np.array") for end in ends) else [repr(space.shape)]
+    return [*ends, *shape, f"dtype={dtype}"]
 
 
 def space_text(space: Any) -> str:
@@ -151,10 +152,7 @@ def space_text(space: Any) -> str:
         dtype = "" if space.dtype == np.int64 else f", dtype=np.{space.dtype}"
         return f"MultiDiscrete({space.nvec.tolist()}{dtype}{start})"
     assert isinstance(space, Box)
-    dtype = _dtype_text(space)
-    low, high = _bound_text(space.low, dtype), _bound_text(space.high, dtype)
-    shape = "" if low.startswith("np.array") or high.startswith("np.array") else f"{space.shape!r}, "
-    return f"Box({low}, {high}, {shape}dtype={dtype})"
+    return f"Box({', '.join(_box_parts(space))})"
 
 
 def spaces_import(text: str) -> str:
@@ -210,23 +208,6 @@ def _table_words(original: Original, found: Finite, made: Tables) -> dict[str, s
     view = _view(original, made)
     kinds = ["Range"] + (["Array"] if view else []) + (["Signed"] if "Signed[" in view else [])
     rendered = original.registered and not original.options and found.of_table and hasattr(original.env, "s")
-    imports = ["from pearl_marl.spec import EnvSpec, Golden", ""]
-    spaces = space_text(original.observation_space) + space_text(original.action_space)
-    first = [spaces_import(spaces)]
-    if rendered:
-        first.insert(0, "from gymnasium import Env")
-    if "np." in spaces:
-        first.insert(0, "import numpy as np")
-    if rendered:
-        first = ["from typing import Any", "", *first]
-    modes = tuple(original.env.metadata.get("render_modes", ())) if rendered else ()
-    more = ""
-    if rendered:
-        more = (
-            f'        oracle="{original.name}",\n        pose=pose,\n        render_modes={quoted(modes)},\n'
-        )
-    else:
-        more = f"        follows={quoted(named(original))},\n"
     return {
         "@kinds@": ", ".join(sorted(kinds)),
         "@states@": str(found.states),
@@ -252,11 +233,32 @@ def _table_words(original: Original, found: Finite, made: Tables) -> dict[str, s
         if made.observations is None
         else "return OBSERVATIONS[state.number]",
         "@helpers@": _PLACE_OF if helpers else "",
-        "@spec_imports@": "\n".join([*first, *imports]),
         "@step_names@": "State, View, initial, observe, step" if view else "State, initial, observe, step",
-        "@golden_view@": ", view=View" if view else "",
         "@pose@": _POSE.format(name=original.name) if rendered else "",
-        "@more@": more,
+        **spec_words(original, bool(view), rendered, posed_here=rendered),
+    }
+
+
+def spec_words(
+    original: Original, view: bool, drawn: bool, imports: str = "", posed_here: bool = False
+) -> dict[str, str]:
+    """Return what stands for the placeholders that all specs have; the original may draw it."""
+    spaces = space_text(original.observation_space) + space_text(original.action_space)
+    lines = ["from typing import Any", ""] * posed_here + ["import numpy as np"] * ("np." in spaces)
+    lines += ["from gymnasium import Env"] * posed_here + [spaces_import(spaces)]
+    lines.append(imports or "from pearl_marl.spec import EnvSpec, Golden")
+    more = [f"follows={quoted(named(original))}"]
+    if drawn:
+        modes = tuple(getattr(original.env, "metadata", {}).get("render_modes", ()))
+        more = [
+            f"oracle={quoted(original.name)}",
+            *["pose=pose"] * posed_here,
+            f"render_modes={quoted(modes)}",
+        ]
+    return {
+        "@spec_imports@": "\n".join([*lines, ""]),
+        "@golden_view@": ", view=View" if view else "",
+        "@more@": "".join(f"        {line},\n" for line in more),
     }
 
 

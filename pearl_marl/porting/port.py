@@ -41,8 +41,6 @@ def as_numbers(value: Any) -> Any:
 def like(old: Any, numbers: Any) -> Any:
     """Return fields as what an original keeps in their place: an array, list or number of the same kind."""
     value = np.asarray(numbers)
-    if value.dtype == object:
-        value = value.astype(float)
     if isinstance(old, np.ndarray):
         return value.astype(old.dtype)
     if isinstance(old, (list, tuple)):
@@ -88,22 +86,15 @@ class Port:
         rng = np.random.default_rng(0)
         for where in self._reached(SEEDS // 4):
             words = self._words(self.original)
-            self.pose(other.env, self._layout.built(words))
+            pairs = zip(self._layout.fields, words, strict=True)
+            self.pose(other.env, self._layout.built(field.value(word) for field, word in pairs))
             again = self._words(other)
-            wrong = self._first_difference(words, again)
+            wrong = self._difference(again, words)
             if wrong:
                 return f"{where}: posed, the original has other values: {wrong}"
-            one, two = self.original.copied(), other.copied()
-            one.reseed(1)
-            two.reseed(1)
             actions = self.original.actions(rng)
-            first, second = one.step(actions), two.step(actions)
-            wrong = self._first_difference(self._words(one), self._words(two))
-            if wrong is None and (first.rewards, first.terminated) != (second.rewards, second.terminated):
-                wrong = (
-                    f"reward {first.rewards} and {second.rewards}, "
-                    f"terminated {first.terminated} and {second.terminated}"
-                )
+            posed, due = (self._stepped(one, actions, 1) for one in (other, self.original))
+            wrong = self._difference(posed, due)
             if wrong:
                 return f"{where}: posed, the original goes on otherwise after actions {actions}: {wrong}"
         return None
@@ -153,10 +144,8 @@ class Port:
                     return f"{where}: observe() returns {len(numbers)} numbers, and the space has {len(due)}"
                 for k, (own, right) in enumerate(zip(numbers, due, strict=True)):
                     if not self._near(own, right):
-                        what = f"element {k} of the observation"
-                        return (
-                            f"{where}: {what} is {own:g}, the original's {right:g} (in {self._told(state)})"
-                        )
+                        what, told = f"element {k} of the observation", self._told(state)
+                        return f"{where}: {what} is {own:g}, the original's {right:g} (in {told})"
         return None
 
     def wrong_step(self) -> str | None:
@@ -234,14 +223,14 @@ class Port:
                 if outcome.over:
                     break
 
+    def _stepped(self, original: Original, actions: list[Any], seed: int) -> tuple[Any, ...]:
+        other = original.copied()
+        other.reseed(seed)
+        outcome = other.step(actions)
+        return (*self._words(other), *outcome.rewards, *map(bool, outcome.terminated))
+
     def _sampled(self, actions: list[Any], count: int) -> list[tuple[Any, ...]]:
-        results = []
-        for seed in range(count):
-            other = self.original.copied()
-            other.reseed(seed)
-            outcome = other.step(actions)
-            results.append((*self._words(other), *outcome.rewards, *map(bool, outcome.terminated)))
-        return results
+        return [self._stepped(self.original, actions, seed) for seed in range(count)]
 
     def _outcome(self, result: Any) -> tuple[Any, ...]:
         after, rewards, ends = result
@@ -264,34 +253,26 @@ class Port:
         return abs(own - due) <= self.tolerance * max(1.0, abs(due))
 
     def _difference(self, own: Sequence[Any], due: Sequence[Any]) -> str | None:
-        for field, a, b in zip(self._columns(), own, due, strict=True):
+        """Return what differs first of what is after a step, or of a state alone."""
+        for field, a, b in zip(self._columns()[: len(own)], own, due, strict=True):
             scale = 2.0**-field.fraction if field.fraction else 1
             if not self._near(a * scale, b * scale):
                 return f"{field.name} is {a * scale}, the original's {b * scale}"
         return None
 
-    def _first_difference(self, one: Sequence[int], two: Sequence[int]) -> str | None:
-        for field, a, b in zip(self._layout.fields, one, two, strict=True):
-            if not self._near(a * 2.0**-field.fraction, b * 2.0**-field.fraction):
-                return f"{field.name} is {b}, and was {a}"
-        return None
-
     def _often(self, ours: Counter[Any], theirs: Counter[Any], what: str) -> str | None:
         """Return which outcome happens often on one side, and never on the other or much less often."""
-        unlike = first_unlike(ours, theirs, self._close if self.tolerance else None)
+
+        def close(one: Sequence[Any], two: Sequence[Any]) -> bool:
+            return self._difference(one, two) is None
+
+        unlike = first_unlike(ours, theirs, close if self.tolerance else None)
         if unlike is None:
             return None
         outcome, own, due = unlike
-        fields = self._columns()[: len(outcome)]  # of a start, those of the state
-        names = ", ".join(f"{field.name} {value}" for field, value in zip(fields, outcome, strict=True))
+        pairs = zip(self._columns()[: len(outcome)], outcome, strict=True)
+        names = ", ".join(f"{field.name} {value}" for field, value in pairs)
         return f"{what} ({names}) with a share of {own:.3f}, the original's is {due:.3f}"
-
-    def _close(self, one: Sequence[Any], two: Sequence[Any]) -> bool:
-        fields = self._columns()[: len(one)]
-        return all(
-            self._near(a * 2.0**-f.fraction, b * 2.0**-f.fraction)
-            for f, a, b in zip(fields, one, two, strict=True)
-        )
 
 
 def first_unlike(

@@ -9,15 +9,7 @@ from gymnasium.spaces import Box, Discrete
 
 from pearl_marl.porting.attributes import Seen, kind_of
 from pearl_marl.porting.originals import Original
-from pearl_marl.porting.package import (
-    common_words,
-    filled,
-    named,
-    own_words,
-    quoted,
-    space_text,
-    spaces_import,
-)
+from pearl_marl.porting.package import common_words, filled, own_words, spec_words
 from pearl_marl.porting.port import FRACTION
 
 MOST_REWARDS = 16
@@ -81,15 +73,10 @@ def _step_words(original: Original, seen: Seen) -> dict[str, str]:
         pose = ["    del env, state  # what an original has is to be set here"]
     view = _view_kind(original, seen)
     size = int(np.prod(original.observation_space.shape or ()))
-    kinds = {kind for kind in ("Array", "Bits", "Flag", "Range", "Real") if f"{kind}" in " ".join(lines)}
-    kinds = {
-        kind
-        for kind in kinds
-        if re.search(rf": .*\b{kind}\b", "\n".join(x for x in lines if "    #" not in x))
-    }
+    kinds = [attribute.kind or "" for attribute in seen.attributes] if "like" in helpers else ["Flag"]
     view_class = ""
     if view:
-        kinds |= {"Array", view.partition("[")[0]}
+        kinds.append(f"Array[{view}]")
         view_class = '\n\nclass View(NamedTuple):\n    """What an agent sees, element by element."""\n\n'
         view_class += f"    elements: Array[{view}, {size}]\n"
     result = (
@@ -102,7 +89,7 @@ def _step_words(original: Original, seen: Seen) -> dict[str, str]:
     else:
         step = "def step(state: State, action: Word, draws: Draws) -> tuple[State, Word, Word]:"
     return {
-        "@kinds@": ", ".join(sorted(kinds)),
+        "@kinds@": ", ".join(sorted(set(re.findall(r"[A-Z]\w+", " ".join(kinds))))),
         "@rewards@": repr(tuple(sorted(seen.rewards, key=abs))) if table else "None",
         "@rewards_note@": f"The reward of each category, as seen in {seen.steps:,} steps."
         if table
@@ -150,27 +137,17 @@ def _spec_words(original: Original, seen: Seen) -> dict[str, str]:
         ]
         action = f"action={words[0]}" if len(words) == 1 else f"action=({', '.join(words)})"
     fields = "Field, " * ("Field(" in reward + action)
-    spaces = space_text(original.observation_space) + space_text(space)
-    imports = ["import numpy as np"] * ("np." in spaces)
-    imports += [spaces_import(spaces)]
-    imports += ["from pearl_marl.layout import Real"] * ("Real[" in reward)
-    imports += [f"from pearl_marl.spec import EnvSpec, {fields}Golden", ""]
+    imports = "from pearl_marl.layout import Real\n" * ("Real[" in reward)
+    imports += f"from pearl_marl.spec import EnvSpec, {fields}Golden"
     drawn = original.registered and not original.options
-    modes = tuple(getattr(original.env, "metadata", {}).get("render_modes", ())) if drawn else ()
-    more = f"        follows={quoted(named(original))},\n"
-    if drawn:
-        more = f"        oracle={quoted(original.name)},\n        render_modes={quoted(modes)},\n"
-    return {
-        "@spec_imports@": "\n".join(imports),
+    return spec_words(original, bool(view), drawn, imports) | {
         "@step_names@": "REWARDS, State, View, initial, observe, step"
         if view
         else "REWARDS, State, initial, observe, step",
         "@reward@": f"\n        {reward}" if reward else "",
         "@action@": f"\n        {action}," if action else "",
-        "@golden_view@": ", view=View" if view else "",
         "@spec_agents@": f"        agents={original.agents},\n" if original.agents > 1 else "",
         "@agents@": str(original.agents) if original.agents > 1 else "1",
-        "@more@": more,
         "@imported_view@": "View, " if view else "",
         "@port_more@": "".join(
             f"    {part},\n"

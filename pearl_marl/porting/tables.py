@@ -5,8 +5,8 @@ from __future__ import annotations
 import io
 import math
 import textwrap
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from itertools import pairwise
+from collections.abc import Iterable, Sequence
+from itertools import islice, pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -26,6 +26,9 @@ SIDE_BY_SIDE = 8
 """Outcomes that hardware compares a draw with at once; of more it searches by halves."""
 
 MOST_FRACTION = 24
+
+MOST_CUTS = 64
+"""Draws at which outcomes change, up to which every row is tried around all of them; then around its own."""
 
 
 class Tables(NamedTuple):
@@ -217,40 +220,26 @@ def first_wrong_transition(spec: EnvSpec, original: Original) -> str | None:
     The original is run in every state again. Probabilities may differ by less than ``2**-31``.
     """
     found = finite(original)
-    step, initial = spec.positional.step, spec.positional.initial
+    rewards = np.array(spec.rewards or (0.0,))
     rows = [(state, action) for state in range(found.states) for action in range(len(found.rows[0]))]
-    cuts = sorted(
-        {cut for actions in found.rows for row in actions for cut in _least([t.probability for t in row])}
-    )
-    values = np.array(spec.rewards or (0.0,))
-
-    def stepped(states: Any, actions: Any, draws: Any) -> list[tuple[int, float, bool]]:
-        after, category, ends = call_reference(step, (states, actions, *[draws] * spec.step_draws))
-        return list(zip(after.tolist(), values[category].tolist(), map(bool, ends.tolist()), strict=True))
-
-    if len(cuts) > 64:  # each row has chances of its own
-        for state, action in rows:
-            own = _least([t.probability for t in found.rows[state][action]])
-            got = _measured(lambda d, s=state, a=action: stepped(s, a, d), own)  # type: ignore[misc]
-            wrong = _compared(got, merged(found.rows[state][action]))
-            if wrong:
-                return f"state {state}, action {action}: {wrong}"
-    else:
-        points = _points(cuts if spec.step_draws else ())
-        states, actions = np.array(rows).T
-        outcomes = [stepped(states, actions, np.full(len(rows), point)) for point in points]
-        for k, (state, action) in enumerate(rows):
-            got = _shares([outcome[k] for outcome in outcomes], points)
-            wrong = _compared(got, merged(found.rows[state][action]))
-            if wrong:
-                return f"state {state}, action {action}: {wrong}"
-
-    def begun(draws: Any) -> list[tuple[int]]:
-        words = call_reference(initial, [draws] * spec.reset_draws)[0]
-        return [(int(word),) for word in np.broadcast_to(words, len(draws))]
-
-    starts = {(state,): p for p, state in found.starts}
-    wrong = _compared(_measured(begun, _least([p for p, _ in found.starts])), starts)
+    least = [_least([t.probability for t in found.rows[state][action]]) for state, action in rows]
+    every = sorted({cut for cuts in least for cut in cuts})
+    points = [_points(every if len(every) <= MOST_CUTS else cuts) for cuts in least]
+    lengths = [len(of_row) for of_row in points]
+    states, actions = (np.repeat(column, lengths) for column in np.array(rows).T)
+    draws = np.concatenate(points)
+    words = call_reference(spec.positional.step, (states, actions, *[draws] * spec.step_draws))
+    after, category, ends = (np.broadcast_to(word, len(draws)) for word in words)
+    outcomes = zip(after.tolist(), rewards[category].tolist(), map(bool, ends), strict=True)
+    for (state, action), of_row in zip(rows, points, strict=True):
+        got = _shares(list(islice(outcomes, len(of_row))), of_row)
+        wrong = _compared(got, merged(found.rows[state][action]))
+        if wrong:
+            return f"state {state}, action {action}: {wrong}"
+    cuts = _points(_least([p for p, _ in found.starts]))
+    (begun,) = call_reference(spec.positional.initial, [np.array(cuts)] * spec.reset_draws)
+    got = _shares([(int(state),) for state in np.broadcast_to(begun, len(cuts))], cuts)
+    wrong = _compared(got, {(state,): p for p, state in found.starts})
     if wrong:
         return f"the start of an episode: {wrong}"
     return _wrong_observation(spec, found)
@@ -276,27 +265,14 @@ def _points(cuts: Iterable[int]) -> list[int]:
     return [point for low, high in pairwise(edges) for point in (low, high - 1)]
 
 
-def _measured(outcomes: Callable[[Any], list[Any]], cuts: Sequence[int]) -> dict[Any, float]:
-    points = _points(cuts)
-    return _shares(outcomes(np.array(points)), points)
-
-
 def _shares(outcomes: Sequence[Any], points: Sequence[int]) -> dict[Any, float]:
     """Return the probability of each outcome, given those at both ends of each interval of draws."""
     result: dict[Any, float] = {}
-    for outcome, length in _intervals(outcomes, points):
-        result[outcome] = result.get(outcome, 0.0) + length / ALL
+    for k, outcome in enumerate(outcomes):  # those of both ends count by half
+        first = k - k % 2
+        half = (points[first + 1] - points[first] + 1) / 2
+        result[outcome] = result.get(outcome, 0.0) + half / ALL
     return result
-
-
-def _intervals(outcomes: Sequence[Any], points: Sequence[int]) -> Iterator[tuple[Any, float]]:
-    for k in range(0, len(points), 2):
-        length = points[k + 1] - points[k] + 1
-        if outcomes[k] == outcomes[k + 1]:
-            yield outcomes[k], length
-        else:  # it changes where the original does not
-            yield outcomes[k], length / 2
-            yield outcomes[k + 1], length / 2
 
 
 def _compared(ours: dict[Any, float], theirs: dict[Any, float]) -> str | None:

@@ -69,7 +69,7 @@ def test_of_a_finite_one_every_transition_is_made(
     obs, _ = env.reset(seed=0)
     for _ in range(5):
         assert all(spec.observation_space.contains(row) for row in obs)
-        obs = env.step(np.arange(50) % int(spec.action_space.n))[0]  # type: ignore[union-attr]
+        obs = env.step(np.arange(50) % int(spec.action_space.n))[0]  # type: ignore[union-attr, arg-type]
     env.close()
 
 
