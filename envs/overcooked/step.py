@@ -142,14 +142,16 @@ def make_step(kitchen: Kitchen, horizon: int) -> GoldenFunction:
                 starts = here and held == 0 and soup > 0 and clock == 0
                 takes = here and held == dish and clock == 1
                 adds = here and held in (onion, tomato) and clock == 0 and not is_full[soup]
+                more = 0
+                if adds:
+                    more = MORE["o"] if held == onion else MORE["t"]
+                    holds[k], outcomes[k] = 0, POTTED
+                new = (soup + more) & any_soup
+                if takes:
+                    holds[k], new, clock, outcomes[k] = soup, 0, 0, SOUP_TAKEN
                 if starts:
                     clock = times[soup] + 1
-                elif takes:
-                    holds[k], soup, clock, outcomes[k] = soup, 0, 0, SOUP_TAKEN
-                elif adds:
-                    more = MORE["o"] if held == onion else MORE["t"]
-                    holds[k], soup, outcomes[k] = 0, (soup + more) & any_soup, POTTED
-                pots[number] = pot._replace(soup=soup, clock=clock)
+                pots[number] = pot._replace(soup=new, clock=clock)
             if acts and held == 0:
                 if thing == onions:
                     holds[k] = onion
