@@ -197,6 +197,11 @@ class Expressions:
                     return literal(0, bits)
                 return self._extended(_inverted("!", self.part(args[0], 0, 1, stage)), 1, bits, signed=False)
             case "invert":
+                if node.low >= 0 and low + bits > node.bits:  # the sign of what is inverted is nobody's
+                    have = node.bits - low
+                    if have <= 0:
+                        return literal(0, bits)
+                    return self._extended(self.part(node, low, have, stage), have, bits, signed=False)
                 return _inverted("~", self.part(args[0], low, bits, stage))
         if node in self.inlined:
             assert (low, stage) == (0, self.stage[node])
