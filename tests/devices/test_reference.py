@@ -21,7 +21,7 @@ from pearl_marl.devices import BatchConfig, Native, Reference, make_device
 from pearl_marl.errors import DeviceError
 from pearl_marl.spec import EnvSpec, Field
 
-from ..toy import LADDER, SLIDE, with_state
+from ..toy import LADDER, SLIDE, LadderState, with_state
 
 CLIFF = pearl_marl.get_spec("CliffWalking")
 
@@ -135,7 +135,7 @@ def unchecked(spec: EnvSpec, **golden: Any) -> EnvSpec:
 
 
 def test_a_terminated_that_is_no_bit_is_refused() -> None:
-    spec = unchecked(LADDER, step=lambda rung, action: (rung, 0, 2))
+    spec = unchecked(LADDER, step=lambda state, action, draws: (state, 0, 2))
     with pytest.raises(DeviceError, match="terminated = 2"):
         open_reference(spec).step(np.zeros(70, np.uint8))
 
@@ -146,7 +146,7 @@ def test_a_refused_reset_keeps_seed_and_tick() -> None:
     device.step(np.zeros(70, np.uint8))
     before = device.snapshot().to_bytes()
     good = device.config
-    device.config = replace(good, spec=unchecked(LADDER, initial=lambda draw: draw))
+    device.config = replace(good, spec=unchecked(LADDER, initial=lambda draws: LadderState(draws.bits())))
     for seed in (None, 7):
         with pytest.raises(DeviceError, match="rung"):
             device.reset(seed=seed)
