@@ -17,7 +17,7 @@ from mkdocs.structure.files import File, Files
 ROOT = Path(__file__).parents[1]
 
 PAGES = ("*.md", "docs/*.md", "docs/images/*", "envs/*/README.md", "rtl/README.md", "examples/*.md")
-SOURCES = ("envs/*/*.py", "wrappers/observations.py", "examples/*.py", "examples/*.ipynb")
+SOURCES = ("envs/*/*.py", "wrappers/observations.py", "examples/**/*.py", "examples/*.ipynb")
 """Files that pages link to, and that are shown as pages."""
 ALSO = ("LICENSE", "CITATION.cff")
 """Files that pages link to, and that are delivered as they are."""

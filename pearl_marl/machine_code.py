@@ -148,8 +148,8 @@ def _told(error: NumbaError) -> str:
         statement = linecache.getline(os.path.abspath(file), int(line)).strip()
         if statement and "kernels" not in Path(file).parts:
             return (
-                f"{place_of(file, int(line))}: unpack() cannot be compiled here: `{statement}`; it takes numbers, "
-                "tuples of them, loops and `if`s, and writes elements of `row`"
+                f"{place_of(file, int(line))}: unpack() cannot be compiled here: `{statement}`; "
+                "it takes numbers, tuples of them, loops and `if`s, and writes elements of `row`"
             )
     return "unpack() cannot be compiled; it takes numbers, tuples of them, loops and `if`s"
 

@@ -72,7 +72,9 @@ def are_words(actions: Any, target: npt.NDArray[Any]) -> bool:
 
 def check_words(words: npt.NDArray[Any], spec: EnvSpec, room: npt.NDArray[Any], first_slot: int) -> None:
     """Raise ActionError for words that are none of actions in the action space; ``room`` is written over."""
-    numbers = words.reshape(len(words), -1) * 2.0 ** -np.array([f.fraction for f in spec.action_fields])
+    numbers = words.reshape(len(words), len(spec.action_fields)) * 2.0 ** -np.array(
+        [f.fraction for f in spec.action_fields]
+    )
     space = spec.action_space
     given = numbers if isinstance(space, Box) else words.reshape(len(words), *(space.shape or ()))
     encode(given, spec, room, first_slot)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any, NamedTuple
+from unittest import mock
 
 import numpy as np
 import pytest
@@ -10,6 +12,7 @@ from gymnasium.spaces import Discrete
 from gymnasium.vector import AutoresetMode
 
 import pearl_marl
+from pearl_marl import registry
 from pearl_marl.errors import ArgumentError
 from pearl_marl.layout import Range
 from pearl_marl.spec import EnvSpec, Golden
@@ -46,9 +49,11 @@ SPEC = EnvSpec(
 SPEEDS = np.array([1, 2, 3, 4, 4, 2])
 
 
-@pytest.fixture(autouse=True, scope="module")
-def registered() -> None:
-    pearl_marl.register(SPEC)
+@pytest.fixture(autouse=True)
+def runner() -> Iterator[None]:
+    with mock.patch.dict(registry._specs):
+        pearl_marl.register(SPEC)
+        yield
 
 
 def states(env: Any) -> Any:
