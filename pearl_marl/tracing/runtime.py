@@ -351,7 +351,7 @@ class Runtime:
             "any": self.some,
             "all": self.every,
             "bool": _Type((bool, Word), self.flag),
-            "int": _Type((int, Word), lambda value=0: value if isinstance(value, Word) else int(value)),
+            "int": _Type((int, Word), self._whole),
             "list": _Type(list, lambda values=(): self.listed(values)),
             "divmod": lambda a, b: (a // b, a % b),
             "range": _Type(range, _range),
@@ -373,6 +373,11 @@ class Runtime:
         for node in nodes[1:]:
             result = getattr(self.graph, operation)(result, node)
         return Word(self.graph, result)
+
+    def _whole(self, value: Any = 0) -> Any:
+        if isinstance(value, Beyond):
+            return self._floats().functions[int](value)
+        return value if isinstance(value, Word) else int(value)
 
     def _floats(self) -> Any:
         """Return what floats do, where the environment has reals."""

@@ -124,6 +124,16 @@ def test_divisions_by_words_in_llvm(seed: int) -> None:
     assert_means_the_golden_functions(random_spec(seed, divided=True), random.Random(seed), compiled)
 
 
+@pytest.mark.parametrize("seed", range(20))
+def test_reals(seed: int) -> None:
+    assert_means_the_golden_functions(random_spec(seed, reals=True), random.Random(seed))
+
+
+@pytest.mark.parametrize("seed", range(20, 28))
+def test_reals_in_llvm(seed: int) -> None:
+    assert_means_the_golden_functions(random_spec(seed, reals=True), random.Random(seed), compiled)
+
+
 WIDE = range(720)
 """Whose cores and netlists are compared with the golden functions in ``tests/rtl/test_wide_steps.py``."""
 

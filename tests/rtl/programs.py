@@ -101,6 +101,8 @@ class Program:
         self.rounds = 1
         """How often the statement at hand runs, at most."""
         self.result: Callable[[], str] | None = None
+        self.before: list[str] = []
+        """Statements that a function begins with."""
 
     def write(self, line: str) -> None:
         self.lines.append("    " * self.indent + line)
@@ -357,6 +359,8 @@ class Program:
         self.write(f"def {name}({', '.join(args)}):")
         with self.inside():
             self.words, self.result = [], result
+            for line in self.before:
+                self.write(line)
             for word in words:
                 variable, _, given = word.partition(" = ")
                 if given:

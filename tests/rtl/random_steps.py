@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 import random
 from typing import Any, NamedTuple
 
@@ -10,7 +11,7 @@ import numpy as np
 from gymnasium.spaces import Box, Discrete
 
 from pearl_marl.golden import i8, i16, i32, u8
-from pearl_marl.layout import Bits, Signed
+from pearl_marl.layout import Array, Bits, Real, Signed
 from pearl_marl.spec import EnvSpec, Field, Golden
 
 try:
@@ -64,6 +65,37 @@ DIVISIONS = [
 ]
 """By words."""
 
+REALS = [
+    "{r} + {r}",
+    "{r} - {r}",
+    "{r} * {r}",
+    "-{r}",
+    "abs({r})",
+    "0.3 * {r} - 1.25",
+    "{r} / (0.5 + abs({r}))",
+    "1 / (1.5 - math.sin({r}))",
+    "{r} / 3",
+    "{r} * ({} & 7)",
+    "({} & 3) * 0.1 + {r}",
+    "min({r}, {r}, 1.5)",
+    "max({r}, {r})",
+    "np.clip({r}, -0.75, 1)",
+    "({r} if {?} else {r})",
+    "({r} if {?} else -0.5)",
+    "(2.5 if {?} else -1.0) * {r}",
+    "math.sin({r})",
+    "math.cos({r})",
+    "math.sqrt(abs({r}))",
+    "math.exp(-abs({r}))",
+    "math.tanh({r})",
+    "({r}) ** 2",
+    "({r} + 1) % 2.5",
+    "[{r}, {r}, {r}][{} % 3]",
+    "sum(places)",
+]
+OF_REALS = ["(round({r} * 8) & 255)", "(math.floor({r}) & 7)", "(int({r} * 3) & 31)", "({r} < {r})"]
+REAL_FLAGS = ["{r} < {r}", "{r} >= 0.5", "-1 < {r} <= {r}", "{r} > ({} & 3)", "{r} == {r}"]
+
 
 class Steps(Program):
     """Writes golden functions, whose words have up to 32 bits where they are used."""
@@ -88,9 +120,42 @@ class Steps(Program):
         return part if kind or part.startswith("i32(") else f"i32{part}"
 
 
-def source(chance: random.Random, fields: list[Field], patterns: list[str]) -> str:
-    """Return the text of three golden functions over a state of these fields."""
-    steps = Steps(chance, patterns)
+class RealSteps(Steps):
+    """Writes statements about reals among the others: of two names and the places of a list."""
+
+    def part(self, kind: str, depth: int) -> str:
+        if kind != "r":
+            return super().part(kind, depth)
+        if depth > 0 and self.chance.random() < 0.5:
+            return f"({self.real(depth - 1)})"
+        return self.chance.choice([*self.reals(), "0.125"])
+
+    def reals(self) -> list[str]:
+        return ["x", "y", f"places[{self.index(3)}]"]
+
+    def real(self, depth: int = 1) -> str:
+        return self.filled(self.chance.choice(REALS), depth)
+
+    def number(self, depth: int = 1) -> str:
+        if self.chance.random() < 0.2:
+            return self.filled(self.chance.choice(OF_REALS), depth)
+        return super().number(depth)
+
+    def flag(self, depth: int = 1) -> str:
+        if self.chance.random() < 0.3:
+            return self.filled(self.chance.choice(REAL_FLAGS), depth)
+        return super().flag(depth)
+
+    def assignment(self) -> None:
+        if self.chance.random() < 0.5:
+            return super().assignment()
+        # A helper would have names of its own if it assigned to them.
+        targets = self.reals()[2 if self.elsewhere else 0 :]
+        return self.write(f"{self.chance.choice(targets)} = np.clip({self.real(2)}, -4, 4)")
+
+
+def source(chance: random.Random, fields: list[Field], steps: Steps, reals: list[str]) -> str:
+    """Return the text of three golden functions over a state of these fields, and of these reals."""
     names = [f.name for f in fields]
 
     def fitted(field: Field) -> str:
@@ -98,25 +163,30 @@ def source(chance: random.Random, fields: list[Field], patterns: list[str]) -> s
         return f"(({word} + {half}) & {(1 << field.bits) - 1}) - {half}"
 
     def state() -> str:
-        return f"State({', '.join(map(fitted, fields))})"
+        return f"State({', '.join([*map(fitted, fields), *reals])})"
 
     def outcome() -> str:
         return f"{state()}, u8({steps.word()}), ({steps.words[-1]} & 3) == 0"
 
     words = [f"{name} = state.{name}" for name in names]
     drawn = ["draw = draws.bits()"]
+    steps.before = [f"{name} = state.{name}" for name in reals]
     steps.function(
         "step", ["state", "action", "draws"], [*words, "action", *drawn], chance.randint(3, 12), outcome
     )
+    if reals:
+        steps.before = ["x, y = draws.uniform(-4, 4), draws.uniform(0, 1)", "places = [x, y, 0.5]"]
     steps.function("initial", ["draws"], drawn, 1, state)
+    steps.before = [f"{name} = state.{name}" for name in reals]
     steps.function("observe", ["state"], words, 2, lambda: f"{steps.word()}, {steps.word()}")
     return "\n".join(steps.lines) + "\n"
 
 
-def random_spec(seed: int | random.Random, divided: bool = False) -> EnvSpec:
+def random_spec(seed: int | random.Random, divided: bool = False, reals: bool = False) -> EnvSpec:
     """Return an environment of random golden functions; of one seed always the same.
 
-    Where words are ``divided`` by words, every other operation is such a division.
+    Where words are ``divided`` by words, every other operation is such a division. With ``reals``, a state has
+    some, too, and statements are about them.
     """
     chance = random.Random(seed) if isinstance(seed, int) else seed
     fields = [
@@ -124,10 +194,16 @@ def random_spec(seed: int | random.Random, divided: bool = False) -> EnvSpec:
         for k in range(chance.randint(1, 4))
     ]
     kinds: list[tuple[str, Any]] = [(f.name, (Signed if f.signed else Bits)[f.bits]) for f in fields]
+    if reals:
+        kinds += [("x", Real[-4, 4]), ("y", Real[-1, 3.5]), ("places", Array[Real[-2, 2], 3])]
     state = NamedTuple("State", kinds)  # type: ignore[misc]
     half = len(PATTERNS) // len(DIVISIONS)
-    text = source(chance, fields, PATTERNS + DIVISIONS * half if divided else PATTERNS)
-    scope: dict[str, Any] = {**TABLES, "State": state, "u8": u8, "i8": i8, "i16": i16, "i32": i32}
+    steps = (RealSteps if reals else Steps)(chance, PATTERNS + DIVISIONS * half if divided else PATTERNS)
+    text = source(chance, fields, steps, ["x", "y", "places"] if reals else [])
+    scope: dict[str, Any] = {
+        **{**TABLES, "State": state, "u8": u8, "i8": i8, "i16": i16, "i32": i32},
+        **{"math": math, "np": np},
+    }
     defined(text, scope, f"<a random step, {hashlib.sha256(text.encode()).hexdigest()}>")
     return EnvSpec(
         name="Random",

@@ -102,9 +102,9 @@ def test_graphs_mean_the_golden_functions(env: str, options: dict[str, Any]) -> 
 
 
 @settings(max_examples=60, deadline=None)
-@given(st.randoms(use_true_random=False), st.booleans())
-def test_random_golden_functions(chance: random.Random, divided: bool) -> None:
-    spec = random_spec(chance, divided)
+@given(st.randoms(use_true_random=False), st.sampled_from([{}, {"divided": True}, {"reals": True}]))
+def test_random_golden_functions(chance: random.Random, kind: dict[str, bool]) -> None:
+    spec = random_spec(chance, **kind)
     note(f"{spec.state}\n{spec.summary}")
     graph, outputs = core_graph(spec)
     assert_means(spec, outputs, 40)
@@ -120,7 +120,8 @@ ENVIRONMENTS = (
 """As simulated devices have them; and with other options, for every family and clock."""
 
 RANDOM: list[tuple[str, dict[str, Any], Target]] = [
-    ("Random", {"seed": seed, "divided": seed >= 18}, TARGETS[seed % len(TARGETS)]) for seed in range(24)
+    ("Random", {"seed": seed, "divided": 14 <= seed < 20, "reals": seed >= 20}, TARGETS[seed % len(TARGETS)])
+    for seed in range(24)
 ]
 
 
