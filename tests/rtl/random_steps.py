@@ -185,8 +185,8 @@ def source(chance: random.Random, fields: list[Field], steps: Steps, reals: list
 def random_spec(seed: int | random.Random, divided: bool = False, reals: bool = False) -> EnvSpec:
     """Return an environment of random golden functions; of one seed always the same.
 
-    Where words are ``divided`` by words, every other operation is such a division. With ``reals``, a state has
-    some, too, and statements are about them.
+    Where words are ``divided`` by words, every other operation is such a division. With ``reals``,
+    a state has some, and statements are about them.
     """
     chance = random.Random(seed) if isinstance(seed, int) else seed
     fields = [
@@ -201,8 +201,14 @@ def random_spec(seed: int | random.Random, divided: bool = False, reals: bool = 
     steps = (RealSteps if reals else Steps)(chance, PATTERNS + DIVISIONS * half if divided else PATTERNS)
     text = source(chance, fields, steps, ["x", "y", "places"] if reals else [])
     scope: dict[str, Any] = {
-        **{**TABLES, "State": state, "u8": u8, "i8": i8, "i16": i16, "i32": i32},
-        **{"math": math, "np": np},
+        **TABLES,
+        "State": state,
+        "u8": u8,
+        "i8": i8,
+        "i16": i16,
+        "i32": i32,
+        "math": math,
+        "np": np,
     }
     defined(text, scope, f"<a random step, {hashlib.sha256(text.encode()).hexdigest()}>")
     return EnvSpec(
