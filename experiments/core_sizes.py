@@ -2,7 +2,7 @@
 
 ``python experiments/core_sizes.py`` prints the table of docs/compiler.md ("What a core takes"): every
 environment under its default options, synthesised by Yosys for the 7 series and for the ECP5, with cores
-generated for 150 MHz. It takes minutes.
+generated for 150 MHz. It takes minutes. With names of environments it prints those.
 """
 
 from __future__ import annotations
@@ -10,8 +10,9 @@ from __future__ import annotations
 import json
 import tempfile
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
+import typer
 from pearl_marl.experiments.calling import call
 
 from pearl_marl.compiler.cores import Core, generated_core
@@ -22,11 +23,16 @@ from pearl_marl.registry import get_spec, names
 FAMILIES = (Family.XC7, Family.ECP5)
 
 
-def main() -> None:
+def main(
+    environments: Annotated[
+        list[str] | None,
+        typer.Argument(metavar="[ENV]...", help="Environments, also as package:Class; without, all."),
+    ] = None,
+) -> None:
     """Print the table in Markdown, a row as soon as it is known."""
     columns = [f"{family.value} {what}" for family in FAMILIES for what in ("latency", "LUT", "FF", "DSP")]
     print(f"| environment | {' | '.join(columns)} |\n| --- |{' ---: |' * len(columns)}")
-    for name in names():
+    for name in environments or names():
         figures: list[int] = []
         for family in FAMILIES:
             core = generated_core(get_spec(name), family.target, "alone")

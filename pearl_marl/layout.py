@@ -18,7 +18,8 @@ from __future__ import annotations
 import dataclasses
 import math
 import typing
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from functools import cached_property
 from typing import Annotated, Any
 
 from pearl_marl.errors import ArgumentError
@@ -152,14 +153,21 @@ class Layout:
         self._tree = _Group(cls, fraction or 0)
         self.fields = tuple(self._tree.fields(""))
 
-    def built(self, words: Iterable[Any]) -> Any:
-        """Return an object of the class, of as many words or values as it has fields; arrays are lists.
+    @cached_property
+    def built(self) -> Callable[[Iterable[Any]], Any]:
+        """A function of as many words or values as there are fields; it returns an object of the class.
 
-        A word of a real is made one; a float stays what it is.
+        Arrays are lists. A word of a real is made one; a float stays what it is.
         """
-        return self._tree.built(iter(words))
+        code = _Code()
+        names = [f"word_{k}" for k in range(len(self.fields))]
+        made = self._tree.made(iter(names), code)
+        # As text, since the reference calls it for every slot.
+        return code.function(  # type: ignore[no-any-return]
+            "built", "words", [f"({''.join(f'{name}, ' for name in names)}) = words"], made
+        )
 
-    def flat(self, value: Any) -> list[Any]:
+    def flat(self, value: Any) -> Sequence[Any]:
         """Return the words of an object of the class.
 
         Raises
@@ -167,11 +175,49 @@ class Layout:
         ArgumentError
             It is none, or an array has another length: names which.
         """
+        words = self._integers(value)
+        if words is not None and {*map(type, words)} <= _INTEGERS:
+            return words
         if not isinstance(value, self.cls):
             raise ArgumentError(f"a {self.cls.__name__} is due, and {_told(value)} is returned")
         result: list[Any] = []
         self._tree.flatten(value, self.cls.__name__, result)
         return result
+
+    @cached_property
+    def _integers(self) -> Callable[[Any], tuple[Any, ...] | None]:
+        """:meth:`flat` of plain objects of integers; of others ``None``, or words that are none."""
+        code = _Code()
+        words = self._tree.taken("value", code)
+        return code.function(  # type: ignore[no-any-return]
+            "integers", "value", code.lines, f"({''.join(f'{word}, ' for word in words)})"
+        )
+
+
+_INTEGERS = {int, bool}
+
+
+class _Code:
+    """The text of a function that makes an object of words, or words of one."""
+
+    def __init__(self) -> None:
+        self.lines: list[str] = []
+        self.scope: dict[str, Any] = {}
+
+    def known(self, value: object) -> str:
+        """Return a name that the text has for a value."""
+        for name, other in self.scope.items():
+            if other is value:
+                return name
+        name = f"known_{len(self.scope)}"
+        self.scope[name] = value
+        return name
+
+    def function(self, name: str, argument: str, lines: Iterable[str], result: str) -> Any:
+        """Return the function of these statements."""
+        text = [f"def {name}({argument}):", *(f"    {line}" for line in lines), f"    return {result}"]
+        exec("\n".join(text), self.scope)
+        return self.scope[name]
 
 
 class _Leaf:
@@ -183,8 +229,11 @@ class _Leaf:
         if s.bits:
             yield Field(name, s.bits, s.signed, s.fraction, s.least, s.most)
 
-    def built(self, words: Iterator[Any]) -> Any:
-        return next(words) if self.scalar.bits else 0
+    def made(self, words: Iterator[str], code: _Code) -> str:
+        return next(words) if self.scalar.bits else "0"
+
+    def taken(self, value: str, code: _Code) -> list[str]:
+        return [value] if self.scalar.bits else []
 
     def flatten(self, value: Any, where: str, result: list[Any]) -> None:
         if isinstance(value, (tuple, list, str)) or value is None:
@@ -201,9 +250,13 @@ class _RealLeaf:
     def fields(self, name: str) -> Iterator[Field]:
         yield dataclasses.replace(self.field, name=name)
 
-    def built(self, words: Iterator[Any]) -> Any:
+    def made(self, words: Iterator[str], code: _Code) -> str:
         word = next(words)
-        return word if isinstance(word, float) else Number(word, self.fraction)
+        number = f"{code.known(Number)}({word}, {self.fraction})"
+        return f"{word} if isinstance({word}, float) else {number}"
+
+    def taken(self, value: str, code: _Code) -> list[str]:
+        return [value]  # no integer, so that flatten() is asked
 
     def flatten(self, value: Any, where: str, result: list[Any]) -> None:
         if isinstance(value, (tuple, list, str)) or value is None:
@@ -228,8 +281,16 @@ class _Several:
         for k in range(self.count):
             yield from self.part.fields(f"{name}_{k}")
 
-    def built(self, words: Iterator[Any]) -> Any:
-        return [self.part.built(words) for _ in range(self.count)]
+    def made(self, words: Iterator[str], code: _Code) -> str:
+        return f"[{', '.join(self.part.made(words, code) for _ in range(self.count))}]"
+
+    def taken(self, value: str, code: _Code) -> list[str]:
+        name = f"list_{len(code.lines)}"
+        code.lines += [
+            f"{name} = {value}",
+            f"if {name}.__class__ is not list or len({name}) != {self.count}: return None",
+        ]
+        return [word for k in range(self.count) for word in self.part.taken(f"{name}[{k}]", code)]
 
     def flatten(self, value: Any, where: str, result: list[Any]) -> None:
         if not isinstance(value, (tuple, list)) or len(value) != self.count:
@@ -248,8 +309,16 @@ class _Group:
         for own, part in self.parts.items():
             yield from part.fields(f"{name}_{own}" if name else own)
 
-    def built(self, words: Iterator[Any]) -> Any:
-        return self.cls(*[part.built(words) for part in self.parts.values()])
+    def made(self, words: Iterator[str], code: _Code) -> str:
+        return f"{code.known(self.cls)}({', '.join(part.made(words, code) for part in self.parts.values())})"
+
+    def taken(self, value: str, code: _Code) -> list[str]:
+        name = f"group_{len(code.lines)}"
+        code.lines += [
+            f"{name} = {value}",
+            f"if {name}.__class__ is not {code.known(self.cls)}: return None",
+        ]
+        return [word for own, part in self.parts.items() for word in part.taken(f"{name}.{own}", code)]
 
     def flatten(self, value: Any, where: str, result: list[Any]) -> None:
         if not isinstance(value, self.cls):

@@ -71,19 +71,18 @@ class _Step:
         self, state: Layout, agents: int, action: Sequence[Field], reward: Field, world: bool
     ) -> None:
         self.state, self.agents, self.action, self.reward, self.world = state, agents, action, reward, world
+        self.count, self.end = len(state.fields), len(state.fields) + agents * len(action)
+        self.has_real_actions = state.fraction is not None and any(field.fraction for field in action)
 
     def arguments(self, words: Sequence[Word]) -> tuple[Any, Any, Draws]:
         """Return state, action or actions, and draws."""
-        count, fields = len(self.state.fields), len(self.action)
-        end = count + self.agents * fields
-        numbers = [self._number(word, self.action[k % fields]) for k, word in enumerate(words[count:end])]
-        each = (
-            numbers
-            if fields == 1
-            else [tuple(numbers[k : k + fields]) for k in range(0, len(numbers), fields)]
-        )
-        draws = Draws(words[end:], self.state.fraction)
-        return self.state.built(words[:count]), each if self.world else each[0], draws
+        numbers, fields = list(words[self.count : self.end]), len(self.action)
+        if self.has_real_actions:
+            numbers = [self._number(word, self.action[k % fields]) for k, word in enumerate(numbers)]
+        if fields > 1:
+            numbers = [tuple(numbers[k : k + fields]) for k in range(0, len(numbers), fields)]
+        draws = Draws(words[self.end :], self.state.fraction)
+        return self.state.built(words[: self.count]), numbers if self.world else numbers[0], draws
 
     def words(self, result: Any) -> tuple[Word, ...]:
         """Return the words of a state, rewards and flags of termination."""
@@ -104,7 +103,7 @@ class _Step:
         return (*self.state.flat(after), *map(self._reward, rewards), *ends)
 
     def _number(self, word: Word, field: Field) -> Any:
-        """Return an action's number: a real, where the environment has them and the field has a fraction."""
+        """Return an action's number: a real, where the field has a fraction."""
         fraction = self.state.fraction
         if fraction is None or not field.fraction:
             return word
@@ -113,6 +112,8 @@ class _Step:
 
     def _reward(self, number: Any) -> Word:
         """Return the word of a reward; a real saturates."""
+        if number.__class__ is int:
+            return number
         field = self.reward
         is_real = isinstance(number, (Real, Choice, float))
         return stored(number, field.low, field.high, field.fraction) if is_real else number

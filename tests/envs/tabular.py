@@ -13,7 +13,7 @@ import numpy.typing as npt
 from pearl_marl import EnvSpec
 from pearl_marl.batch.slot_memory import SlotMemory
 from pearl_marl.batch.step import BatchStep
-from pearl_marl.devices import BatchConfig, Device, Native
+from pearl_marl.devices import BatchConfig, Native
 
 Array = npt.NDArray[Any]
 
@@ -37,12 +37,10 @@ def table_of(oracle: Any) -> Table:
     return Table(probability, state.astype(int), reward, terminated.astype(bool))
 
 
-def step_from(
-    spec: EnvSpec, fields: list[Array], actions: Array, seed: int = 0, device: type[Device] = Native
-) -> BatchStep:
+def step_from(spec: EnvSpec, fields: list[Array], actions: Array, seed: int = 0) -> BatchStep:
     """Put slots into the states whose fields are given, and step them once."""
     n = len(actions)
-    opened = device().open(BatchConfig(spec=spec, n_envs=n))
+    opened = Native().open(BatchConfig(spec=spec, n_envs=n))
     opened.reset(seed=seed)
     snapshot = opened.snapshot()
     columns = SlotMemory(spec, n, snapshot.memory).columns
@@ -54,18 +52,16 @@ def step_from(
     return step
 
 
-def first_observations(spec: EnvSpec, n: int, seed: int, device: type[Device] = Native) -> Array:
-    opened = device().open(BatchConfig(spec=spec, n_envs=n))
+def first_observations(spec: EnvSpec, n: int, seed: int) -> Array:
+    opened = Native().open(BatchConfig(spec=spec, n_envs=n))
     observations = opened.reset(seed=seed)
     opened.close()
     return observations
 
 
-def first_episodes(
-    spec: EnvSpec, n: int, seed: int, policy: Any, device: type[Device] = Native
-) -> tuple[Array, Array]:
+def first_episodes(spec: EnvSpec, n: int, seed: int, policy: Any) -> tuple[Array, Array]:
     """Return length and return of the first episode of ``n`` slots; ``policy(obs, generator)`` acts."""
-    opened = device().open(BatchConfig(spec=spec, n_envs=n, copy=False))
+    opened = Native().open(BatchConfig(spec=spec, n_envs=n, copy=False))
     observations = opened.reset(seed=seed)
     generator = np.random.default_rng(seed + 1)
     lengths, returns, running = np.zeros(n, int), np.zeros(n), np.ones(n, bool)

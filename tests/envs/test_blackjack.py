@@ -14,7 +14,6 @@ from scipy import stats
 
 import pearl_marl
 from pearl_marl import rng
-from pearl_marl.devices import Reference
 from pearl_marl.errors import ArgumentError
 from pearl_marl.golden import call_reference, u8, u32
 
@@ -189,7 +188,7 @@ def test_episodes_of_a_random_policy(options: dict[str, bool]) -> None:
             _, reward, ended, _, _ = gym.step(int(generator.integers(2)))
             length += 1
         theirs[length, reward] = theirs.get((length, reward), 0) + 1
-    lengths, returns = first_episodes(spec(**options), n, 1, policy, Reference)
+    lengths, returns = first_episodes(spec(**options), n, 1, policy)
     kinds, counts = np.unique(np.array([lengths, returns]), axis=1, return_counts=True)
     ours = {(int(length), value): count for (length, value), count in zip(kinds.T, counts, strict=True)}
     common = [kind for kind in ours if ours[kind] + theirs.get(kind, 0) >= 20]

@@ -17,7 +17,6 @@ from scipy import stats
 
 import pearl_marl
 from pearl_marl import rng
-from pearl_marl.devices import Native, Reference
 from pearl_marl.errors import ArgumentError, SavedStateError
 from pearl_marl.golden import call_reference, u8, u32
 from pearl_marl.rendering import HeatMap
@@ -140,7 +139,7 @@ def test_starts_and_observations(options: dict[str, Any]) -> None:
 def test_distribution_of_starts() -> None:
     gym = oracle(desc=THREE_STARTS)
     starts = np.flatnonzero(gym.initial_state_distrib)
-    seen = np.bincount(first_observations(spec(desc=THREE_STARTS), 30_000, 3, Reference), minlength=21)
+    seen = np.bincount(first_observations(spec(desc=THREE_STARTS), 30_000, 3), minlength=21)
     assert seen[starts].sum() == 30_000
     p = stats.chisquare(seen[starts], 30_000 * gym.initial_state_distrib[starts]).pvalue
     print(f"starts: p = {p:.3f}")
@@ -174,7 +173,7 @@ def test_slip_frequencies(success_rate: float) -> None:
     for action in range(ACTIONS):
         middle = [np.ones(n, int), np.ones(n, int)]
         actions = np.full(n, action, np.uint8)
-        arrived = step_from(spec(**options), middle, actions, action, Reference).arrivals()
+        arrived = step_from(spec(**options), middle, actions, action).arrivals()
         seen = np.bincount(arrived, minlength=9)[table.state[4, action]]
         assert seen.sum() == n
         p = stats.chisquare(seen, n * table.probability[4, action]).pvalue
@@ -240,7 +239,7 @@ def test_episodes_of_a_random_policy(options: dict[str, Any]) -> None:
     def policy(observations: np.ndarray, generator: np.random.Generator) -> np.ndarray:
         return generator.integers(ACTIONS, size=n, dtype=np.uint8)
 
-    lengths, returns = first_episodes(ours, n, 1, policy, Reference if options else Native)
+    lengths, returns = first_episodes(ours, n, 1, policy)
     seen = np.zeros((limit, 4))
     np.add.at(seen, (lengths - 1, returns.astype(int)), 1)
     assert not seen[reaches == 0].any()

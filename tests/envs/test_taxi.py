@@ -13,7 +13,6 @@ from scipy import stats
 
 import pearl_marl
 from pearl_marl import rng
-from pearl_marl.devices import Native, Reference
 from pearl_marl.errors import ArgumentError
 from pearl_marl.golden import call_reference, u8, u32
 from pearl_marl.rendering import HeatMap
@@ -215,7 +214,7 @@ def test_slip_frequencies(options: dict[str, Any]) -> None:
     for action in range(4):
         fields = [*decode(np.full(n, middle)), np.zeros(n, np.uint8)]
         actions = np.full(n, action, np.uint8)
-        arrived = step_from(spec(**options), fields, actions, action, Reference).arrivals()
+        arrived = step_from(spec(**options), fields, actions, action).arrivals()
         seen = np.bincount(arrived, minlength=STATES)[table.state[middle, action]]
         assert seen.sum() == n
         p = stats.chisquare(seen, n * table.probability[middle, action]).pvalue
@@ -228,7 +227,7 @@ def test_new_destinations(destination: int) -> None:
     """The other three, each as likely, whichever way the taxi slips."""
     n, middle = 30_000, 12 * 20 + 16 + destination
     fields = [*decode(np.full(n, middle)), np.ones(n, np.uint8)]
-    arrived = step_from(spec(**BOTH), fields, np.zeros(n, np.uint8), destination, Reference).arrivals()
+    arrived = step_from(spec(**BOTH), fields, np.zeros(n, np.uint8), destination).arrivals()
     others = [k for k in range(4) if k != destination]
     counts = stats.contingency.crosstab(arrived // 20, arrived % 4)
     np.testing.assert_array_equal(counts.elements[1], others)
@@ -276,7 +275,7 @@ def assert_same_distribution(ours: Any, theirs: Any, what: str) -> None:
 )
 def test_episodes_of_a_random_policy(options: dict[str, Any], share: float) -> None:
     """20,000 episodes of each: lengths and returns have one distribution."""
-    ours = first_episodes(spec(**options), 20_000, 1, policy(share), Reference if options else Native)
+    ours = first_episodes(spec(**options), 20_000, 1, policy(share))
     theirs = table_episodes(oracle(**options), 20_000, 2, policy(share), limit=200)
     assert (ours[0] == 200).any() if share == 0 else (ours[0] < 200).mean() > 0.9
     assert_same_distribution(ours, theirs, f"{options}, {share}")
@@ -299,10 +298,10 @@ def test_episodes_with_fickle_passengers() -> None:
             lengths[i] += 1
             returns[i] += float(reward)
             ended = terminated or truncated
-    ours = first_episodes(spec(**eager), n, 1, policy(0.9), Reference)
+    ours = first_episodes(spec(**eager), n, 1, policy(0.9))
     assert_same_distribution(ours, (lengths, returns), "fickle")
     eager["fickle_passenger"] = False
-    steadfast = first_episodes(spec(**eager), n, 1, policy(0.9), Reference)
+    steadfast = first_episodes(spec(**eager), n, 1, policy(0.9))
     assert stats.ks_2samp(steadfast[0], lengths).pvalue < 1e-6, "this test cannot tell the fickle"
 
 
