@@ -11,6 +11,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+
 import pearl_marl
 
 from . import acrobot, cart_pole, mountain_car, mountain_car_continuous, pendulum
