@@ -59,6 +59,7 @@ def core_graph(spec: EnvSpec) -> CoreGraph:
     after, unseen = held(graph, hold, start, moved, unseen)
     after = _narrowed(graph, after, spec.state)
     for node, field in zip(after, spec.state, strict=True):
+        graph.within(node, *field.range)  # which gates of bits no longer show
         if node.name is None and node.op != "constant":
             node.name = f"next_{field.name}"
     outputs = _packed("state_o", spec.state, after)

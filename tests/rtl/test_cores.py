@@ -7,12 +7,13 @@ import random
 from collections.abc import Callable, Iterable
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
 from bench import spec_of
 from cases import all_cases, edge_draws, golden, split
+from gymnasium.spaces import Discrete, MultiBinary
 from harness import Design, Variant, core, run_variants
 from hypothesis import given, note, settings
 from hypothesis import strategies as st
@@ -26,8 +27,9 @@ from pearl_marl.compiler.scheduling import scheduled
 from pearl_marl.compiler.targets import FAMILIES, Target
 from pearl_marl.compiler.widths import width
 from pearl_marl.hardware import elaboration
+from pearl_marl.layout import Array, Range
 from pearl_marl.registry import get_spec
-from pearl_marl.spec import EnvSpec
+from pearl_marl.spec import EnvSpec, Golden
 from pearl_marl.tracing.nodes import values
 
 TARGETS = [Target(name, mhz) for name in FAMILIES for mhz in (40, 150, 300)]
@@ -110,6 +112,48 @@ def test_random_golden_functions(chance: random.Random, kind: dict[str, bool]) -
     assert_means(spec, outputs, 40)
     for target in chance.sample(TARGETS, 2):
         assert_means(spec, lowered(graph, outputs, target), 20)
+
+
+class Body(NamedTuple):
+    cells: Array[Range[0, 5], 8]
+    tail: Range[0, 7]
+    length: Range[2, 8]
+    food: Range[0, 5]
+
+
+def grown(state: Body, action: Any, draws: Any) -> tuple[Body, Any, Any]:
+    tail = state.tail
+    last = state.cells[(tail + state.length - 1) % 8]
+    head = min(max(last + (0, 1, 0, -1)[action], 0), 5)
+    eats = head == state.food
+    if eats and state.length < 8:
+        tail = (tail + 1) % 8
+    for k in range(8):
+        state.cells[(tail + k) % 8] = head
+    if eats:
+        return state._replace(tail=tail), 0, True
+    return state._replace(tail=tail), 0, False
+
+
+def spread(state: Body) -> Any:
+    seen = [0] * 6
+    for cell in state.cells:
+        seen[cell] = 1
+    return seen
+
+
+def test_what_is_observed_is_in_the_ranges_of_its_fields() -> None:
+    """Gates of `hold` make a cell of bits, of which it is not known that they are never 6 or 7."""
+    spec = EnvSpec(
+        name="Body",
+        version=0,
+        summary="Cells that index a list",
+        rewards=(0.0,),
+        observation_space=MultiBinary(6),
+        action_space=Discrete(4),
+        golden=Golden(Body, lambda draws: Body([0] * 8, 0, 2, 3), grown, spread),
+    )
+    assert_means(spec, core_graph(spec).outputs, 60)
 
 
 FIRST = [(env, all_options[0], elaboration.TARGET) for env, all_options in OPTIONS.items()]
