@@ -121,9 +121,14 @@ def once(tmp_path_factory: pytest.TempPathFactory) -> Once:
 def ray_cluster() -> None:
     """Have this process in a Ray cluster with one board, which takes seconds to begin and ends with it."""
     ray = importlib.import_module("ray")
+    # Its workers find modules where this process was when it began: somewhere else, if a script of the docs did.
+    environment = {"env_vars": {"PYTHONPATH": str(Path(__file__).parents[1])}}
     if ray.is_initialized():
-        return
+        if ray.get_runtime_context().runtime_env == environment:
+            return
+        ray.shutdown()
     ray.init(
+        runtime_env=environment,
         address="local",  # or it would join the cluster of another test that runs beside
         num_cpus=1,
         resources={"fpga": 1},
