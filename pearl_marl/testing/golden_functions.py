@@ -38,7 +38,7 @@ class GoldenContract:
 
         In ``NEXT_STEP`` mode it steps from ended states too, though nobody sees where to.
         """
-        n, steps = 256, 80
+        n, steps = 128, 40
         device = Reference().open(BatchConfig(spec=spec, n_envs=n, autoreset_mode=mode))
         assert contains_all(spec.observation_space, device.reset(seed=1))
         words = room_for_words(spec, n * spec.agents)
