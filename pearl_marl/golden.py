@@ -137,7 +137,8 @@ class Draws:
             place = self.below(k + 1)
             # The number in that place moves to the end, and this one takes it.
             last = _entry([*result, k], place)
-            result = [old + (place == i) * (k - old) for i, old in enumerate(result)]
+            # Chosen, not computed, so that each is known to be one of them.
+            result = [_entry([old, k], place == i) for i, old in enumerate(result)]
             result.append(last)
         return result
 

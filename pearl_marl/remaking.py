@@ -48,8 +48,9 @@ def remade(
             closure = dict(zip(old.__code__.co_freevars, old.__closure__ or (), strict=True))
             cells = tuple(types.CellType() for _ in its_code.co_freevars)
             new = types.FunctionType(its_code, scope, old.__name__, old.__defaults__, cells)
-            new.__kwdefaults__ = old.__kwdefaults__
             done[old] = finish(new)  # known to itself, and to functions that call it in turn
+            new.__defaults__ = tuple(map(value, old.__defaults__ or ()))
+            new.__kwdefaults__ = {name: value(given) for name, given in (old.__kwdefaults__ or {}).items()}
             used = (name for name in _names(old.__code__) if name in old.__globals__)
             scope.update({name: value(old.__globals__[name]) for name in used})
             for name, cell in zip(its_code.co_freevars, cells, strict=True):
@@ -85,14 +86,27 @@ class Vocabulary(NamedTuple):
         if isinstance(value, type) and issubclass(value, np.integer):
             return self.cast(value)
         if isinstance(value, np.ndarray):
-            return self.meaning(value.tolist())
+            listed = value.tolist()
+            return self.table(Grid(listed)) if isinstance(listed, list) else self.meaning(listed)
         if isinstance(value, (np.integer, np.bool_)):
             return int(value)
         if type(value) in (list, tuple):
             return self.table(value)
         if isinstance(getattr(value, "__self__", value), _DICE):
-            return _refused(getattr(value, "__name__", "random numbers"), "; ask `draws` for random numbers")
+            return refused(getattr(value, "__name__", "random numbers"), "; ask `draws` for random numbers")
         return value
+
+
+class Grid(list[Any]):
+    """The entries of an array of NumPy's, which takes an index for each dimension at once."""
+
+    def __getitem__(self, index: Any) -> Any:
+        if not isinstance(index, tuple):
+            return super().__getitem__(index)
+        found: Any = self
+        for part in index:
+            found = found[part]
+        return found
 
 
 _DICE = random.Random, np.random.Generator, np.random.RandomState
@@ -122,11 +136,13 @@ class _Module:
             return remade(value, self._vocabulary.meaning)
         if callable(value) and not isinstance(value, type):
             hint = "; ask `draws` for random numbers" if random_one else ""
-            return _refused(f"{module.__name__}.{name}", hint)
+            return refused(f"{module.__name__}.{name}", hint)
         return self._vocabulary.meaning(value)
 
 
-def _refused(name: str, hint: str) -> Callable[..., NoReturn]:
+def refused(name: str, hint: str) -> Callable[..., NoReturn]:
+    """Return a function that says that golden functions cannot use something of that name."""
+
     def refuse(*_: Any, **__: Any) -> NoReturn:
         raise ArgumentError(f"golden functions cannot use {name}{hint}")
 

@@ -5,8 +5,12 @@ from __future__ import annotations
 import dataclasses
 import functools
 import operator
-from collections.abc import Callable, Iterable, Sequence
-from typing import Any
+import types
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence, ValuesView
+from typing import Any, NoReturn
+
+import numpy as np
 
 from pearl_marl.errors import ArgumentError
 from pearl_marl.tracing.branches import Frame
@@ -14,15 +18,20 @@ from pearl_marl.tracing.graph import Graph
 from pearl_marl.tracing.joining import Listed, Undefined, has_words, joined
 from pearl_marl.tracing.nodes import Node
 from pearl_marl.tracing.paths import Path
+from pearl_marl.tracing.rewriting import RUNTIME
 from pearl_marl.tracing.twins import Twins
-from pearl_marl.tracing.words import Beyond, Word, chosen_entry, flag_of, node_of, word_of
+from pearl_marl.tracing.words import Beyond, Word, check_places, chosen_entry, flag_of, node_of, word_of
 
 
 class Runtime:
     """What rewritten functions call: see :mod:`pearl_marl.tracing.rewriting`."""
 
-    def __init__(self, graph: Graph) -> None:
+    def __init__(
+        self, graph: Graph, again: Callable[[types.FunctionType], Any] = lambda function: function
+    ) -> None:
         self.graph = graph
+        self.again = functools.cache(again)
+        """Makes a function again that :meth:`called` has met."""
         self.twins = graph.twins = Twins(graph)
         self.root = Path(graph)
         self.exits: list[Any] = []
@@ -49,6 +58,20 @@ class Runtime:
     def frame(self) -> Frame:
         """Return what keeps the paths of a call."""
         return Frame(self)
+
+    def called(self, function: Any) -> Any:
+        """Return what is called: what no name of a scope has led to, such as a method, over words, too."""
+        match function:
+            case types.MethodType():
+                again = self.called(function.__func__)
+                return function if again is function.__func__ else types.MethodType(again, function.__self__)
+            case functools.partial():
+                again = self.called(function.func)
+                same = again is function.func
+                return function if same else functools.partial(again, *function.args, **function.keywords)
+            case types.FunctionType() if RUNTIME not in function.__globals__:
+                return self.again(function)
+        return function
 
     def unbound(self, name: str) -> Undefined:
         """Return a variable's value before it has one."""
@@ -106,7 +129,7 @@ class Runtime:
         flag = self.truth(a)
         if isinstance(flag, bool):
             return a if flag else b()
-        there = True if a.node.is_flag else a
+        there = True if isinstance(a, Word) and a.node.is_flag else a
         return joined(self.graph, flag, there, self.on(self.graph.logical_not(flag), b))
 
     def negation(self, value: Any) -> Any:
@@ -129,10 +152,10 @@ class Runtime:
             "NotEq": self.differ,
             "In": self.contains,
             "NotIn": self.lacks,
-            "Lt": operator.lt,
-            "LtE": operator.le,
-            "Gt": operator.gt,
-            "GtE": operator.ge,
+            "Lt": self.less,
+            "LtE": self.less_equal,
+            "Gt": self.greater,
+            "GtE": self.greater_equal,
             "Is": self.same,
             "IsNot": self.other,
         }
@@ -144,13 +167,42 @@ class Runtime:
             if len(a) != len(b) or isinstance(a, tuple) != isinstance(b, tuple):
                 return False
             return self.every(self.equal(x, y) for x, y in zip(a, b, strict=True))
+        if _is_record(a) and type(a) is type(b):
+            names = [field.name for field in dataclasses.fields(a) if field.compare]
+            return self.every(self.equal(getattr(a, name), getattr(b, name)) for name in names)
         return a == b
 
     def differ(self, a: Any, b: Any) -> Any:
         """Return ``a != b``."""
-        if isinstance(a, (tuple, list)) and isinstance(b, (tuple, list)):
+        if isinstance(a, (tuple, list)) or _is_record(a):
             return self.negation(self.equal(a, b))
         return a != b
+
+    def less(self, a: Any, b: Any) -> Any:
+        """Return ``a < b``, of sequences of words, too."""
+        return self._ordered(operator.lt, a, b)
+
+    def less_equal(self, a: Any, b: Any) -> Any:
+        """Return ``a <= b``."""
+        return self._ordered(operator.le, a, b)
+
+    def greater(self, a: Any, b: Any) -> Any:
+        """Return ``a > b``."""
+        return self._ordered(operator.gt, a, b)
+
+    def greater_equal(self, a: Any, b: Any) -> Any:
+        """Return ``a >= b``."""
+        return self._ordered(operator.ge, a, b)
+
+    def _ordered(self, compare: Callable[[Any, Any], Any], a: Any, b: Any) -> Any:
+        kind = next((k for k in (tuple, list) if isinstance(a, k) and isinstance(b, k)), None)
+        if kind is None or not (has_words(a) or has_words(b)):
+            return compare(a, b)
+        # The first elements that differ decide, and where none does the lengths.
+        result: Any = compare(len(a), len(b))
+        for x, y in reversed(list(zip(a, b, strict=False))):
+            result = self.either(self.equal(x, y), lambda: result, lambda: self._ordered(compare, x, y))  # noqa: B023
+        return result
 
     def contains(self, value: Any, among: Any) -> Any:
         """Return ``value in among``."""
@@ -158,6 +210,8 @@ class Runtime:
             raise ArgumentError("`in` looks into a word, which is no sequence")
         if isinstance(among, range) and isinstance(value, Word) and among.step == 1:
             return (value >= among.start) & (value < among.stop)
+        if isinstance(among, (Iterator, ValuesView)):
+            among = list(among)
         if not has_words(value) and not (isinstance(among, (tuple, list)) and has_words(among)):
             return value in among
         return self.some(self.equal(value, other) for other in among)
@@ -166,15 +220,18 @@ class Runtime:
         """Return ``value not in among``."""
         return self.negation(self.contains(value, among))
 
-    def same(self, a: Any, b: Any) -> bool:
+    def same(self, a: Any, b: Any) -> Any:
         """Return ``a is b``."""
         if (isinstance(a, Word) and b is not None) or (isinstance(b, Word) and a is not None):
             raise ArgumentError("`is` on a word; use `==`")
+        for one, flag in () if a is b else self.twins.others(a):
+            if one is b:  # where a word has chosen it
+                return Word(self.graph, flag)
         return a is b
 
-    def other(self, a: Any, b: Any) -> bool:
+    def other(self, a: Any, b: Any) -> Any:
         """Return ``a is not b``."""
-        return not self.same(a, b)
+        return self.negation(self.same(a, b))
 
     def count(self, among: Any, value: Any) -> Any:
         """Return ``among.count(value)``."""
@@ -217,6 +274,7 @@ class Runtime:
     def item(self, of: Any, index: Any) -> Any:
         """Return an element, which a word may choose."""
         if isinstance(index, tuple) and isinstance(of, (tuple, list)):
+            check_places(index)
             for part in index:
                 of = self.item(of, part)
             return of
@@ -270,6 +328,8 @@ class Runtime:
         for one, flags in self._same(of, where):
             if isinstance(key, slice) and flags:
                 raise ArgumentError("a slice is written where a word decides; write its elements")
+            if isinstance(one, dict) and flags and key not in one:
+                self._changes(one, "")
             one[key] = self._changed(flags, value, one[key]) if flags else value
 
     def set_attribute(self, of: Any, name: str, value: Any) -> None:
@@ -295,18 +355,24 @@ class Runtime:
 
     def growing(self, of: Any, verb: str = "") -> Any:
         """Return a list, which is about to become longer or shorter: that is no word's to decide."""
-        if isinstance(of, list):
-            if verb in ("sort", "remove") and has_words(of):
-                raise ArgumentError(
-                    f"{verb}() of a list of words: their order is not known before hardware runs"
-                )
-            for _, flags in self._same(of):
-                if flags:
-                    raise ArgumentError(
-                        "a list grows or shrinks where a word decides whether it does; give it its full "
-                        "length before"
-                    )
+        if isinstance(of, list) and verb in ("sort", "remove") and has_words(of):
+            raise ArgumentError(f"{verb}() of a list of words: their order is not known before hardware runs")
+        if isinstance(of, (list, dict, set, deque)) and any(flags for _, flags in self._same(of)):
+            self._changes(of, verb)
         return of
+
+    def _changes(self, of: Any, verb: str) -> NoReturn:
+        """Refuse a change that no word can decide."""
+        if verb in ("sort", "reverse"):
+            raise ArgumentError(f"{verb}() of a list where a word decides whether it is; write its elements")
+        if isinstance(of, list):
+            raise ArgumentError(
+                "a list grows or shrinks where a word decides whether it does; give it its full length before"
+            )
+        raise ArgumentError(
+            f"a {type(of).__name__} changes where a word decides whether it does; use a list of a flag, or a "
+            "number, for each that it may hold"
+        )
 
     def listed(self, values: Iterable[Any]) -> Listed:
         """Return a list whose elements may be written by words."""
@@ -353,26 +419,42 @@ class Runtime:
             "bool": _Type((bool, Word), self.flag),
             "int": _Type((int, Word), self._whole),
             "list": _Type(list, lambda values=(): self.listed(values)),
+            "round": self._rounded,
             "divmod": lambda a, b: (a // b, a % b),
             "range": _Type(range, _range),
             "sorted": self._sorted,
             "print": _print,
             "set": _Type(set, _no_set),
+            "setattr": self.set_attribute,
         }
 
     def _least(self, native: Any, operation: str, values: Sequence[Any], keywords: dict[str, Any]) -> Any:
         every = list(values[0]) if len(values) == 1 else list(values)
         if any(isinstance(value, (float, Beyond)) for value in every):
             return self._floats().functions[native](every, **keywords)
-        if not any(isinstance(value, Word) for value in every):
+        key, keywords = keywords.get("key"), {**keywords, "default": None} if every else keywords
+        keys = every if key is None else list(map(self.called(key), every))
+        if not has_words(keys):
             return native(every, **keywords)
-        if keywords:
-            raise ArgumentError(f"{native.__name__}() of words takes no {next(iter(keywords))}=")
-        nodes = [node_of(self.graph, value) for value in every]
-        result = nodes[0]
-        for node in nodes[1:]:
-            result = getattr(self.graph, operation)(result, node)
-        return Word(self.graph, result)
+        if key is None and all(isinstance(value, (Word, int, np.integer, np.bool_)) for value in every):
+            nodes = [node_of(self.graph, value) for value in every]
+            result = nodes[0]
+            for node in nodes[1:]:
+                result = getattr(self.graph, operation)(result, node)
+            return Word(self.graph, result)
+        # The first of those that are the least is Python's.
+        before = self.less if native is min else self.greater
+        found, best = every[0], keys[0]
+        for value, own in zip(every[1:], keys[1:], strict=True):
+            is_it = before(own, best)
+            found = self.either(is_it, lambda: value, lambda: found)  # noqa: B023
+            best = self.either(is_it, lambda: own, lambda: best)  # noqa: B023
+        return found
+
+    def _rounded(self, value: Any, digits: int | None = None) -> Any:
+        if isinstance(value, Word) and (digits is None or digits >= 0):
+            return value
+        return round(value, digits)
 
     def _whole(self, value: Any = 0) -> Any:
         if isinstance(value, Beyond):
@@ -390,6 +472,12 @@ class Runtime:
         if not any(map(has_words, every)):
             return self.listed(sorted(every, **keywords))
         raise ArgumentError("sorted() of words; pearl_marl.golden.inserted puts one into its place")
+
+
+def _is_record(value: Any) -> bool:
+    """Return whether a value is an object of a dataclass that compares its fields."""
+    parameters = getattr(type(value), "__dataclass_params__", None)
+    return parameters is not None and bool(parameters.eq)
 
 
 class _Type:

@@ -6,6 +6,8 @@ the author's file it happened.
 
 from __future__ import annotations
 
+import copy
+import dataclasses
 import operator
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any, NoReturn
@@ -89,6 +91,12 @@ class Word:
             "function or an object's method; write a function in a file (or a notebook's cell), not in an "
             "interactive shell or by exec(), and name it where you call it"
         )
+
+    def __copy__(self) -> Word:
+        return self
+
+    def __deepcopy__(self, memo: object) -> Word:
+        return self
 
     def asked(self) -> None:
         """Refuse to be a random draw where a word decides whether it is asked for."""
@@ -275,21 +283,57 @@ class Cast:
         return wrapped(_integer(value), self.bits, self.signed)
 
 
-class Table(tuple[Any, ...]):
-    """A constant table, which a word may index."""
+class _Indexed:
+    """What a constant table does with an index: a word may be one, and NumPy's tables take several."""
 
     __slots__ = ()
 
     def __getitem__(self, index: Any) -> Any:
         if isinstance(index, tuple):
+            check_places(index)
             table: Any = self
             for i in index:
                 table = table[i]
             return table
-        if not isinstance(index, Word):
-            found = super().__getitem__(index)
-            return Table(found) if isinstance(index, slice) else found
-        return chosen_entry(index.graph, self, node_of(index.graph, index))
+        if isinstance(index, Word):
+            return chosen_entry(index.graph, self, node_of(index.graph, index))  # type: ignore[arg-type]
+        return super().__getitem__(index)  # type: ignore[misc]
+
+
+class Table(_Indexed, tuple[Any, ...]):
+    """A constant table, which a word may index."""
+
+    __slots__ = ()
+
+    def __getitem__(self, index: Any) -> Any:
+        found = super().__getitem__(index)
+        return Table(found) if isinstance(index, slice) else found
+
+
+def _constant(*_: Any, **__: Any) -> NoReturn:
+    raise ArgumentError(
+        "a list that is made outside of the function is written, and each slot would need its own; make it "
+        "inside, as by list(), or keep it in the state"
+    )
+
+
+class TableList(_Indexed, list[Any]):
+    """A constant table that its author has made as a list: what is copied of it is one."""
+
+    def __copy__(self) -> list[Any]:
+        return list(self)
+
+    def __deepcopy__(self, memo: Any) -> list[Any]:
+        return [copy.deepcopy(value, memo) for value in self]
+
+    __setitem__ = __delitem__ = __iadd__ = __imul__ = _constant
+    append = extend = insert = pop = remove = clear = sort = reverse = _constant
+
+
+def check_places(index: tuple[Any, ...]) -> None:
+    """Refuse an index of several parts that NumPy would take to be a slice of a table."""
+    if any(isinstance(part, slice) or part is None or part is Ellipsis for part in index):
+        raise ArgumentError("a table is indexed by one number for each of its dimensions; a slice is none")
 
 
 def chosen_entry(graph: Graph, entries: Sequence[Any], index: Node) -> Any:
@@ -306,12 +350,17 @@ def chosen_entry(graph: Graph, entries: Sequence[Any], index: Node) -> Any:
         if len({len(entry) for entry in entries}) > 1:
             raise ArgumentError("a word chooses from sequences of different lengths")
         parts = [chosen_entry(graph, column, index) for column in zip(*entries, strict=True)]
-        kind = type(entries[0])
+        kind = list if isinstance(entries[0], TableList) else type(entries[0])
         new = kind(*parts) if hasattr(kind, "_fields") else kind(parts)
-        if isinstance(new, list) and graph.twins is not None:
-            places = range(max(index.low, 0), min(index.high, len(entries) - 1) + 1)
-            graph.twins.chosen(new, [(graph.equal(index, graph.constant(k)), entries[k]) for k in places])
-        return new
+        return _which(graph, new, entries, index) if isinstance(new, list) else new
+    if graph.floats is not None and any(isinstance(entry, (float, Beyond)) for entry in entries):
+        return graph.floats.chosen(Word(graph, index), entries)
+    kinds = {type(entry) for entry in entries}
+    if len(kinds) == 1 and dataclasses.is_dataclass(kind := kinds.pop()):
+        names = [field.name for field in dataclasses.fields(kind)]
+        columns = {name: [getattr(entry, name) for entry in entries] for name in names}
+        values = {name: chosen_entry(graph, column, index) for name, column in columns.items()}
+        return _which(graph, dataclasses.replace(entries[0], **values), entries, index)
     if all(type(entry) is int for entry in entries):  # a long table, without a node for each
         return Word(graph, graph.table(entries, index))
     nodes = [node_of(graph, entry) for entry in entries]
@@ -324,9 +373,18 @@ def chosen_entry(graph: Graph, entries: Sequence[Any], index: Node) -> Any:
     return Word(graph, result)
 
 
-def table(values: Iterable[Any]) -> Table:
+def _which(graph: Graph, new: Any, entries: Sequence[Any], index: Node) -> Any:
+    """Return what is the entry that a node chooses, so that what is written there is written into both."""
+    if graph.twins is not None:
+        places = range(max(index.low, 0), min(index.high, len(entries) - 1) + 1)
+        graph.twins.chosen(new, [(graph.equal(index, graph.constant(k)), entries[k]) for k in places])
+    return new
+
+
+def table(values: Iterable[Any]) -> Table | TableList:
     """Return a table of numbers, or of tables; entries that are objects of a class stay such."""
-    return Table(
+    made = (
         type(v)(*table(v)) if hasattr(v, "_fields") else table(v) if isinstance(v, (list, tuple)) else v
         for v in values
     )
+    return TableList(made) if isinstance(values, list) else Table(made)

@@ -344,6 +344,142 @@ PROGRAMS = {
                 x += TABLE[a + b]
             return x, places[min(a, 2)]
     """,
+    "constant lists, which are lists": """
+        GOAL, GOALS, START = [1, 0], [[1, 0], [2, 2]], [[1, 0], [2, 3]]
+        def f(a, b, c):
+            equal = [a, b] == GOAL, (a, b) == GOAL, [a, b] in GOALS, (a, b) in GOALS
+            longer, own, board = GOAL + [a], GOAL.copy() * 2, [row[:] for row in START]
+            own[a] = board[c][c] = b
+            chosen = list(GOAL if c else [a, b])
+            chosen[c] = 7
+            return [*equal, *longer, *own, *board[0], *board[1], *chosen, *START[c]]
+    """,
+    "an array of NumPy's": """
+        import numpy as np
+        TWO = np.array([[1, 2, 3, 4], [5, 6, 7, 8], [9, 8, 7, 6], [1, 1, 1, 1]])
+        FLAGS = np.array([True, False, True, True])
+        def f(a, b, c):
+            return TWO[a, b], TWO[a][b], TWO[2, b], *TWO[b][1:3], 5 if FLAGS[a] else len(TWO)
+    """,
+    "methods that decide and write": """
+        from dataclasses import dataclass
+        from typing import NamedTuple
+        @dataclass
+        class Robot:
+            row: int
+            load: list
+            def move(self, by):
+                if by == 2:
+                    self.load[0] = 5
+                    return
+                self.row += by
+        class Point(NamedTuple):
+            x: int
+            def moved(self, by):
+                return self if by > 2 else self._replace(x=self.x + by)
+        def f(a, b, c):
+            robot, point = Robot(3, [1, 2]), Point(b)
+            if a > 1:
+                robot.move(b)
+                setattr(robot, "row", robot.row + 1)
+                point = point.moved(a)
+            return robot.row, *robot.load, point.x
+    """,
+    "functions that no name leads to": """
+        import functools
+        def first(board, x):
+            board[0] = x
+        def second(board, x):
+            if x:
+                board[1] = x
+        ACTS, NAMED = (first, second), {"second": second}
+        part = functools.partial(first, x=7)
+        def by_default(board, x, act=second):
+            act(board, x)
+        def f(a, b, c):
+            board, other, third = [0, 0], [0, 0], [0, 0]
+            for act in ACTS:
+                if a > 1:
+                    act(board, b)
+            if a > 2:
+                NAMED["second"](other, a)
+                part(other)
+            if c:
+                by_default(third, b)
+            return board + other + third
+    """,
+    "lists that grow in place": """
+        from dataclasses import dataclass
+        @dataclass
+        class Box:
+            rows: list
+        def f(a, b, c):
+            grid, one = [[a], [b]], [c]
+            row, box = grid[0], Box(one)
+            grid[0] += [b]
+            box.rows += [a]
+            return [*row, *one, *grid[0]]
+    """,
+    "lists of a branch that grow there": """
+        import copy
+        def longer(x, y):
+            made = x + [y]
+            made.append(y)
+            twice, same = made * 2, made.copy()
+            twice.pop()
+            same.append(7)
+            deep = copy.deepcopy([x, made])
+            deep[1].append(x[0])
+            return sum(twice) + sum(same) + sum(deep[1])
+        def f(a, b, c):
+            return longer([a, c], b) if a > 1 else 0
+    """,
+    "objects that a word chooses": """
+        from dataclasses import dataclass
+        @dataclass
+        class Robot:
+            row: int
+            load: list
+        def f(a, b, c):
+            robots = [Robot(k, [k, a]) for k in range(4)]
+            robots[a].row += 5
+            robot = robots[b]
+            robot.load[c] = 9
+            robots[3].load[0] += 1
+            equal = robot == robots[a], robot != Robot(b, [b, a]), robot is robots[2]
+            return [*equal, *(x for r in robots for x in (r.row, *r.load))]
+    """,
+    "the order of sequences": """
+        def f(a, b, c):
+            less = (a, b) < (b, a), [a, b] <= [b, a], (a, 1) > (b, c), (a,) < (a, b), [a, b, c] >= [b, a]
+            return [*less, *max((a, b), (b, a)), *min([a, c], [c, a], [b, b])]
+    """,
+    "the least by a key": """
+        def f(a, b, c):
+            board = [a, b, c + 1]
+            places = min(range(3), key=lambda k: board[k]), max(range(3), key=board.__getitem__)
+            others = min(board, key=lambda x: -x), max(b, a, key=lambda x: x ^ 1)
+            return [*places, *others, min(board, default=9)]
+    """,
+    "reductions of loops inside others": """
+        def f(a, b, c):
+            board = [[a, b], [b, c], [c, a]]
+            return [
+                any(x == 2 for i in range(3) if i < 2 for x in board[i + 1]),
+                sum((x for i in range(4) if i < 3 if i != b for x in board[i] if x > 1), 10),
+                all(x > 0 for i in range(3) if i < 2 if a for x in board[i + 1] if x != 2),
+            ]
+    """,
+    "what is looked for in an iterator": """
+        import itertools
+        def f(a, b, c):
+            named, found = {"a": a, "b": b}, 0
+            for k in itertools.count(1, step=2):
+                if k > 6:
+                    break
+                found += k
+            return 3 in (x for x in [a, b]), 2 in named.values(), found, round(a), (a == b) is not None
+    """,
 }
 
 
@@ -672,6 +808,97 @@ MISTAKES = {
             return 1 if (a > 3) is True else 0
         """,
         (2, "`is` on a word; use `==`"),
+    ),
+    "a constant list that is written": (
+        """
+        BOARD = [1, 2]
+        def f(a, b):
+            BOARD[a & 1] = b
+            return BOARD[0]
+        """,
+        (3, "a list that is made outside of the function is written, and each slot would need its own"),
+    ),
+    "a default list that grows": (
+        """
+        def g(a, seen=[]):
+            seen.append(a)
+            return len(seen)
+        def f(a, b):
+            return g(a)
+        """,
+        (2, "a list that is made outside of the function is written"),
+    ),
+    "a slice of a table": (
+        """
+        import numpy as np
+        TABLE = np.array([[1, 2], [3, 4]])
+        def f(a, b):
+            return TABLE[:, 1]
+        """,
+        (4, "a table is indexed by one number for each of its dimensions; a slice is none"),
+    ),
+    "a set that grows": (
+        """
+        def f(a, b):
+            seen = set()
+            if a > 3:
+                seen.add(1)
+            return len(seen)
+        """,
+        (4, "a set changes where a word decides whether it does; use a list of a flag, or a number"),
+    ),
+    "a dict that changes": (
+        """
+        def f(a, b):
+            v = {"x": 1}
+            if a > 3:
+                v.update(x=b)
+            return v["x"]
+        """,
+        (4, "a dict changes where a word decides whether it does"),
+    ),
+    "a dict that gets a key": (
+        """
+        def f(a, b):
+            v = {"x": 1}
+            if a > 3:
+                v["y"] = b
+            return len(v)
+        """,
+        (4, "a dict changes where a word decides whether it does"),
+    ),
+    "a queue": (
+        """
+        from collections import deque
+        def f(a, b):
+            v = deque([1])
+            if a > 3:
+                v.appendleft(b)
+            return len(v)
+        """,
+        (5, "a deque changes where a word decides whether it does"),
+    ),
+    "a list that is turned round": (
+        """
+        def f(a, b):
+            v = [1, 2]
+            if a > 3:
+                v.reverse()
+            return v[0]
+        """,
+        (4, "reverse() of a list where a word decides whether it is; write its elements"),
+    ),
+    "a cast in a method": (
+        """
+        from typing import NamedTuple
+        class Robot(NamedTuple):
+            row: int
+            def moved(self):
+                return u8(self.row + 1)
+        def f(a, b):
+            return Robot(a).moved()
+        """,
+        (5, "golden functions cannot use uint8 in a method or a function of a list; write a function"),
     ),
     "a comprehension that leaves out": (
         """
