@@ -175,7 +175,8 @@ class Layout:
         ArgumentError
             It is none, or an array has another length: names which.
         """
-        words = self._integers(value)
+        # An integer in a field of reals is no word yet.
+        words = self._integers(value) if self.fraction is None else None
         if words is not None and {*map(type, words)} <= _INTEGERS:
             return words
         if not isinstance(value, self.cls):
@@ -256,7 +257,7 @@ class _RealLeaf:
         return f"{word} if isinstance({word}, float) else {number}"
 
     def taken(self, value: str, code: _Code) -> list[str]:
-        return [value]  # no integer, so that flatten() is asked
+        return [value]
 
     def flatten(self, value: Any, where: str, result: list[Any]) -> None:
         if isinstance(value, (tuple, list, str)) or value is None:
