@@ -41,7 +41,8 @@ def remade(
 
     def value(old: Any) -> Any:
         old = getattr(old, "py_func", old)  # what Numba has compiled already
-        if not isinstance(old, types.FunctionType):
+        # NamedTuple is a function to Python, and a class where one is made of it.
+        if not isinstance(old, types.FunctionType) or hasattr(old, "__mro_entries__"):
             return change(old)
         if old not in done:
             scope, its_code = {**names, **old.__globals__}, code(old)
@@ -95,6 +96,26 @@ class Vocabulary(NamedTuple):
         if isinstance(getattr(value, "__self__", value), _DICE):
             return refused(getattr(value, "__name__", "random numbers"), "; ask `draws` for random numbers")
         return value
+
+
+class TypeLike:
+    """What a type of Python's becomes: called, it makes something else; all else is the type's."""
+
+    def __init__(
+        self, type_: type, make: Callable[..., Any], knows: Callable[[Any], bool] | None = None
+    ) -> None:
+        self._type, self._make = type_, make
+        self._knows = knows or (lambda value: isinstance(value, type_))
+
+    def __call__(self, *arguments: Any, **keywords: Any) -> Any:
+        """Return what is made in the place of an object of the type."""
+        return self._make(*arguments, **keywords)
+
+    def __instancecheck__(self, value: Any) -> bool:
+        return self._knows(value)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._type, name)
 
 
 class Grid(list[Any]):

@@ -223,6 +223,13 @@ def joined(graph: Graph, flag: Node, a: Any, b: Any) -> Any:
     for one in (a, b):
         if isinstance(one, float):
             node_of(graph, one)  # says so
+    if callable(a) and callable(b):
+        raise ArgumentError("a word chooses between two functions; call each on its side of the branch")
+    if type(a) is type(b) and hasattr(a, "__dict__"):
+        name = type(a).__name__
+        raise ArgumentError(
+            f"a word chooses between two objects of {name}; make {name} a NamedTuple or a dataclass"
+        )
     raise ArgumentError(f"one side of a branch leaves {_told(a)} and the other {_told(b)}")
 
 

@@ -16,6 +16,7 @@ import ast
 import builtins
 import copy
 import functools
+import inspect
 import linecache
 import types
 from collections.abc import Iterator, Sequence
@@ -45,6 +46,9 @@ def rewritten(code: types.CodeType) -> types.CodeType:
         The function does what cannot be traced, such as ``yield``, or its file says something else by now;
         names the file and the line.
     """
+    if code.co_flags & (inspect.CO_COROUTINE | inspect.CO_ASYNC_GENERATOR):
+        where = place_of(code.co_filename, code.co_firstlineno)
+        raise Refusal(f"{where}: golden functions have no `async`")
     found = copy.deepcopy(_source_of(code))
     if found is None:
         return code
@@ -517,6 +521,8 @@ class _Expressions(ast.NodeTransformer):
             node.func.value, function = of, node.func
         else:
             function = self.visit(node.func)
+        if isinstance(node.func, ast.Name) and node.func.id == "type" and len(node.args) == 1:
+            return _expression(f"{RUNTIME}.type_of", [self.visit(node.args[0])], node)
         # Python's own functions stay: `super()` finds its class by its name.
         is_pythons = isinstance(node.func, ast.Name) and hasattr(builtins, node.func.id)
         node.func = function if is_pythons else _expression(f"{RUNTIME}.called", [function], node)

@@ -13,6 +13,7 @@ from typing import Any, NoReturn
 import numpy as np
 
 from pearl_marl.errors import ArgumentError
+from pearl_marl.remaking import TypeLike
 from pearl_marl.tracing.branches import Frame
 from pearl_marl.tracing.graph import Graph
 from pearl_marl.tracing.joining import Listed, Undefined, has_words, joined
@@ -32,6 +33,7 @@ class Runtime:
         self.graph = graph
         self.again = functools.cache(again)
         """Makes a function again that :meth:`called` has met."""
+        graph.limits = self.limits
         self.twins = graph.twins = Twins(graph)
         self.root = Path(graph)
         self.exits: list[Any] = []
@@ -266,7 +268,7 @@ class Runtime:
                 break
         return result
 
-    def flag(self, value: Any) -> Any:
+    def flag(self, value: Any = False) -> Any:
         """Return ``bool(value)``."""
         flag = self.truth(value)
         return flag if isinstance(flag, bool) else Word(self.graph, flag)
@@ -291,14 +293,23 @@ class Runtime:
             return chosen_entry(self.graph, of, self.place(of, index))
         raise ArgumentError(f"a word chooses from {type(of).__name__}; it chooses from lists and tuples")
 
+    def limits(self, node: Node) -> tuple[int, int]:
+        """Return between what a node is on the path at hand, which may say more than the node itself."""
+        low, high = node.low, node.high
+        if self._path is None or low == high:
+            return low, high
+        for end in (low, high):
+            inside = self.graph.choose(self.here.condition, node, self.graph.constant(end))
+            # Of the constant it is the other end that counts.
+            low, high = (low, min(high, inside.high)) if end == node.low else (max(low, inside.low), high)
+        return low, high
+
     def place(self, of: Sequence[Any], index: Word) -> Node:
         """Return the node of an index, which is within a sequence."""
         node = node_of(self.graph, index)
         low, high = node.low, node.high
-        if self._path is not None and (low < 0 or high >= len(of)):
-            # What is known here may say more than the word itself.
-            inside = self.graph.choose(self.here.condition, node, self.graph.constant(max(low, 0)))
-            low, high = max(low, inside.low), min(high, inside.high)
+        if low < 0 or high >= len(of):
+            low, high = self.limits(node)
         if low < 0 or high >= len(of):
             raise ArgumentError(
                 f"an index can be {low} to {high}, and there are {len(of)} elements; "
@@ -335,6 +346,10 @@ class Runtime:
     def set_attribute(self, of: Any, name: str, value: Any) -> None:
         """Write an attribute, where the path at hand is taken, and in all that may be the same object."""
         for one, flags in self._same(of):
+            if flags and not hasattr(one, name):
+                raise ArgumentError(
+                    f"attribute {name!r} is new where a word decides whether it is; give it a value before"
+                )
             setattr(one, name, self._changed(flags, value, getattr(one, name)) if flags else value)
 
     def _same(self, of: Any, where: Node | None = None) -> list[tuple[Any, list[Node]]]:
@@ -374,7 +389,7 @@ class Runtime:
             "number, for each that it may hold"
         )
 
-    def listed(self, values: Iterable[Any]) -> Listed:
+    def listed(self, values: Iterable[Any] = ()) -> Listed:
         """Return a list whose elements may be written by words."""
         result = Listed(values)
         result.path, result.runtime = self._path, self
@@ -416,23 +431,25 @@ class Runtime:
             "max": lambda *values, **keywords: self._least(max, "maximum", values, keywords),
             "any": self.some,
             "all": self.every,
-            "bool": _Type((bool, Word), self.flag),
-            "int": _Type((int, Word), self._whole),
-            "list": _Type(list, lambda values=(): self.listed(values)),
+            "bool": TypeLike(bool, self.flag, _is_bool),
+            "int": TypeLike(int, self._whole, lambda value: isinstance(value, (int, Word))),
+            "list": TypeLike(list, self.listed),
             "round": self._rounded,
             "divmod": lambda a, b: (a // b, a % b),
-            "range": _Type(range, _range),
+            "range": TypeLike(range, _range),
             "sorted": self._sorted,
             "print": _print,
-            "set": _Type(set, _no_set),
+            "set": TypeLike(set, _no_set),
             "setattr": self.set_attribute,
         }
 
     def _least(self, native: Any, operation: str, values: Sequence[Any], keywords: dict[str, Any]) -> Any:
         every = list(values[0]) if len(values) == 1 else list(values)
-        if any(isinstance(value, (float, Beyond)) for value in every):
+        key = keywords.get("key")
+        if every:
+            keywords = {name: value for name, value in keywords.items() if name != "default"}
+        if key is None and any(isinstance(value, (float, Beyond)) for value in every):
             return self._floats().functions[native](every, **keywords)
-        key, keywords = keywords.get("key"), {**keywords, "default": None} if every else keywords
         keys = every if key is None else list(map(self.called(key), every))
         if not has_words(keys):
             return native(every, **keywords)
@@ -456,10 +473,19 @@ class Runtime:
             return value
         return round(value, digits)
 
-    def _whole(self, value: Any = 0) -> Any:
+    def type_of(self, value: Any) -> Any:
+        """Return the type of what is the same for Python and here."""
+        if isinstance(value, (Word, Beyond, int, float, list, set, range)):
+            raise ArgumentError(
+                "type() of a number or a list, which is of another one before hardware runs; isinstance() "
+                "tells numbers from lists"
+            )
+        return type(value)
+
+    def _whole(self, value: Any = 0, *base: Any) -> Any:
         if isinstance(value, Beyond):
             return self._floats().functions[int](value)
-        return value if isinstance(value, Word) else int(value)
+        return value if isinstance(value, Word) else int(value, *base)
 
     def _floats(self) -> Any:
         """Return what floats do, where the environment has reals."""
@@ -468,8 +494,9 @@ class Runtime:
         return self.graph.floats
 
     def _sorted(self, values: Iterable[Any], **keywords: Any) -> Any:
-        every = list(values)
-        if not any(map(has_words, every)):
+        every, key = list(values), keywords.get("key")
+        # What it is sorted by may be words where the elements are none.
+        if not any(map(has_words, every if key is None else [self.called(key)(value) for value in every])):
             return self.listed(sorted(every, **keywords))
         raise ArgumentError("sorted() of words; pearl_marl.golden.inserted puts one into its place")
 
@@ -480,17 +507,10 @@ def _is_record(value: Any) -> bool:
     return parameters is not None and bool(parameters.eq)
 
 
-class _Type:
-    """What a type of Python's becomes: called, it makes something else, and ``isinstance`` knows it."""
-
-    def __init__(self, types: Any, make: Callable[..., Any]) -> None:
-        self._types, self._make = types, make
-
-    def __call__(self, *args: Any) -> Any:
-        return self._make(*args)
-
-    def __instancecheck__(self, value: Any) -> bool:
-        return isinstance(value, self._types)
+def _is_bool(value: Any) -> bool:
+    if isinstance(value, Word):
+        raise ArgumentError("isinstance() asks whether a word is a bool, and a flag is a word like others")
+    return isinstance(value, bool)
 
 
 def _range(*args: Any) -> range:

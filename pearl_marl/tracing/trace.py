@@ -59,12 +59,18 @@ def trace(graph: Graph, function: Callable[..., Any], arguments: Sequence[Node],
         except Exception as error:
             kind = "" if isinstance(error, ArgumentError) else f"{type(error).__name__}: "
             raise ArgumentError(f"{_place_of(error, function)}: {kind}{error}") from error
-    try:
-        return [
-            node_of(graph, value) for value in (result if isinstance(result, (tuple, list)) else (result,))
-        ]
-    except ArgumentError as error:
-        raise ArgumentError(f"{place(function)}: {function.__name__}() returns {error}") from None
+    nodes = []
+    for value in result if isinstance(result, (tuple, list)) else (result,):
+        try:
+            nodes.append(node_of(graph, value))
+        except ArgumentError as error:
+            why = str(error)
+            if isinstance(value, Beyond) or (isinstance(value, float) and graph.floats is not None):
+                why = f"{value!r} where an integer is due; int() and round() make one"
+            elif not isinstance(value, float):
+                why = f"{value!r}, and an integer is due"
+            raise ArgumentError(f"{place(function)}: {function.__name__}() returns {why}") from None
+    return nodes
 
 
 def _traced(graph: Graph, function: types.FunctionType) -> Callable[..., Any]:
@@ -76,7 +82,7 @@ def _traced(graph: Graph, function: types.FunctionType) -> Callable[..., Any]:
     def again(met: types.FunctionType) -> Any:
         if not _is_authors(met, "envs."):
             return met
-        return remade(met, _of_methods(functions).meaning, code=_code, names=names)
+        return remade(met, _of_methods(functions).meaning, code=_code, names={**names, **_orders(names)})
 
     runtime = Runtime(graph, again)
     names = {**runtime.builtins(), RUNTIME: runtime}
@@ -99,6 +105,21 @@ def _of_methods(functions: Mapping[Any, Callable[..., Any]]) -> Vocabulary:
     return Vocabulary(no, table, own)
 
 
+def _orders(names: Mapping[str, Any]) -> dict[str, Callable[..., Any]]:
+    """Return min() and max() of such functions: of reals and floats, Python's own make one or the other."""
+
+    def of_integers(name: str) -> Callable[..., Any]:
+        def function(*values: Any, **keywords: Any) -> Any:
+            every = list(values[0]) if len(values) == 1 else values
+            if any(isinstance(value, Beyond) for value in every):
+                raise ArgumentError(f"{name}() of reals in a method; np.{name}imum() takes two, everywhere")
+            return names[name](every, **keywords)
+
+        return function
+
+    return {name: of_integers(name) for name in ("min", "max")}
+
+
 _FLOATS_OF_PYTHON = {math.sin, math.cos, math.sqrt, math.exp, math.tanh, math.hypot, math.fabs, math.pow}
 _OUR_OWN = "golden", "fixed_point", "envs."
 """Of this package's functions, those that are written as an author's are."""
@@ -108,9 +129,12 @@ def _is_authors(function: types.FunctionType, *own: str) -> bool:
     """Return whether a function is neither a library's nor of this package, but for some modules of it."""
     module: str = function.__globals__.get("__name__", "")
     package, _, rest = module.partition(".")
-    if package == "pearl_marl":
-        return rest.startswith(own)
-    return package != "numpy" and package not in sys.stdlib_module_names
+    return rest.startswith(own) if package == "pearl_marl" else not _is_librarys(module)
+
+
+def _is_librarys(module: str) -> bool:
+    package = module.partition(".")[0]
+    return package == "numpy" or package in sys.stdlib_module_names
 
 
 def _code(function: types.FunctionType) -> types.CodeType:
@@ -136,7 +160,8 @@ def _place_of(error: BaseException, function: Callable[..., Any]) -> str:
 def _is_ours(frame: types.FrameType) -> bool:
     module = frame.f_globals.get("__name__", "")
     own = module.startswith("pearl_marl.") and not module.startswith("pearl_marl.envs.")
-    return own or module.partition(".")[0] == "numpy"
+    # A dataclass has methods that Python wrote.
+    return own or _is_librarys(module) or frame.f_code.co_filename == "<string>"
 
 
 @contextmanager

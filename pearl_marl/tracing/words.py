@@ -43,11 +43,12 @@ def _shift(operation: str) -> tuple[Callable[[Any, Any], Any], Callable[[Any, An
 
     def checked(value: Any, by: Any) -> Any:
         node = node_of(value.graph, by)
-        if node.low < 0 or (operation == "left_by" and node.high > MOST_SHIFT):
-            raise ArgumentError(
-                f"a shift can be by {node.low} to {node.high}; possible are 0 to {MOST_SHIFT}"
-            )
-        return shift(value, by)
+        low, high = (node.low, node.high) if node.low >= 0 else value.graph.limits(node)
+        if operation == "left_by" and high > MOST_SHIFT:
+            low, high = value.graph.limits(node)
+        if low < 0 or (operation == "left_by" and high > MOST_SHIFT):
+            raise ArgumentError(f"a shift can be by {low} to {high}; possible are 0 to {MOST_SHIFT}")
+        return shift(value, Word(value.graph, value.graph.narrow(node, low, high)))
 
     return checked, lambda self, value: checked(word_of(self.graph, value), self)
 
@@ -88,8 +89,8 @@ class Word:
     def __bool__(self) -> NoReturn:
         raise ArgumentError(
             "a word decides what Python does next, where its source is not at hand, as in a library's "
-            "function or an object's method; write a function in a file (or a notebook's cell), not in an "
-            "interactive shell or by exec(), and name it where you call it"
+            "function, or a property or an operator of a class; write a function in a file (or a notebook's "
+            "cell), not in an interactive shell or by exec(), and name it where you call it"
         )
 
     def __copy__(self) -> Word:
@@ -127,6 +128,9 @@ class Word:
     def __str__(self) -> NoReturn:
         self.__format__("")
 
+    def __repr__(self) -> str:
+        return "a word"
+
     def __iter__(self) -> NoReturn:
         raise ArgumentError("a word is taken apart like a sequence")
 
@@ -135,7 +139,14 @@ class Word:
 
     __rtruediv__ = __truediv__
 
-    def __pow__(self, exponent: object) -> Word:
+    def __rpow__(self, base: object) -> Any:
+        raise ArgumentError(
+            "a word is an exponent; powers of 2 are `1 << k`, and those of others a list that a word indexes"
+        )
+
+    def __pow__(self, exponent: object, modulus: object = None) -> Word:
+        if modulus is not None:
+            return self.__pow__(exponent) % modulus
         if not isinstance(exponent, int) or exponent < 0:
             raise ArgumentError("a power of a word has a constant exponent from 0")
         node = self.graph.constant(1)
@@ -192,21 +203,21 @@ def _leaving(name: str) -> Callable[[Any, Any], Any]:
     """Return a method of words that leaves numbers beyond them, and floats where there are any, to others."""
     own = getattr(Word, name)
 
-    def method(self: Word, other: object) -> Any:
+    def method(self: Word, other: object, *rest: object) -> Any:
         if isinstance(other, Beyond):
             return NotImplemented
         floats = self.graph.floats
         if floats is not None and (isinstance(other, float) or name in ("__truediv__", "__rtruediv__")):
             return getattr(floats(self), name)(other)
-        return own(self, other)
+        return own(self, other, *rest)
 
     return method
 
 
-for _name in ("add", "sub", "mul", "truediv", "mod"):
+for _name in ("add", "sub", "mul", "truediv", "mod", "pow"):
     for _method in (f"__{_name}__", f"__r{_name}__"):
         setattr(Word, _method, _leaving(_method))
-for _name in ("eq", "ne", "lt", "le", "gt", "ge", "pow"):
+for _name in ("eq", "ne", "lt", "le", "gt", "ge"):
     setattr(Word, f"__{_name}__", _leaving(f"__{_name}__"))
 
 _UFUNCS: dict[str, Any] = {
@@ -230,8 +241,9 @@ _UFUNCS: dict[str, Any] = {
 
 def _divisor(graph: Graph, value: object) -> Node:
     node = node_of(graph, value)
-    if node.low < 1:
-        found = f"{node.low}" if node.low == node.high else f"{node.low} to {node.high}"
+    low, high = (node.low, node.high) if node.low >= 1 else graph.limits(node)
+    if low < 1:
+        found = f"{low}" if low == high else f"{low} to {high}"
         raise ArgumentError(
             f"a divisor can be {found}, and `//` and `%` take one from 1; `max(n, 1)` keeps it in"
         )

@@ -480,6 +480,31 @@ PROGRAMS = {
                 found += k
             return 3 in (x for x in [a, b]), 2 in named.values(), found, round(a), (a == b) is not None
     """,
+    "what a branch keeps from being divided by": """
+        def f(a, b, c):
+            first = a // b if b else 0, a % b if b > 0 else 7, b and a // b
+            x = a << (b - 1) if b >= 1 else 0
+            if b == 0:
+                return [*first, x, a]
+            while b:
+                a, b = b, a % b
+            return [*first, x, a]
+    """,
+    "types by other names": """
+        from typing import NamedTuple
+        def f(a, b, c):
+            class Point(NamedTuple):
+                x: int
+            kinds = isinstance(a, int), isinstance([a], (list, tuple)), isinstance(c == 1, float), bool()
+            point = type(Point(1))(a)
+            return [*kinds, point.x, int("11", 2), int.from_bytes(b"a", "big"), pow(a, 2, 3)]
+    """,
+    "all numbers in any order": """
+        def f(a, b, c):
+            draws = Draws([a << 30, b << 30, a << 29, b << 29, c << 31, a << 30, b << 30])
+            names = [5, 6, 7, 8, 9, 10, 11, 12]
+            return [names[k] for k in draws.permutation(8)]
+    """,
 }
 
 
@@ -899,6 +924,100 @@ MISTAKES = {
             return Robot(a).moved()
         """,
         (5, "golden functions cannot use uint8 in a method or a function of a list; write a function"),
+    ),
+    "a type": (
+        """
+        def f(a, b):
+            return 1 if type(a) is int else 0
+        """,
+        (2, "type() of a number or a list, which is of another one before hardware runs"),
+    ),
+    "a flag's type": (
+        """
+        def f(a, b):
+            return 1 if isinstance(a, bool) else 0
+        """,
+        (2, "isinstance() asks whether a word is a bool, and a flag is a word like others"),
+    ),
+    "an exponent": (
+        """
+        def f(a, b):
+            return 2**a
+        """,
+        (2, "a word is an exponent; powers of 2 are `1 << k`, and those of others a list"),
+    ),
+    "an attribute that a branch makes": (
+        """
+        from types import SimpleNamespace
+        def f(a, b):
+            v = SimpleNamespace()
+            if a:
+                v.x = b
+            return v.x
+        """,
+        (5, "attribute 'x' is new where a word decides whether it is; give it a value before"),
+    ),
+    "objects of no record": (
+        """
+        class Robot:
+            pass
+        def f(a, b):
+            v = Robot() if a else Robot()
+            return v.x
+        """,
+        (4, "a word chooses between two objects of Robot; make Robot a NamedTuple or a dataclass"),
+    ),
+    "functions that a word chooses": (
+        """
+        def f(a, b):
+            return (min if a else max)(a, b)
+        """,
+        (2, "a word chooses between two functions; call each on its side of the branch"),
+    ),
+    "a chance that is a word": (
+        """
+        def f(a, b):
+            return Draws([b]).chance(a, 16)
+        """,
+        (2, "draws.chance() takes numbers, and a word is none yet; draws.below(n) < word is such a chance"),
+    ),
+    "bits that are a word": (
+        """
+        def f(a, b):
+            return Draws([b]).bits(a)
+        """,
+        (2, "draws.bits(a word): a draw has 1 to 32 bits"),
+    ),
+    "an order by words": (
+        """
+        def f(a, b):
+            return sorted(range(2), key=lambda k: [a, b][k])[0]
+        """,
+        (2, "sorted() of words; pearl_marl.golden.inserted puts one into its place"),
+    ),
+    "a field of another name": (
+        """
+        from typing import NamedTuple
+        class Robot(NamedTuple):
+            row: int
+        def f(a, b):
+            return Robot(a)._replace(column=b)[0]
+        """,
+        (5, "ValueError: Got unexpected field names: ['column']"),
+    ),
+    "nothing": (
+        """
+        def f(a, b):
+            return a, None
+        """,
+        (1, "f() returns None, and an integer is due"),
+    ),
+    "a coroutine": (
+        """
+        async def f(a, b):
+            return a
+        """,
+        (1, "golden functions have no `async`"),
     ),
     "a comprehension that leaves out": (
         """
