@@ -153,6 +153,11 @@ class Layout:
         self._tree = _Group(cls, fraction or 0)
         self.fields = tuple(self._tree.fields(""))
 
+    @property
+    def classes(self) -> tuple[type, ...]:
+        """The class, and those of the objects in it."""
+        return tuple(_classes(self._tree))
+
     @cached_property
     def built(self) -> Callable[[Iterable[Any]], Any]:
         """A function of as many words or values as there are fields; it returns an object of the class.
@@ -329,6 +334,15 @@ class _Group:
 
 
 _Tree = _Leaf | _RealLeaf | _Several | _Group
+
+
+def _classes(tree: _Tree) -> Iterator[type]:
+    if isinstance(tree, _Several):
+        yield from _classes(tree.part)
+    if isinstance(tree, _Group):
+        yield tree.cls
+        for part in tree.parts.values():
+            yield from _classes(part)
 
 
 def _intervals(hint: Any) -> Iterator[Interval]:

@@ -15,7 +15,7 @@ from contextlib import contextmanager
 from typing import Any
 
 from pearl_marl.errors import ArgumentError
-from pearl_marl.places import author_of, place_of
+from pearl_marl.places import author_of, is_librarys, place_of
 from pearl_marl.remaking import Vocabulary, refused, remade
 from pearl_marl.tracing.graph import Graph
 from pearl_marl.tracing.nodes import Node
@@ -129,12 +129,7 @@ def _is_authors(function: types.FunctionType, *own: str) -> bool:
     """Return whether a function is neither a library's nor of this package, but for some modules of it."""
     module: str = function.__globals__.get("__name__", "")
     package, _, rest = module.partition(".")
-    return rest.startswith(own) if package == "pearl_marl" else not _is_librarys(module)
-
-
-def _is_librarys(module: str) -> bool:
-    package = module.partition(".")[0]
-    return package == "numpy" or package in sys.stdlib_module_names
+    return rest.startswith(own) if package == "pearl_marl" else not is_librarys(module)
 
 
 def _code(function: types.FunctionType) -> types.CodeType:
@@ -161,7 +156,7 @@ def _is_ours(frame: types.FrameType) -> bool:
     module = frame.f_globals.get("__name__", "")
     own = module.startswith("pearl_marl.") and not module.startswith("pearl_marl.envs.")
     # A dataclass has methods that Python wrote.
-    return own or _is_librarys(module) or frame.f_code.co_filename == "<string>"
+    return own or is_librarys(module) or frame.f_code.co_filename == "<string>"
 
 
 @contextmanager
