@@ -210,7 +210,7 @@ def joined(graph: Graph, flag: Node, a: Any, b: Any) -> Any:
             new = Listed(parts)
             new.runtime = getattr(a, "runtime", None) or getattr(b, "runtime", None)
             # It is made here, not on the side that one of them may be from.
-            new.path = None if new.runtime is None else new.runtime.path
+            new.path = None if new.runtime is None else new.runtime.birth
             return _chosen(graph, flag, new, a, b)
         kind = type(a) if type(a) is type(b) else tuple
         return kind(*parts) if hasattr(kind, "_fields") else kind(parts)

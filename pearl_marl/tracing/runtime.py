@@ -39,6 +39,7 @@ class Runtime:
         self.exits: list[Any] = []
         """What has ended paths, in order, until it is joined."""
         self._path: Path | None = self.root
+        self._birth: Path | None = None
 
     @property
     def path(self) -> Path | None:
@@ -50,6 +51,11 @@ class Runtime:
         self._path = path
         self.graph.known = path.known if path is not None else {}
         self.graph.certain = path is not None and not path.literals
+
+    @property
+    def birth(self) -> Path | None:
+        """The path from which on a list is seen that is made now: the one at hand, but for what is written."""
+        return self._birth or self._path
 
     @property
     def here(self) -> Path:
@@ -89,14 +95,10 @@ class Runtime:
         decided = self.here.decided(flag)
         return flag if decided is None else decided
 
-    def condition_since(self, start: Path | None) -> Node | None:
+    def condition_since(self, start: Path) -> Node | None:
         """Return the condition that has come about since a path; ``None`` where there is none."""
-        start = start or self.root
         if self._path is None:
             return None
-        # A list that was made on a side that has been left is seen by its own path only.
-        if self._path.literals[: len(start.literals)] != start.literals:
-            start = self.root
         condition = self._path.since(start)
         return None if condition.is_constant(1) else condition
 
@@ -341,7 +343,7 @@ class Runtime:
                 raise ArgumentError("a slice is written where a word decides; write its elements")
             if isinstance(one, dict) and flags and key not in one:
                 self._changes(one, "")
-            one[key] = self._changed(flags, value, one[key]) if flags else value
+            one[key] = self._changed(one, flags, value, one[key]) if flags else value
 
     def set_attribute(self, of: Any, name: str, value: Any) -> None:
         """Write an attribute, where the path at hand is taken, and in all that may be the same object."""
@@ -350,23 +352,36 @@ class Runtime:
                 raise ArgumentError(
                     f"attribute {name!r} is new where a word decides whether it is; give it a value before"
                 )
-            setattr(one, name, self._changed(flags, value, getattr(one, name)) if flags else value)
+            setattr(one, name, self._changed(one, flags, value, getattr(one, name)) if flags else value)
 
     def _same(self, of: Any, where: Node | None = None) -> list[tuple[Any, list[Node]]]:
         """Return what a write goes to, each with the flags under which it does."""
         result = []
         for one, flag in [(of, None), *self.twins.others(of)]:
-            flags = [self.condition_since(getattr(one, "path", None) if isinstance(one, Listed) else None)]
+            flags = [self.condition_since(self._start(one))]
             result.append((one, [f for f in (*flags, where, flag) if f is not None and not f.is_constant(1)]))
         return result
 
-    def _changed(self, flags: Sequence[Node], value: Any, old: Any) -> Any:
-        """Return a value where all flags are set, and an old one where not."""
+    def _start(self, of: Any) -> Path:
+        """Return the path from which on a list, or an object, is seen."""
+        start = (of.path if isinstance(of, Listed) else None) or self.root
+        # A list that was made on a side that has been left is seen by its own path only.
+        is_seen = self._path is None or self._path.literals[: len(start.literals)] == start.literals
+        return start if is_seen else self.root
+
+    def _changed(self, of: Any, flags: Sequence[Node], value: Any, old: Any) -> Any:
+        """Return a value, to be in a list or an object, where all flags are set, and an old one where not."""
         flag = functools.reduce(self.graph.and_, flags)
         if isinstance(value, Word):
             value = word_of(self.graph, value)
         # The old one is looked at where this path is not taken: what is known here is not known of it.
-        return self.at(dataclasses.replace(self.here, known={}), lambda: joined(self.graph, flag, value, old))
+        # If they are lists, so is a new one, which is seen wherever the one around it is.
+        before, self._birth = self._birth, self._start(of)
+        try:
+            here = dataclasses.replace(self.here, known={})
+            return self.at(here, lambda: joined(self.graph, flag, value, old))
+        finally:
+            self._birth = before
 
     def growing(self, of: Any, verb: str = "") -> Any:
         """Return a list, which is about to become longer or shorter: that is no word's to decide."""

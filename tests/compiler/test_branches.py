@@ -505,6 +505,27 @@ PROGRAMS = {
             names = [5, 6, 7, 8, 9, 10, 11, 12]
             return [names[k] for k in draws.permutation(8)]
     """,
+    "a row that a branch puts into a list, and changes": """
+        from dataclasses import dataclass
+        @dataclass
+        class Robot:
+            load: list
+        def f(a, b, c):
+            board, robot = [[1, 2], [3, 4]], Robot([1, 2])
+            if c:
+                row = robot.load = [5, 6]
+                board[b & 1] = row
+                board[a & 1][1] = 9
+                robot.load[a & 1] = 7
+                row[0] = 8
+                if a > 1:
+                    board[0] = [a, b]
+                    board[0][0] += 1
+            else:
+                board[0] = board[1]
+                board[0][a & 1] = 4
+            return board[0] + board[1] + robot.load
+    """,
 }
 
 
