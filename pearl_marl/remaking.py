@@ -91,7 +91,7 @@ class Vocabulary(NamedTuple):
             return self.table(Grid(listed)) if isinstance(listed, list) else self.meaning(listed)
         if isinstance(value, (np.integer, np.bool_)):
             return int(value)
-        if type(value) in (list, tuple):
+        if type(value) in (list, tuple, dict):
             return self.table(value)
         if isinstance(getattr(value, "__self__", value), _DICE):
             return refused(getattr(value, "__name__", "random numbers"), "; ask `draws` for random numbers")

@@ -350,6 +350,10 @@ class _Function:
 
     def for_(self, node: ast.For, expressions: _Expressions) -> list[ast.stmt]:
         """Return a ``for``."""
+        if _has_parts(node.target):
+            self.refuse(
+                node, "a `for` counts in an element or an attribute; count in a variable, and assign it"
+            )
         loop, names = self.name("loop"), _stored([node])
         over = _statement(f"for _ in {RUNTIME}.items(0): pass", node)
         assert isinstance(over, ast.For)
@@ -523,6 +527,9 @@ class _Expressions(ast.NodeTransformer):
             function = self.visit(node.func)
         if isinstance(node.func, ast.Name) and node.func.id == "type" and len(node.args) == 1:
             return _expression(f"{RUNTIME}.type_of", [self.visit(node.args[0])], node)
+        is_next = isinstance(node.func, ast.Name) and node.func.id == "next" and node.args
+        if is_next and not isinstance(node.args[0], ast.GeneratorExp):
+            node.args[0] = _expression(f"{RUNTIME}.advancing", [node.args[0]], node)
         # Python's own functions stay: `super()` finds its class by its name.
         is_pythons = isinstance(node.func, ast.Name) and hasattr(builtins, node.func.id)
         node.func = function if is_pythons else _expression(f"{RUNTIME}.called", [function], node)

@@ -40,6 +40,8 @@ class Runtime:
         """What has ended paths, in order, until it is joined."""
         self._path: Path | None = self.root
         self._birth: Path | None = None
+        self._born: dict[int, tuple[Any, Path | None]] = {}
+        """By ``id``, objects that :meth:`called` has made, and where."""
 
     @property
     def path(self) -> Path | None:
@@ -54,7 +56,7 @@ class Runtime:
 
     @property
     def birth(self) -> Path | None:
-        """The path from which on a list is seen that is made now: the one at hand, but for what is written."""
+        """The path from which on a new list is seen: the one at hand, if it is not for what is written."""
         return self._birth or self._path
 
     @property
@@ -79,7 +81,42 @@ class Runtime:
                 return function if same else functools.partial(again, *function.args, **function.keywords)
             case types.FunctionType() if RUNTIME not in function.__globals__:
                 return self.again(function)
+            case types.BuiltinFunctionType() | types.MethodWrapperType() | types.WrapperDescriptorType():
+                if function.__name__ in _WRITING and self.condition_since(self.root) is not None:
+                    raise ArgumentError(
+                        f"{function.__name__}() writes where a word decides whether it does; assign instead"
+                    )
+            case type():
+                begin = next((n for n in ("__init__", "__post_init__") if _is_written(function, n)), "")
+                own = getattr(function, begin) if begin and _is_plain(function) else None
+                if own is not None and self.again(own) is not own:
+                    return functools.partial(self._made, function, begin)
+            case _ if _is_written(type(function), "__call__"):
+                call = type(function).__call__
+                again = self.again(call)
+                return function if again is call else types.MethodType(again, function)
         return function
+
+    def _made(self, cls: Any, begin: str, *arguments: Any, **keywords: Any) -> Any:
+        """Return an object of a class whose author has written how it begins."""
+        made, again = cls.__new__(cls), self.again(getattr(cls, begin))
+        self._born[id(made)] = made, self._path
+        if begin == "__init__":
+            again(made, *arguments, **keywords)
+        elif hasattr(made, "__dict__"):
+            # A dataclass calls it by this name when its fields are there.
+            made.__dict__[begin] = functools.partial(again, made)
+            cls.__init__(made, *arguments, **keywords)
+            del made.__dict__[begin]
+        else:
+            cls.__init__(made, *arguments, **keywords)
+        return made
+
+    def advancing(self, iterator: Any) -> Any:
+        """Return an iterator that is about to go on, which is no word's to decide."""
+        if self.condition_since(self.root) is not None:
+            raise ArgumentError("next() where a word decides whether it is; go on before the `if`")
+        return iterator
 
     def unbound(self, name: str) -> Undefined:
         """Return a variable's value before it has one."""
@@ -347,6 +384,10 @@ class Runtime:
 
     def set_attribute(self, of: Any, name: str, value: Any) -> None:
         """Write an attribute, where the path at hand is taken, and in all that may be the same object."""
+        if isinstance(of, (type, types.ModuleType, types.FunctionType)):
+            raise ArgumentError(
+                f"attribute {name!r} of what all slots share is written; return it, or keep it in the state"
+            )
         for one, flags in self._same(of):
             if flags and not hasattr(one, name):
                 raise ArgumentError(
@@ -364,7 +405,8 @@ class Runtime:
 
     def _start(self, of: Any) -> Path:
         """Return the path from which on a list, or an object, is seen."""
-        start = (of.path if isinstance(of, Listed) else None) or self.root
+        _, born = self._born.get(id(of), (None, None))
+        start = (of.path if isinstance(of, Listed) else born) or self.root
         # A list that was made on a side that has been left is seen by its own path only.
         is_seen = self._path is None or self._path.literals[: len(start.literals)] == start.literals
         return start if is_seen else self.root
@@ -387,9 +429,21 @@ class Runtime:
         """Return a list, which is about to become longer or shorter: that is no word's to decide."""
         if isinstance(of, list) and verb in ("sort", "remove") and has_words(of):
             raise ArgumentError(f"{verb}() of a list of words: their order is not known before hardware runs")
-        if isinstance(of, (list, dict, set, deque)) and any(flags for _, flags in self._same(of)):
-            self._changes(of, verb)
+        if isinstance(of, (Word, Beyond, int)):
+            return of
+        if isinstance(of, (list, dict, set, deque)):
+            if any(flags for _, flags in self._same(of)):
+                self._changes(of, verb)
+        elif not verb and self._is_changed_in_place(of):
+            raise ArgumentError(
+                f"an operator of {type(of).__name__} changes it where a word decides; write a function"
+            )
         return of
+
+    def _is_changed_in_place(self, of: Any) -> bool:
+        """Return whether `of += 1` may call what its author has written, where a word decides."""
+        is_written = any(_is_written(type(of), f"__{name}__") for name in _IN_PLACE)
+        return is_written and self.condition_since(self._start(of)) is not None
 
     def _changes(self, of: Any, verb: str) -> NoReturn:
         """Refuse a change that no word can decide."""
@@ -451,6 +505,8 @@ class Runtime:
             "list": TypeLike(list, self.listed),
             "round": self._rounded,
             "divmod": lambda a, b: (a // b, a % b),
+            "map": TypeLike(map, lambda function, *values: map(self.called(function), *values)),
+            "filter": TypeLike(filter, lambda function, values: filter(self.called(function), values)),
             "range": TypeLike(range, _range),
             "sorted": self._sorted,
             "print": _print,
@@ -514,6 +570,25 @@ class Runtime:
         if not any(map(has_words, every if key is None else [self.called(key)(value) for value in every])):
             return self.listed(sorted(every, **keywords))
         raise ArgumentError("sorted() of words; pearl_marl.golden.inserted puts one into its place")
+
+
+_IN_PLACE = "iadd", "isub", "imul", "ifloordiv", "imod", "iand", "ior", "ixor", "ilshift", "irshift"
+_WRITING = {
+    *("setitem", "delitem", "iconcat", "__setitem__", "__delitem__", "__setattr__", "__delattr__"),
+    *("heappush", "heappop", "heapify", "heapreplace", "heappushpop"),
+}
+"""Functions of Python's that change what they are given."""
+
+
+def _is_written(cls: type, name: str) -> bool:
+    """Return whether a method of a class is written in Python, by hand."""
+    method = getattr(cls, name, None)
+    return isinstance(method, types.FunctionType) and method.__code__.co_filename != "<string>"
+
+
+def _is_plain(cls: Any) -> bool:
+    """Return whether objects of a class are made as Python makes them."""
+    return bool(cls.__new__ is object.__new__)
 
 
 def _is_record(value: Any) -> bool:

@@ -324,8 +324,8 @@ class Table(_Indexed, tuple[Any, ...]):
 
 def _constant(*_: Any, **__: Any) -> NoReturn:
     raise ArgumentError(
-        "a list that is made outside of the function is written, and each slot would need its own; make it "
-        "inside, as by list(), or keep it in the state"
+        "what is made outside of the function is written, and each slot would need its own; make it inside, "
+        "as by list(), or keep it in the state"
     )
 
 
@@ -340,6 +340,13 @@ class TableList(_Indexed, list[Any]):
 
     __setitem__ = __delitem__ = __iadd__ = __imul__ = _constant
     append = extend = insert = pop = remove = clear = sort = reverse = _constant
+
+
+class TableDict(dict[Any, Any]):
+    """A constant dict."""
+
+    __setitem__ = __delitem__ = __ior__ = _constant
+    clear = pop = popitem = setdefault = update = _constant
 
 
 def check_places(index: tuple[Any, ...]) -> None:
@@ -393,8 +400,12 @@ def _which(graph: Graph, new: Any, entries: Sequence[Any], index: Node) -> Any:
     return new
 
 
-def table(values: Iterable[Any]) -> Table | TableList:
+def table(values: Iterable[Any]) -> Table | TableList | TableDict:
     """Return a table of numbers, or of tables; entries that are objects of a class stay such."""
+    if isinstance(values, dict):
+        return TableDict(
+            (key, table(v) if type(v) in (list, tuple, dict) else v) for key, v in values.items()
+        )
     made = (
         type(v)(*table(v)) if hasattr(v, "_fields") else table(v) if isinstance(v, (list, tuple)) else v
         for v in values

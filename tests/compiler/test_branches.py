@@ -526,6 +526,42 @@ PROGRAMS = {
                 board[0][a & 1] = 4
             return board[0] + board[1] + robot.load
     """,
+    "objects that begin and are called": """
+        from dataclasses import dataclass
+        class Counter:
+            def __init__(self, n, *, k=1):
+                self.n = n if n > 1 else k
+                if n == 3:
+                    self.n = 0
+            def __call__(self, x):
+                if x > 1:
+                    self.n += x
+        @dataclass
+        class Filler:
+            row: list
+            size: int = 2
+            def __post_init__(self):
+                self.row[0] = 5
+                if self.size > 2:
+                    self.size = 1
+        def f(a, b, c):
+            row, counter, sizes = [1, 2], Counter(a, k=c), 0
+            if b > 1:
+                inner = Counter(b)
+                inner(a)
+                sizes = Filler(row, a).size + inner.n
+                counter(a)
+            if c:
+                list(map(counter, [a, b]))
+            return *row, counter.n, sizes
+    """,
+    "constant dicts": """
+        NAMED = {"u": [1, 2, 3, 4], "v": {"w": (4, 5, 6, 7)}}
+        def f(a, b, c):
+            own = dict(NAMED, n=a)
+            own["n"] += 1
+            return NAMED["u"][a] + NAMED["v"]["w"][b], own["n"], (NAMED | {"z": c})["z"], NAMED.get("x", 3)
+    """,
 }
 
 
@@ -862,7 +898,7 @@ MISTAKES = {
             BOARD[a & 1] = b
             return BOARD[0]
         """,
-        (3, "a list that is made outside of the function is written, and each slot would need its own"),
+        (3, "what is made outside of the function is written, and each slot would need its own"),
     ),
     "a default list that grows": (
         """
@@ -872,7 +908,7 @@ MISTAKES = {
         def f(a, b):
             return g(a)
         """,
-        (2, "a list that is made outside of the function is written"),
+        (2, "what is made outside of the function is written"),
     ),
     "a slice of a table": (
         """
@@ -1039,6 +1075,71 @@ MISTAKES = {
             return a
         """,
         (1, "golden functions have no `async`"),
+    ),
+    "a constant dict that is written": (
+        """
+        COUNTS = {"n": 0}
+        def f(a, b):
+            COUNTS["n"] += 1
+            return COUNTS["n"]
+        """,
+        (3, "what is made outside of the function is written"),
+    ),
+    "an attribute of a class": (
+        """
+        class Count:
+            n = 0
+        def f(a, b):
+            Count.n += 1
+            return Count.n
+        """,
+        (4, "attribute 'n' of what all slots share is written; return it, or keep it in the state"),
+    ),
+    "an element that counts": (
+        """
+        def f(a, b):
+            v = [0]
+            for v[0] in range(3):
+                a += 1
+            return a
+        """,
+        (3, "a `for` counts in an element or an attribute; count in a variable, and assign it"),
+    ),
+    "an iterator": (
+        """
+        def f(a, b):
+            v = iter([1, 2, 3])
+            if a > 3:
+                next(v)
+            return next(v)
+        """,
+        (4, "next() where a word decides whether it is; go on before the `if`"),
+    ),
+    "a heap": (
+        """
+        from heapq import heappush
+        def f(a, b):
+            v = []
+            if a > 3:
+                heappush(v, 1)
+            return len(v)
+        """,
+        (5, "heappush() writes where a word decides whether it does; assign instead"),
+    ),
+    "an operator that changes an object": (
+        """
+        class Count:
+            n = 0
+            def __iadd__(self, by):
+                self.n = by
+                return self
+        def f(a, b):
+            v = Count()
+            if a > 3:
+                v += 1
+            return v.n
+        """,
+        (9, "an operator of Count changes it where a word decides; write a function"),
     ),
     "a comprehension that leaves out": (
         """
