@@ -241,8 +241,9 @@ class Runtime:
             return compare(a, b)
         # The first elements that differ decide, and where none does the lengths.
         result: Any = compare(len(a), len(b))
-        for x, y in reversed(list(zip(a, b, strict=False))):
-            result = self.either(self.equal(x, y), lambda: result, lambda: self._ordered(compare, x, y))  # noqa: B023
+        for k in reversed(range(min(len(a), len(b)))):
+            other = self._ordered(compare, a[k], b[k])
+            result = self.either(self.equal(a[k], b[k]), lambda: result, lambda: other)  # noqa: B023
         return result
 
     def contains(self, value: Any, among: Any) -> Any:
