@@ -112,6 +112,10 @@ class Draws:
 
         It is rounded to a multiple of ``2**-32``.
         """
+        if hasattr(numerator, "asked") or hasattr(denominator, "asked"):
+            raise ArgumentError(
+                "draws.chance() takes numbers, and a word is none yet; draws.below(n) < word is such a chance"
+            )
         share = numerator / denominator
         if not 0 <= share <= 1:
             raise ArgumentError(f"draws.chance({numerator!r}, {denominator!r}): a probability is 0 to 1")
@@ -119,6 +123,10 @@ class Draws:
 
     def uniform(self, low: float, high: float) -> Real:
         """Return a real number from ``low`` to below ``high``; for environments whose state has reals."""
+        if not (isinstance(low, _NUMBERS) and isinstance(high, _NUMBERS)):
+            raise ArgumentError(
+                f"draws.uniform({low!r}, {high!r}) takes two numbers; scale what draws.uniform(0, 1) returns"
+            )
         if self._fraction is None:
             raise ArgumentError("draws.uniform() makes a real, and the state has none, such as Real[-1, 1]")
         first, end = constant(low, self._fraction), constant(high, self._fraction)
@@ -137,7 +145,8 @@ class Draws:
             place = self.below(k + 1)
             # The number in that place moves to the end, and this one takes it.
             last = _entry([*result, k], place)
-            result = [old + (place == i) * (k - old) for i, old in enumerate(result)]
+            # Chosen, not computed, so that each is known to be one of them.
+            result = [_entry([old, k], place == i) for i, old in enumerate(result)]
             result.append(last)
         return result
 
@@ -160,6 +169,9 @@ class Draws:
     def several(self, *outcomes: int) -> list[Word]:
         """Return a number below each of ``outcomes``, as :meth:`digit` makes them."""
         return [self.digit(n) for n in outcomes]
+
+
+_NUMBERS = int, float, np.integer, np.floating
 
 
 class CountingDraws(Draws):

@@ -153,6 +153,11 @@ class Layout:
         self._tree = _Group(cls, fraction or 0)
         self.fields = tuple(self._tree.fields(""))
 
+    @property
+    def classes(self) -> tuple[type, ...]:
+        """The class, and those of the objects in it."""
+        return tuple(_classes(self._tree))
+
     @cached_property
     def built(self) -> Callable[[Iterable[Any]], Any]:
         """A function of as many words or values as there are fields; it returns an object of the class.
@@ -175,7 +180,8 @@ class Layout:
         ArgumentError
             It is none, or an array has another length: names which.
         """
-        words = self._integers(value)
+        # An integer in a field of reals is no word yet.
+        words = self._integers(value) if self.fraction is None else None
         if words is not None and {*map(type, words)} <= _INTEGERS:
             return words
         if not isinstance(value, self.cls):
@@ -256,7 +262,7 @@ class _RealLeaf:
         return f"{word} if isinstance({word}, float) else {number}"
 
     def taken(self, value: str, code: _Code) -> list[str]:
-        return [value]  # no integer, so that flatten() is asked
+        return [value]
 
     def flatten(self, value: Any, where: str, result: list[Any]) -> None:
         if isinstance(value, (tuple, list, str)) or value is None:
@@ -328,6 +334,15 @@ class _Group:
 
 
 _Tree = _Leaf | _RealLeaf | _Several | _Group
+
+
+def _classes(tree: _Tree) -> Iterator[type]:
+    if isinstance(tree, _Several):
+        yield from _classes(tree.part)
+    if isinstance(tree, _Group):
+        yield tree.cls
+        for part in tree.parts.values():
+            yield from _classes(part)
 
 
 def _intervals(hint: Any) -> Iterator[Interval]:

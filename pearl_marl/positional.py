@@ -72,6 +72,8 @@ class _Step:
     ) -> None:
         self.state, self.agents, self.action, self.reward, self.world = state, agents, action, reward, world
         self.count, self.end = len(state.fields), len(state.fields) + agents * len(action)
+        # Beside reals, a reward of their fraction is one: its integers are whole numbers, not parts.
+        self.has_real_reward = state.fraction is not None and reward.fraction == state.fraction
         self.has_real_actions = state.fraction is not None and any(field.fraction for field in action)
 
     def arguments(self, words: Sequence[Word]) -> tuple[Any, Any, Draws]:
@@ -112,11 +114,17 @@ class _Step:
 
     def _reward(self, number: Any) -> Word:
         """Return the word of a reward; a real saturates."""
-        if number.__class__ is int:
-            return number
         field = self.reward
-        is_real = isinstance(number, (Real, Choice, float))
-        return stored(number, field.low, field.high, field.fraction) if is_real else number
+        if self.has_real_reward:
+            return stored(number, field.low, field.high, field.fraction)
+        if number.__class__ is int or not isinstance(number, (Real, Choice, float)):
+            return number
+        if isinstance(number, Real) or not field.fraction:
+            raise ArgumentError(
+                "step() returns a real for its reward, and the spec has integers there; "
+                "reward=Real[low, high] takes reals"
+            )
+        return stored(number, field.low, field.high, field.fraction)
 
 
 def view_of(

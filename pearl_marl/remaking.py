@@ -41,15 +41,17 @@ def remade(
 
     def value(old: Any) -> Any:
         old = getattr(old, "py_func", old)  # what Numba has compiled already
-        if not isinstance(old, types.FunctionType):
+        # NamedTuple is a function to Python, and a class where one is made of it.
+        if not isinstance(old, types.FunctionType) or hasattr(old, "__mro_entries__"):
             return change(old)
         if old not in done:
             scope, its_code = {**names, **old.__globals__}, code(old)
             closure = dict(zip(old.__code__.co_freevars, old.__closure__ or (), strict=True))
             cells = tuple(types.CellType() for _ in its_code.co_freevars)
             new = types.FunctionType(its_code, scope, old.__name__, old.__defaults__, cells)
-            new.__kwdefaults__ = old.__kwdefaults__
             done[old] = finish(new)  # known to itself, and to functions that call it in turn
+            new.__defaults__ = tuple(map(value, old.__defaults__ or ()))
+            new.__kwdefaults__ = {name: value(given) for name, given in (old.__kwdefaults__ or {}).items()}
             used = (name for name in _names(old.__code__) if name in old.__globals__)
             scope.update({name: value(old.__globals__[name]) for name in used})
             for name, cell in zip(its_code.co_freevars, cells, strict=True):
@@ -85,14 +87,47 @@ class Vocabulary(NamedTuple):
         if isinstance(value, type) and issubclass(value, np.integer):
             return self.cast(value)
         if isinstance(value, np.ndarray):
-            return self.meaning(value.tolist())
+            listed = value.tolist()
+            return self.table(Grid(listed)) if isinstance(listed, list) else self.meaning(listed)
         if isinstance(value, (np.integer, np.bool_)):
             return int(value)
-        if type(value) in (list, tuple):
+        if type(value) in (list, tuple, dict):
             return self.table(value)
         if isinstance(getattr(value, "__self__", value), _DICE):
-            return _refused(getattr(value, "__name__", "random numbers"), "; ask `draws` for random numbers")
+            return refused(getattr(value, "__name__", "random numbers"), "; ask `draws` for random numbers")
         return value
+
+
+class TypeLike:
+    """What a type of Python's becomes: called, it makes something else; all else is the type's."""
+
+    def __init__(
+        self, type_: type, make: Callable[..., Any], knows: Callable[[Any], bool] | None = None
+    ) -> None:
+        self._type, self._make = type_, make
+        self._knows = knows or (lambda value: isinstance(value, type_))
+
+    def __call__(self, *arguments: Any, **keywords: Any) -> Any:
+        """Return what is made in the place of an object of the type."""
+        return self._make(*arguments, **keywords)
+
+    def __instancecheck__(self, value: Any) -> bool:
+        return self._knows(value)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._type, name)
+
+
+class Grid(list[Any]):
+    """The entries of an array of NumPy's, which takes an index for each dimension at once."""
+
+    def __getitem__(self, index: Any) -> Any:
+        if not isinstance(index, tuple):
+            return super().__getitem__(index)
+        found: Any = self
+        for part in index:
+            found = found[part]
+        return found
 
 
 _DICE = random.Random, np.random.Generator, np.random.RandomState
@@ -122,11 +157,13 @@ class _Module:
             return remade(value, self._vocabulary.meaning)
         if callable(value) and not isinstance(value, type):
             hint = "; ask `draws` for random numbers" if random_one else ""
-            return _refused(f"{module.__name__}.{name}", hint)
+            return refused(f"{module.__name__}.{name}", hint)
         return self._vocabulary.meaning(value)
 
 
-def _refused(name: str, hint: str) -> Callable[..., NoReturn]:
+def refused(name: str, hint: str) -> Callable[..., NoReturn]:
+    """Return a function that says that golden functions cannot use something of that name."""
+
     def refuse(*_: Any, **__: Any) -> NoReturn:
         raise ArgumentError(f"golden functions cannot use {name}{hint}")
 

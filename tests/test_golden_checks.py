@@ -13,9 +13,12 @@ import pytest
 from gymnasium.spaces import Box, Discrete
 
 from pearl_marl.errors import ArgumentError
-from pearl_marl.golden import Draws, i8, u8
-from pearl_marl.layout import Bits, Signed
+from pearl_marl.golden import Draws, call_reference, i8, u8
+from pearl_marl.layout import Bits, Real, Signed
 from pearl_marl.spec import EnvSpec, Field, Golden
+from pearl_marl.tracing.graph import Graph
+from pearl_marl.tracing.nodes import values
+from pearl_marl.tracing.trace import trace
 
 POINTS = (0, 1, 3)
 
@@ -108,6 +111,10 @@ def beyond_the_table(state: State, action: Any, draws: Draws) -> Any:
     return State(state.level, state.debt), action, 0
 
 
+def rewarded_by_half(state: State, action: Any, draws: Draws) -> Any:
+    return State(state.level, state.debt), 0.5, 0
+
+
 def ended_twice(state: State, action: Any, draws: Draws) -> Any:
     return State(state.level, state.debt), 0, (state.level == 0) + (state.debt == 0)
 
@@ -129,6 +136,7 @@ WRONG: dict[Callable[..., Any], str] = {
     never: "never() returns 0 to 16 for level, and 4 bits hold 0 to 15; trying found no example",
     beyond_the_table: "beyond_the_table() returns 0 to 3 for points, and the table of rewards lists 0 to 2; "
     "for example 3, where action is 3; add a reward, or change the category",
+    rewarded_by_half: "step() returns a real for its reward, and the spec has integers there; reward=Real",
     ended_twice: "ended_twice() returns 0 to 2 for terminated, and 1 bit holds 0 to 1; "
     "for example 2, where level is 0 and debt is 0",
 }
@@ -188,3 +196,38 @@ def test_an_option_that_goes_wrong_is_told() -> None:
         ArgumentError, match=r"returns 0 to 16 for level.* where level is 1\d and action is \d"
     ):
         configure().with_options(most=16)
+
+
+class Cart(NamedTuple):
+    x: Real[-4, 4]
+
+
+def pushed(state: Cart, action: Any, draws: Draws) -> Any:
+    if action == 1:
+        return Cart(1), 1, 0
+    if action == 2:
+        return Cart(state.x), action, 0
+    return Cart(action), state.x, 0
+
+
+def test_integers_are_numbers_where_reals_are_due() -> None:
+    """Not the words of such: 1 is 1.0, in a state and for a reward, whether others are reals or not."""
+    cart = EnvSpec(
+        name="Cart",
+        version=0,
+        summary="Push a cart",
+        observation_space=Box(-4, 4, (1,), np.float32),
+        action_space=Discrete(4),
+        rewards=None,
+        reward=Real[-4, 4],
+        golden=Golden(Cart, lambda draws: Cart(1), pushed, lambda state: state, view=Cart),
+    )
+    one, graph = 1 << 28, Graph()
+    assert [int(word) for word in call_reference(cart.positional.initial, ())] == [one]
+    step = cart.positional.step
+    nodes = trace(graph, step, [graph.input("x", 32, True), graph.input("action", 2)])
+    due = [[0, 7, 0], [one, one, 0], [7, 2 * one, 0], [3 * one, 7, 0]]
+    for action, words in enumerate(due):
+        found = values(nodes, {"x": 7, "action": action})
+        assert [found[node] for node in nodes] == words
+        assert [int(word) for word in call_reference(step, (7, action))] == words

@@ -21,6 +21,7 @@ import numpy as np
 from pearl_marl.cache import cache_folder, replace
 from pearl_marl.golden import GoldenFunction
 from pearl_marl.machine_code import kept_code
+from pearl_marl.places import is_librarys
 
 
 def load(name: str, source: str, **names: Any) -> tuple[Any, Path]:
@@ -89,10 +90,12 @@ def with_callees(
     return done[function]
 
 
-def fingerprint(function: GoldenFunction) -> bytes:
-    """Hash what a function computes: its code, and every function and constant that it names."""
+def fingerprint(function: GoldenFunction | type) -> bytes:
+    """Hash what a function, or a class, computes: its code, and every function and constant that it names."""
     digest = hashlib.sha256()
     seen: set[types.FunctionType] = set()
+    objects: dict[int, Any] = {}
+    """Those that were looked into, by their ``id``, which is theirs as long as they are here."""
     left: list[Any] = [function]
     while left:
         value = left.pop()
@@ -105,9 +108,44 @@ def fingerprint(function: GoldenFunction) -> bytes:
                 left += (cell.cell_contents for cell in value.__closure__ or ())
         elif isinstance(value, np.ndarray):
             digest.update(repr((value.dtype, value.shape)).encode() + value.tobytes())
-        elif isinstance(value, (int, float, str, bytes, tuple, list, np.generic, type(None))):
+        elif isinstance(value, (int, float, str, bytes, np.generic, type(None))):
             digest.update(repr(value).encode())
+        elif isinstance(value, tuple) or id(value) not in objects:
+            objects[id(value)] = value
+            inside = _inside(value)
+            digest.update(f"{type(value).__name__} of {len(inside)}".encode())
+            left += inside
     return digest.digest()
+
+
+def _inside(value: Any) -> list[Any]:
+    """Return what an object is made of: a container, a class or an object of an author's."""
+    match value:
+        case tuple() | list():
+            return list(value)
+        case dict():
+            return [part for pair in value.items() for part in pair]
+        case set() | frozenset():
+            return sorted(value, key=repr)
+        case functools.partial():
+            return [value.func, value.args, value.keywords]
+        case types.MethodType() | staticmethod() | classmethod():
+            return [value.__func__]
+        case property():
+            return [value.fget, value.fset]
+        case type() if _is_authors(value.__module__):
+            own = {name: part for name, part in vars(value).items() if name not in _OF_CLASSES}
+            return [value.__bases__, own]
+    is_authors = hasattr(value, "__dict__") and _is_authors(type(value).__module__)
+    return [type(value), vars(value)] if is_authors else []
+
+
+_OF_CLASSES = {"__dict__", "__weakref__", "__doc__", "__module__", "__annotations__", "__slots__"}
+"""What classes have that nothing computes with."""
+
+
+def _is_authors(module: str | None) -> bool:
+    return not is_librarys(module or "builtins") and not str(module).startswith(("numba.", "pearl_marl."))
 
 
 def _parts(code: types.CodeType, scope: dict[str, Any]) -> Iterator[Any]:
@@ -123,6 +161,8 @@ def _parts(code: types.CodeType, scope: dict[str, Any]) -> Iterator[Any]:
         value = scope.get(name)
         yield value
         if isinstance(value, types.ModuleType):
-            constants = (vars(value).get(attribute) for attribute in code.co_names)
-            # Functions of other modules Numba knows or refuses.
-            yield from (c for c in constants if not isinstance(c, types.FunctionType))
+            parts = [vars(value).get(attribute) for attribute in code.co_names]
+            # Functions of libraries Numba knows or refuses.
+            yield from (
+                p for p in parts if not isinstance(p, types.FunctionType) or _is_authors(p.__module__)
+            )

@@ -68,6 +68,8 @@ def _generated_core(spec: EnvSpec, target: Target) -> Path:
     drawn = spec.reset_draws, spec.step_draws
     words = spec.state, spec.action_fields, spec.seen, spec.reward, *drawn, spec.agents
     functions = [fingerprint(function) for function in spec.functions]
+    # A state's methods are called by no name that its functions see.
+    functions += [fingerprint(kind) for kind in spec.layout.classes]
     key = repr((spec.id, spec.options, words, functions, target))
     if key not in _generated:
         _generated[key] = generated_core(spec, target).text

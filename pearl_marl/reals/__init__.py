@@ -4,9 +4,12 @@ Fields are :class:`Real`, authors' scopes have :data:`FUNCTIONS`, branches are j
 :func:`stored` keeps what comes out; graphs that are traced are :func:`admitted` to floats.
 """
 
+from typing import Any
+
 from pearl_marl.reals.choices import Choice, choice_of, joined, select, stored
 from pearl_marl.reals.names import FUNCTIONS
 from pearl_marl.reals.numbers import Real, constant, fraction_for
+from pearl_marl.remaking import TypeLike
 from pearl_marl.tracing.graph import Graph
 
 __all__ = [
@@ -21,7 +24,10 @@ __all__ = [
     "stored",
 ]
 
-BUILTINS = {function.__name__: FUNCTIONS[function] for function in (min, max, round, int)}
+BUILTINS: dict[str, Any] = {
+    **{function.__name__: FUNCTIONS[function] for function in (min, max, round)},
+    "int": TypeLike(int, FUNCTIONS[int]),
+}
 """Of the functions, those that golden functions name without an import."""
 
 

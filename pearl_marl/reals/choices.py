@@ -46,7 +46,7 @@ class Choice(Number):
     __sub__, __rsub__ = _operation("sub")
     __truediv__, __rtruediv__ = _operation("truediv")
     __mod__, __rmod__ = _operation("mod")
-    __pow__, _ = _operation("pow")
+    __pow__, __rpow__ = _operation("pow")
     __lt__, _ = _operation("lt")
     __le__, _ = _operation("le")
     __gt__, _ = _operation("gt")
@@ -67,6 +67,9 @@ class Choice(Number):
         shift = max(0, *(shift for _, shift in factors))
         wholes = [whole << shift - own for whole, own in factors]
         return real.times(_looked_up(self.index, wholes), shift)
+
+    def __repr__(self) -> str:
+        return "a number that a word chooses"
 
     def __neg__(self) -> Any:
         return applied(operator.neg, self)

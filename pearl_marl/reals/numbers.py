@@ -322,8 +322,14 @@ class Real(Number):
         return float(math.ldexp(self.word, -self.fraction))
 
     def __repr__(self) -> str:
-        value = self.word if isinstance(self.word, Word) else float(self)
-        return f"Real({value!r}, fraction={self.fraction})"
+        if isinstance(self.word, Word):
+            return "a real"
+        return f"Real({float(self)!r}, fraction={self.fraction})"
+
+    def __format__(self, specification: str) -> str:
+        if isinstance(self.word, Word):
+            raise ArgumentError("a real becomes text, and it has no value before hardware runs")
+        return format(float(self), specification)
 
 
 def integer(value: object) -> Any:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import copy
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any, NoReturn
 
 import numpy as np
@@ -89,6 +90,28 @@ class Listed(list[Any]):
         if self.runtime is not None:
             self.runtime.growing(self)
 
+    def _new(self, values: Iterable[Any]) -> list[Any]:
+        """Return another list, made where the author is."""
+        made: list[Any] = list(values) if self.runtime is None else self.runtime.listed(values)
+        return made
+
+    def copy(self) -> list[Any]:
+        """Return a list of the same elements."""
+        return self._new(self)
+
+    __copy__ = copy
+
+    def __deepcopy__(self, memo: Any) -> list[Any]:
+        return self._new(copy.deepcopy(value, memo) for value in self)
+
+    def __add__(self, other: Any) -> Any:
+        return self._new(super().__add__(other)) if isinstance(other, list) else NotImplemented
+
+    def __mul__(self, count: Any) -> Any:
+        return self._new(super().__mul__(count))
+
+    __rmul__ = __mul__
+
 
 def _growing(name: str) -> Callable[..., Any]:
     def method(self: Listed, *args: Any, **keywords: Any) -> Any:
@@ -126,7 +149,9 @@ def has_words(value: Any) -> bool:
     """Return whether a value is a word, or holds one."""
     if isinstance(value, (tuple, list)):
         return any(map(has_words, value))
-    return isinstance(value, Word)
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        return any(has_words(getattr(value, field.name)) for field in dataclasses.fields(value))
+    return isinstance(value, (Word, Beyond))
 
 
 def merged(
@@ -185,7 +210,7 @@ def joined(graph: Graph, flag: Node, a: Any, b: Any) -> Any:
             new = Listed(parts)
             new.runtime = getattr(a, "runtime", None) or getattr(b, "runtime", None)
             # It is made here, not on the side that one of them may be from.
-            new.path = None if new.runtime is None else new.runtime.path
+            new.path = None if new.runtime is None else new.runtime.birth
             return _chosen(graph, flag, new, a, b)
         kind = type(a) if type(a) is type(b) else tuple
         return kind(*parts) if hasattr(kind, "_fields") else kind(parts)
@@ -198,6 +223,13 @@ def joined(graph: Graph, flag: Node, a: Any, b: Any) -> Any:
     for one in (a, b):
         if isinstance(one, float):
             node_of(graph, one)  # says so
+    if callable(a) and callable(b):
+        raise ArgumentError("a word chooses between two functions; call each on its side of the branch")
+    if type(a) is type(b) and hasattr(a, "__dict__"):
+        name = type(a).__name__
+        raise ArgumentError(
+            f"a word chooses between two objects of {name}; make {name} a NamedTuple or a dataclass"
+        )
     raise ArgumentError(f"one side of a branch leaves {_told(a)} and the other {_told(b)}")
 
 

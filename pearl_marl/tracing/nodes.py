@@ -84,6 +84,8 @@ class Nodes:
         """Says where the author is."""
         self.known: Mapping[Node, Node] = {}
         """Nodes of which more is known where the author is, as narrower ones."""
+        self.limits: Callable[[Node], tuple[int, int]] = lambda node: (node.low, node.high)
+        """Says between what a node is where the author is."""
         self.certain = True
         """Whether the author's function always comes to where it is."""
         self.twins: Any = None

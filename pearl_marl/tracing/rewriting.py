@@ -13,8 +13,10 @@ from __future__ import annotations
 import __future__
 
 import ast
+import builtins
 import copy
 import functools
+import inspect
 import linecache
 import types
 from collections.abc import Iterator, Sequence
@@ -44,6 +46,9 @@ def rewritten(code: types.CodeType) -> types.CodeType:
         The function does what cannot be traced, such as ``yield``, or its file says something else by now;
         names the file and the line.
     """
+    if code.co_flags & (inspect.CO_COROUTINE | inspect.CO_ASYNC_GENERATOR):
+        where = place_of(code.co_filename, code.co_firstlineno)
+        raise Refusal(f"{where}: golden functions have no `async`")
     found = copy.deepcopy(_source_of(code))
     if found is None:
         return code
@@ -345,6 +350,10 @@ class _Function:
 
     def for_(self, node: ast.For, expressions: _Expressions) -> list[ast.stmt]:
         """Return a ``for``."""
+        if _has_parts(node.target):
+            self.refuse(
+                node, "a `for` counts in an element or an attribute; count in a variable, and assign it"
+            )
         loop, names = self.name("loop"), _stored([node])
         over = _statement(f"for _ in {RUNTIME}.items(0): pass", node)
         assert isinstance(over, ast.For)
@@ -419,12 +428,20 @@ class _Function:
         )
         loads = [ast.Name(whole, ast.Load()), ast.Name(part, ast.Load())]
         getter = f"{RUNTIME}.item" if is_item else "getattr"
-        old = _expression(getter, loads, node)
-        new = ast.copy_location(ast.BinOp(old, node.op, expressions.visit(node.value)), node)
+        # By a name of its own, so that a list grows in place.
+        old = self.name("old")
+        changed = ast.AugAssign(ast.Name(old, ast.Store()), node.op, expressions.visit(node.value))
         return [
             _assign(whole, None, [expressions.visit(target.value)], node),
             _assign(part, None, [key], node),
-            _call(f"{RUNTIME}.{'put' if is_item else 'set_attribute'}", [*loads, new], node),
+            _assign(old, getter, loads, node),
+            _call(f"{RUNTIME}.growing", [ast.Name(old, ast.Load())], node),
+            ast.copy_location(changed, node),
+            _call(
+                f"{RUNTIME}.{'put' if is_item else 'set_attribute'}",
+                [*loads, ast.Name(old, ast.Load())],
+                node,
+            ),
         ]
 
 
@@ -495,20 +512,29 @@ class _Expressions(ast.NodeTransformer):
 
     def call(self, node: ast.Call) -> Any:
         """Count what fits, in place of leaving out what does not: that is no word's to decide."""
-        if isinstance(node.func, ast.Name) and node.func.id in _REDUCTIONS and len(node.args) == 1:
+        if isinstance(node.func, ast.Name) and node.func.id in _REDUCTIONS and node.args:
             inner = node.args[0]
             if isinstance(inner, (ast.GeneratorExp, ast.ListComp)):
                 node = _unfiltered(node, inner)
         if isinstance(node.func, ast.Attribute):
             of, verb = self.visit(node.func.value), node.func.attr
-            if verb in ("index", "count") and len(node.args) == 1:
+            if verb in ("index", "count") and len(node.args) == 1 and not node.keywords:
                 return _expression(f"{RUNTIME}.{verb}", [of, self.visit(node.args[0])], node)
             if verb in _GROWING:
                 of = _expression(f"{RUNTIME}.growing", [of, ast.Constant(verb)], node)
-            node.func.value = of
-            node.args, node.keywords = list(map(self.visit, node.args)), list(map(self.visit, node.keywords))
-            return node
-        return self.generic_visit(node)
+            node.func.value, function = of, node.func
+        else:
+            function = self.visit(node.func)
+        if isinstance(node.func, ast.Name) and node.func.id == "type" and len(node.args) == 1:
+            return _expression(f"{RUNTIME}.type_of", [self.visit(node.args[0])], node)
+        is_next = isinstance(node.func, ast.Name) and node.func.id == "next" and node.args
+        if is_next and not isinstance(node.args[0], ast.GeneratorExp):
+            node.args[0] = _expression(f"{RUNTIME}.advancing", [node.args[0]], node)
+        # Python's own functions stay: `super()` finds its class by its name.
+        is_pythons = isinstance(node.func, ast.Name) and hasattr(builtins, node.func.id)
+        node.func = function if is_pythons else _expression(f"{RUNTIME}.called", [function], node)
+        node.args, node.keywords = list(map(self.visit, node.args)), list(map(self.visit, node.keywords))
+        return node
 
     def later(self, node: ast.expr) -> ast.expr:
         """Return a function of no arguments that evaluates an expression."""
@@ -524,7 +550,13 @@ class _Expressions(ast.NodeTransformer):
 
 
 _REDUCTIONS = "any", "all", "sum"
-_GROWING = "append", "extend", "insert", "pop", "remove", "clear", "sort", "reverse"
+_GROWING = {
+    *("append", "extend", "insert", "pop", "remove", "clear", "sort", "reverse"),
+    *("add", "discard", "update", "setdefault", "popitem"),
+    *("difference_update", "intersection_update", "symmetric_difference_update"),
+    *("appendleft", "extendleft", "popleft", "rotate"),
+}
+"""The methods that change a list, a dict, a set or a deque."""
 _COMPARISONS = {
     "Eq": "equal",
     "NotEq": "differ",
@@ -532,14 +564,22 @@ _COMPARISONS = {
     "NotIn": "lacks",
     "Is": "same",
     "IsNot": "other",
+    "Lt": "less",
+    "LtE": "less_equal",
+    "Gt": "greater",
+    "GtE": "greater_equal",
 }
 
 
 def _unfiltered(call: ast.Call, inner: ast.GeneratorExp | ast.ListComp) -> ast.Call:
-    """Return ``any(x for ... if c)`` as ``any(c and x for ...)``, ``all`` and ``sum`` likewise."""
-    name = call.func.id  # type: ignore[attr-defined]
-    element, generators = inner.elt, []
-    for generator in inner.generators:
+    """Return ``any(x for ... if c)`` as ``any(c and x for ...)``, ``all`` and ``sum`` likewise.
+
+    What comes after an ``if`` is inside it, a second ``for``, too: there it is a reduction of its own.
+    """
+    if not any(generator.ifs for generator in inner.generators):
+        return call
+    name, element, result = call.func.id, inner.elt, call  # type: ignore[attr-defined]
+    for generator in reversed(inner.generators):
         for test in reversed(generator.ifs):
             match name:
                 case "any":
@@ -550,11 +590,13 @@ def _unfiltered(call: ast.Call, inner: ast.GeneratorExp | ast.ListComp) -> ast.C
                 case _:
                     nothing = ast.copy_location(ast.Constant(0), element)
                     element = ast.copy_location(ast.IfExp(test, element, nothing), element)
-        generators.append(ast.comprehension(generator.target, generator.iter, [], generator.is_async))
-    if not any(generator.ifs for generator in inner.generators):
-        return call
-    new = ast.copy_location(ast.GeneratorExp(element, generators), inner)
-    return ast.copy_location(ast.Call(call.func, [new], call.keywords), call)
+        bare = ast.comprehension(generator.target, generator.iter, [], generator.is_async)
+        each = ast.copy_location(ast.GeneratorExp(element, [bare]), inner)
+        element = result = ast.copy_location(ast.Call(call.func, [each], []), call)
+    # Where a sum begins is the outermost one's to say.
+    result.args += call.args[1:]
+    result.keywords = call.keywords
+    return result
 
 
 def _has_parts(target: ast.expr) -> bool:

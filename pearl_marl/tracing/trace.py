@@ -7,15 +7,16 @@ is found here, and said in one sentence with the line of the author's file.
 from __future__ import annotations
 
 import inspect
+import math
 import sys
 import types
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any
 
 from pearl_marl.errors import ArgumentError
-from pearl_marl.places import author_of, place_of
-from pearl_marl.remaking import Vocabulary, remade
+from pearl_marl.places import author_of, is_librarys, place_of
+from pearl_marl.remaking import Vocabulary, refused, remade
 from pearl_marl.tracing.graph import Graph
 from pearl_marl.tracing.nodes import Node
 from pearl_marl.tracing.rewriting import RUNTIME, Refusal, rewritten
@@ -58,35 +59,81 @@ def trace(graph: Graph, function: Callable[..., Any], arguments: Sequence[Node],
         except Exception as error:
             kind = "" if isinstance(error, ArgumentError) else f"{type(error).__name__}: "
             raise ArgumentError(f"{_place_of(error, function)}: {kind}{error}") from error
-    try:
-        return [
-            node_of(graph, value) for value in (result if isinstance(result, (tuple, list)) else (result,))
-        ]
-    except ArgumentError as error:
-        raise ArgumentError(f"{place(function)}: {function.__name__}() returns {error}") from None
+    nodes = []
+    for value in result if isinstance(result, (tuple, list)) else (result,):
+        try:
+            nodes.append(node_of(graph, value))
+        except ArgumentError as error:
+            why = str(error)
+            if isinstance(value, Beyond) or (isinstance(value, float) and graph.floats is not None):
+                why = f"{value!r} where an integer is due; int() and round() make one"
+            elif not isinstance(value, float):
+                why = f"{value!r}, and an integer is due"
+            raise ArgumentError(f"{place(function)}: {function.__name__}() returns {why}") from None
+    return nodes
 
 
 def _traced(graph: Graph, function: types.FunctionType) -> Callable[..., Any]:
     """Return a function made again over words, with calls in the place of decisions."""
     if hasattr(function, "admits"):  # floats, as those of an environment with reals do
         function.admits(graph)
-    runtime, functions = Runtime(graph), graph.floats.functions if graph.floats else {}
+    functions = graph.floats.functions if graph.floats else {}
+
+    def again(met: types.FunctionType) -> Any:
+        if not _is_authors(met, "envs."):
+            return met
+        return remade(met, _of_methods(functions).meaning, code=_code, names={**names, **_orders(names)})
+
+    runtime = Runtime(graph, again)
     names = {**runtime.builtins(), RUNTIME: runtime}
     meaning = Vocabulary(Cast, table, functions).meaning
     made: Callable[..., Any] = remade(function, meaning, code=_code, names=names)
     return made
 
 
+def _of_methods(functions: Mapping[Any, Callable[..., Any]]) -> Vocabulary:
+    """Return the vocabulary of functions that the reference leaves as they are.
+
+    What would be something else there, such as NumPy's casts, is refused.
+    """
+
+    def no(value: Any) -> Any:
+        hint = " in a method or a function of a list; write a function and call it by its name"
+        return refused(value.__name__, hint)
+
+    own = {f: no(f) if f in _FLOATS_OF_PYTHON else made for f, made in functions.items()}
+    return Vocabulary(no, table, own)
+
+
+def _orders(names: Mapping[str, Any]) -> dict[str, Callable[..., Any]]:
+    """Return min() and max() of such functions: of reals and floats, Python's own make one or the other."""
+
+    def of_integers(name: str) -> Callable[..., Any]:
+        def function(*values: Any, **keywords: Any) -> Any:
+            every = list(values[0]) if len(values) == 1 else values
+            if any(isinstance(value, Beyond) for value in every):
+                raise ArgumentError(f"{name}() of reals in a method; np.{name}imum() takes two, everywhere")
+            return names[name](every, **keywords)
+
+        return function
+
+    return {name: of_integers(name) for name in ("min", "max")}
+
+
+_FLOATS_OF_PYTHON = {math.sin, math.cos, math.sqrt, math.exp, math.tanh, math.hypot, math.fabs, math.pow}
 _OUR_OWN = "golden", "fixed_point", "envs."
 """Of this package's functions, those that are written as an author's are."""
 
 
-def _code(function: types.FunctionType) -> types.CodeType:
-    module = function.__globals__.get("__name__", "")
+def _is_authors(function: types.FunctionType, *own: str) -> bool:
+    """Return whether a function is neither a library's nor of this package, but for some modules of it."""
+    module: str = function.__globals__.get("__name__", "")
     package, _, rest = module.partition(".")
-    if package == "numpy" or (package == "pearl_marl" and not rest.startswith(_OUR_OWN)):
-        return function.__code__
-    return rewritten(function.__code__)
+    return rest.startswith(own) if package == "pearl_marl" else not is_librarys(module)
+
+
+def _code(function: types.FunctionType) -> types.CodeType:
+    return rewritten(function.__code__) if _is_authors(function, *_OUR_OWN) else function.__code__
 
 
 def place(function: Callable[..., Any], line: int | None = None) -> str:
@@ -108,7 +155,8 @@ def _place_of(error: BaseException, function: Callable[..., Any]) -> str:
 def _is_ours(frame: types.FrameType) -> bool:
     module = frame.f_globals.get("__name__", "")
     own = module.startswith("pearl_marl.") and not module.startswith("pearl_marl.envs.")
-    return own or module.partition(".")[0] == "numpy"
+    # A dataclass has methods that Python wrote.
+    return own or is_librarys(module) or frame.f_code.co_filename == "<string>"
 
 
 @contextmanager

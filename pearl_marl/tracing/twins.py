@@ -48,7 +48,8 @@ class Twins:
             return
         same: dict[int, tuple[Callable[[], Any], Node]] = {}
         for number, own in self._which(of).items():
-            for key, (known, flag) in self._places[number].items():
+            # While conditions are made, some may be forgotten.
+            for key, (known, flag) in list(self._places[number].items()):
                 if key != id(of):
                     here = self.graph.and_(own, flag)
                     same[key] = known, self.graph.or_(same[key][1], here) if key in same else here

@@ -6,6 +6,8 @@ the author's file it happened.
 
 from __future__ import annotations
 
+import copy
+import dataclasses
 import operator
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any, NoReturn
@@ -41,11 +43,12 @@ def _shift(operation: str) -> tuple[Callable[[Any, Any], Any], Callable[[Any, An
 
     def checked(value: Any, by: Any) -> Any:
         node = node_of(value.graph, by)
-        if node.low < 0 or (operation == "left_by" and node.high > MOST_SHIFT):
-            raise ArgumentError(
-                f"a shift can be by {node.low} to {node.high}; possible are 0 to {MOST_SHIFT}"
-            )
-        return shift(value, by)
+        low, high = (node.low, node.high) if node.low >= 0 else value.graph.limits(node)
+        if operation == "left_by" and high > MOST_SHIFT:
+            low, high = value.graph.limits(node)
+        if low < 0 or (operation == "left_by" and high > MOST_SHIFT):
+            raise ArgumentError(f"a shift can be by {low} to {high}; possible are 0 to {MOST_SHIFT}")
+        return shift(value, Word(value.graph, value.graph.narrow(node, low, high)))
 
     return checked, lambda self, value: checked(word_of(self.graph, value), self)
 
@@ -86,9 +89,15 @@ class Word:
     def __bool__(self) -> NoReturn:
         raise ArgumentError(
             "a word decides what Python does next, where its source is not at hand, as in a library's "
-            "function or an object's method; write a function in a file (or a notebook's cell), not in an "
-            "interactive shell or by exec(), and name it where you call it"
+            "function, or a property or an operator of a class; write a function in a file (or a notebook's "
+            "cell), not in an interactive shell or by exec(), and name it where you call it"
         )
+
+    def __copy__(self) -> Word:
+        return self
+
+    def __deepcopy__(self, memo: object) -> Word:
+        return self
 
     def asked(self) -> None:
         """Refuse to be a random draw where a word decides whether it is asked for."""
@@ -119,6 +128,9 @@ class Word:
     def __str__(self) -> NoReturn:
         self.__format__("")
 
+    def __repr__(self) -> str:
+        return "a word"
+
     def __iter__(self) -> NoReturn:
         raise ArgumentError("a word is taken apart like a sequence")
 
@@ -127,7 +139,14 @@ class Word:
 
     __rtruediv__ = __truediv__
 
-    def __pow__(self, exponent: object) -> Word:
+    def __rpow__(self, base: object) -> Any:
+        raise ArgumentError(
+            "a word is an exponent; powers of 2 are `1 << k`, and those of others a list that a word indexes"
+        )
+
+    def __pow__(self, exponent: object, modulus: object = None) -> Word:
+        if modulus is not None:
+            return self.__pow__(exponent) % modulus
         if not isinstance(exponent, int) or exponent < 0:
             raise ArgumentError("a power of a word has a constant exponent from 0")
         node = self.graph.constant(1)
@@ -184,21 +203,21 @@ def _leaving(name: str) -> Callable[[Any, Any], Any]:
     """Return a method of words that leaves numbers beyond them, and floats where there are any, to others."""
     own = getattr(Word, name)
 
-    def method(self: Word, other: object) -> Any:
+    def method(self: Word, other: object, *rest: object) -> Any:
         if isinstance(other, Beyond):
             return NotImplemented
         floats = self.graph.floats
         if floats is not None and (isinstance(other, float) or name in ("__truediv__", "__rtruediv__")):
             return getattr(floats(self), name)(other)
-        return own(self, other)
+        return own(self, other, *rest)
 
     return method
 
 
-for _name in ("add", "sub", "mul", "truediv", "mod"):
+for _name in ("add", "sub", "mul", "truediv", "mod", "pow"):
     for _method in (f"__{_name}__", f"__r{_name}__"):
         setattr(Word, _method, _leaving(_method))
-for _name in ("eq", "ne", "lt", "le", "gt", "ge", "pow"):
+for _name in ("eq", "ne", "lt", "le", "gt", "ge"):
     setattr(Word, f"__{_name}__", _leaving(f"__{_name}__"))
 
 _UFUNCS: dict[str, Any] = {
@@ -222,8 +241,9 @@ _UFUNCS: dict[str, Any] = {
 
 def _divisor(graph: Graph, value: object) -> Node:
     node = node_of(graph, value)
-    if node.low < 1:
-        found = f"{node.low}" if node.low == node.high else f"{node.low} to {node.high}"
+    low, high = (node.low, node.high) if node.low >= 1 else graph.limits(node)
+    if low < 1:
+        found = f"{low}" if low == high else f"{low} to {high}"
         raise ArgumentError(
             f"a divisor can be {found}, and `//` and `%` take one from 1; `max(n, 1)` keeps it in"
         )
@@ -275,21 +295,64 @@ class Cast:
         return wrapped(_integer(value), self.bits, self.signed)
 
 
-class Table(tuple[Any, ...]):
-    """A constant table, which a word may index."""
+class _Indexed:
+    """What a constant table does with an index: a word may be one, and NumPy's tables take several."""
 
     __slots__ = ()
 
     def __getitem__(self, index: Any) -> Any:
         if isinstance(index, tuple):
+            check_places(index)
             table: Any = self
             for i in index:
                 table = table[i]
             return table
-        if not isinstance(index, Word):
-            found = super().__getitem__(index)
-            return Table(found) if isinstance(index, slice) else found
-        return chosen_entry(index.graph, self, node_of(index.graph, index))
+        if isinstance(index, Word):
+            return chosen_entry(index.graph, self, node_of(index.graph, index))  # type: ignore[arg-type]
+        return super().__getitem__(index)  # type: ignore[misc]
+
+
+class Table(_Indexed, tuple[Any, ...]):
+    """A constant table, which a word may index."""
+
+    __slots__ = ()
+
+    def __getitem__(self, index: Any) -> Any:
+        found = super().__getitem__(index)
+        return Table(found) if isinstance(index, slice) else found
+
+
+def _constant(*_: Any, **__: Any) -> NoReturn:
+    raise ArgumentError(
+        "what is made outside of the function is written, and each slot would need its own; make it inside, "
+        "as by list(), or keep it in the state"
+    )
+
+
+class TableList(_Indexed, list[Any]):
+    """A constant table that its author has made as a list: what is copied of it is one."""
+
+    def __copy__(self) -> list[Any]:
+        return list(self)
+
+    def __deepcopy__(self, memo: Any) -> list[Any]:
+        return [copy.deepcopy(value, memo) for value in self]
+
+    __setitem__ = __delitem__ = __iadd__ = __imul__ = _constant
+    append = extend = insert = pop = remove = clear = sort = reverse = _constant
+
+
+class TableDict(dict[Any, Any]):
+    """A constant dict."""
+
+    __setitem__ = __delitem__ = __ior__ = _constant
+    clear = pop = popitem = setdefault = update = _constant
+
+
+def check_places(index: tuple[Any, ...]) -> None:
+    """Refuse an index of several parts that NumPy would take to be a slice of a table."""
+    if any(isinstance(part, slice) or part is None or part is Ellipsis for part in index):
+        raise ArgumentError("a table is indexed by one number for each of its dimensions; a slice is none")
 
 
 def chosen_entry(graph: Graph, entries: Sequence[Any], index: Node) -> Any:
@@ -306,12 +369,17 @@ def chosen_entry(graph: Graph, entries: Sequence[Any], index: Node) -> Any:
         if len({len(entry) for entry in entries}) > 1:
             raise ArgumentError("a word chooses from sequences of different lengths")
         parts = [chosen_entry(graph, column, index) for column in zip(*entries, strict=True)]
-        kind = type(entries[0])
+        kind = list if isinstance(entries[0], TableList) else type(entries[0])
         new = kind(*parts) if hasattr(kind, "_fields") else kind(parts)
-        if isinstance(new, list) and graph.twins is not None:
-            places = range(max(index.low, 0), min(index.high, len(entries) - 1) + 1)
-            graph.twins.chosen(new, [(graph.equal(index, graph.constant(k)), entries[k]) for k in places])
-        return new
+        return _which(graph, new, entries, index) if isinstance(new, list) else new
+    if graph.floats is not None and any(isinstance(entry, (float, Beyond)) for entry in entries):
+        return graph.floats.chosen(Word(graph, index), entries)
+    kinds = {type(entry) for entry in entries}
+    if len(kinds) == 1 and dataclasses.is_dataclass(kind := kinds.pop()):
+        names = [field.name for field in dataclasses.fields(kind)]
+        columns = {name: [getattr(entry, name) for entry in entries] for name in names}
+        values = {name: chosen_entry(graph, column, index) for name, column in columns.items()}
+        return _which(graph, dataclasses.replace(entries[0], **values), entries, index)
     if all(type(entry) is int for entry in entries):  # a long table, without a node for each
         return Word(graph, graph.table(entries, index))
     nodes = [node_of(graph, entry) for entry in entries]
@@ -324,9 +392,22 @@ def chosen_entry(graph: Graph, entries: Sequence[Any], index: Node) -> Any:
     return Word(graph, result)
 
 
-def table(values: Iterable[Any]) -> Table:
+def _which(graph: Graph, new: Any, entries: Sequence[Any], index: Node) -> Any:
+    """Return what is the entry that a node chooses, so that what is written there is written into both."""
+    if graph.twins is not None:
+        places = range(max(index.low, 0), min(index.high, len(entries) - 1) + 1)
+        graph.twins.chosen(new, [(graph.equal(index, graph.constant(k)), entries[k]) for k in places])
+    return new
+
+
+def table(values: Iterable[Any]) -> Table | TableList | TableDict:
     """Return a table of numbers, or of tables; entries that are objects of a class stay such."""
-    return Table(
+    if isinstance(values, dict):
+        return TableDict(
+            (key, table(v) if type(v) in (list, tuple, dict) else v) for key, v in values.items()
+        )
+    made = (
         type(v)(*table(v)) if hasattr(v, "_fields") else table(v) if isinstance(v, (list, tuple)) else v
         for v in values
     )
+    return TableList(made) if isinstance(values, list) else Table(made)

@@ -344,6 +344,224 @@ PROGRAMS = {
                 x += TABLE[a + b]
             return x, places[min(a, 2)]
     """,
+    "constant lists, which are lists": """
+        GOAL, GOALS, START = [1, 0], [[1, 0], [2, 2]], [[1, 0], [2, 3]]
+        def f(a, b, c):
+            equal = [a, b] == GOAL, (a, b) == GOAL, [a, b] in GOALS, (a, b) in GOALS
+            longer, own, board = GOAL + [a], GOAL.copy() * 2, [row[:] for row in START]
+            own[a] = board[c][c] = b
+            chosen = list(GOAL if c else [a, b])
+            chosen[c] = 7
+            return [*equal, *longer, *own, *board[0], *board[1], *chosen, *START[c]]
+    """,
+    "an array of NumPy's": """
+        import numpy as np
+        TWO = np.array([[1, 2, 3, 4], [5, 6, 7, 8], [9, 8, 7, 6], [1, 1, 1, 1]])
+        FLAGS = np.array([True, False, True, True])
+        def f(a, b, c):
+            return TWO[a, b], TWO[a][b], TWO[2, b], *TWO[b][1:3], 5 if FLAGS[a] else len(TWO)
+    """,
+    "methods that decide and write": """
+        from dataclasses import dataclass
+        from typing import NamedTuple
+        @dataclass
+        class Robot:
+            row: int
+            load: list
+            def move(self, by):
+                if by == 2:
+                    self.load[0] = 5
+                    return
+                self.row += by
+        class Point(NamedTuple):
+            x: int
+            def moved(self, by):
+                return self if by > 2 else self._replace(x=self.x + by)
+        def f(a, b, c):
+            robot, point = Robot(3, [1, 2]), Point(b)
+            if a > 1:
+                robot.move(b)
+                setattr(robot, "row", robot.row + 1)
+                point = point.moved(a)
+            return robot.row, *robot.load, point.x
+    """,
+    "functions that no name leads to": """
+        import functools
+        def first(board, x):
+            board[0] = x
+        def second(board, x):
+            if x:
+                board[1] = x
+        ACTS, NAMED = (first, second), {"second": second}
+        part = functools.partial(first, x=7)
+        def by_default(board, x, act=second):
+            act(board, x)
+        def f(a, b, c):
+            board, other, third = [0, 0], [0, 0], [0, 0]
+            for act in ACTS:
+                if a > 1:
+                    act(board, b)
+            if a > 2:
+                NAMED["second"](other, a)
+                part(other)
+            if c:
+                by_default(third, b)
+            return board + other + third
+    """,
+    "lists that grow in place": """
+        from dataclasses import dataclass
+        @dataclass
+        class Box:
+            rows: list
+        def f(a, b, c):
+            grid, one = [[a], [b]], [c]
+            row, box = grid[0], Box(one)
+            grid[0] += [b]
+            box.rows += [a]
+            return [*row, *one, *grid[0]]
+    """,
+    "lists of a branch that grow there": """
+        import copy
+        def longer(x, y):
+            made = x + [y]
+            made.append(y)
+            twice, same = made * 2, made.copy()
+            twice.pop()
+            same.append(7)
+            deep = copy.deepcopy([x, made])
+            deep[1].append(x[0])
+            return sum(twice) + sum(same) + sum(deep[1])
+        def f(a, b, c):
+            return longer([a, c], b) if a > 1 else 0
+    """,
+    "objects that a word chooses": """
+        from dataclasses import dataclass
+        @dataclass
+        class Robot:
+            row: int
+            load: list
+        def f(a, b, c):
+            robots = [Robot(k, [k, a]) for k in range(4)]
+            robots[a].row += 5
+            robot = robots[b]
+            robot.load[c] = 9
+            robots[3].load[0] += 1
+            equal = robot == robots[a], robot != Robot(b, [b, a]), robot is robots[2]
+            return [*equal, *(x for r in robots for x in (r.row, *r.load))]
+    """,
+    "the order of sequences": """
+        def f(a, b, c):
+            less = (a, b) < (b, a), [a, b] <= [b, a], (a, 1) > (b, c), (a,) < (a, b), [a, b, c] >= [b, a]
+            return [*less, *max((a, b), (b, a)), *min([a, c], [c, a], [b, b])]
+    """,
+    "the least by a key": """
+        def f(a, b, c):
+            board = [a, b, c + 1]
+            places = min(range(3), key=lambda k: board[k]), max(range(3), key=board.__getitem__)
+            others = min(board, key=lambda x: -x), max(b, a, key=lambda x: x ^ 1)
+            return [*places, *others, min(board, default=9)]
+    """,
+    "reductions of loops inside others": """
+        def f(a, b, c):
+            board = [[a, b], [b, c], [c, a]]
+            return [
+                any(x == 2 for i in range(3) if i < 2 for x in board[i + 1]),
+                sum((x for i in range(4) if i < 3 if i != b for x in board[i] if x > 1), 10),
+                all(x > 0 for i in range(3) if i < 2 if a for x in board[i + 1] if x != 2),
+            ]
+    """,
+    "what is looked for in an iterator": """
+        import itertools
+        def f(a, b, c):
+            named, found = {"a": a, "b": b}, 0
+            for k in itertools.count(1, step=2):
+                if k > 6:
+                    break
+                found += k
+            return 3 in (x for x in [a, b]), 2 in named.values(), found, round(a), (a == b) is not None
+    """,
+    "what a branch keeps from being divided by": """
+        def f(a, b, c):
+            first = a // b if b else 0, a % b if b > 0 else 7, b and a // b
+            x = a << (b - 1) if b >= 1 else 0
+            if b == 0:
+                return [*first, x, a]
+            while b:
+                a, b = b, a % b
+            return [*first, x, a]
+    """,
+    "types by other names": """
+        from typing import NamedTuple
+        def f(a, b, c):
+            class Point(NamedTuple):
+                x: int
+            kinds = isinstance(a, int), isinstance([a], (list, tuple)), isinstance(c == 1, float), bool()
+            point = type(Point(1))(a)
+            return [*kinds, point.x, int("11", 2), int.from_bytes(b"a", "big"), pow(a, 2, 3)]
+    """,
+    "all numbers in any order": """
+        def f(a, b, c):
+            draws = Draws([a << 30, b << 30, a << 29, b << 29, c << 31, a << 30, b << 30])
+            names = [5, 6, 7, 8, 9, 10, 11, 12]
+            return [names[k] for k in draws.permutation(8)]
+    """,
+    "a row that a branch puts into a list, and changes": """
+        from dataclasses import dataclass
+        @dataclass
+        class Robot:
+            load: list
+        def f(a, b, c):
+            board, robot = [[1, 2], [3, 4]], Robot([1, 2])
+            if c:
+                row = robot.load = [5, 6]
+                board[b & 1] = row
+                board[a & 1][1] = 9
+                robot.load[a & 1] = 7
+                row[0] = 8
+                if a > 1:
+                    board[0] = [a, b]
+                    board[0][0] += 1
+            else:
+                board[0] = board[1]
+                board[0][a & 1] = 4
+            return board[0] + board[1] + robot.load
+    """,
+    "objects that begin and are called": """
+        from dataclasses import dataclass
+        class Counter:
+            def __init__(self, n, *, k=1):
+                self.n = n if n > 1 else k
+                if n == 3:
+                    self.n = 0
+            def __call__(self, x):
+                if x > 1:
+                    self.n += x
+        @dataclass
+        class Filler:
+            row: list
+            size: int = 2
+            def __post_init__(self):
+                self.row[0] = 5
+                if self.size > 2:
+                    self.size = 1
+        def f(a, b, c):
+            row, counter, sizes = [1, 2], Counter(a, k=c), 0
+            if b > 1:
+                inner = Counter(b)
+                inner(a)
+                sizes = Filler(row, a).size + inner.n
+                counter(a)
+            if c:
+                list(map(counter, [a, b]))
+            return *row, counter.n, sizes
+    """,
+    "constant dicts": """
+        NAMED = {"u": [1, 2, 3, 4], "v": {"w": (4, 5, 6, 7)}}
+        def f(a, b, c):
+            own = dict(NAMED, n=a)
+            own["n"] += 1
+            return NAMED["u"][a] + NAMED["v"]["w"][b], own["n"], (NAMED | {"z": c})["z"], NAMED.get("x", 3)
+    """,
 }
 
 
@@ -672,6 +890,256 @@ MISTAKES = {
             return 1 if (a > 3) is True else 0
         """,
         (2, "`is` on a word; use `==`"),
+    ),
+    "a constant list that is written": (
+        """
+        BOARD = [1, 2]
+        def f(a, b):
+            BOARD[a & 1] = b
+            return BOARD[0]
+        """,
+        (3, "what is made outside of the function is written, and each slot would need its own"),
+    ),
+    "a default list that grows": (
+        """
+        def g(a, seen=[]):
+            seen.append(a)
+            return len(seen)
+        def f(a, b):
+            return g(a)
+        """,
+        (2, "what is made outside of the function is written"),
+    ),
+    "a slice of a table": (
+        """
+        import numpy as np
+        TABLE = np.array([[1, 2], [3, 4]])
+        def f(a, b):
+            return TABLE[:, 1]
+        """,
+        (4, "a table is indexed by one number for each of its dimensions; a slice is none"),
+    ),
+    "a set that grows": (
+        """
+        def f(a, b):
+            seen = set()
+            if a > 3:
+                seen.add(1)
+            return len(seen)
+        """,
+        (4, "a set changes where a word decides whether it does; use a list of a flag, or a number"),
+    ),
+    "a dict that changes": (
+        """
+        def f(a, b):
+            v = {"x": 1}
+            if a > 3:
+                v.update(x=b)
+            return v["x"]
+        """,
+        (4, "a dict changes where a word decides whether it does"),
+    ),
+    "a dict that gets a key": (
+        """
+        def f(a, b):
+            v = {"x": 1}
+            if a > 3:
+                v["y"] = b
+            return len(v)
+        """,
+        (4, "a dict changes where a word decides whether it does"),
+    ),
+    "a queue": (
+        """
+        from collections import deque
+        def f(a, b):
+            v = deque([1])
+            if a > 3:
+                v.appendleft(b)
+            return len(v)
+        """,
+        (5, "a deque changes where a word decides whether it does"),
+    ),
+    "a list that is turned round": (
+        """
+        def f(a, b):
+            v = [1, 2]
+            if a > 3:
+                v.reverse()
+            return v[0]
+        """,
+        (4, "reverse() of a list where a word decides whether it is; write its elements"),
+    ),
+    "a cast in a method": (
+        """
+        from typing import NamedTuple
+        class Robot(NamedTuple):
+            row: int
+            def moved(self):
+                return u8(self.row + 1)
+        def f(a, b):
+            return Robot(a).moved()
+        """,
+        (5, "golden functions cannot use uint8 in a method or a function of a list; write a function"),
+    ),
+    "a type": (
+        """
+        def f(a, b):
+            return 1 if type(a) is int else 0
+        """,
+        (2, "type() of a number or a list, which is of another one before hardware runs"),
+    ),
+    "a flag's type": (
+        """
+        def f(a, b):
+            return 1 if isinstance(a, bool) else 0
+        """,
+        (2, "isinstance() asks whether a word is a bool, and a flag is a word like others"),
+    ),
+    "an exponent": (
+        """
+        def f(a, b):
+            return 2**a
+        """,
+        (2, "a word is an exponent; powers of 2 are `1 << k`, and those of others a list"),
+    ),
+    "an attribute that a branch makes": (
+        """
+        from types import SimpleNamespace
+        def f(a, b):
+            v = SimpleNamespace()
+            if a:
+                v.x = b
+            return v.x
+        """,
+        (5, "attribute 'x' is new where a word decides whether it is; give it a value before"),
+    ),
+    "objects of no record": (
+        """
+        class Robot:
+            pass
+        def f(a, b):
+            v = Robot() if a else Robot()
+            return v.x
+        """,
+        (4, "a word chooses between two objects of Robot; make Robot a NamedTuple or a dataclass"),
+    ),
+    "functions that a word chooses": (
+        """
+        def f(a, b):
+            return (min if a else max)(a, b)
+        """,
+        (2, "a word chooses between two functions; call each on its side of the branch"),
+    ),
+    "a chance that is a word": (
+        """
+        def f(a, b):
+            return Draws([b]).chance(a, 16)
+        """,
+        (2, "draws.chance() takes numbers, and a word is none yet; draws.below(n) < word is such a chance"),
+    ),
+    "bits that are a word": (
+        """
+        def f(a, b):
+            return Draws([b]).bits(a)
+        """,
+        (2, "draws.bits(a word): a draw has 1 to 32 bits"),
+    ),
+    "an order by words": (
+        """
+        def f(a, b):
+            return sorted(range(2), key=lambda k: [a, b][k])[0]
+        """,
+        (2, "sorted() of words; pearl_marl.golden.inserted puts one into its place"),
+    ),
+    "a field of another name": (
+        """
+        from typing import NamedTuple
+        class Robot(NamedTuple):
+            row: int
+        def f(a, b):
+            return Robot(a)._replace(column=b)[0]
+        """,
+        (5, "ValueError: Got unexpected field names: ['column']"),
+    ),
+    "nothing": (
+        """
+        def f(a, b):
+            return a, None
+        """,
+        (1, "f() returns None, and an integer is due"),
+    ),
+    "a coroutine": (
+        """
+        async def f(a, b):
+            return a
+        """,
+        (1, "golden functions have no `async`"),
+    ),
+    "a constant dict that is written": (
+        """
+        COUNTS = {"n": 0}
+        def f(a, b):
+            COUNTS["n"] += 1
+            return COUNTS["n"]
+        """,
+        (3, "what is made outside of the function is written"),
+    ),
+    "an attribute of a class": (
+        """
+        class Count:
+            n = 0
+        def f(a, b):
+            Count.n += 1
+            return Count.n
+        """,
+        (4, "attribute 'n' of what all slots share is written; return it, or keep it in the state"),
+    ),
+    "an element that counts": (
+        """
+        def f(a, b):
+            v = [0]
+            for v[0] in range(3):
+                a += 1
+            return a
+        """,
+        (3, "a `for` counts in an element or an attribute; count in a variable, and assign it"),
+    ),
+    "an iterator": (
+        """
+        def f(a, b):
+            v = iter([1, 2, 3])
+            if a > 3:
+                next(v)
+            return next(v)
+        """,
+        (4, "next() where a word decides whether it is; go on before the `if`"),
+    ),
+    "a heap": (
+        """
+        from heapq import heappush
+        def f(a, b):
+            v = []
+            if a > 3:
+                heappush(v, 1)
+            return len(v)
+        """,
+        (5, "heappush() writes where a word decides whether it does; assign instead"),
+    ),
+    "an operator that changes an object": (
+        """
+        class Count:
+            n = 0
+            def __iadd__(self, by):
+                self.n = by
+                return self
+        def f(a, b):
+            v = Count()
+            if a > 3:
+                v += 1
+            return v.n
+        """,
+        (9, "an operator of Count changes it where a word decides; write a function"),
     ),
     "a comprehension that leaves out": (
         """

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import json
 import os
 import platform
@@ -26,6 +27,7 @@ from pearl_marl.cache import cache_folder
 from pearl_marl.compiler import kernels, llvm_functions
 from pearl_marl.compiler.cuda_source import cuda_source
 from pearl_marl.compiler.kernel_source import kernel_source
+from pearl_marl.compiler.loading import fingerprint
 from pearl_marl.compiler.pieces import PREFIXES
 from pearl_marl.devices import BatchConfig, Native
 from pearl_marl.golden import u32
@@ -303,6 +305,34 @@ def test_a_change_makes_another_kernel(cache: Path, make: Callable[[int], Any]) 
     same, again, other = (kernels.compile_kernels(with_step(make(k))).path for k in (1, 1, 2))
     assert same == again, "or every process would compile anew"
     assert same != other, "or a stale kernel would be loaded"
+
+
+class Amounts:
+    """A class of an author's, of which each test has its own."""
+
+
+def amounts(k: int) -> Any:
+    return type("Amounts", (Amounts,), {"AMOUNT": k, "added": helper(k)})
+
+
+OBJECTS: dict[str, Callable[[int], Any]] = {
+    "dict": lambda k: {"amount": k},
+    "set": lambda k: {k, 7},
+    "class": amounts,
+    "object of a class": lambda k: amounts(k)(),
+    "functions": lambda k: [helper(k), helper(3)],
+    "functions of a dict": lambda k: {"add": (helper(k),)},
+    "part of a function": lambda k: functools.partial(helper(3), k),
+    "method": lambda k: amounts(k)().added,
+}
+
+
+@pytest.mark.parametrize("what", OBJECTS)
+def test_a_change_in_an_object_is_another_fingerprint(what: str) -> None:
+    """Or a core that was generated before would stand for the new function."""
+    same, again, other = (fingerprint(in_globals(using_global, AMOUNT=OBJECTS[what](k))) for k in (1, 1, 2))
+    assert same == again
+    assert same != other
 
 
 def test_other_changes_make_another_kernel(cache: Path) -> None:
