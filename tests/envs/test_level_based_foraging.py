@@ -287,7 +287,7 @@ def law(size: int, foods: int) -> dict[tuple[int, ...], float]:
 
 def test_every_start_of_a_small_grid() -> None:
     """The probability of each of them, over many draws."""
-    spec, n = spec_of(options(5, 2, 2)), 500_000
+    spec, n = spec_of(options(5, 2, 2)), 200_000
     expected = law(5, 2)
     assert sum(expected.values()) == pytest.approx(1)
     players, foods = things(spec, started(spec, n, seed=1))

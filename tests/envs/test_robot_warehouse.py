@@ -462,7 +462,7 @@ def test_each_shelf_that_is_not_asked_for_is_as_likely_to_be_next() -> None:
 
 def test_starts() -> None:
     """Every pair of cells, directions, and pair of shelves is as likely, by itself and beside the others."""
-    spec, n = spec_of({}), 400_000
+    spec, n = spec_of({}), 200_000
     rules, generator = rules_for(spec), np.random.default_rng(2)
     state = started(spec, n, generator)
     robots, requests = parts(rules, state)

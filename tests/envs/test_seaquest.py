@@ -258,7 +258,7 @@ def test_a_device_plays_minatars_game() -> None:
 
 def test_draws_decide_as_often_as_minatars() -> None:
     """Direction, row and kind of an enemy, those of a diver and the last action again, by chi-squared."""
-    n, config = 100_000, spec()
+    n, config = 40_000, spec()
     state = [np.full(n, word) for word in call_reference(config.positional.initial, ())]
     state[COLUMN["enemy_timer"]][:] = state[COLUMN["diver_timer"]][:] = 0
     state[COLUMN["last_action"]][:] = FIRE
