@@ -26,6 +26,7 @@ from pearl_marl.fields import word_bits as word_bits
 from pearl_marl.golden import MOST_DRAWS, CountingDraws, GoldenFunction, as_python_runs_it
 from pearl_marl.layout import Interval, Layout, real_field
 from pearl_marl.pickling import reduced
+from pearl_marl.places import place_of
 from pearl_marl.positional import Positional, initial_of, step_of, takes_agent, unpack_of, view_of
 from pearl_marl.tracing.checks import Argument, Result, check
 from pearl_marl.tracing.operations import word_range
@@ -340,7 +341,7 @@ class EnvSpec:
 
         draws = tuple(Argument(f"draw_{k}", 32, False, 0, (1 << 32) - 1) for k in range(MOST_DRAWS))
         state, rewards = arguments(self.state), results(self.each_agent(self.reward))
-        if self.rewards is not None and len(self.rewards) <= rewards[0].high:
+        if self.rewards is not None:
             high, fix = len(self.rewards) - 1, "add a reward, or change the category"
             rewards = tuple(Result(r.name, 0, high, "the table of rewards lists", fix) for r in rewards)
         actions = arguments(self.each_agent(*_told_apart(self.action_fields, "action")))
@@ -370,6 +371,22 @@ class EnvSpec:
         for function, given, due, agent in calls:
             if function in functions:
                 check(function, given, due, *agent)
+        self._check_unpack()
+
+    def _check_unpack(self) -> None:
+        """Refuse an ``unpack()`` that fails: compiled, it would write beyond its row without a word."""
+        if (unpack := self.positional.unpack) is None:
+            return
+        row = np.zeros(self.observation_size, self.observation_dtype)
+        for end in range(2):
+            try:
+                unpack(*(int(field.range[end]) for field in self.observation), row)
+            except Exception as error:
+                code = getattr(self.unpack, "py_func", self.unpack).__code__  # type: ignore[union-attr]
+                raise ArgumentError(
+                    f"{place_of(code.co_filename, code.co_firstlineno)}: unpack() fails for a row of "
+                    f"{self.observation_size} elements, as {self.observation_space} has: {error}"
+                ) from error
 
     def _check_names(self, word: str, fields: Iterable[Field], taken: Iterable[str] = ()) -> None:
         seen: set[str] = set()
@@ -635,12 +652,11 @@ def _width(count: int) -> int:
 def _result(word: Field) -> Result:
     low, high = word.range
     wraps = f"{'i' if word.signed else 'u'}{word.bits}()" if word.bits in (8, 16, 32, 64) else f"& {high}"
-    fix = "`min` and `max` keep it in" + (
-        f", and `{wraps}` lets it wrap around" if "(" in wraps or low == 0 else ""
-    )
-    limit = f"{word.bits} bits hold" if word.bits > 1 else "1 bit holds"
+    fix, limit = "`min` and `max` keep it in", f"{word.bits} bits hold" if word.bits > 1 else "1 bit holds"
     if (low, high) != word_range(word.bits, word.signed):
         limit = "its range is"
+    elif "(" in wraps or low == 0:
+        fix += f", and `{wraps}` lets it wrap around"
     return Result(word.name, low, high, limit, fix)
 
 

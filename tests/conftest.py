@@ -121,7 +121,7 @@ def once(tmp_path_factory: pytest.TempPathFactory) -> Once:
 def ray_cluster() -> None:
     """Have this process in a Ray cluster with one board, which takes seconds to begin and ends with it."""
     ray = importlib.import_module("ray")
-    # Its workers find modules where this process was when it began: somewhere else, if a script of the docs did.
+    # Else its workers look for modules where this process stood when Ray began: in a folder of the docs'.
     environment = {"env_vars": {"PYTHONPATH": str(Path(__file__).parents[1])}}
     if ray.is_initialized():
         if ray.get_runtime_context().runtime_env == environment:

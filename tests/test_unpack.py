@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 import pickle
 from typing import Any, NamedTuple
 
@@ -153,15 +154,25 @@ def test_what_is_refused() -> None:
         spec_of(golden=golden)
 
 
-def unpack_from_a_file(seen: Any, row: Any) -> None:
+def unpack_of_a_text(seen: Any, row: Any) -> None:
     row[0] = 1
-    open("a file")  # noqa: SIM115
+    row[1] = len(json.dumps([1]))
+
+
+def unpack_beyond(seen: Any, row: Any) -> None:
+    row[seen.row + row.size - 4] = 1  # where the row is 3 or less, all is well
+
+
+def test_a_write_beyond_the_row_is_refused() -> None:
+    told = r"test_unpack.py, line \d+: unpack\(\) fails for a row of \d+ elements.*out of bounds"
+    with pytest.raises(ArgumentError, match=told):
+        spec_of(unpack=unpack_beyond)
 
 
 def test_what_cannot_be_compiled_is_told_where_it_stands() -> None:
     """In a sentence, without a word of the compiler's."""
-    line = unpack_from_a_file.__code__.co_firstlineno + 2
-    spec = spec_of(unpack=unpack_from_a_file)
+    line = unpack_of_a_text.__code__.co_firstlineno + 2
+    spec = spec_of(unpack=unpack_of_a_text)
     device = make_device("native").open(BatchConfig(spec=spec, n_envs=3))
     told = rf"test_unpack.py, line {line}: unpack\(\) cannot be compiled here"
     with pytest.raises(ArgumentError, match=told) as error:

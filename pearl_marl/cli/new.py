@@ -89,7 +89,8 @@ def command(
         return
     console.print(
         f"It works as it is: [bold]cd {escape(str(folder))}[/], [bold]pip install -e '.\\[test]'[/], "
-        f"[bold]pytest[/], [bold]pearl verify {snake_case(name)}:{name} --device rtl[/].",
+        f"[bold]pytest[/], [bold]pearl verify {snake_case(name)}:{name} --device rtl "
+        f"--n-agents 64[/].",
         soft_wrap=True,
     )
 
@@ -124,7 +125,7 @@ def _follow(
         console.print(
             f"It is whole: {install}, [bold]pytest[/], "
             f"[bold]pearl verify {snake}:{name} --against {against}[/], "
-            f"[bold]pearl verify {snake}:{name} --device rtl --steps 20[/].",
+            f"[bold]pearl verify {snake}:{name} --device rtl --steps 20 --n-agents 64[/].",
             soft_wrap=True,
         )
     else:
