@@ -23,7 +23,7 @@ from pearl_marl.elements import ActionSpace, action_counts, are_numbers, bounds
 from pearl_marl.errors import ArgumentError
 from pearl_marl.fields import Field as Field
 from pearl_marl.fields import word_bits as word_bits
-from pearl_marl.golden import MOST_DRAWS, CountingDraws, GoldenFunction, as_python_runs_it
+from pearl_marl.golden import MOST_DRAWS, CountingDraws, GoldenFunction, as_python_runs_it, call_reference
 from pearl_marl.layout import Interval, Layout, real_field
 from pearl_marl.pickling import reduced
 from pearl_marl.places import place_of
@@ -378,15 +378,17 @@ class EnvSpec:
         if (unpack := self.positional.unpack) is None:
             return
         row = np.zeros(self.observation_size, self.observation_dtype)
-        for end in range(2):
-            try:
-                unpack(*(int(field.range[end]) for field in self.observation), row)
-            except Exception as error:
-                code = getattr(self.unpack, "py_func", self.unpack).__code__  # type: ignore[union-attr]
-                raise ArgumentError(
-                    f"{place_of(code.co_filename, code.co_firstlineno)}: unpack() fails for a row of "
-                    f"{self.observation_size} elements, as {self.observation_space} has: {error}"
-                ) from error
+        # Of a start, since there may be no state that has the least or greatest words of all fields.
+        state = call_reference(self.positional.initial, [0] * self.reset_draws)
+        seen = call_reference(self.positional.observe, state, *self.views[0])
+        try:
+            unpack(*map(int, seen), row)
+        except Exception as error:
+            code = getattr(self.unpack, "py_func", self.unpack).__code__  # type: ignore[union-attr]
+            raise ArgumentError(
+                f"{place_of(code.co_filename, code.co_firstlineno)}: unpack() fails for a row of "
+                f"{self.observation_size} elements, as {self.observation_space} has: {error}"
+            ) from error
 
     def _check_names(self, word: str, fields: Iterable[Field], taken: Iterable[str] = ()) -> None:
         seen: set[str] = set()

@@ -92,7 +92,7 @@ def test_texts_of_environments(env: str, target: Target, tmp_path: Path) -> None
     assert not list(unproved_text(get_spec(env), target, tmp_path))
 
 
-@pytest.mark.parametrize("seed", [0, 2, 5, 7, 9, 10, 14, 16])
+@pytest.mark.parametrize("seed", sampled([0, 2, 5, 7, 9, 10, 14, 16], (0, 5, 9, 14)))
 def test_random_golden_functions(seed: int, tmp_path: Path) -> None:
     """Of seeds whose words z3 finds out about: it gives up on remainders of 29 bits, for example."""
     spec = random_spec(seed)
