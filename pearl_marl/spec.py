@@ -371,7 +371,8 @@ class EnvSpec:
         for function, given, due, agent in calls:
             if function in functions:
                 check(function, given, due, *agent)
-        self._check_unpack()
+        if golden.observe in functions:
+            self._check_unpack()
 
     def _check_unpack(self) -> None:
         """Refuse an ``unpack()`` that fails: compiled, it would write beyond its row without a word."""

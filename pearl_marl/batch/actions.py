@@ -72,9 +72,8 @@ def are_words(actions: Any, target: npt.NDArray[Any]) -> bool:
 
 def check_words(words: npt.NDArray[Any], spec: EnvSpec, room: npt.NDArray[Any], first_slot: int) -> None:
     """Raise ActionError for words that are none of actions in the action space; ``room`` is written over."""
-    numbers = words.reshape(len(words), len(spec.action_fields)) * 2.0 ** -np.array(
-        [f.fraction for f in spec.action_fields]
-    )
+    fractions = np.array([field.fraction for field in spec.action_fields])
+    numbers = words.reshape(len(words), len(fractions)) * 2.0**-fractions
     space = spec.action_space
     given = numbers if isinstance(space, Box) else words.reshape(len(words), *(space.shape or ()))
     encode(given, spec, room, first_slot)

@@ -90,7 +90,7 @@ def command(
     console.print(
         f"It works as it is: [bold]cd {escape(str(folder))}[/], [bold]pip install -e '.\\[test]'[/], "
         f"[bold]pytest[/], [bold]pearl verify {snake_case(name)}:{name} --device rtl "
-        f"--n-agents 64[/].",
+        f"--n-agents {64 * agents}[/].",
         soft_wrap=True,
     )
 

@@ -30,7 +30,7 @@ class GoldenContract:
 
         Building a spec checks the same, but for the environments of this package.
         """
-        spec.check_golden(spec.golden)
+        spec.check_golden(spec.functions)
 
     @by_mode
     def test_observations_are_in_their_space(self, spec: EnvSpec, mode: AutoresetMode) -> None:

@@ -247,7 +247,7 @@ def _divisor(graph: Graph, value: object) -> Node:
         raise ArgumentError(
             f"a divisor can be {found}, and `//` and `%` take one from 1; `max(n, 1)` keeps it in"
         )
-    return graph.narrow(node, low, high)  # so that whoever compiles it knows that it may be less elsewhere
+    return graph.narrow(node, low, high)  # a kernel has to know that on other paths it may be 0
 
 
 def _no(name: str) -> NoReturn:

@@ -96,7 +96,7 @@ def assert_means(spec: EnvSpec, outputs: Iterable[Output], count: int) -> None:
 @pytest.mark.parametrize(("env", "options"), [*CASES, *((name, {}) for name, *_ in WORLDS + FIELDS)])
 def test_graphs_mean_the_golden_functions(env: str, options: dict[str, Any]) -> None:
     spec = spec_of(env, options)
-    spec.check_golden(spec.golden)
+    spec.check_golden(spec.functions)
     graph, outputs = core_graph(spec)
     assert_means(spec, outputs, 60)
     for target in (Target("ecp5", 150), Target("xc7", 250)):
