@@ -216,7 +216,7 @@ class Cuda(Device):
         launch = self._launches.get((kernel, stream))
         if launch is None:
             with warnings.catch_warnings():  # numba's of small grids; a batch is as large as its user wants
-                warnings.filterwarnings("ignore", "Grid size")
+                warnings.filterwarnings("ignore", ".*Grid size")  # on a GPU, colours stand before it
                 launch = self._launches[kernel, stream] = kernel[(*self._grid, stream)]
         launch(*arguments)
 

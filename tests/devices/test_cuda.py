@@ -10,6 +10,7 @@ import json
 import os
 import subprocess
 import sys
+import warnings
 from typing import Any
 from unittest import mock
 
@@ -285,6 +286,20 @@ class TestUnavailable:
             pytest.raises(DeviceError, match=r"torch .* cannot; .*results='numpy'"),
         ):
             opened()
+
+
+class Grumbling:
+    """A kernel as numba-cuda prepares it for a launch of few threads, with colorama installed beside it."""
+
+    def __getitem__(self, grid: object) -> Any:
+        warnings.warn("\x1b[1mGrid size 1 will likely result in GPU under-utilization", stacklevel=1)
+        return lambda *arguments: None
+
+
+def test_few_agents_do_not_warn() -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        opened()._launch(Grumbling())
 
 
 def test_the_command_line_says_why_there_is_nothing_to_measure(pearl: Any) -> None:
