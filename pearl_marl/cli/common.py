@@ -51,15 +51,19 @@ EnvName = Annotated[
     str,
     typer.Argument(metavar="ENV", help="An environment of `pearl envs`.", autocompletion=completed(names)),
 ]
-Agents = Annotated[
-    int | None,
-    typer.Option(
+
+
+def agents_option(about: int) -> Any:
+    """Return the option that says how many agents a command has; about so many by default."""
+    return typer.Option(
         "--n-agents",
         min=1,
         help="Number of agents; a multiple of the agents of a world.",
-        show_default=f"about {ABOUT:,}",
-    ),
-]
+        show_default=f"about {about:,}",
+    )
+
+
+Agents = Annotated[int | None, agents_option(ABOUT)]
 DEVICES = ("native", "rtl", "cuda", "reference", "xdma", "serial")
 DeviceName = Annotated[
     str,

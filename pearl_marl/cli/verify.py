@@ -76,6 +76,9 @@ OptionOfOriginal = Annotated[
         help="An argument of the original of --against; may be repeated.",
     ),
 ]
+ABOUT = 1024
+"""How many agents are compared by default: the reference steps them one by one, in Python."""
+Agents = Annotated[int | None, common.agents_option(ABOUT)]
 STEPS = 300
 StepsOfAll = Annotated[
     int,
@@ -105,7 +108,7 @@ def command(
     subject: Subject,
     device: DeviceToCheck = None,
     reference: ReferenceName = None,
-    n_agents: common.Agents = None,
+    n_agents: Agents = None,
     steps: StepsOfAll = STEPS,
     seed: common.Seed = 0,
     max_cycles: MaxCycles = None,
@@ -153,7 +156,7 @@ def command(
                 f"{subject} is a folder; name an environment of `pearl envs`, or a replay file"
             ) from None
         raise
-    n_agents = common.agents_of(spec, n_agents)
+    n_agents = common.agents_of(spec, n_agents, ABOUT)
     mode = None if autoreset_mode is None else AutoresetMode[autoreset_mode.name]
     plan = runs(spec, n_agents, steps, mode, initial_states and initial_states.value, max_cycles)
     device, reference = device or "native", reference or "reference"
