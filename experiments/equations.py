@@ -52,7 +52,7 @@ def collect(quick: bool, progress: Progress) -> list[Row]:
     builds = [QUICK_BUILD] if quick else latency_model.BUILDS
     for build in progress(builds, len(builds), "clock cycles"):
         rows += _simulated(*build)
-    for name in names():
+    for name in environments if quick else names():
         spec = get_spec(name)
         layouts = [memory_map(spec, *loop) for loop in LOOPS] if name == "CliffWalking" else []
         for layout in layouts or [default_map(spec, SIZES[-1])]:
