@@ -103,8 +103,10 @@ class Draws:
     def below(self, n: Word) -> Word:
         """Return a number from 0 to ``n - 1``, ``n`` up to ``2**32 - 1``.
 
-        An outcome's probability is off by at most ``2**-32``.
+        An outcome's probability is off by at most ``2**-32``. Where ``n`` is a word and 0, the number is 0.
         """
+        if isinstance(n, int) and n < 1:
+            raise ArgumentError(f"draws.below({n}) asks for a number from 0 to {n - 1}; it takes 1 or more")
         return self.bits() * n >> 32
 
     def chance(self, numerator: float, denominator: float = 1) -> Word:

@@ -12,6 +12,7 @@ import functools
 import importlib
 import pkgutil
 import warnings
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pearl_marl.errors import ArgumentError, shown
@@ -109,10 +110,21 @@ def _import(module: str, name: str) -> None:
             raise
         raise ArgumentError(
             f"there is no module {error.name!r} for {name!r}; install the package (pip install -e .), or add "
-            "its folder to PYTHONPATH"
+            f"{_folder_of(module) or 'the folder that it is in'} to PYTHONPATH"
         ) from None
     except SystemExit as error:  # which would be taken for the end of the caller
         raise ArgumentError(f"the module {module!r} ends Python when it is imported") from error
+
+
+def _folder_of(module: str) -> Path | None:
+    """Return the folder that a module is in, if that is the current one or the one around it."""
+    package, here = module.partition(".")[0], Path.cwd()
+    found = (
+        f
+        for f in (here, here.parent)
+        if (f / package / "__init__.py").exists() or (f / f"{package}.py").exists()
+    )
+    return next(found, None)
 
 
 def register(spec: EnvSpec) -> None:

@@ -26,6 +26,9 @@ VIDEO_WORLDS, VIDEO_STEPS = 9, 200
 TILE = 200
 """The greatest width and height of a world in a film, in pixels; smaller ones are magnified up to it."""
 
+GAP = 4
+"""Pixels between the worlds in a film."""
+
 _SHADES = " ░▒▓█"
 
 
@@ -154,12 +157,14 @@ class Video:
         tiles = [self._tile(picture) for picture in pictures]
         width, height = tiles[0].size
         columns = math.ceil(math.sqrt(len(tiles)))
-        frame = self._image.new("RGB", (columns * width, math.ceil(len(tiles) / columns) * height))
+        across, down = width + GAP, height + GAP
+        size = columns * across - GAP, math.ceil(len(tiles) / columns) * down - GAP
+        frame = self._image.new("RGB", size, "white")
         for i, tile in enumerate(tiles):
-            frame.paste(tile, (i % columns * width, i // columns * height))
+            frame.paste(tile, (i % columns * across, i // columns * down))
         pen = self._drawing.Draw(frame)
         for row, label in enumerate(self._labels):
-            pen.text((4, row * height + 4), label, fill="black", font_size=12)
+            pen.text((4, row * down + 4), label, fill="black", font_size=12)
         self._frames.append(frame.convert("P", palette=self._image.Palette.ADAPTIVE))
 
     def save(self) -> None:

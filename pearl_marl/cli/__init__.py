@@ -22,6 +22,7 @@ from pearl_marl.cli import usage
 from pearl_marl.cli.common import error_console
 from pearl_marl.cli.interrupts import STATUS, interrupts
 from pearl_marl.errors import PearlError
+from pearl_marl.places import author_line
 from pearl_marl.version import __version__
 
 COMMANDS = {
@@ -118,6 +119,8 @@ def main() -> None:
                 _leave(f"the output cannot be written: {error.strerror}", 1)
             if isinstance(error, MemoryError):
                 _leave("there is not enough memory for that: take fewer agents, or a smaller file", 2)
+            if isinstance(error, Exception) and (place := author_line(error)):
+                _leave(f"{place}: {type(error).__name__}: {getattr(error, 'msg', error)}", 1)
             raise
 
 

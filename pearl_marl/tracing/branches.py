@@ -79,6 +79,11 @@ class Frame:
             self.results.append((runtime.path, None))
         runtime.path = self.entry
         del runtime.exits[self.mark :]
+        counts = sorted({len(value) for _, value in self.results if type(value) is tuple})
+        if len(counts) > 1:
+            raise ArgumentError(
+                f"one `return` gives {counts[0]} values and another {counts[-1]}; each has to give the same"
+            )
         return merged(runtime.graph, self.results, self.entry, frozenset([self]), joined)
 
 

@@ -88,6 +88,8 @@ class Nodes:
         """Says between what a node is where the author is."""
         self.certain = True
         """Whether the author's function always comes to where it is."""
+        self.decided_in: int | None = None
+        """The line that decides whether it does."""
         self.twins: Any = None
         """The lists of an author that may be one another: :class:`pearl_marl.tracing.twins.Twins`."""
         self._nodes: dict[tuple[Any, ...], Node] = {}

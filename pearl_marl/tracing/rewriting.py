@@ -209,6 +209,8 @@ class _Function:
 
     def __init__(self, file: str) -> None:
         self.file, self.count, self.loops = file, 0, list[tuple[str, list[str]]]()
+        self.unbound: list[str] = []
+        """Variables that some path may leave without a value."""
 
     def of(self, node: ast.FunctionDef) -> ast.FunctionDef:
         """Return the function with its decisions as calls."""
@@ -216,13 +218,13 @@ class _Function:
         joined = [s for s in _inside(body) if isinstance(s, (ast.If, ast.For, ast.While))]
         own = {a.arg for a in _arguments(node.args)}
         elsewhere = {n for s in _inside(body) if isinstance(s, (ast.Nonlocal, ast.Global)) for n in s.names}
-        unbound = [n for n in _stored(joined) if n not in own | elsewhere]
+        self.unbound = [n for n in _stored(joined) if n not in own | elsewhere]
         # Annotations are for readers, and may name what is known to a type checker only.
         new = ast.FunctionDef(node.name, _plain(node.args), [], [], None, None)
         if "type_params" in ast.FunctionDef._fields:
             new.type_params = []  # type: ignore[attr-defined]
         statements = [_statement(f"{_FRAME} = {RUNTIME}.frame()", node)]
-        statements += [_statement(f"{n} = {RUNTIME}.unbound({n!r})", node) for n in unbound]
+        statements += [_statement(f"{n} = {RUNTIME}.unbound({n!r})", node) for n in self.unbound]
         expressions = _Expressions(self)
         new.args = expressions.visit(new.args)
         statements += self.block(body, expressions)
@@ -533,8 +535,14 @@ class _Expressions(ast.NodeTransformer):
         # Python's own functions stay: `super()` finds its class by its name.
         is_pythons = isinstance(node.func, ast.Name) and hasattr(builtins, node.func.id)
         node.func = function if is_pythons else _expression(f"{RUNTIME}.called", [function], node)
-        node.args, node.keywords = list(map(self.visit, node.args)), list(map(self.visit, node.keywords))
+        node.args, node.keywords = list(map(self.argument, node.args)), list(map(self.visit, node.keywords))
         return node
+
+    def argument(self, node: ast.expr) -> Any:
+        """Return an argument of a call; a variable has to have a value where the call is."""
+        if isinstance(node, ast.Name) and node.id in self.function.unbound:
+            return _expression(f"{RUNTIME}.defined", [node], node)
+        return self.visit(node)
 
     def later(self, node: ast.expr) -> ast.expr:
         """Return a function of no arguments that evaluates an expression."""

@@ -53,6 +53,7 @@ class Runtime:
         self._path = path
         self.graph.known = path.known if path is not None else {}
         self.graph.certain = path is not None and not path.literals
+        self.graph.decided_in = path.literals[0].flag.line if path is not None and path.literals else None
 
     @property
     def birth(self) -> Path | None:
@@ -121,6 +122,12 @@ class Runtime:
     def unbound(self, name: str) -> Undefined:
         """Return a variable's value before it has one."""
         return Undefined(f"`{name}` has no value on every path that leads here; give it one before")
+
+    def defined(self, value: Any) -> Any:
+        """Return an argument of a call, which has to have a value."""
+        if isinstance(value, Undefined):
+            value.refuse()
+        return value
 
     def truth(self, value: Any) -> bool | Node:
         """Return whether a value counts as true: a flag, where that depends on a word."""
@@ -285,6 +292,8 @@ class Runtime:
         """Return ``among.index(value)``: where a value is, which is there."""
         if not isinstance(among, (tuple, list)) or not (has_words(value) or has_words(among)):
             return among.index(value)
+        if self.truth(self.contains(value, among)) is False:
+            raise ArgumentError("index() of a value that no element can be")
         result: Any = len(among) - 1
         for place in range(len(among) - 2, -1, -1):
             result = self.either(self.equal(among[place], value), lambda: place, lambda: result)  # noqa: B023
@@ -323,6 +332,7 @@ class Runtime:
         if isinstance(of, Word):
             raise ArgumentError("a word has no elements; its bits are `word >> k & 1`")
         if not isinstance(index, Word):
+            _check_ends(index)
             found = of[index]
             return self.listed(found) if isinstance(found, list) and isinstance(index, slice) else found
         if isinstance(of, Undefined):
@@ -376,6 +386,7 @@ class Runtime:
 
     def store(self, of: Any, key: Any, value: Any, where: Node | None = None) -> None:
         """Write one element, where a flag is set, and in all that may be the same list."""
+        _check_ends(key)
         for one, flags in self._same(of, where):
             if isinstance(key, slice) and flags:
                 raise ArgumentError("a slice is written where a word decides; write its elements")
@@ -388,6 +399,12 @@ class Runtime:
         if isinstance(of, (type, types.ModuleType, types.FunctionType)):
             raise ArgumentError(
                 f"attribute {name!r} of what all slots share is written; return it, or keep it in the state"
+            )
+        if isinstance(of, tuple) and name in getattr(of, "_fields", ()):
+            kind = type(of).__name__
+            raise ArgumentError(
+                f"attribute {name!r} of a NamedTuple is written: take `_replace({name}=...)`, or make "
+                f"{kind} a dataclass"
             )
         for one, flags in self._same(of):
             if flags and not hasattr(one, name):
@@ -610,6 +627,17 @@ def _range(*args: Any) -> range:
             "range() of a word; go over all rounds that there can be, and `break` where it is enough"
         )
     return range(*args)
+
+
+def _check_ends(index: Any) -> None:
+    """Refuse a slice that a word ends."""
+    if isinstance(index, slice) and any(
+        isinstance(end, Word) and not end.node.is_constant() for end in (index.start, index.stop, index.step)
+    ):
+        raise ArgumentError(
+            "a word ends a slice, and its length would depend on it; take all elements, and an `if` for each "
+            "that tells whether it counts"
+        )
 
 
 def _print(*values: Any, **keywords: Any) -> None:

@@ -15,7 +15,7 @@ from contextlib import contextmanager
 from typing import Any
 
 from pearl_marl.errors import ArgumentError
-from pearl_marl.places import author_of, is_librarys, place_of
+from pearl_marl.places import author_line, author_of, is_librarys, place_of
 from pearl_marl.remaking import Vocabulary, refused, remade
 from pearl_marl.tracing.graph import Graph
 from pearl_marl.tracing.nodes import Node
@@ -144,19 +144,7 @@ def place(function: Callable[..., Any], line: int | None = None) -> str:
 
 def _place_of(error: BaseException, function: Callable[..., Any]) -> str:
     """Return where an author's code was at work: neither this package's vocabulary nor NumPy."""
-    found, trace_back = place(function), error.__traceback__
-    while trace_back is not None:
-        if not _is_ours(trace_back.tb_frame):
-            found = place_of(trace_back.tb_frame.f_code.co_filename, trace_back.tb_lineno)
-        trace_back = trace_back.tb_next
-    return found
-
-
-def _is_ours(frame: types.FrameType) -> bool:
-    module = frame.f_globals.get("__name__", "")
-    own = module.startswith("pearl_marl.") and not module.startswith("pearl_marl.envs.")
-    # A dataclass has methods that Python wrote.
-    return own or is_librarys(module) or frame.f_code.co_filename == "<string>"
+    return author_line(error) or place(function)
 
 
 @contextmanager

@@ -102,9 +102,10 @@ class Word:
     def asked(self) -> None:
         """Refuse to be a random draw where a word decides whether it is asked for."""
         if not self.graph.certain:
+            line = f", in line {self.graph.decided_in}" if self.graph.decided_in else ""
             raise ArgumentError(
-                "a draw is asked for where a word decides whether it is; ask before the `if`, since a draw "
-                "that is not needed costs nothing"
+                f"a draw is asked for where a word decides whether it is{line}; ask before that, since a "
+                "draw that is not needed costs nothing"
             )
 
     def entry(self, entries: Sequence[Any]) -> Any:
@@ -115,7 +116,9 @@ class Word:
         node = node_of(self.graph, self)
         if node.is_constant():
             return int(node.imm)
-        raise ArgumentError("Python needs a number here, and a word has none before hardware runs")
+        raise ArgumentError(
+            "Python needs a number here, such as a length, and a word has none before hardware runs"
+        )
 
     __int__ = __index__
 

@@ -224,6 +224,42 @@ def test_a_module_that_fails_speaks_for_itself(tmp_path: Path, monkeypatch: pyte
 
 
 @pytest.mark.usefixtures("registry")
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("x = 1\ny = (", "line 2: SyntaxError: '(' was never closed"),
+        ("import no_such_module", "line 1: ModuleNotFoundError: No module named 'no_such_module'"),
+        ("import json\njson.loads('{')", "line 2: JSONDecodeError: Expecting property name"),
+        (
+            "from pearl_marl.spec import EnvSpec\n\nEnvSpec(max_steps=3)",
+            "line 3: TypeError: EnvSpec.__init__() got an unexpected keyword argument 'max_steps'",
+        ),
+    ],
+)
+def test_a_module_that_fails_is_told_by_the_command_in_one_line(
+    pearl: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, text: str, words: str
+) -> None:
+    (tmp_path / "fails.py").write_text(text)
+    monkeypatch.syspath_prepend(tmp_path)
+    status, out, err = pearl("run", "fails:Env")
+    assert (status, out, err.count("\n")) == (1, "", 1)
+    assert err.startswith(f"pearl: {tmp_path.name}/fails.py, {words}")
+
+
+@pytest.mark.usefixtures("registry")
+@pytest.mark.parametrize("inside", ["", "rooms"])
+def test_a_package_at_hand_is_told_of(
+    pearl: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, inside: str
+) -> None:
+    (tmp_path / "rooms").mkdir()
+    (tmp_path / "rooms" / "__init__.py").write_text("")
+    monkeypatch.chdir(tmp_path / inside)
+    status, _, err = pearl("run", "rooms:Rooms")
+    assert status == 2
+    assert err.endswith(f"install the package (pip install -e .), or add {tmp_path} to PYTHONPATH\n")
+
+
+@pytest.mark.usefixtures("registry")
 def test_a_module_that_ends_python(pearl: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "ends.py").write_text("import sys\nsys.exit(0)\n")
     monkeypatch.syspath_prepend(tmp_path)

@@ -9,6 +9,7 @@ import random
 import re
 import textwrap
 import time
+from collections import namedtuple
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -29,7 +30,15 @@ WORDS = [("a", 4, False), ("b", 8, True), ("c", 2, False), ("d", 32, False)]
 
 def function(text: str, file: str = "pump/step.py", **scope: Any) -> Callable[..., Any]:
     """Return the function ``f`` of a text, which is known as its source."""
-    names = {"__name__": __name__, "TABLE": TABLE, "u8": u8, "i8": i8, "i16": i16, "Draws": Draws}
+    names = {
+        "__name__": __name__,
+        "TABLE": TABLE,
+        "u8": u8,
+        "i8": i8,
+        "i16": i16,
+        "Draws": Draws,
+        "namedtuple": namedtuple,
+    }
     found: Callable[..., Any] = defined(textwrap.dedent(text).lstrip("\n"), {**names, **scope}, file)["f"]
     return found
 
@@ -815,7 +824,92 @@ MISTAKES = {
                 return draws.below(4)
             return a
         """,
-        (4, "a draw is asked for where a word decides whether it is; ask before the `if`, since a draw"),
+        (4, "a draw is asked for where a word decides whether it is, in line 3; ask before that, since"),
+    ),
+    "a draw that a helper asks for": (
+        """
+        def take(draws):
+            return draws.below(4)
+
+        def f(a, b):
+            draws = Draws([b])
+            if a > 3:
+                a = take(draws)
+            return a
+        """,
+        (2, "a draw is asked for where a word decides whether it is, in line 6; ask before that"),
+    ),
+    "a variable of one side for a helper": (
+        """
+        def twice(v):
+            w = v * 2
+            return w
+
+        def f(a, b):
+            if a > 3:
+                v = b
+            return twice(v)
+        """,
+        (8, "`v` has no value on every path that leads here; give it one before"),
+    ),
+    "returns of two and of three": (
+        """
+        def f(a, b):
+            if a > 3:
+                return a, b
+            return a, b, 0
+        """,
+        (None, "one `return` gives 2 values and another 3; each has to give the same"),
+    ),
+    "a list of a word's length": (
+        """
+        def f(a, b):
+            v = [0] * a
+            return len(v)
+        """,
+        (2, "a list as long as a word says; give it its full length"),
+    ),
+    "a slice that a word ends": (
+        """
+        def f(a, b):
+            v = [a, b, 0]
+            return len(v[:a])
+        """,
+        (3, "a word ends a slice, and its length would depend on it; take all elements, and an `if`"),
+    ),
+    "a slice that a word ends and that is written": (
+        """
+        def f(a, b):
+            v = [a, b, 0]
+            v[a:] = [0]
+            return len(v)
+        """,
+        (3, "a word ends a slice"),
+    ),
+    "a place that nothing has": (
+        """
+        def f(a, b):
+            return [a, 3].index(16)
+        """,
+        (2, "index() of a value that no element can be"),
+    ),
+    "no numbers to draw from": (
+        """
+        def f(a, b):
+            return Draws([b]).below(0)
+        """,
+        (2, "draws.below(0) asks for a number from 0 to -1; it takes 1 or more"),
+    ),
+    "an attribute of a NamedTuple": (
+        """
+        Pair = namedtuple("Pair", ["x"])
+
+        def f(a, b):
+            pair = Pair(a)
+            pair.x = b
+            return pair.x
+        """,
+        (5, "attribute 'x' of a NamedTuple is written: take `_replace(x=...)`, or make Pair a dataclass"),
     ),
     "a draw after a return": (
         """

@@ -59,7 +59,7 @@ def test_spec_is_gymnasiums() -> None:
 
 @pytest.mark.parametrize(
     ("n", "goal_velocity"),
-    [(30_000, 0), (20_000, 0.0312), pytest.param(300_000, 0, marks=pytest.mark.slow)],
+    [(30_000, 0), (20_000, 0.0312), pytest.param(300_000, 0, marks=pytest.mark.exhaustive)],
 )
 def test_step(n: int, goal_velocity: float) -> None:
     """One step from each of many states, on the CPU device, too: state and end."""

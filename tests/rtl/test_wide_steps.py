@@ -41,7 +41,7 @@ def cores(numbers: range, folder: Path) -> list[Variant]:
     "numbers",
     [
         range(len(FIXED) + 4),
-        range(PLAIN, PLAIN + 6),
+        range(PLAIN, PLAIN + 3),
         *(pytest.param(range(k, k + 64), marks=pytest.mark.exhaustive) for k in range(16, 720, 64)),
     ],
     ids=str,
