@@ -25,7 +25,7 @@ from pearl_marl.batch.actions import encode, limits, random_actions, random_numb
 from pearl_marl.batch.saved_state import SavedState
 from pearl_marl.comparison.replay import Replay
 from pearl_marl.compiler.cores import generated_core
-from pearl_marl.devices import BatchConfig, Cuda, Device, Lockstep, Native, Ray, Reference, Rtl, Sharded
+from pearl_marl.devices import BatchConfig, Cuda, Device, Lockstep, Native, Reference, Rtl, Sharded
 from pearl_marl.elements import action_counts, are_numbers, bounds
 from pearl_marl.errors import ActionError, ArgumentError, LockstepError, SavedStateError
 from pearl_marl.hardware.elaboration import TARGET
@@ -414,14 +414,6 @@ def test_the_command_line(pearl: Any, tmp_path: Path) -> None:
     )
     assert status
     assert "5 steps of 7 agents need (5, 7, 2)" in err
-
-
-@pytest.mark.parametrize("spec", [ROVER, RELAY], ids=lambda spec: spec.name)
-def test_shards_in_other_processes(spec: EnvSpec, ray_cluster: None) -> None:
-    lockstep = opened(Lockstep(Ray(["native", "native"], sizes=[20, N - 20]), "reference"), spec)
-    for actions in words_of(spec, 12):
-        lockstep.step(actions)
-    lockstep.close()
 
 
 def test_rllib_gets_vectors_and_agents() -> None:

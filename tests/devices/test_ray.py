@@ -21,11 +21,14 @@ import pytest
 from gymnasium.vector import AutoresetMode
 
 from pearl_marl import get_spec, version
-from pearl_marl.devices import BatchConfig, Device, Native, Ray, Rtl, cluster, cuda
+from pearl_marl.batch.actions import random_actions
+from pearl_marl.devices import BatchConfig, Device, Lockstep, Native, Ray, Rtl, cluster, cuda
 from pearl_marl.errors import ActionError, ArgumentError, DeviceError, OrderError
+from pearl_marl.spec import EnvSpec
 from pearl_marl.testing import assert_same_step, assert_same_trajectory, trajectory
 
 from ..sampling import sampled
+from ..toy_fields import RELAY, ROVER
 from .boards import Faults, OwnBoard, faulty
 
 ray = pytest.importorskip("ray", reason="Ray is not installed: pip install '.[ray]'")
@@ -124,6 +127,14 @@ def test_worlds_in_two_shards(opened: Any, environment: str) -> None:
         assert_same_step(step, native.step(chosen.argmax(1).astype(spec.action.dtype)), f"step {t}")
         ended += int(step.ended.sum())
     assert ended > worlds * spec.agents
+
+
+@pytest.mark.parametrize("spec", sampled([ROVER, RELAY], [RELAY]), ids=lambda spec: spec.name)
+def test_actions_and_observations_of_several_fields(opened: Any, spec: EnvSpec) -> None:
+    lockstep = opened(Lockstep(Ray(["native", "native"], sizes=[20, N - 20]), "reference"), spec=spec)
+    chance = np.random.default_rng(0)
+    for _ in range(12):
+        lockstep.step(random_actions(spec, chance, N * spec.agents))
 
 
 @pytest.mark.exhaustive
