@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import fcntl
-import importlib
+import importlib.util
 import os
 import shutil
 import sys
@@ -33,6 +33,13 @@ from pearl_marl import cli, registry
 from .toy import TOYS
 from .toy_fields import FIELDS
 from .toy_world import WORLDS
+
+if importlib.util.find_spec("hypothesis"):  # which the environments of single libraries have not
+    from hypothesis import HealthCheck, settings
+
+    # How long an example takes depends on what else the machine does.
+    settings.register_profile("tests", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+    settings.load_profile("tests")
 
 
 def pytest_configure(config: pytest.Config) -> None:

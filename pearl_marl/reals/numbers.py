@@ -25,6 +25,7 @@ from pearl_marl.reals.words import (
     greatest,
     least,
     limits,
+    narrowed,
     noted,
     product,
 )
@@ -158,7 +159,7 @@ class Real(Number):
 
     def _made(self, function: Callable[..., Any], *words: Any) -> Real:
         try:
-            return Real(function(*words), self.fraction)
+            return Real(function(*map(narrowed, words)), self.fraction)
         except TooWideError as error:
             raise self._too_great(error.low, error.high) from None
 
@@ -230,13 +231,22 @@ class Real(Number):
     def _quotient(self, numerator: Any, divisor: Any) -> Real:
         return self._made(functions.quotient, numerator, divisor, self.fraction)
 
+    def __floordiv__(self, other: object) -> Any:
+        known = self._divisor(other, "//")
+        return known if known is NotImplemented else Real(self.word // known << self.fraction, self.fraction)
+
     def __mod__(self, other: object) -> Any:
+        known = self._divisor(other, "%")
+        return known if known is NotImplemented else Real(remainder(self.word, known), self.fraction)
+
+    def _divisor(self, other: object, operation: str) -> Any:
+        """Return the word of a divisor that leaves a remainder."""
         known = self.like(other)
         if known is None:
             return NotImplemented
         if isinstance(known.word, Word) or known.word < 1:
-            raise ArgumentError("`%` of a real takes a constant above 0")
-        return Real(remainder(self.word, known.word), self.fraction)
+            raise ArgumentError(f"`{operation}` of a real takes a constant above 0")
+        return known.word
 
     def __pow__(self, exponent: object) -> Real:
         if isinstance(exponent, float) and exponent == 0.5:

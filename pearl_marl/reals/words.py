@@ -28,6 +28,11 @@ def limits(word: Any) -> tuple[int, int]:
     return (word.node.low, word.node.high) if isinstance(word, Word) else (word, word)
 
 
+def narrowed(word: Any) -> Any:
+    """Return a word as what is known of it under the conditions that lead here."""
+    return Word(word.graph, node_of(word.graph, word)) if isinstance(word, Word) else word
+
+
 def fits(low: int, high: int) -> bool:
     """Return whether words hold a range."""
     return bits_of(low, high) <= MOST_BITS

@@ -14,7 +14,7 @@ from pearl_marl.tracing.graph import Graph
 from pearl_marl.tracing.nodes import in_order
 from pearl_marl.tracing.trace import trace
 
-RULES = 1
+RULES = 2
 """Another one for every change of the compiler after which some graph is another one."""
 
 

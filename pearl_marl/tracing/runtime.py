@@ -341,7 +341,17 @@ class Runtime:
             return self._floats().chosen(Word(self.graph, self.place(of, index)), of)
         if isinstance(of, (tuple, list, range)):
             return chosen_entry(self.graph, of, self.place(of, index))
+        if isinstance(of, dict):
+            return self._entry(of, index)
         raise ArgumentError(f"a word chooses from {type(of).__name__}; it chooses from lists and tuples")
+
+    def _entry(self, of: dict[Any, Any], key: Word) -> Any:
+        """Return the value of a key that is a word, for every number that it can be."""
+        low, high = self.limits(node_of(self.graph, key))
+        missing = next((k for k in range(low, high + 1) if k not in of), None)
+        if missing is not None:
+            raise ArgumentError(f"a key can be {low} to {high}, and the dict has no {missing}")
+        return self.item([of[k] for k in range(low, high + 1)], key - low)
 
     def limits(self, node: Node) -> tuple[int, int]:
         """Return between what a node is on the path at hand, which may say more than the node itself."""
@@ -389,7 +399,12 @@ class Runtime:
         _check_ends(key)
         for one, flags in self._same(of, where):
             if isinstance(key, slice) and flags:
-                raise ArgumentError("a slice is written where a word decides; write its elements")
+                places, values = range(len(one))[key], list(value)
+                if len(places) != len(values):
+                    self._changes(one, "")
+                for place, new in zip(places, values, strict=True):
+                    one[place] = self._changed(one, flags, new, one[place])
+                continue
             if isinstance(one, dict) and flags and key not in one:
                 self._changes(one, "")
             one[key] = self._changed(one, flags, value, one[key]) if flags else value

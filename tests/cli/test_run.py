@@ -146,7 +146,7 @@ class TestWorlds:
 class TestVideo:
     @pytest.mark.parametrize(
         ("env", "n", "size"),
-        [("ConnectFour", 20, (600, 522)), ("LevelBasedForaging", 8, (400, 400)), ("Taxi", 2, (400, 170))],
+        [("ConnectFour", 20, (608, 530)), ("LevelBasedForaging", 8, (404, 404)), ("Taxi", 2, (404, 170))],
     )
     def test_a_grid_of_worlds(
         self, pearl: Pearl, env: str, n: int, size: tuple[int, int], tmp_path: Path

@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import random
+from typing import Any, NamedTuple
 
+import numpy as np
 import pytest
+from gymnasium.spaces import Box, Discrete
 
 from pearl_marl.compiler.core_graph import Output
 from pearl_marl.compiler.lowering import lowered
 from pearl_marl.compiler.targets import Target
 from pearl_marl.golden import call_reference
+from pearl_marl.layout import Real
+from pearl_marl.spec import EnvSpec, Golden
 from pearl_marl.tracing.graph import Graph
 from pearl_marl.tracing.nodes import in_order, values
 
@@ -19,9 +24,38 @@ from .test_straight_line import compiled
 XC7 = Target("xc7", 150)
 
 
-@pytest.mark.parametrize("name", ENVIRONMENTS)
+class State(NamedTuple):
+    x: Real[-4.0, 4.0]
+    y: Real[-4.0, 4.0]
+
+
+def step(state: State, action: Any, draws: Any) -> Any:
+    """Divide, and take roots and powers, where a condition says that it can be done."""
+    x, y = state.x, state.y
+    inverse = 1 / x if x > 0.25 else 0.0
+    root = np.sqrt(y) if y >= 0 else -y
+    if -4.0 < x < -0.5 and action:
+        root = root - y / x
+    elif y > 1:
+        root = root // 0.3
+    return State(inverse, root), 0, False
+
+
+BRANCHES = EnvSpec(
+    name="Branches",
+    version=0,
+    summary="What a branch says of reals",
+    rewards=(0.0,),
+    observation_space=Box(-4.0, 4.0, (2,)),
+    action_space=Discrete(2),
+    golden=Golden(State, lambda draws: State(0.0, 0.0), step, lambda state: state, view=State),
+)
+SPECS = {**ENVIRONMENTS, "Branches": BRANCHES}
+
+
+@pytest.mark.parametrize("name", SPECS)
 def test_kernels(name: str) -> None:
-    spec, generator = ENVIRONMENTS[name], random.Random(0)
+    spec, generator = SPECS[name], random.Random(0)
     found, fields = compiled(spec), inputs(spec)
     for _ in range(300):
         words = [f.dtype.type(word) for f, word in zip(fields, posed(spec, generator), strict=True)]
@@ -31,9 +65,9 @@ def test_kernels(name: str) -> None:
         assert [int(x) for x in found["observe"](*words[:-1])] == [int(x) for x in seen]
 
 
-@pytest.mark.parametrize("name", ENVIRONMENTS)
+@pytest.mark.parametrize("name", SPECS)
 def test_cores(name: str) -> None:
-    spec, generator = ENVIRONMENTS[name], random.Random(0)
+    spec, generator = SPECS[name], random.Random(0)
     graph, fields = Graph(exact=False), inputs(spec)
     roots = traced(spec.positional.step, *fields)
     outputs = lowered(graph, [Output("state_o", f"{k}", 0, 40, node) for k, node in enumerate(roots)], XC7)

@@ -143,7 +143,7 @@ def computed(tree: Any, *arguments: Any) -> Any:
     return (UNARY if len(operands) == 1 else BINARY)[name](*operands)
 
 
-@settings(deadline=None, max_examples=400)
+@settings(max_examples=400)
 @given(TREES, st.randoms(use_true_random=False))
 @example(("scaled", ("parted", "force")), random.Random(0))
 @example(("sine", "stopped"), random.Random(0))

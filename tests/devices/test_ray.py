@@ -88,7 +88,7 @@ def compare(device: Device, native: Device, t: int, random: np.random.Generator,
     ("shards", "environment", "config"),
     [
         pytest.param(1, "CartPole", {}, marks=pytest.mark.exhaustive),
-        (2, "CliffWalking", {"first_slot": 1000}),
+        pytest.param(2, "CliffWalking", {"first_slot": 1000}, marks=pytest.mark.exhaustive),
         (
             3,
             "Blackjack",

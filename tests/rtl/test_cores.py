@@ -103,7 +103,7 @@ def test_graphs_mean_the_golden_functions(env: str, options: dict[str, Any]) -> 
         assert_means(spec, lowered(graph, outputs, target), 30)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(st.randoms(use_true_random=False), st.sampled_from([{}, {"divided": True}, {"reals": True}]))
 def test_random_golden_functions(chance: random.Random, kind: dict[str, bool]) -> None:
     spec = random_spec(chance, **kind)
@@ -165,7 +165,7 @@ ENVIRONMENTS = (
 
 RANDOM: list[tuple[str, dict[str, Any], Target]] = [
     ("Random", {"seed": seed, "divided": 14 <= seed < 20, "reals": seed >= 20}, TARGETS[seed % len(TARGETS)])
-    for seed in (*range(9), *range(16, 22))
+    for seed in (*range(5), *range(17, 22))
 ]
 
 
