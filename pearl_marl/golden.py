@@ -105,9 +105,10 @@ class Draws:
 
         An outcome's probability is off by at most ``2**-32``. Where ``n`` is a word and 0, the number is 0.
         """
-        if isinstance(n, int) and n < 1:
+        draw = self.bits()
+        if hasattr(draw, "asked") and not hasattr(n, "asked") and n < 1:  # of the reference, all are numbers
             raise ArgumentError(f"draws.below({n}) asks for a number from 0 to {n - 1}; it takes 1 or more")
-        return self.bits() * n >> 32
+        return draw * n >> 32
 
     def chance(self, numerator: float, denominator: float = 1) -> Word:
         """Return 1 with a probability, such as ``chance(0.3)`` or ``chance(1, 3)``.

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import sys
 import types
+from collections.abc import Callable
 from typing import Any
 
 
@@ -19,24 +20,25 @@ def is_librarys(module: str) -> bool:
     return package == "numpy" or package in sys.stdlib_module_names
 
 
-def author_line(error: BaseException) -> str | None:
-    """Return where an author's code was at work when it failed; ``None`` where none of it was."""
+def last_line(error: BaseException, is_authors: Callable[[str], bool]) -> str | None:
+    """Return where an author's code was at work when it failed; ``None`` where none of it was.
+
+    ``is_authors`` says whether a module is an author's, by its name.
+    """
     found, trace_back = None, error.__traceback__
     while trace_back is not None:
         frame = trace_back.tb_frame
-        if not _is_ours(frame):
+        # A dataclass has methods that Python wrote.
+        if is_authors(frame.f_globals.get("__name__", "")) and frame.f_code.co_filename != "<string>":
             found = place_of(frame.f_code.co_filename, trace_back.tb_lineno)
         trace_back = trace_back.tb_next
-    if isinstance(error, SyntaxError) and error.filename and error.lineno:
-        return place_of(error.filename, error.lineno)
     return found
 
 
-def _is_ours(frame: types.FrameType) -> bool:
-    module = frame.f_globals.get("__name__", "")
+def is_no_librarys(module: str) -> bool:
+    """Return whether a module is neither of this package, but for its environments, nor a library's."""
     own = module.startswith("pearl_marl.") and not module.startswith("pearl_marl.envs.")
-    # A dataclass has methods that Python wrote.
-    return own or is_librarys(module) or frame.f_code.co_filename == "<string>"
+    return not own and not is_librarys(module)
 
 
 def author_of(function: Any) -> types.FunctionType:

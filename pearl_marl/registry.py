@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pearl_marl.errors import ArgumentError, shown
+from pearl_marl.places import is_librarys, last_line, place_of
 
 if TYPE_CHECKING:
     from pearl_marl.spec import EnvSpec
@@ -102,23 +103,40 @@ def _import(module: str, name: str) -> None:
     """Import the module that stands before the colon of an environment's name."""
     if not all(part.isidentifier() for part in module.split(".")):
         raise ArgumentError(f"{name!r} names no module before its colon; write 'my_package:MyEnv'")
+    package = module.partition(".")[0]
+    if not is_librarys(package):
+        _packages.add(package)
     try:
         importlib.import_module(module)
     except ModuleNotFoundError as error:
-        # What the module itself fails to import is its own affair, and told by the traceback.
+        # What the module itself fails to import is its own affair.
         if error.name is None or not f"{module}.".startswith(f"{error.name}."):
             raise
+        folder = _folder_of(package) if error.name == package else None
         raise ArgumentError(
             f"there is no module {error.name!r} for {name!r}; install the package (pip install -e .), or add "
-            f"{_folder_of(module) or 'the folder that it is in'} to PYTHONPATH"
+            f"{folder or 'its folder'} to PYTHONPATH"
         ) from None
     except SystemExit as error:  # which would be taken for the end of the caller
         raise ArgumentError(f"the module {module!r} ends Python when it is imported") from error
 
 
-def _folder_of(module: str) -> Path | None:
-    """Return the folder that a module is in, if that is the current one or the one around it."""
-    package, here = module.partition(".")[0], Path.cwd()
+_packages: set[str] = set()
+"""The packages of authors that names of environments have led to."""
+
+
+def authors_mistake(error: Exception) -> str | None:
+    """Return an exception as a sentence with the line of an author's package; ``None`` if none failed."""
+    place = last_line(error, lambda module: module.partition(".")[0] in _packages)
+    if _packages and isinstance(error, SyntaxError) and error.filename and error.lineno:
+        return f"{place_of(error.filename, error.lineno)}: {type(error).__name__}: {error.msg}"
+    told = ": ".join([type(error).__name__, *str(error).splitlines()[:1]])
+    return f"{place}: {told}" if place else None
+
+
+def _folder_of(package: str) -> Path | None:
+    """Return the folder that a package is in, if that is the current one or the one around it."""
+    here = Path.cwd()
     found = (
         f
         for f in (here, here.parent)

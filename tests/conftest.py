@@ -151,6 +151,7 @@ OF_THE_TESTS = "of_the_tests"
 """The namespace by which a process knows the tests' cluster."""
 
 
+@pytest.hookimpl(trylast=True)
 def pytest_runtest_teardown(item: pytest.Item, nextitem: pytest.Item | None) -> None:
     """End the cluster after the last test that is in it: a tenth of a core goes to it even if it idles."""
     ours, next_ones = (getattr(each, "fixturenames", ()) for each in (item, nextitem))

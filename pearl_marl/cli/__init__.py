@@ -22,7 +22,7 @@ from pearl_marl.cli import usage
 from pearl_marl.cli.common import error_console
 from pearl_marl.cli.interrupts import STATUS, interrupts
 from pearl_marl.errors import PearlError
-from pearl_marl.places import author_line
+from pearl_marl.registry import authors_mistake
 from pearl_marl.version import __version__
 
 COMMANDS = {
@@ -93,8 +93,8 @@ def options(
 def main() -> None:
     """Run the command line.
 
-    A refused call prints its sentence and exits with status 2, an interrupted one with status 130, and one
-    whose output cannot be written with status 1.
+    A refused call prints its sentence and exits with status 2, an interrupted one with status 130; one whose
+    output cannot be written, or in which an author's package fails, with status 1.
     """
     _complete_streams()
     with interrupts.watched():
@@ -119,8 +119,8 @@ def main() -> None:
                 _leave(f"the output cannot be written: {error.strerror}", 1)
             if isinstance(error, MemoryError):
                 _leave("there is not enough memory for that: take fewer agents, or a smaller file", 2)
-            if isinstance(error, Exception) and (place := author_line(error)):
-                _leave(f"{place}: {type(error).__name__}: {getattr(error, 'msg', error)}", 1)
+            if isinstance(error, Exception) and (sentence := authors_mistake(error)):
+                _leave(sentence, 1)
             raise
 
 

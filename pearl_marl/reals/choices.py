@@ -45,6 +45,7 @@ class Choice(Number):
     __add__, __radd__ = _operation("add")
     __sub__, __rsub__ = _operation("sub")
     __truediv__, __rtruediv__ = _operation("truediv")
+    __floordiv__, __rfloordiv__ = _operation("floordiv")
     __mod__, __rmod__ = _operation("mod")
     __pow__, __rpow__ = _operation("pow")
     __lt__, _ = _operation("lt")

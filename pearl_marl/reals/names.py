@@ -129,6 +129,7 @@ NUMPY.update(
         np.subtract: operator.sub,
         np.multiply: operator.mul,
         np.true_divide: operator.truediv,
+        np.floor_divide: operator.floordiv,
         np.remainder: operator.mod,
         np.negative: operator.neg,
         np.positive: operator.pos,

@@ -239,6 +239,20 @@ class Real(Number):
         known = self._divisor(other, "%")
         return known if known is NotImplemented else Real(remainder(self.word, known), self.fraction)
 
+    def __rfloordiv__(self, other: object) -> Any:
+        return self._divided("//", other)
+
+    def __rmod__(self, other: object) -> Any:
+        return self._divided("%", other)
+
+    def __divmod__(self, other: object) -> Any:
+        return self // other, self % other
+
+    def _divided(self, operation: str, other: object) -> Any:
+        """Divide another number by this one, leaving a remainder."""
+        known = self.like(other)
+        return NotImplemented if known is None else _OPERATIONS[operation](known, self)
+
     def _divisor(self, other: object, operation: str) -> Any:
         """Return the word of a divisor that leaves a remainder."""
         known = self.like(other)
@@ -340,6 +354,9 @@ class Real(Number):
         if isinstance(self.word, Word):
             raise ArgumentError("a real becomes text, and it has no value before hardware runs")
         return format(float(self), specification)
+
+
+_OPERATIONS = {"//": operator.floordiv, "%": operator.mod}
 
 
 def integer(value: object) -> Any:

@@ -108,7 +108,7 @@ class Listed(list[Any]):
         return self._new(super().__add__(other)) if isinstance(other, list) else NotImplemented
 
     def __mul__(self, count: Any) -> Any:
-        if isinstance(count, Word) and not count.node.is_constant():
+        if isinstance(count, Word) and not node_of(count.graph, count).is_constant():
             raise ArgumentError("a list as long as a word says; give it its full length")
         return self._new(super().__mul__(count))
 

@@ -34,6 +34,8 @@ class Path:
     """Flags that are known here."""
     known: Mapping[Node, Node] = dataclasses.field(default_factory=dict)
     """Nodes of which more is known here, as nodes of narrower ranges."""
+    line: int | None = None
+    """The line of the author's that first decides whether the path is taken."""
 
     @functools.cached_property
     def condition(self) -> Node:
@@ -49,7 +51,8 @@ class Path:
             facts[node] = value
             for word, low, high in _bounds(node, value):
                 _narrow(self.graph, known, word, low, high)
-        return Path(self.graph, (*self.literals, Literal(flag, exits)), facts, known)
+        line = self.line or self.graph.line()
+        return Path(self.graph, (*self.literals, Literal(flag, exits)), facts, known, line)
 
     def decided(self, flag: Node) -> bool | None:
         """Return what a flag is here, if that is known."""

@@ -535,7 +535,9 @@ class _Expressions(ast.NodeTransformer):
         # Python's own functions stay: `super()` finds its class by its name.
         is_pythons = isinstance(node.func, ast.Name) and hasattr(builtins, node.func.id)
         node.func = function if is_pythons else _expression(f"{RUNTIME}.called", [function], node)
-        node.args, node.keywords = list(map(self.argument, node.args)), list(map(self.visit, node.keywords))
+        node.args = list(map(self.argument, node.args))
+        for keyword in node.keywords:
+            keyword.value = self.argument(keyword.value)
         return node
 
     def argument(self, node: ast.expr) -> Any:
@@ -640,10 +642,15 @@ def _plain(args: ast.arguments) -> ast.arguments:
 
 
 def _placed(new: _Node, node: ast.AST) -> _Node:
-    """Give every part of what was parsed from a text the place of a node."""
+    """Give every part of what was parsed from a text the place where a node begins.
+
+    To Python, the call of an attribute that goes over several lines is in the last of them.
+    """
+    begin = {"lineno": node.lineno, "col_offset": node.col_offset}  # type: ignore[attr-defined]
+    end = {f"end_{name}": number for name, number in begin.items()}
     for part in ast.walk(new):
         if "lineno" in part._attributes:
-            ast.copy_location(part, node)
+            vars(part).update(begin | end)
     return new
 
 

@@ -53,7 +53,7 @@ class Runtime:
         self._path = path
         self.graph.known = path.known if path is not None else {}
         self.graph.certain = path is not None and not path.literals
-        self.graph.decided_in = path.literals[0].flag.line if path is not None and path.literals else None
+        self.graph.decided_in = None if path is None else path.line
 
     @property
     def birth(self) -> Path | None:
@@ -343,14 +343,19 @@ class Runtime:
             return chosen_entry(self.graph, of, self.place(of, index))
         if isinstance(of, dict):
             return self._entry(of, index)
-        raise ArgumentError(f"a word chooses from {type(of).__name__}; it chooses from lists and tuples")
+        raise ArgumentError(
+            f"a word chooses from {type(of).__name__}; it chooses from lists, tuples and dicts"
+        )
 
     def _entry(self, of: dict[Any, Any], key: Word) -> Any:
         """Return the value of a key that is a word, for every number that it can be."""
         low, high = self.limits(node_of(self.graph, key))
         missing = next((k for k in range(low, high + 1) if k not in of), None)
         if missing is not None:
-            raise ArgumentError(f"a key can be {low} to {high}, and the dict has no {missing}")
+            raise ArgumentError(
+                f"a key can be {low} to {high}, and the dict has no {missing}; `min`, `max` or an `if` keeps "
+                "it in"
+            )
         return self.item([of[k] for k in range(low, high + 1)], key - low)
 
     def limits(self, node: Node) -> tuple[int, int]:
@@ -397,12 +402,14 @@ class Runtime:
     def store(self, of: Any, key: Any, value: Any, where: Node | None = None) -> None:
         """Write one element, where a flag is set, and in all that may be the same list."""
         _check_ends(key)
+        if isinstance(key, slice):  # what is written may be the list itself
+            value = list(value)
         for one, flags in self._same(of, where):
             if isinstance(key, slice) and flags:
-                places, values = range(len(one))[key], list(value)
-                if len(places) != len(values):
+                places = range(len(one))[key]
+                if len(places) != len(value):
                     self._changes(one, "")
-                for place, new in zip(places, values, strict=True):
+                for place, new in zip(places, value, strict=True):
                     one[place] = self._changed(one, flags, new, one[place])
                 continue
             if isinstance(one, dict) and flags and key not in one:
@@ -647,7 +654,8 @@ def _range(*args: Any) -> range:
 def _check_ends(index: Any) -> None:
     """Refuse a slice that a word ends."""
     if isinstance(index, slice) and any(
-        isinstance(end, Word) and not end.node.is_constant() for end in (index.start, index.stop, index.step)
+        isinstance(end, Word) and not node_of(end.graph, end).is_constant()
+        for end in (index.start, index.stop, index.step)
     ):
         raise ArgumentError(
             "a word ends a slice, and its length would depend on it; take all elements, and an `if` for each "

@@ -15,7 +15,7 @@ from contextlib import contextmanager
 from typing import Any
 
 from pearl_marl.errors import ArgumentError
-from pearl_marl.places import author_line, author_of, is_librarys, place_of
+from pearl_marl.places import author_of, is_librarys, is_no_librarys, last_line, place_of
 from pearl_marl.remaking import Vocabulary, refused, remade
 from pearl_marl.tracing.graph import Graph
 from pearl_marl.tracing.nodes import Node
@@ -144,7 +144,7 @@ def place(function: Callable[..., Any], line: int | None = None) -> str:
 
 def _place_of(error: BaseException, function: Callable[..., Any]) -> str:
     """Return where an author's code was at work: neither this package's vocabulary nor NumPy."""
-    return author_line(error) or place(function)
+    return last_line(error, is_no_librarys) or place(function)
 
 
 @contextmanager

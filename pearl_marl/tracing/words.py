@@ -66,7 +66,10 @@ class Word:
     __array_priority__ = 1000
 
     def __hash__(self) -> NoReturn:
-        raise ArgumentError("a word is a key of a dict or in a set; golden functions have lists and tuples")
+        raise ArgumentError(
+            "a word is in a set, or looked up by what wants its value; `d[word]` reads a dict, and a list of "
+            "flags can be a set"
+        )
 
     def __init__(self, graph: Graph, node: Node) -> None:
         self.graph, self.node = graph, node
@@ -277,6 +280,8 @@ def flag_of(graph: Graph, node: Node) -> Node:
 def _integer(value: object) -> int:
     if isinstance(value, (float, np.floating, complex)):
         raise ArgumentError(f"{value!r} is a float; golden functions work on integers")
+    if isinstance(value, (list, tuple)):
+        raise ArgumentError("a sequence where a number is due; the length of one depends on no word")
     try:
         return operator.index(value)  # type: ignore[arg-type]
     except TypeError:

@@ -179,4 +179,5 @@ def test_a_bug_keeps_its_traceback() -> None:
     process = started(hook, "run", "CliffWalking", "--n-agents", 8, env={**os.environ, "NO_COLOR": "1"})
     _, err = process.communicate(timeout=DEADLINE)
     assert process.returncode == 1
+    assert "Traceback" in err
     assert "TypeError" in err

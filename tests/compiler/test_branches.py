@@ -440,6 +440,29 @@ PROGRAMS = {
                 other[:0] = []
             return *board, *other
     """,
+    "slices of what may be the same list": """
+        def f(a, b, c):
+            d, e = [[1, 2, 3], [3, 4, 5]], {0: [1, 2, 3], 1: [4, 5, 6]}
+            p, q = d[b & 1], d[b >> 1]
+            p[::-1] = q
+            row = e[a & 1]
+            if c:
+                row[::-1] = row
+                row[0:2] = (x + 1 for x in [a, b])
+            return *d[0], *d[1], *e[0], *e[1]
+    """,
+    "draws below a word that may be 0": """
+        def f(a, b, c):
+            k = Draws([(a << 30) + 12345]).below(b)
+            return k if b > c else b
+    """,
+    "slices and lengths that a condition tells": """
+        def f(a, b, c):
+            v = [a, b, c, 4]
+            if a == 2:
+                return sum(v[a:]) + sum([b] * a)
+            return 0
+    """,
     "lists that grow in place": """
         from dataclasses import dataclass
         @dataclass
@@ -666,7 +689,7 @@ MISTAKES = {
             if a > 3:
                 return b
         """,
-        (3, "one side of a branch leaves a word and the other nothing"),
+        (2, "one side of a branch leaves a word and the other nothing"),
     ),
     "a while without a bound": (
         """
@@ -675,7 +698,7 @@ MISTAKES = {
                 a = a * 5 & 15
             return a
         """,
-        (3, "a `while` goes round more than 1000 times: nothing that is known of its words ends it"),
+        (2, "a `while` goes round more than 1000 times: nothing that is known of its words ends it"),
     ),
     "a list that grows": (
         """
@@ -777,7 +800,7 @@ MISTAKES = {
         def f(a, b):
             return len({a: 1})
         """,
-        (2, "a word is a key of a dict or in a set; golden functions have lists and tuples"),
+        (2, "a word is in a set, or looked up by what wants its value; `d[word]` reads a dict, and a list"),
     ),
     "a set": (
         """
@@ -858,6 +881,38 @@ MISTAKES = {
             return a
         """,
         (4, "a draw is asked for where a word decides whether it is, in line 3; ask before that, since"),
+    ),
+    "a draw under a flag that was known before": (
+        """
+        def f(a, b):
+            draws, big = Draws([b]), a > 3
+            if b > 1:
+                b = 1
+            if big:
+                if b:
+                    a = draws.below(4)
+            return a
+        """,
+        (7, "a draw is asked for where a word decides whether it is, in line 5; ask before that"),
+    ),
+    "a variable of one side for a helper, by its name": (
+        """
+        def twice(v):
+            return v * 2
+
+        def f(a, b):
+            if a > 3:
+                v = b
+            return twice(v=v)
+        """,
+        (7, "`v` has no value on every path that leads here; give it one before"),
+    ),
+    "a word times a list": (
+        """
+        def f(a, b):
+            return len(a * [0])
+        """,
+        (2, "a sequence where a number is due; the length of one depends on no word"),
     ),
     "a draw that a helper asks for": (
         """

@@ -37,7 +37,8 @@ def step(state: State, action: Any, draws: Any) -> Any:
     if -4.0 < x < -0.5 and action:
         root = root - y / x
     elif y > 1:
-        root = root // 0.3
+        root, rest = divmod(root, 0.3)
+        root = root // 0.25 * rest // (0.1 if action else 0.3)
     return State(inverse, root), 0, False
 
 

@@ -41,7 +41,7 @@ def test_python_examples_run(page, tmp_path):
 
 def without_places(text: str) -> list[str]:
     """Return the lines of a text; errors name other files and lines there than where all examples are one."""
-    return re.sub(r"(^\S+, )?line \d+(: )?", "", text, flags=re.MULTILINE).splitlines()
+    return re.sub(r"^\S+, line \d+: |, in line \d+", "", text, flags=re.MULTILINE).splitlines()
 
 
 def walk(page: Path) -> list[tuple[str, str]]:
