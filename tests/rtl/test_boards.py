@@ -89,7 +89,7 @@ def plugged_in(tmp_path: Path) -> Iterator[str]:
 
 def test_a_program_steps_the_ulx3s(plugged_in: str) -> None:
     """Every word of every step, in every mode, over a line of bits."""
-    for plan in runs(SPEC, SIZE[0], 6, max_cycles=2):
+    for plan in runs(SPEC, SIZE[0], 8, max_cycles=2):
         for _ in verify(plan, Lockstep(Serial(plugged_in, timeout=1800), "native"), seed=5):
             pass
         assert plan.exact
