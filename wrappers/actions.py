@@ -13,10 +13,11 @@ from pearl_marl.batch.actions import random_allowed, random_numbers
 from pearl_marl.batch.step import Array, BatchStep
 from pearl_marl.elements import ActionSpace
 from pearl_marl.errors import ArgumentError
-from pearl_marl.interfaces.batch import Batch, Mask
+from pearl_marl.interfaces.batch import Batch
+from pearl_marl.interfaces.world import Mask
 from pearl_marl.spec import is_number
 
-from .base import box, checked_function, differing, wrap
+from .base import Env, box, checked, checked_function, differing, wrap
 from .transform import Slots, Transform
 
 
@@ -42,7 +43,7 @@ class _Checked(_Mapped):
 
 
 def action_lambda_v1(
-    env: Batch,
+    env: Env,
     change_action_fn: Callable[[Array, Any], Array],
     change_space_fn: Callable[[Any], ActionSpace],
 ) -> Any:
@@ -84,7 +85,7 @@ class _Clip(Transform):
         return ~_nan_slots(actions) | super().possible(actions)
 
 
-def clip_actions_v0(env: Batch) -> Any:
+def clip_actions_v0(env: Env) -> Any:
     """Move actions beyond the bounds of their ``Box`` to the bounds."""
 
     def make(batch: Batch, space: Space[Any], action_space: Any) -> Transform:
@@ -93,7 +94,7 @@ def clip_actions_v0(env: Batch) -> Any:
     return wrap(env, make)
 
 
-def scale_actions_v0(env: Batch, scale: float) -> Any:
+def scale_actions_v0(env: Env, scale: float) -> Any:
     """Multiply actions in a ``Box`` by ``scale``.
 
     As in SuperSuit the bounds shown are those inside times ``scale`` too, so it is for policies whose
@@ -124,12 +125,12 @@ class _PaddedActions(Transform):
         return np.where(actions < self._counts, actions, actions.dtype.type(0))
 
 
-def pad_action_space_v0(env: Batch) -> Any:
+def pad_action_space_v0(env: Env) -> Any:
     """Pad action spaces to the widest role's; what is beyond an agent's own becomes action 0.
 
     Where all agents are alike this returns ``env`` as it is.
     """
-    return wrap(env, _PaddedActions) if differing(env, "action_space") else env
+    return wrap(env, _PaddedActions) if differing(checked(env).batch, "action_space") else env
 
 
 class _NoNans(Transform):
@@ -176,7 +177,7 @@ class _NanRandom(_NoNans):
         )
 
 
-def nan_noop_v0(env: Batch, no_op_action: Any) -> Any:
+def nan_noop_v0(env: Env, no_op_action: Any) -> Any:
     """Take ``no_op_action`` where an action is not a number."""
 
     def make(batch: Batch, space: Space[Any], action_space: Any) -> Transform:
@@ -187,14 +188,14 @@ def nan_noop_v0(env: Batch, no_op_action: Any) -> Any:
     return wrap(env, make)
 
 
-def nan_zeros_v0(env: Batch) -> Any:
+def nan_zeros_v0(env: Env) -> Any:
     """Take zero where an action is not a number."""
     return wrap(
         env, lambda batch, space, actions: _NanNoop(batch, space, actions, np.zeros(actions.shape or ()))
     )
 
 
-def nan_random_v0(env: Batch) -> Any:
+def nan_random_v0(env: Env) -> Any:
     """Take a random action where one is not a number, drawn for each agent and step from the seed.
 
     Where there are masks, it is one that may be taken.
@@ -238,7 +239,7 @@ class _Sticky(Transform):
         self._may_stick[slots] = False
 
 
-def sticky_actions_v0(env: Batch, repeat_action_probability: float) -> Any:
+def sticky_actions_v0(env: Env, repeat_action_probability: float) -> Any:
     """Repeat an agent's last action with a probability, drawn for each agent and step from the seed.
 
     Where there are masks, one that is masked now is not repeated. SuperSuit draws the same for every agent if

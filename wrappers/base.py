@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from gymnasium.spaces import Box, Space
@@ -11,11 +11,13 @@ from gymnasium.spaces import Box, Space
 from pearl_marl.devices.by_name import make_host_device
 from pearl_marl.errors import ArgumentError
 from pearl_marl.interfaces.batch import Batch
-from pearl_marl.interfaces.parallel_interface import ParallelInterface
-from pearl_marl.interfaces.vector_interface import VectorInterface
+from pearl_marl.interfaces.parallel import PearlParallelEnv
+from pearl_marl.interfaces.vector import PearlVectorEnv
 
 from .transform import Transform
-from .wrapped import WrappedParallelEnv, WrappedVectorEnv
+from .transformed import TransformedBatch
+
+Env: TypeAlias = PearlParallelEnv | PearlVectorEnv
 
 __all__ = ["Batch", "Transform", "box", "with_zeros", "wrap"]
 
@@ -33,7 +35,7 @@ def checked_integer(name: str, value: Any, least: int = 1) -> int:
     return value
 
 
-def wrap(env: Batch, make: Callable[..., Transform], *arguments: Any) -> Any:
+def wrap(env: Env, make: Callable[..., Transform], *arguments: Any) -> Any:
     """Put a transform around an environment.
 
     Parameters
@@ -47,17 +49,16 @@ def wrap(env: Batch, make: Callable[..., Transform], *arguments: Any) -> Any:
     -------
     An environment of the same interface.
     """
-    unwrapped: Any = checked(env).unwrapped
-    make_host_device(unwrapped.device)  # a transform is NumPy's work
-    transform = make(env, env.slot_observation_space, env.slot_action_space, *arguments)
-    _check_roles(env, transform)
-    wrapped = WrappedParallelEnv if isinstance(env, ParallelInterface) else WrappedVectorEnv
-    return wrapped(env, transform)
+    batch = checked(env).batch
+    make_host_device(batch.innermost.device)  # a transform is NumPy's work
+    transform = make(batch, batch.slot_observation_space, batch.slot_action_space, *arguments)
+    _check_roles(batch, transform)
+    return env.around(TransformedBatch(batch, transform))
 
 
-def checked(env: Any) -> Any:
+def checked(env: Any) -> Env:
     """Return an environment of this package, or refuse what is none."""
-    if not isinstance(env, (ParallelInterface, VectorInterface)):
+    if not isinstance(env, (PearlParallelEnv, PearlVectorEnv)):
         raise ArgumentError(
             f"{type(env).__name__} is no environment of this package; for others, SuperSuit has this wrapper"
         )
@@ -75,28 +76,28 @@ def in_wrappers(env: Any, wrap: Callable[[Any], Any] | None, fits: Callable[[Any
     return wrapped
 
 
-def differing(env: Batch, what: str) -> list[str]:
+def differing(batch: Batch, what: str) -> list[str]:
     """Return the names of the roles whose ``what``, a space, is not that of the rows in arrays."""
-    whole = getattr(checked(env), f"slot_{what}")
-    return sorted({role.name for role in env.world.roles if getattr(role, what) != whole})
+    whole = getattr(batch, f"slot_{what}")
+    return sorted({role.name for role in batch.world.roles if getattr(role, what) != whole})
 
 
-def _check_roles(env: Any, transform: Transform) -> None:
+def _check_roles(batch: Batch, transform: Transform) -> None:
     """Refuse a change that is one to all agents alike where they are not, or that masks do not follow."""
-    name = env.unwrapped.device.config.spec.name
+    name = batch.innermost.spec.name
     for what, shown, pad in (
         ("observation_space", transform.observation_space, "pad_observations_v0"),
         ("action_space", transform.action_space, "pad_action_space_v0"),
     ):
-        if shown is not getattr(env, f"slot_{what}") and (roles := differing(env, what)):
+        if shown is not getattr(batch, f"slot_{what}") and (roles := differing(batch, what)):
             raise ArgumentError(
                 f"this wrapper would mix roles, and in {name} {' and '.join(roles)} have another {what} than "
                 f"the widest: put {pad} inside it"
             )
-    if env.world.masked and transform.action_space is not env.slot_action_space:
+    if batch.world.masked and transform.action_space is not batch.slot_action_space:
         raise ArgumentError(
-            f"this wrapper changes the action space, and {name} has masks of {env.slot_action_space}, which "
-            "do not follow: change actions before you give them"
+            f"this wrapper changes the action space, and {name} has masks of {batch.slot_action_space}, "
+            "which do not follow: change actions before you give them"
         )
 
 

@@ -11,8 +11,7 @@ from torchrl.data import Composite
 from torchrl.envs import EnvBase
 
 from pearl_marl.errors import ArgumentError
-from pearl_marl.interfaces.parallel import parallel_env
-from pearl_marl.interfaces.parallel_interface import ParallelInterface
+from pearl_marl.interfaces.parallel import PearlParallelEnv, parallel_env
 
 from .base import in_wrappers
 from .torchrl import to_torchrl
@@ -66,14 +65,14 @@ class PearlTask(TaskClass):  # type: ignore[misc]  # benchmarl has no types
                 f"{name} has no time limit here, and BenchMARL's evaluation needs one: give max_cycles"
             )
         self._agents = one.env.agents_per_world
-        self._continuous = isinstance(one.env.slot_action_space, Box)
+        self._continuous = isinstance(one.env.batch.slot_action_space, Box)
         one.close()
 
     def _make(self, n_agents: int | None) -> Any:
         arguments = dict(self.config)
         state, wrap = arguments.pop("state"), arguments.pop("wrap")
         env = parallel_env(self.name, n_agents, **arguments)
-        return to_torchrl(in_wrappers(env, wrap, lambda it: isinstance(it, ParallelInterface)), state=state)
+        return to_torchrl(in_wrappers(env, wrap, lambda it: isinstance(it, PearlParallelEnv)), state=state)
 
     def get_env_fun(
         self, num_envs: int, continuous_actions: bool, seed: int | None, device: Any

@@ -11,11 +11,13 @@ from gymnasium.vector import AutoresetMode
 from pearl_marl.batch.step import Array, BatchStep
 from pearl_marl.errors import ArgumentError
 from pearl_marl.golden import uniform_below
-from pearl_marl.interfaces.batch import Batch, Mask
-from pearl_marl.interfaces.parallel_interface import ParallelInterface
+from pearl_marl.interfaces.batch import Batch
+from pearl_marl.interfaces.parallel import PearlParallelEnv
+from pearl_marl.interfaces.world import Mask
 
-from .base import with_zeros, wrap
+from .base import Env, with_zeros, wrap
 from .transform import Transform
+from .transformed import TransformedBatch
 
 
 class _FrameSkip(Transform):
@@ -58,7 +60,7 @@ class _FrameSkip(Transform):
         return self.carried(step, obs, rewards, terminations, truncations, final_obs)
 
 
-def frame_skip_v0(env: Batch, num_frames: int | tuple[int, int]) -> Any:
+def frame_skip_v0(env: Env, num_frames: int | tuple[int, int]) -> Any:
     """Take each action several times and add up the rewards; an episode's end ends it.
 
     Parameters
@@ -77,12 +79,13 @@ def frame_skip_v0(env: Batch, num_frames: int | tuple[int, int]) -> Any:
     return wrap(env, _FrameSkip, *counts)
 
 
-def skips_frames(env: Any) -> bool:
+def skips_frames(env: Env) -> bool:
     """Return whether an environment has :func:`frame_skip_v0` around it, wherever among its wrappers."""
-    while isinstance(env, ParallelInterface) and env is not env.unwrapped:
-        if isinstance(env.transform, _FrameSkip):
+    batch = env.batch
+    while isinstance(batch, TransformedBatch):
+        if isinstance(batch.transform, _FrameSkip):
             return True
-        env = env.env
+        batch = batch.batch
     return False
 
 
@@ -132,13 +135,13 @@ class _BlackDeath(Transform):
         return obs
 
 
-def black_death_v3(env: ParallelInterface) -> Any:
+def black_death_v3(env: PearlParallelEnv) -> Any:
     """Keep agents whose episode has ended, with observations and rewards of zero, until all have ended.
 
     Then every agent gets the flags with which its own episode ended, in the step in which the last one
     does; SuperSuit says so a step late. For environments made with ``autoreset=False``.
     """
-    if not isinstance(env, ParallelInterface) or env.autoreset:
+    if not isinstance(env, PearlParallelEnv) or env.autoreset:
         raise ArgumentError(
             "black_death_v3 takes a ParallelEnv made with autoreset=False: no agent dies in others"
         )

@@ -20,7 +20,7 @@ from pearl_marl.interfaces.batch import Batch
 from pearl_marl.spec import is_number
 
 from . import kernels
-from .base import box, checked, checked_function, checked_integer, differing, with_zeros, wrap
+from .base import Env, box, checked, checked_function, checked_integer, differing, with_zeros, wrap
 from .transform import Slots, Transform
 
 Change = Callable[[Array], Array]
@@ -39,7 +39,7 @@ class _Mapped(Transform):
         return self._change(obs)
 
 
-def _mapped(env: Batch, name: str, change: Change) -> Any:
+def _mapped(env: Env, name: str, change: Change) -> Any:
     """Wrap an environment whose ``Box`` goes through ``change`` as its observations do."""
 
     def make(batch: Batch, space: Space[Any], action_space: Any) -> Transform:
@@ -53,7 +53,7 @@ def _mapped(env: Batch, name: str, change: Change) -> Any:
 
 
 def observation_lambda_v0(
-    env: Batch,
+    env: Env,
     change_observation_fn: Callable[[Array, Space[Any]], Array],
     change_obs_space_fn: Callable[[Space[Any]], Space[Any]] | None = None,
 ) -> Any:
@@ -106,7 +106,7 @@ def _by_function(
     return result
 
 
-def dtype_v0(env: Batch, dtype: npt.DTypeLike) -> Any:
+def dtype_v0(env: Env, dtype: npt.DTypeLike) -> Any:
     """Cast observations."""
     try:
         kind = np.dtype(dtype)
@@ -117,7 +117,7 @@ def dtype_v0(env: Batch, dtype: npt.DTypeLike) -> Any:
     return _mapped(env, "dtype_v0", methodcaller("astype", kind))
 
 
-def flatten_v0(env: Batch) -> Any:
+def flatten_v0(env: Env) -> Any:
     """Give each observation one axis."""
     return _mapped(env, "flatten_v0", _flat)
 
@@ -126,7 +126,7 @@ def _flat(obs: Array) -> Array:
     return obs.reshape(len(obs), -1)
 
 
-def reshape_v0(env: Batch, shape: tuple[int, ...]) -> Any:
+def reshape_v0(env: Env, shape: tuple[int, ...]) -> Any:
     """Give each observation another shape of as many elements."""
     if not isinstance(shape, (tuple, list)) or not all(isinstance(side, (int, np.integer)) for side in shape):
         raise ArgumentError(f"shape is {shape!r}; it must be a tuple of integers")
@@ -139,7 +139,7 @@ def _reshaped(shape: tuple[int, ...], obs: Array) -> Array:
     return obs.reshape(len(obs), *shape)
 
 
-def normalize_obs_v0(env: Batch, env_min: float = 0.0, env_max: float = 1.0) -> Any:
+def normalize_obs_v0(env: Env, env_min: float = 0.0, env_max: float = 1.0) -> Any:
     """Scale observations from the bounds of their space, which must be finite, to others."""
     if not (is_number(env_min) and is_number(env_max) and env_min < env_max):
         raise ArgumentError(
@@ -167,7 +167,7 @@ def _rescaled(new: Recycler, scale: tuple[Any, ...], obs: Array) -> Array:
     return out
 
 
-def color_reduction_v0(env: Batch, mode: str = "full") -> Any:
+def color_reduction_v0(env: Env, mode: str = "full") -> Any:
     """Keep one channel of pictures (``"R"``, ``"G"``, ``"B"``) or their brightness (``"full"``)."""
     if mode not in ("full", "R", "G", "B"):
         raise ArgumentError(f"mode is {mode!r}; possible are 'full', 'R', 'G' and 'B'")
@@ -183,7 +183,7 @@ def _one_channel(mode: str, obs: Array) -> Array:
     return obs[..., "RGB".index(mode)].copy()
 
 
-def resize_v1(env: Batch, x_size: int, y_size: int, linear_interp: bool = True) -> Any:
+def resize_v1(env: Env, x_size: int, y_size: int, linear_interp: bool = True) -> Any:
     """Give pictures another size.
 
     Parameters
@@ -226,7 +226,7 @@ def _mixed(obs: Array, axis: int, new: int) -> Array:
     return np.asarray(one + (other - one) * share)
 
 
-def agent_indicator_v0(env: Batch, type_only: bool = False) -> Any:
+def agent_indicator_v0(env: Env, type_only: bool = False) -> Any:
     """Show each agent which one of its world it is.
 
     As in SuperSuit, a ``Discrete`` observation becomes ``observation * k + agent``, and a ``Box`` gets ``k``
@@ -241,7 +241,7 @@ def agent_indicator_v0(env: Batch, type_only: bool = False) -> Any:
     type_only
         Show the agent's role instead. Where all agents are alike, nothing changes.
     """
-    names = [role.name for role in checked(env).world.roles]
+    names = [role.name for role in checked(env).batch.world.roles]
     kinds = sorted(set(names), key=names.index)
     if type_only and len(kinds) < 2:
         return env
@@ -305,12 +305,12 @@ class _Padded(Transform):
         self.world = batch.world.shown(self.observation_space, None)
 
 
-def pad_observations_v0(env: Batch) -> Any:
+def pad_observations_v0(env: Env) -> Any:
     """Pad observations with zeros to the widest role's.
 
     Where all agents are alike this returns ``env`` as it is.
     """
-    return wrap(env, _Padded) if differing(env, "observation_space") else env
+    return wrap(env, _Padded) if differing(checked(env).batch, "observation_space") else env
 
 
 class _Window(Transform):
@@ -373,11 +373,11 @@ class _Window(Transform):
         return frame if slots is None else frame.take(slots, 0)
 
 
-def _check_frames(env: Batch, name: str, frames: Any, least: int = 1) -> None:
+def _check_frames(env: Env, name: str, frames: Any, least: int = 1) -> None:
     """Refuse what is no number of frames, or too many for this machine's memory."""
     checked_integer(name, frames, least)
-    space = checked(env).slot_observation_space
-    most = memory_of_machine() // (env.batch_size * max(1, int(np.prod(space.shape or ()))))
+    space = checked(env).batch.slot_observation_space
+    most = memory_of_machine() // (env.batch.batch_size * max(1, int(np.prod(space.shape or ()))))
     if frames > most:
         raise ArgumentError(f"{name} is {frames:,}; this machine has memory for less than {most:,} frames")
 
@@ -446,7 +446,7 @@ class _Together(Transform):
         return last
 
 
-def world_observations_v0(env: Batch) -> Any:
+def world_observations_v0(env: Env) -> Any:
     """Show each agent what all ``k`` agents of its world observe, in a ``Box`` of shape ``(k, ...)``.
 
     Those of dead agents are zeros.
@@ -461,7 +461,7 @@ def world_observations_v0(env: Batch) -> Any:
     return wrap(env, make)
 
 
-def frame_stack_v1(env: Batch, stack_size: int = 4, stack_dim: int = -1) -> Any:
+def frame_stack_v1(env: Env, stack_size: int = 4, stack_dim: int = -1) -> Any:
     """Show the last frames, oldest first; zeros before an episode's first.
 
     Parameters
@@ -476,12 +476,12 @@ def frame_stack_v1(env: Batch, stack_size: int = 4, stack_dim: int = -1) -> Any:
     return _frame_stack(env, stack_size, stack_dim, repeat=False)
 
 
-def frame_stack_v2(env: Batch, stack_size: int = 4, stack_dim: int = -1) -> Any:
+def frame_stack_v2(env: Env, stack_size: int = 4, stack_dim: int = -1) -> Any:
     """Do as :func:`frame_stack_v1`, but with an episode's first frame in place of zeros."""
     return _frame_stack(env, stack_size, stack_dim, repeat=True)
 
 
-def _frame_stack(env: Batch, size: int, axis: int, repeat: bool) -> Any:
+def _frame_stack(env: Env, size: int, axis: int, repeat: bool) -> Any:
     _check_frames(env, "stack_size", size)
     if isinstance(axis, bool) or not isinstance(axis, int) or axis not in (0, -1):
         raise ArgumentError(f"stack_dim is {axis!r}; possible are 0 and -1")
@@ -506,7 +506,7 @@ class _Maximum(_Window):
             np.maximum(out, self._frame(age, slots).reshape(out.shape), out=out)
 
 
-def _window(env: Batch, name: str, kind: type[_Window], frames: int, repeat: bool) -> Any:
+def _window(env: Env, name: str, kind: type[_Window], frames: int, repeat: bool) -> Any:
     """Wrap an environment in a window that shows observations of the shape they have inside."""
 
     def make(batch: Batch, space: Space[Any], action_space: Any) -> Transform:
@@ -520,13 +520,13 @@ def _window(env: Batch, name: str, kind: type[_Window], frames: int, repeat: boo
     return wrap(env, make)
 
 
-def delay_observations_v0(env: Batch, delay: int) -> Any:
+def delay_observations_v0(env: Env, delay: int) -> Any:
     """Show what was to be seen ``delay`` steps ago; zeros before."""
     _check_frames(env, "delay", delay, least=0)
     return _window(env, "delay_observations_v0", _Delay, delay + 1, repeat=False)
 
 
-def max_observation_v0(env: Batch, memory: int) -> Any:
+def max_observation_v0(env: Env, memory: int) -> Any:
     """Show the greatest value of each element in the last ``memory`` steps of the episode."""
     _check_frames(env, "memory", memory)
     return _window(env, "max_observation_v0", _Maximum, memory, repeat=True)

@@ -14,7 +14,7 @@ from pearl_marl.errors import ArgumentError
 from pearl_marl.interfaces.batch import Batch
 from pearl_marl.spec import is_number
 
-from .base import checked_function, wrap
+from .base import Env, checked_function, wrap
 from .transform import Transform
 
 
@@ -29,7 +29,7 @@ class _Mapped(Transform):
         return self._change(step.rewards)
 
 
-def reward_lambda_v0(env: Batch, change_reward_fn: Callable[[Array], Array]) -> Any:
+def reward_lambda_v0(env: Env, change_reward_fn: Callable[[Array], Array]) -> Any:
     """Change rewards by a function of the whole batch, ``float32`` of shape ``(n,)`` to as many numbers."""
     checked_function("change_reward_fn", change_reward_fn)
     return wrap(env, _Mapped, partial(_by_function, change_reward_fn))
@@ -53,12 +53,12 @@ class _Shared(Transform):
         return shared
 
 
-def shared_reward_v0(env: Batch) -> Any:
+def shared_reward_v0(env: Env) -> Any:
     """Give every agent the sum of the rewards in its world, as a team; the dead get none."""
     return wrap(env, _Shared)
 
 
-def clip_reward_v0(env: Batch, lower_bound: float = -1, upper_bound: float = 1) -> Any:
+def clip_reward_v0(env: Env, lower_bound: float = -1, upper_bound: float = 1) -> Any:
     """Move rewards beyond two bounds to the bounds."""
     for name, bound in (("lower_bound", lower_bound), ("upper_bound", upper_bound)):
         if not is_number(bound, infinite=True):

@@ -14,10 +14,8 @@ from gymnasium.spaces import Dict
 from gymnasium.vector import AutoresetMode
 
 from pearl_marl.errors import ArgumentError
-from pearl_marl.interfaces.parallel import parallel_env
-from pearl_marl.interfaces.parallel_interface import ParallelInterface
-from pearl_marl.interfaces.vector import make_vec
-from pearl_marl.interfaces.vector_interface import VectorInterface
+from pearl_marl.interfaces.parallel import PearlParallelEnv, parallel_env
+from pearl_marl.interfaces.vector import PearlVectorEnv, make_vec
 
 from .base import in_wrappers
 
@@ -64,9 +62,7 @@ def rllib_vector_env(env_id: str, *, wrap: Callable[[Any], Any] | None = None, *
         given["autoreset_mode"] = AutoresetMode.NEXT_STEP
         env = make_vec(env_id, given.pop("num_envs"), **given)
         mode = AutoresetMode.NEXT_STEP
-        return in_wrappers(
-            env, wrap, lambda it: isinstance(it, VectorInterface) and it.slot_autoreset_mode is mode
-        )
+        return in_wrappers(env, wrap, lambda it: isinstance(it, PearlVectorEnv) and it.autoreset_mode is mode)
 
     return create
 
@@ -97,10 +93,10 @@ def rllib_multi_agent_env(
         given = {"n_agents": n_agents, **arguments, **config}
         _check_parallel_arguments(given)
         env = parallel_env(env_id, **{**given, "autoreset": False})
-        env = in_wrappers(env, wrap, lambda it: isinstance(it, ParallelInterface) and not it.autoreset)
+        env = in_wrappers(env, wrap, lambda it: isinstance(it, PearlParallelEnv) and not it.autoreset)
         from ray.rllib.env.wrappers.pettingzoo_env import ParallelPettingZooEnv
 
-        return ParallelPettingZooEnv(_Masked(env) if env.world.masked else env)
+        return ParallelPettingZooEnv(_Masked(env) if env.batch.world.masked else env)
 
     return create
 

@@ -23,8 +23,8 @@ from pearl_marl.devices.by_name import make_host_device
 from pearl_marl.errors import ArgumentError, OrderError
 from pearl_marl.evaluation.episodes import RunningEpisodes
 from pearl_marl.interfaces.batch import Batch
-from pearl_marl.interfaces.parallel_interface import ParallelInterface
-from pearl_marl.interfaces.vector_interface import VectorInterface
+from pearl_marl.interfaces.parallel import PearlParallelEnv
+from pearl_marl.interfaces.vector import PearlVectorEnv
 
 from .base import differing
 
@@ -72,12 +72,12 @@ class PearlVecEnv(VecEnv):
     """
 
     def __init__(self, env: Any, staggered: bool = False) -> None:
-        batch = _checked(env)
+        self._batch = batch = _checked(env)
         self.env = env
         self._show, observation_space = _observations_for_sb3(batch.slot_observation_space)
         super().__init__(batch.batch_size, observation_space, batch.slot_action_space)
         self.metadata = env.metadata  # whose render_fps films go by
-        device = make_host_device(env.unwrapped.device)
+        device = make_host_device(batch.innermost.device)
         if not isinstance(staggered, bool):
             raise ArgumentError(f"staggered is {staggered!r}; it must be True or False")
         if staggered and not device.config.limit:
@@ -133,8 +133,8 @@ class PearlVecEnv(VecEnv):
         actions, self._actions = self._actions, None
         if isinstance(self.action_space, MultiBinary):
             actions = _flags(actions)
-        dead = ~self.env.alive if self.env.world.agents > 1 else np.False_
-        step = self.env.step_batch(actions)
+        dead = ~self._batch.alive if self._batch.world.agents > 1 else np.False_
+        step = self._batch.step_batch(actions)
         dones = step.ended | (dead & step.alive) if dead.any() else step.ended
         return self._own(step.obs), step.rewards, dones, self._infos(step)
 
@@ -195,8 +195,9 @@ class PearlVecEnv(VecEnv):
         self, method_name: str, *method_args: Any, indices: VecEnvIndices = None, **method_kwargs: Any
     ) -> list[Any]:
         """Call a method of the environment, which holds all slots, once; return its result for each slot."""
-        if method_name == "action_masks" and self.env.world.masked:  # as sb3-contrib has it of single ones
-            return [self.env.action_masks[slot] for slot in self._get_indices(indices)]
+        masks = self._batch.action_masks
+        if method_name == "action_masks" and masks is not None:  # as sb3-contrib has it of single ones
+            return [masks[slot] for slot in self._get_indices(indices)]
         self._refuse_some("env_method", indices)
         result = getattr(self.env, method_name)(*method_args, **method_kwargs)
         return [result] * self.num_envs
@@ -219,7 +220,7 @@ class PearlVecEnv(VecEnv):
                 f"images with render_mode {self.render_mode!r}: "
                 "make the environment by parallel_env(..., render_mode='rgb_array')"
             )
-        k = self.env.world.agents
+        k = self._batch.world.agents
         agents = self.env.possible_agents[: RENDERED_SLOTS * k : k]
         return [self.env.render(agent) for agent in agents]
 
@@ -230,12 +231,12 @@ class PearlVecEnv(VecEnv):
 
     def _stagger(self) -> None:
         """Let every slot's episode seem some steps old, evenly from none to one less than the limit."""
-        device = self.env.unwrapped.device
+        device = self._batch.innermost.device
         saved = device.snapshot()
         elapsed = SlotMemory(device.config.spec, device.config.n_envs, saved.memory).elapsed
         elapsed[:] = np.linspace(0, device.config.limit, device.config.n_envs, endpoint=False)
         device.restore(saved)
-        self._cut = self.env.world.rows(elapsed > 0).copy()
+        self._cut = self._batch.world.rows(elapsed > 0).copy()
 
     def _refuse_some(self, call: str, indices: VecEnvIndices) -> None:
         if indices is not None and sorted(set(self._get_indices(indices))) != list(range(self.num_envs)):
@@ -247,26 +248,25 @@ class PearlVecEnv(VecEnv):
 
 def _checked(env: Any) -> Batch:
     """Return an environment whose slots start over as SB3 expects, or refuse it."""
-    if isinstance(env, ParallelInterface) and not env.autoreset:
+    if isinstance(env, PearlParallelEnv) and not env.autoreset:
         raise ArgumentError(
             "agents of autoreset=False leave when their episode ends, and SB3's slots start over: "
             "make the environment with autoreset=True"
         )
-    if isinstance(env, VectorInterface):
-        mode = env.metadata["autoreset_mode"]
-        if mode is not AutoresetMode.SAME_STEP:
-            raise ArgumentError(
-                f"autoreset_mode is {mode.name}, and SB3's slots start over in the step in which they "
-                "end: make the environment with autoreset_mode='SameStep'"
-            )
-    if isinstance(env, Batch):
-        roles = sorted({*differing(env, "observation_space"), *differing(env, "action_space")})
+    if isinstance(env, PearlVectorEnv) and env.autoreset_mode is not AutoresetMode.SAME_STEP:
+        raise ArgumentError(
+            f"autoreset_mode is {env.autoreset_mode.name}, and SB3's slots start over in the step in which "
+            "they end: make the environment with autoreset_mode='SameStep'"
+        )
+    if isinstance(env, (PearlParallelEnv, PearlVectorEnv)):
+        batch = env.batch
+        roles = sorted({*differing(batch, "observation_space"), *differing(batch, "action_space")})
         if roles:
             raise ArgumentError(
                 f"SB3 has one policy for all agents, and {' and '.join(roles)} have other spaces than the "
                 "widest: put pad_observations_v0 and pad_action_space_v0 around the environment"
             )
-        return env
+        return batch
     raise ArgumentError(
         f"{type(env).__name__} is no environment of this package; sb3_vec_env takes those of "
         "parallel_env and make_vec, in this package's wrappers or none"

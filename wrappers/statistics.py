@@ -9,11 +9,12 @@ from gymnasium.spaces import Box, Space
 
 from pearl_marl.batch.step import Array, BatchStep
 from pearl_marl.errors import ArgumentError
-from pearl_marl.interfaces.batch import Batch, Mask
+from pearl_marl.interfaces.batch import Batch
+from pearl_marl.interfaces.world import Mask
 from pearl_marl.spec import is_number
 
 from . import kernels
-from .base import box, wrap
+from .base import Env, box, wrap
 from .transform import Slots, Transform
 
 _FARTHEST = 1e100
@@ -116,7 +117,7 @@ class _NormalisedReward(_Normalised):
         self._returns[slots] = 0
 
 
-def normalize_observation_v0(env: Batch, epsilon: float = 1e-8) -> Any:
+def normalize_observation_v0(env: Env, epsilon: float = 1e-8) -> Any:
     """Shift and scale observations to mean 0 and variance 1, by the statistics of all seen so far.
 
     ``env.transform.updates = False`` freezes the statistics; ``env.transform.statistics()`` returns
@@ -125,7 +126,7 @@ def normalize_observation_v0(env: Batch, epsilon: float = 1e-8) -> Any:
     return wrap(env, _NormalisedObservation, epsilon)
 
 
-def normalize_reward_v0(env: Batch, gamma: float = 0.99, epsilon: float = 1e-8) -> Any:
+def normalize_reward_v0(env: Env, gamma: float = 0.99, epsilon: float = 1e-8) -> Any:
     """Scale rewards so that their discounted sum has variance 1; see :func:`normalize_observation_v0`.
 
     As in Gymnasium, where an episode terminates the sum is that last reward alone.

@@ -18,7 +18,7 @@ from pearl_marl.batch.step import Array
 from pearl_marl.devices.by_name import make_host_device
 from pearl_marl.elements import action_counts, bounds
 from pearl_marl.errors import ArgumentError
-from pearl_marl.interfaces.parallel_interface import ParallelInterface
+from pearl_marl.interfaces.parallel import PearlParallelEnv
 from pearl_marl.spec import Role
 
 from .episodes import skips_frames
@@ -97,7 +97,7 @@ class TorchRLEnv(EnvBase):  # type: ignore[misc]  # torchrl has no types
     ``max_cycles`` is the time limit, 0 for none.
     """
 
-    def __init__(self, env: ParallelInterface, state: bool) -> None:
+    def __init__(self, env: PearlParallelEnv, state: bool) -> None:
         super().__init__(device="cpu", batch_size=(env.n_worlds,))
         self.env = env
         self._worlds = WaitingWorlds(env)
@@ -117,8 +117,7 @@ class TorchRLEnv(EnvBase):  # type: ignore[misc]  # torchrl has no types
 
     @max_cycles.setter
     def max_cycles(self, value: int | None) -> None:
-        unwrapped: Any = self.env.unwrapped
-        self._worlds.max_cycles = replace(unwrapped.device.config, max_cycles=value).limit
+        self._worlds.max_cycles = replace(self.env.device.config, max_cycles=value).limit
 
     def _make_specs(self) -> None:
         seen, acted, rewarded = Composite(), Composite(), Composite()
@@ -126,17 +125,15 @@ class TorchRLEnv(EnvBase):  # type: ignore[misc]  # torchrl has no types
         for name, (role, places) in self._groups.items():
             k = (len(places),)
             shown = {"observation": _spec(role.observation_space, k)}
-            if self.env.world.masked:
+            if self.env.batch.world.masked:
                 shown["action_mask"] = _bools((*k, action_counts(role.action_space)[0]))
             seen[name] = Composite(shown, shape=k)
             acted[name] = Composite({"action": _spec(role.action_space, k)}, shape=k)
             rewarded[name] = Composite({"reward": Unbounded((*k, 1))}, shape=k)
             done[name] = Composite({flag: _bools((*k, 1)) for flag in FLAGS}, shape=k)
         if self._with_state:
-            space: Any = self.env.unwrapped
-            low, high = (
-                bound[0].astype(np.float32) for bound in (space.state_space.low, space.state_space.high)
-            )
+            space = self.env.state_space
+            low, high = (bound[0].astype(np.float32) for bound in (space.low, space.high))
             seen["state"] = _spec(Box(low, high, dtype=np.float32), ())
         self.full_observation_spec_unbatched = seen
         self.full_action_spec_unbatched = acted
@@ -212,9 +209,9 @@ class TorchRLEnv(EnvBase):  # type: ignore[misc]  # torchrl has no types
         self.env.close()
 
 
-def _checked(env: Any) -> ParallelInterface:
+def _checked(env: Any) -> PearlParallelEnv:
     """Return an environment that TorchRL can have, or refuse it."""
-    if not isinstance(env, ParallelInterface):
+    if not isinstance(env, PearlParallelEnv):
         raise ArgumentError(
             f"{type(env).__name__} is no environment of this package's parallel_env; to_torchrl takes those, "
             "in this package's wrappers or none"
@@ -224,8 +221,7 @@ def _checked(env: Any) -> ParallelInterface:
             "agents of autoreset=False leave when their episode ends, and TorchRL's stay: make the "
             "environment with autoreset=True"
         )
-    unwrapped: Any = env.unwrapped
-    if not make_host_device(unwrapped.device).config.copy:
+    if not make_host_device(env.device).config.copy:
         raise ArgumentError(
             "copy=False lets the next step overwrite results, and TorchRL keeps them: make the environment "
             "with copy=True"
@@ -238,11 +234,11 @@ def _checked(env: Any) -> ParallelInterface:
     return env
 
 
-def _groups(env: ParallelInterface) -> dict[str, _Group]:
+def _groups(env: PearlParallelEnv) -> dict[str, _Group]:
     """Return the groups of a world's agents by their names."""
-    roles = env.world.roles
+    roles = env.batch.world.roles
     if not roles:
-        space = env.slot_observation_space, env.slot_action_space
+        space = env.batch.slot_observation_space, env.batch.slot_action_space
         return {"agents": _Group(Role("agent", *space), list(range(env.agents_per_world)))}
     groups: dict[str, _Group] = {}
     for place, role in enumerate(roles):

@@ -16,7 +16,8 @@ from pearl_marl.batch.recycling import Recycler
 from pearl_marl.batch.step import Array, BatchStep
 from pearl_marl.elements import ActionSpace, bounds
 from pearl_marl.errors import ActionError, OrderError
-from pearl_marl.interfaces.batch import Batch, Mask
+from pearl_marl.interfaces.batch import Batch
+from pearl_marl.interfaces.world import Mask
 
 Slots = npt.NDArray[np.intp]
 
@@ -153,8 +154,7 @@ class Transform:
 
     def _action_names(self) -> list[str]:
         """Return the names of an action's fields, if it is what the environment inside all wrappers takes."""
-        unwrapped: Any = self.batch.unwrapped  # type: ignore[attr-defined]  # which every environment has
-        spec = unwrapped.device.config.spec
+        spec = self.batch.innermost.spec
         return [f.name for f in spec.action_fields] if self.action_space == spec.action_space else []
 
     def results(self, step: BatchStep) -> BatchStep:

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from functools import reduce
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from pearl_marl.batch.step import Array
 from pearl_marl.deferral import uninterrupted
-from pearl_marl.interfaces.batch import Mask
-from pearl_marl.interfaces.parallel_interface import ParallelInterface
+from pearl_marl.interfaces.parallel import PearlParallelEnv
+from pearl_marl.interfaces.world import Mask
 
 
 class Shown(NamedTuple):
@@ -49,12 +49,11 @@ class WaitingWorlds:
         object's from now on, and has no time limit any more.
     """
 
-    def __init__(self, env: ParallelInterface) -> None:
+    def __init__(self, env: PearlParallelEnv) -> None:
         self.env = env
         self.n, self.k = env.n_worlds, env.agents_per_world
-        unwrapped: Any = env.unwrapped
-        self.max_cycles: int = unwrapped.max_cycles
-        unwrapped.max_cycles = 0
+        self.max_cycles = env.max_cycles
+        env.max_cycles = 0
         self._elapsed = np.zeros(self.n, np.int64)
         self._terminated = np.zeros(self.n, np.bool_)
         self._obs: Array | None = None
@@ -79,21 +78,21 @@ class WaitingWorlds:
     @uninterrupted
     def step(self, actions: npt.ArrayLike) -> Shown:
         """Step every world once, by actions that have a row an agent. Raises what ``step_batch`` does."""
-        env, rows = self.env, self.env.world.rows
+        env, world = self.env, self.env.batch.world
         acting = env.alive
         step = env.step_batch(actions)
-        began = env.world.begins(step)[:: self.k]
+        began = world.begins(step)[:: self.k]
         self._elapsed += 1
         late = self._elapsed >= self.max_cycles if self.max_cycles else np.zeros(self.n, np.bool_)
         self._elapsed[began] = 0
         self._obs, self._terminated = step.obs, began
         # Where a world began, masks and whoever was dead show the next episode.
-        obs, masks = step.arrivals(), self._masks(rows(began))
-        terminated, truncated = step.terminations, rows(late)
+        obs, masks = step.arrivals(), self._masks(world.rows(began))
+        terminated, truncated = step.terminations, world.rows(late)
         if not acting.all():
             terminated, truncated = terminated | ~acting, truncated & acting
             if began.any():  # and then these are a copy
-                obs[rows(began) & ~acting] = 0
+                obs[world.rows(began) & ~acting] = 0
         return self._shown(obs, masks, step.rewards, (terminated, truncated), (began, late))
 
     def state(self) -> Array:

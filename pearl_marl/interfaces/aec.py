@@ -214,7 +214,7 @@ class PearlAECEnv(AECEnv):  # type: ignore[misc]  # pettingzoo has no types
     def _actions(self) -> dict[str, Any]:
         """Return an action for everybody that is there, of whom some are not on turn, or have left here."""
         slots = self.env.slots
-        idle = dict.fromkeys(self.env.agents, idle_action(self.env.slot_action_space))
+        idle = dict.fromkeys(self.env.agents, idle_action(self.env.batch.slot_action_space))
         if self.env.action_masks is not None:
             allowed = on_host(self.env.action_masks).argmax(1).tolist()
             idle = {agent: allowed[slots[agent]] for agent in idle}

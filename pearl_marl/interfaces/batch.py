@@ -1,88 +1,126 @@
-"""What wrappers and bridges use of an environment: its batch of slots, behind either interface."""
+"""What steps behind either interface: a batch of agents, a device's or one with a change around it."""
 
 from __future__ import annotations
 
-from abc import abstractmethod
+import functools
+import warnings
+from abc import ABC, abstractmethod
 from copy import deepcopy
-from functools import reduce
-from typing import Any, NamedTuple, Self
+from dataclasses import replace
+from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
-from gymnasium.spaces import Space
+from gymnasium.spaces import Box, Space
+from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode
 
-from pearl_marl.batch.step import Array, BatchStep
+from pearl_marl.batch.actions import idle_action
+from pearl_marl.batch.saved_state import SavedState
+from pearl_marl.batch.slot_memory import state_dtype
+from pearl_marl.batch.starts import checked_start
+from pearl_marl.batch.step import Array, BatchStep, on_host
+from pearl_marl.deferral import uninterrupted
+from pearl_marl.devices import BatchConfig, Device
 from pearl_marl.elements import ActionSpace
-from pearl_marl.spec import EnvSpec, Role
-
-Mask = npt.NDArray[np.bool_]
-
-
-class World(NamedTuple):
-    """What agents that share a state have in common; every world of a batch is alike."""
-
-    agents: int = 1
-    """How many agents share a world."""
-    roles: tuple[Role, ...] = ()
-    """A role for each agent of a world; empty where all are alike."""
-    masked: str = ""
-    """What happens to masked actions: see :class:`EnvSpec`. Empty where there are no masks."""
-
-    @classmethod
-    def of(cls, spec: EnvSpec) -> World:
-        """Return the worlds of an environment."""
-        return cls(spec.agents, spec.roles, spec.masked if spec.mask_fields else "")
-
-    def shown(self, observations: Space[Any] | None, actions: ActionSpace | None) -> World:
-        """Return the same worlds with these spaces for every agent; ``None`` keeps those of the roles."""
-        roles = (
-            Role(role.name, observations or role.observation_space, actions or role.action_space)
-            for role in self.roles
-        )
-        return self._replace(roles=tuple(roles))
-
-    def rows(self, worlds: Mask) -> Mask:
-        """Return a mask of agents for a mask of worlds."""
-        return worlds if self.agents == 1 else worlds.repeat(self.agents)
-
-    def begins(self, step: BatchStep) -> Mask:
-        """Return which agents' worlds began a new episode in a step, a row an agent; SAME_STEP mode only."""
-        if self.agents == 1:
-            return step.ended
-        # Where somebody ended and nobody is dead, everybody has begun again.
-        # Agent by agent: along the short rows, any() and all() take ten times as long.
-        ended, alive = (array.reshape(-1, self.agents).T for array in (step.ended, step.alive))
-        return self.rows(reduce(np.bitwise_or, ended) & reduce(np.bitwise_and, alive))
+from pearl_marl.errors import ArgumentError, OrderError
+from pearl_marl.interfaces.world import Mask, World
+from pearl_marl.rendering import Renderer, check_render_mode, renderer
+from pearl_marl.rng import checked_seed
 
 
-class Batch:
-    """A batch of agents: every environment of this package is one, of either interface, wrapped or not."""
+class Batch(ABC):
+    """A batch of agents, stepped at once; what it needs of a subclass is below :meth:`step_batch`.
 
-    batch_size: int
-    """Number of agents: worlds times agents per world. A *slot* here is the row of an agent."""
-
-    world: World
-    """How agents share states."""
-
-    slot_observation_space: Space[Any]
-    """The space of one slot's observation."""
-
-    slot_action_space: ActionSpace
-    """The space of one slot's action."""
-
-    slot_autoreset_mode: AutoresetMode
-    """When a slot that ended starts over: in the ``SAME_STEP``, or in the ``NEXT_STEP``.
-
-    That is what :meth:`step_batch` does. A ``VectorEnv`` in DISABLED mode and agents that leave only hide it.
+    Attributes
+    ----------
+    batch_size
+        Number of agents: worlds times agents per world. A *slot* here is the row of an agent.
+    world
+        How agents share states.
+    slot_observation_space, slot_action_space
+        The spaces of one slot's observation and action.
+    slot_autoreset_mode
+        When a slot that ended starts over: in the ``SAME_STEP``, or in the ``NEXT_STEP``. That is what
+        :meth:`step_batch` does. A ``VectorEnv`` in DISABLED mode and agents that leave only hide it.
+    autoreset
+        Whether slots that ended start over by themselves and need no reset.
+    action_kinds
+        The kinds of dtype that actions may have.
     """
 
-    autoreset: bool
-    """Whether slots that ended start over by themselves and need no reset."""
+    def __init__(
+        self,
+        batch_size: int,
+        observation_space: Space[Any],
+        action_space: ActionSpace,
+        action_kinds: str,
+        autoreset: bool,
+        slot_autoreset_mode: AutoresetMode,
+        world: World,
+    ) -> None:
+        self.batch_size, self.world = batch_size, world
+        self.slot_observation_space, self.slot_action_space = observation_space, action_space
+        self.action_kinds = action_kinds
+        self.autoreset, self.slot_autoreset_mode = autoreset, slot_autoreset_mode
+        self.action_shape = action_space.shape or ()
+        # An action that is possible, for agents that need none.
+        self.idle: Any = idle_action(action_space)
+        # As `live` is another array whenever it changes, this one is known to say that everybody acts.
+        self._everybody: Mask | None = None
 
     def __copy__(self) -> Self:
         # Two environments that share a device would step each other's agents.
         return deepcopy(self)
+
+    @property
+    def n_worlds(self) -> int:
+        """How many states there are."""
+        return self.batch_size // self.world.agents
+
+    def step_batch(self, actions: npt.ArrayLike) -> BatchStep:
+        """Step every slot once; actions of agents that left or are dead are ignored."""
+        if self.live is not self._everybody or self.world.agents > 1:
+            actions = self.filled(actions)
+        return self.step_slots(actions)
+
+    def filled(self, actions: npt.ArrayLike) -> npt.ArrayLike:
+        """Return actions with a possible one for agents that left or are dead, whose own is ignored."""
+        live = self.live
+        acting = live if self.world.agents == 1 else live & on_host(self.alive)
+        if acting.all():
+            self._everybody = live
+            return actions
+        if not self.ready:  # the device says why not
+            return actions
+        if not live.any():
+            raise OrderError("step() with no agent left: every episode has ended, call reset() first")
+        given: Any = actions
+        try:
+            array = np.asarray(given.cpu() if hasattr(given, "cpu") else given)
+        except ValueError:  # a ragged list, to be refused
+            return actions
+        if not self.are_actions(array, self.batch_size):
+            return actions
+        idle = self.idle
+        if self.world.masked:  # agents that left may be in a world that runs on, and are not to be refused
+            idle = on_host(self.action_masks).argmax(1).astype(array.dtype)
+        return np.where(acting.reshape(-1, *(1,) * len(self.action_shape)), array, idle)
+
+    def are_actions(self, array: Array, count: int) -> bool:
+        """Return whether an array has the shape and kind of dtype of so many actions."""
+        return array.shape == (count, *self.action_shape) and array.dtype.kind in self.action_kinds
+
+    def reset_slots(self, mask: Mask) -> Array:
+        """Begin an episode in the masked worlds, shape ``(worlds,)``; return all observations."""
+        if mask is None:
+            raise ArgumentError("mask is None; reset_batch() begins an episode in every world")
+        return self.reset_batch(mask=mask)
+
+    @property
+    @abstractmethod
+    def innermost(self) -> DeviceBatch:
+        """The batch of the device, inside all changes."""
 
     @property
     @abstractmethod
@@ -108,13 +146,215 @@ class Batch:
         """Whether a step is possible: after the first reset, and until closed."""
 
     @abstractmethod
-    def step_batch(self, actions: npt.ArrayLike) -> BatchStep:
-        """Step every slot once; actions of agents that left are ignored."""
+    def step_slots(self, actions: npt.ArrayLike) -> BatchStep:
+        """Do what :meth:`step_batch` does, with possible actions for agents that left or are dead."""
 
     @abstractmethod
-    def reset_batch(self, seed: int | None = None) -> Array:
-        """Begin an episode in every slot; return observations of shape ``(batch_size, ...)``."""
+    def reset_batch(self, seed: int | None = None, mask: npt.ArrayLike | None = None) -> Array:
+        """Begin an episode in every world, or in those masked; return all observations."""
 
     @abstractmethod
-    def reset_slots(self, mask: Mask) -> Array:
-        """Begin an episode in the masked worlds, shape ``(worlds,)``; return all observations."""
+    def save_state(self) -> bytes:
+        """Return everything that what follows depends on."""
+
+    @abstractmethod
+    def load_state(self, blob: bytes) -> Array:
+        """Continue from what :meth:`save_state` returned; return every agent's observation."""
+
+
+def moved(view: Any, name: str) -> Any:
+    """Return what was an attribute of environments before they had a batch, with a warning."""
+    if name not in _MOVED:
+        raise AttributeError(f"{type(view).__name__!r} object has no attribute {name!r}")
+    warnings.warn(f"{name} of an environment is now batch.{name}", DeprecationWarning, stacklevel=3)
+    return getattr(view.batch, name)
+
+
+_MOVED = {
+    *("batch_size", "world", "slot_observation_space", "slot_action_space", "slot_autoreset_mode"),
+    *("live", "alive", "autoreset"),
+}
+"""Some of them are an environment's, too."""
+
+
+class DeviceBatch(Batch):
+    """The slots of a device.
+
+    With ``leaves``, agents leave when their episode ends, until the next reset. ``spec`` is the environment's
+    :class:`pearl_marl.spec.EnvSpec`, ``device`` the :class:`pearl_marl.devices.Device` that steps the slots.
+    """
+
+    def __init__(
+        self,
+        config: BatchConfig,
+        device: Device,
+        rewards: Any,
+        *,
+        autoreset: bool,
+        leaves: bool,
+        render_mode: str | None = None,
+    ) -> None:
+        self.spec = spec = config.spec
+        check_render_mode(spec, render_mode)
+        # Copies, or seeding one environment's spaces would seed another's.
+        observations, actions, world = deepcopy((spec.observation_space, spec.action_space, World.of(spec)))
+        kinds = "iuf" if isinstance(actions, Box) else "iu"
+        mode = config.autoreset_mode
+        super().__init__(config.n_agents, observations, actions, kinds, autoreset, mode, world)
+        self.device = device.open(config, rewards)
+        self.render_mode = render_mode
+        self._leaves = leaves
+        # Nobody is there before the first reset. Arrays of `live` are replaced, never written into.
+        self._all = np.ones(config.n_agents, np.bool_)
+        self._live = ~self._all
+        self._random, self.np_random_seed = seeding.np_random()
+        self._start: dict[str, Array] | None = None
+        self._renderer: Renderer | None = None
+        self._rendered_world = 0
+
+    def __getstate__(self) -> dict[str, Any]:
+        # A copy opens a window, or makes pictures, by itself.
+        return {**self.__dict__, "_renderer": None}
+
+    @property
+    def innermost(self) -> DeviceBatch:
+        """See :class:`Batch`."""
+        return self
+
+    @property
+    def live(self) -> Mask:
+        """See :class:`Batch`."""
+        return self._live
+
+    @property
+    def alive(self) -> Mask:
+        """See :class:`Batch`."""
+        return self.device.alive
+
+    @property
+    def action_masks(self) -> Array | None:
+        """See :class:`Batch`."""
+        return self.device.action_masks
+
+    @property
+    def ready(self) -> bool:
+        """See :class:`Batch`."""
+        return self.device.ready
+
+    @property
+    def np_random(self) -> np.random.Generator:
+        """Random numbers for other packages' wrappers, from the seed of a reset; nothing here draws them."""
+        return self._random
+
+    @np_random.setter
+    def np_random(self, value: np.random.Generator) -> None:
+        self._random, self.np_random_seed = value, -1
+
+    @functools.cached_property
+    def state_space(self) -> Box:
+        """The space of the states of all worlds."""
+        low, high = zip(*((f.low, f.high) for f in self.spec.state), strict=True)
+        shape = self.n_worlds, 1
+        dtype = state_dtype(self.spec)
+        return Box(
+            np.tile(np.array(low, dtype), shape), np.tile(np.array(high, dtype), shape), dtype=dtype.type
+        )
+
+    def start_from(self, state: object) -> None:
+        """Let the next reset set fields of the states that episodes begin with."""
+        self._start = checked_start(self.spec, state, self.n_worlds)
+
+    @uninterrupted
+    def reset_batch(self, seed: int | None = None, mask: npt.ArrayLike | None = None) -> Array:
+        """Begin an episode in every world, or in those masked; return all observations.
+
+        Agents of those worlds that have left are there again. Observations of others that have left have no
+        meaning.
+        """
+        start, self._start = self._start, None
+        obs = self.device.reset(seed, mask)
+        if start:
+            obs = self.device.put(start, mask)
+        if seed is not None:
+            self._random, self.np_random_seed = np.random.default_rng(checked_seed(seed)), int(seed)
+        if mask is None:
+            self._live = self._all
+            self._show()
+        else:
+            back = self.world.rows(np.asarray(mask)) & ~self._live
+            if back.any():
+                self._live = self._live | back
+        return obs
+
+    def step_slots(self, actions: npt.ArrayLike) -> BatchStep:
+        """See :meth:`Batch.step_slots`."""
+        # Where nothing is noted here, the device's step is all that an interrupt could cut in two.
+        if not self._leaves and self.render_mode != "human":
+            return self.device.step(actions)
+        return self._step_noted(actions)
+
+    @uninterrupted
+    def _step_noted(self, actions: npt.ArrayLike) -> BatchStep:
+        return self._noted(self.device.step(actions))
+
+    def send(self, actions: npt.ArrayLike) -> None:
+        """Start a step and return immediately; :meth:`recv` returns its results."""
+        self.device.send(self.filled(actions))
+
+    @uninterrupted
+    def recv(self) -> BatchStep:
+        """Wait for the step that :meth:`send` started and return its results."""
+        return self._noted(self.device.recv())
+
+    def _noted(self, result: BatchStep) -> BatchStep:
+        """Take note of the agents that leave in a step, and show it."""
+        if self._leaves:
+            leaving = on_host(result.ended) & self._live
+            if leaving.any():
+                self._live = self._live & ~leaving
+        self._show()
+        return result
+
+    @uninterrupted
+    def save_state(self) -> bytes:
+        """Return everything that what follows depends on; :meth:`load_state` takes it, on any device."""
+        self.device.check_idle("save_state", ready=True)
+        saved = self.device.shared_snapshot()
+        live = self._live if self._leaves else self._live[:0]
+        identity = {**self.device.config.identity(), "autoreset": self.autoreset}
+        return replace(saved, identity=identity, live=live.view(np.uint8)).to_bytes()
+
+    @uninterrupted
+    def load_state(self, blob: bytes) -> Array:
+        """See :meth:`Batch.load_state`."""
+        self.device.check_idle("load_state")
+        saved = SavedState.from_bytes(blob, self.device.config, self.autoreset)
+        obs = self.device.restore(replace(saved, live=saved.live[:0]))  # which a device knows nothing of
+        self._live = saved.live.astype(np.bool_) if self._leaves else self._all
+        return obs
+
+    def render(self, world: int | None = None) -> Any:
+        """Draw a world, now and later, with the renderer of the oracle."""
+        if self.render_mode is None:
+            raise OrderError(
+                f"render() without a render_mode: make the environment with one of {self.spec.render_modes}"
+            )
+        if world is not None:
+            self._rendered_world = world
+        state = self.device.state()[self._rendered_world]
+        if self._renderer is None:
+            self._renderer = renderer(self.spec, self.render_mode)
+        return self._renderer.render(state)
+
+    def _show(self) -> None:
+        """Draw the step that was made, where somebody watches."""
+        if self.render_mode == "human":
+            self.render()
+
+    @uninterrupted
+    def close(self) -> None:
+        """Release the device and the window. Safe to call twice."""
+        self.device.close()
+        if self._renderer is not None:
+            self._renderer.close()
+            self._renderer = None

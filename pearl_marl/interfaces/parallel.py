@@ -1,44 +1,43 @@
-"""The PettingZoo interface: one ``ParallelEnv`` whose agents are those of all slots."""
+"""The PettingZoo interface: the agents of a batch as those of one ``ParallelEnv``, and their dicts."""
 
 from __future__ import annotations
 
 import functools
 import inspect
+from collections.abc import Callable, Mapping, Sequence
 from copy import deepcopy
-from dataclasses import replace
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
-from gymnasium.spaces import Box
+import pettingzoo
+from gymnasium.spaces import Box, Dict, Space
 
+from pearl_marl.batch.actions import refuse_first
 from pearl_marl.batch.config import worlds_of
 from pearl_marl.batch.results import check_memory
-from pearl_marl.batch.saved_state import SavedState
-from pearl_marl.batch.slot_memory import state_dtype
-from pearl_marl.batch.starts import checked_start
 from pearl_marl.batch.step import Array, on_host
-from pearl_marl.deferral import uninterrupted
 from pearl_marl.devices import BatchConfig, BatchStep, Device, make_device
-from pearl_marl.errors import ArgumentError, OrderError
-from pearl_marl.interfaces.batch import Mask, World
-from pearl_marl.interfaces.parallel_interface import ParallelInterface
+from pearl_marl.errors import ActionError, ArgumentError, OrderError
+from pearl_marl.interfaces.agent_dict import AgentDict, ended_infos, observations_in, python_values
+from pearl_marl.interfaces.agent_spaces import AgentSpaces
+from pearl_marl.interfaces.batch import Batch, DeviceBatch, moved
+from pearl_marl.interfaces.names import AgentList, Names
+from pearl_marl.interfaces.world import Mask
 from pearl_marl.packing import observed_as
 from pearl_marl.registry import get_spec
-from pearl_marl.rendering import Renderer, check_render_mode, renderer
-from pearl_marl.rng import checked_seed
-from pearl_marl.spec import snake_case
+from pearl_marl.spec import EnvSpec, Role, snake_case
 
 
-class PearlParallelEnv(ParallelInterface):
-    """Many slots of one environment, with their agents as the agents of a PettingZoo ``ParallelEnv``.
+class PearlParallelEnv(pettingzoo.ParallelEnv):  # type: ignore[misc]  # pettingzoo has no types
+    """The agents of a batch as those of a PettingZoo ``ParallelEnv``, in wrappers or without.
 
-    A slot is a *world*: it has one agent, or several that share its state. Agents ``agent_0`` to
+    A slot of a device is a *world*: it has one agent, or several that share its state. Agents ``agent_0`` to
     ``agent_{K-1}`` are in the first, ``world`` is ``i // K``.
 
     Make one with :func:`parallel_env`. The five results of :meth:`step` are dicts that are filled
     on first use (:class:`pearl_marl.interfaces.agent_dict.AgentDict`); their ``.array`` is what the device
-    returned, a row an agent. Whoever needs no dict at all calls :meth:`step_batch`.
+    returned, a row an agent. Programs that need no dict at all call :meth:`step_batch`.
 
     With ``autoreset=True`` agents stay: one whose episode ended finds itself at the start of the
     next, and ``infos[agent]["final_obs"]`` holds where the old one ended. With ``autoreset=False``
@@ -48,48 +47,97 @@ class PearlParallelEnv(ParallelInterface):
     its world stays in ``agents`` and is *dead* until then: its action is ignored, its observation zeros and
     its reward 0, as ``alive`` says.
 
-    ``spec`` is its :class:`pearl_marl.spec.EnvSpec`, ``device`` the :class:`pearl_marl.devices.Device` that
-    steps the slots. ``np_random`` is a ``numpy.random.Generator`` from the seed of :meth:`reset`, for other
-    packages' wrappers: nothing here draws from it.
+    Attributes
+    ----------
+    batch
+        What steps: see :class:`pearl_marl.interfaces.batch.Batch`. Wrappers change it.
+    env
+        The environment without the outermost wrapper; only where there is one.
+    possible_agents
+        The names of all agents, in the order of the slots.
+    names
+        The same, made when they are read and never changed.
     """
 
-    def __init__(
-        self, config: BatchConfig, device: Device, rewards: Any, autoreset: bool, render_mode: str | None
-    ) -> None:
-        spec = config.spec
-        check_render_mode(spec, render_mode)
-        check_memory(config)
-        super().__init__(
-            config.n_agents,
-            # Copies, or seeding one environment's spaces would seed another's.
-            *deepcopy((spec.observation_space, spec.action_space)),
-            "iuf" if isinstance(spec.action_space, Box) else "iu",
-            autoreset,
-            deepcopy(World.of(spec)),
-        )
-        self.spec = spec
-        self.device = device.open(config, rewards)
-        self.render_mode = render_mode
+    def __init__(self, batch: Batch, inside: PearlParallelEnv | None = None) -> None:
+        self.batch = batch
+        self._inside = inside
+        count, observation_space = batch.batch_size, batch.slot_observation_space
+        self.names = Names(count)
+        self.possible_agents: list[str] = AgentList(self.names)
+        # One agent's after the other in a world, or the one that is everybody's.
+        self._roles = batch.world.roles or (Role("agent", observation_space, batch.slot_action_space),)
+        spaces = [self._observation_space(role) for role in self._roles]
+        self._observation_spaces = [spaces[self._roles.index(role)] for role in self._roles]
+        self._rows = observations_in(observation_space)
+        # As `live` is another array whenever it changes, it tells whether these names of it are out of date:
+        # those that steps may keep, and the public list.
+        self._named: Mask = np.zeros(0, np.bool_)
+        self._here = Names(0)
+        self._agents: list[str] = []
+        spec = self.spec
         self.metadata = {
             "name": f"{snake_case(spec.name)}_v{spec.version}",
             "render_modes": list(spec.render_modes),
             "render_fps": spec.render_fps,
             "is_parallelizable": True,
         }
-        # Nobody is there before the first reset. Arrays of `live` are replaced, never written into.
-        self._all = np.ones(config.n_agents, np.bool_)
-        self._live = ~self._all
-        self.np_random = np.random.default_rng()
-        self._start: dict[str, Array] | None = None
-        self._renderer: Renderer | None = None
-        self._rendered_world = 0
 
-    def __getstate__(self) -> dict[str, Any]:
-        # A copy opens a window, or makes pictures, by itself.
-        return {**self.__dict__, "_renderer": None}
+    def __copy__(self) -> Self:
+        # Two environments that share a device would step each other's agents.
+        return deepcopy(self)
 
     def __repr__(self) -> str:
-        return f"{type(self).__name__}({self.spec.id}, n_agents={self.batch_size}, device={self.device.name})"
+        of = f"{self.spec.id}, n_agents={self.batch_size}, device={self.device.name}"
+        return f"{type(self).__name__}({of})"
+
+    def __getattr__(self, name: str) -> Any:
+        return moved(self, name)
+
+    def around(self, batch: Batch) -> PearlParallelEnv:
+        """Return an environment like this one of a batch that changes this one's."""
+        return PearlParallelEnv(batch, self)
+
+    @property
+    def env(self) -> PearlParallelEnv:
+        """The environment without the outermost wrapper; no attribute of one that has none."""
+        if self._inside is None:
+            raise AttributeError(f"{type(self).__name__} has no wrapper, and so no 'env'")
+        return self._inside
+
+    @property
+    def unwrapped(self) -> PearlParallelEnv:
+        """The environment without any wrapper."""
+        return self if self._inside is None else self._inside.unwrapped
+
+    @property
+    def transform(self) -> Any:
+        """What the outermost wrapper does: see :class:`pearl_marl.wrappers.transform.Transform`."""
+        return self.batch.transform  # type: ignore[attr-defined]  # where there is a wrapper
+
+    @property
+    def spec(self) -> EnvSpec:
+        """The environment's :class:`pearl_marl.spec.EnvSpec`."""
+        return self.batch.innermost.spec
+
+    @property
+    def device(self) -> Device:
+        """The :class:`pearl_marl.devices.Device` that steps the slots."""
+        return self.batch.innermost.device
+
+    @property
+    def render_mode(self) -> str | None:
+        """What :meth:`render` makes."""
+        return self.batch.innermost.render_mode
+
+    @property
+    def np_random(self) -> np.random.Generator:
+        """Random numbers for other packages' wrappers, from the seed of :meth:`reset`."""
+        return self.batch.innermost.np_random
+
+    @np_random.setter
+    def np_random(self, value: np.random.Generator) -> None:
+        self.batch.innermost.np_random = value
 
     @property
     def max_cycles(self) -> int:
@@ -105,116 +153,160 @@ class PearlParallelEnv(ParallelInterface):
     def max_cycles(self, value: int | None) -> None:
         self.device.set_max_cycles(value)
 
-    def start_from(self, state: object) -> None:
-        """Let the next reset set fields of states: see :meth:`reset`, whose ``options["state"]`` this is."""
-        self._start = checked_start(self.spec, state, self.n_worlds)
+    @property
+    def batch_size(self) -> int:
+        """Number of agents."""
+        return self.batch.batch_size
 
-    @uninterrupted
-    def reset_batch(self, seed: int | None = None) -> Array:
-        """Begin an episode for every agent; return observations of shape ``(n_agents, ...)``."""
-        start, self._start = self._start, None
-        obs = self.device.reset(seed)
-        if start:
-            obs = self.device.put(start)
-        if seed is not None:
-            self.np_random = np.random.default_rng(checked_seed(seed))
-        self._live = self._all
-        if self.render_mode == "human":
-            self.render()
-        return obs
+    @property
+    def autoreset(self) -> bool:
+        """Whether agents stay and start over, or leave when their episode ends."""
+        return self.batch.autoreset
 
     @property
     def live(self) -> Mask:
-        """Which agents are present: none before the first reset; see :class:`Batch`."""
-        return self._live
+        """Which agents are present: none before the first reset. Shape ``(n_agents,)``."""
+        return self.batch.live
 
     @property
     def alive(self) -> Mask:
         """Which agents take part in the next step: all that are not dead. Shape ``(n_agents,)``."""
-        return self.device.alive
+        return self.batch.alive
 
     @property
     def action_masks(self) -> Array | None:
         """Which actions are allowed in the next step: see :class:`pearl_marl.devices.BatchStep`."""
-        return self.device.action_masks
+        return self.batch.action_masks
 
     @property
     def ready(self) -> bool:
         """Whether a step is possible: after the first reset, and until closed."""
-        return self.device.ready
+        return self.batch.ready
 
-    def step_slots(self, actions: npt.ArrayLike) -> BatchStep:
-        """See :meth:`ParallelInterface.step_slots`."""
-        # Where nothing is noted here, the device's step is all that an interrupt could cut in two.
-        if self.autoreset and self.render_mode != "human":
-            return self.device.step(actions)
-        return self._step_noted(actions)
+    @property
+    def agents(self) -> list[str]:
+        """The names of those that are there, in the order of the slots."""
+        self._name_who_is_there()
+        return self._agents
 
-    @uninterrupted
-    def _step_noted(self, actions: npt.ArrayLike) -> BatchStep:
-        return self._stepped(self.device.step(actions))
+    @functools.cached_property
+    def slots(self) -> dict[str, int]:
+        """Each agent's slot."""
+        return {agent: slot for slot, agent in enumerate(self.names)}
 
-    @uninterrupted
+    @property
+    def agents_per_world(self) -> int:
+        """How many agents share a state. Agent ``i`` is in world ``i // agents_per_world``."""
+        return self.batch.world.agents
+
+    @property
+    def n_worlds(self) -> int:
+        """How many states there are."""
+        return self.batch.n_worlds
+
+    def role(self, agent: str) -> str:
+        """Return the name of an agent's role; ``"agent"`` where all are alike."""
+        return self._roles[self._place(agent)].name
+
+    @functools.cached_property
+    def observation_spaces(self) -> Mapping[str, Space[Any]]:
+        """Every agent's :meth:`observation_space`: a dict, or of many agents a mapping that acts like one."""
+        return AgentSpaces.of(self.names, self._observation_spaces)
+
+    @functools.cached_property
+    def action_spaces(self) -> Mapping[str, Space[Any]]:
+        """Every agent's :meth:`action_space`, likewise."""
+        return AgentSpaces.of(self.names, [role.action_space for role in self._roles])
+
+    def observation_space(self, agent: str) -> Space[Any]:
+        """Return an agent's observation space, one object for all agents of its role.
+
+        Where there are masks it is a ``Dict`` of ``"observation"`` and ``"action_mask"``.
+        """
+        return self._observation_spaces[self._place(agent)]
+
+    def action_space(self, agent: str) -> Space[Any]:
+        """Return an agent's action space, one object for all agents of its role."""
+        return self._roles[self._place(agent)].action_space
+
+    def _place(self, agent: str) -> int:
+        """Return where in its world an agent is, of as many places as there are roles."""
+        return self.slot_of(agent) % len(self._roles)
+
+    def slot_of(self, agent: str) -> int:
+        """Return an agent's slot; refuse a name that nobody has."""
+        try:
+            return self.names.slot(agent)
+        except KeyError:
+            raise ArgumentError(
+                f"there is no agent {agent!r}; agents are agent_0 to agent_{self.batch_size - 1}"
+            ) from None
+
+    def _observation_space(self, role: Role) -> Space[Any]:
+        if not self.batch.world.masked:
+            return role.observation_space
+        n: Any = getattr(role.action_space, "n", 0)
+        return Dict({"observation": role.observation_space, "action_mask": Box(0, 1, (n,), np.int8)})
+
+    def step_batch(self, actions: npt.ArrayLike) -> BatchStep:
+        """Step every slot once, without any dict.
+
+        Parameters
+        ----------
+        actions
+            Shape ``(n_agents, *action_space.shape)``; integers cost least in ``spec.action_dtype``.
+            What they hold for agents that have left, or are dead, is ignored.
+
+        Returns
+        -------
+        :class:`pearl_marl.devices.BatchStep`, its rows in the order of ``possible_agents``. Without
+        autoreset, the slots of agents that left run on, and their rows have no meaning; in the step in
+        which an agent ends, ``obs`` is already its slot's next start (``arrivals()`` is where it ended).
+        """
+        return self.batch.step_batch(actions)
+
+    def reset_batch(self, seed: int | None = None) -> Array:
+        """Begin an episode for every agent; return observations of shape ``(n_agents, ...)``."""
+        return self.batch.reset_batch(seed)
+
     def reset_slots(self, mask: Mask) -> Array:
         """Begin an episode in the masked worlds, shape ``(n_worlds,)``; return all observations.
 
         With ``autoreset=False``, agents of those worlds that have left are back in ``agents``. Observations
         of others that have left have no meaning.
         """
-        if mask is None:
-            raise ArgumentError("mask is None; reset_batch() begins an episode in every world")
-        obs = self.device.reset(mask=mask)
-        back = self.world.rows(np.asarray(mask)) & ~self._live
-        if back.any():
-            self._live = self._live | back
-        return obs
+        return self.batch.reset_slots(mask)
 
     def send(self, actions: npt.ArrayLike) -> None:
-        """Start a step and return immediately; :meth:`recv` returns its results.
+        """Start a step and return immediately; :meth:`recv` returns its results. Not in wrappers.
 
         With two environments of half the slots each, one steps while the other's results are used.
         Takes and raises what :meth:`step_batch` does.
         """
-        self.device.send(self.filled(actions))
+        self._unchanged("send").send(actions)
 
-    @uninterrupted
     def recv(self) -> BatchStep:
         """Wait for the step that :meth:`send` started and return its results."""
-        return self._stepped(self.device.recv())
+        return self._unchanged("recv").recv()
 
-    def _stepped(self, result: BatchStep) -> BatchStep:
-        """Take note of who leaves in a step, and show it."""
-        if not self.autoreset:
-            leaving = on_host(result.ended) & self._live
-            if leaving.any():
-                self._live = self._live & ~leaving
-        if self.render_mode == "human":
-            self.render()
-        return result
+    def _unchanged(self, call: str) -> DeviceBatch:
+        if not isinstance(self.batch, DeviceBatch):
+            raise OrderError(f"a wrapped environment has no {call}(): only step() and step_batch()")
+        return self.batch
 
     def state(self) -> Array:
         """Return the state of every world, shape ``(n_worlds, fields)``, within ``state_space``."""
         return self.device.state()
 
-    @functools.cached_property
+    @property
     def state_space(self) -> Box:
         """The space of :meth:`state`."""
-        low, high = zip(*((f.low, f.high) for f in self.spec.state), strict=True)
-        shape = self.n_worlds, 1
-        dtype = state_dtype(self.spec)
-        return Box(
-            np.tile(np.array(low, dtype), shape), np.tile(np.array(high, dtype), shape), dtype=dtype.type
-        )
+        return self.batch.innermost.state_space
 
-    @uninterrupted
     def save_state(self) -> bytes:
         """Return everything that what follows depends on; :meth:`load_state` takes it, on any device."""
-        self.device.check_idle("save_state", ready=True)
-        saved = self.device.shared_snapshot()
-        live = self._live[:0] if self.autoreset else self._live
-        return replace(saved, identity=self._identity(), live=live.view(np.uint8)).to_bytes()
+        return self.batch.save_state()
 
-    @uninterrupted
     def load_state(self, blob: bytes) -> Array:
         """Continue from what :meth:`save_state` returned, bit for bit; return every agent's observation.
 
@@ -223,11 +315,7 @@ class PearlParallelEnv(ParallelInterface):
         SavedStateError
             The bytes are damaged, of another version, environment, size or mode. Nothing has changed.
         """
-        self.device.check_idle("load_state")
-        saved = SavedState.from_bytes(blob, self.device.config, self.autoreset)
-        obs = self.device.restore(replace(saved, live=saved.live[:0]))  # which a device knows nothing of
-        self._live = self._all if self.autoreset else saved.live.astype(np.bool_)
-        return obs
+        return self.batch.load_state(blob)
 
     def recover(self) -> None:
         """After a DeviceError, continue from where the last successful call left every agent.
@@ -249,30 +337,177 @@ class PearlParallelEnv(ParallelInterface):
         Returns an image of shape ``(height, width, 3)`` for ``"rgb_array"``, a string for ``"ansi"``, and
         ``None`` for ``"human"``, which draws by itself after every step.
         """
-        if self.render_mode is None:
-            raise OrderError(
-                f"render() without a render_mode: make the environment with one of {self.spec.render_modes}"
-            )
-        if agent is not None:
-            slot = self.slot_of(agent)
-            if not self._live[slot]:
-                raise OrderError(f"render({agent!r}): its episode has ended, and it has left until reset()")
-            self._rendered_world = slot // self.world.agents
-        state = self.device.state()[self._rendered_world]
-        if self._renderer is None:
-            self._renderer = renderer(self.spec, self.render_mode)
-        return self._renderer.render(state)
+        innermost = self.batch.innermost
+        if agent is None or innermost.render_mode is None:  # which it refuses
+            return innermost.render()
+        slot = self.slot_of(agent)
+        if not innermost.live[slot]:
+            raise OrderError(f"render({agent!r}): its episode has ended, and it has left until reset()")
+        return innermost.render(slot // self.agents_per_world)
 
-    @uninterrupted
     def close(self) -> None:
         """Release the device and the window. Safe to call twice."""
-        self.device.close()
-        if self._renderer is not None:
-            self._renderer.close()
-            self._renderer = None
+        self.batch.innermost.close()
 
-    def _identity(self) -> dict[str, Any]:
-        return {**self.device.config.identity(), "autoreset": self.autoreset}
+    def reset(
+        self, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, Any], dict[str, Any]]:
+        """Begin an episode for every agent; return observations and infos by agent, the latter empty.
+
+        ``seed`` is a non-negative integer; ``None`` goes on with the random numbers in use.
+        ``options={"state": {"field": values}}`` sets fields of the states that episodes begin with: a number,
+        or an array of shape ``(n_worlds,)``. Other options are accepted as PettingZoo asks, and not used.
+        """
+        state = (options or {}).get("state")
+        if state is not None:
+            self.batch.innermost.start_from(state)
+        obs = on_host(self.reset_batch(seed))
+        masks = on_host(self.action_masks) if self.batch.world.masked else None
+        nobody = np.zeros(len(obs), np.bool_)
+        return (
+            AgentDict.of(self._name_who_is_there(), obs, self._shown(masks)),
+            AgentDict.of(self.possible_agents, nobody, ended_infos(obs, self._shown_last)),
+        )
+
+    def step(self, actions: Mapping[str, Any] | npt.ArrayLike) -> tuple[dict[str, Any], ...]:
+        """Step every agent of ``agents`` once.
+
+        Parameters
+        ----------
+        actions
+            An action for each of ``agents`` by name, or an array of shape ``(n_agents, *action_space.shape)``
+            for all of ``possible_agents``. What either says for agents that have left is ignored.
+
+        Returns
+        -------
+        Observations (NumPy scalars, tuples of them, or arrays; with masks, a dict of ``"observation"`` and
+        ``"action_mask"``), rewards (``float``), terminations and truncations (``bool``) and infos, each a
+        dict by agent; all empty for a dict once no agent is left. The mask of an agent that ends is 0.
+
+        Raises
+        ------
+        ActionError
+            Names the first agent whose action is missing, out of range, or masked in an environment that
+            refuses such; or a name that no agent has. Nothing has moved.
+        OrderError
+            Before ``reset``, after ``close``, or for an array once every agent has left.
+        """
+        agents = self._name_who_is_there()
+        live = self._named
+        given: Any = actions
+        if isinstance(actions, Mapping) and self.ready:
+            values = self._values(agents, actions)
+            if not values:  # PettingZoo's convention, which SuperSuit's black_death needs
+                return {}, {}, {}, {}, {}
+            given = self._action_array(agents, values)
+        result = self.step_batch(given).on_host()
+        obs, rewards, terminations, truncations, final_obs = result
+        ended, masks, here = result.ended, result.action_masks, None
+        if not self.autoreset:
+            # Here an agent that ended sees its last observation, and nothing of what its slot does next.
+            obs = result.arrivals()
+            if masks is not None:
+                masks = np.where(ended[:, None], np.int8(0), masks)
+            ended = np.zeros(len(agents), np.bool_)
+            if len(agents) < len(live):
+                here = np.flatnonzero(live)
+                obs, rewards, terminations, truncations = (a[here] for a in (obs, *result[1:4]))
+                masks = None if masks is None else masks[here]
+        return (
+            AgentDict.of(agents, obs, self._shown(masks, here)),
+            AgentDict.of(agents, rewards, python_values),
+            AgentDict.of(agents, terminations, python_values),
+            AgentDict.of(agents, truncations, python_values),
+            AgentDict.of(agents, ended, ended_infos(final_obs, self._shown_last)),
+        )
+
+    def _shown(self, masks: Array | None, slots: Array | None = None) -> Callable[[Array], Sequence[Any]]:
+        """Return what makes observations of the rows of all agents, or of those in ``slots``."""
+        if masks is None and len(self._roles) == 1:
+            return self._rows
+        # A role's observation may be the first elements of the row, and its actions those of the mask.
+        seen = [_first(role.observation_space, self.batch.slot_observation_space) for role in self._roles]
+        allowed = [slice(getattr(role.action_space, "n", 0)) for role in self._roles]
+
+        def each(parts: list[Any], count: int) -> list[Any]:
+            if slots is None:
+                return parts * (count // len(parts))
+            return [parts[slot % len(parts)] for slot in slots.tolist()]
+
+        def shown(rows: Array) -> Sequence[Any]:
+            values = self._rows(rows)
+            if any(seen):
+                pairs = zip(values, each(seen, len(rows)), strict=True)
+                values = [value if part is None else value[part] for value, part in pairs]
+            if masks is None:
+                return values
+            return [
+                {"observation": value, "action_mask": mask[part]}
+                for value, mask, part in zip(values, masks, each(allowed, len(rows)), strict=True)
+            ]
+
+        return shown
+
+    def _shown_last(self, rows: Array, slots: Array) -> Sequence[Any]:
+        """Return the last observations of those in ``slots``, who may do nothing any more."""
+        n: Any = getattr(self.batch.slot_action_space, "n", 0)
+        masks = np.zeros((len(rows), n), np.int8) if self.batch.world.masked else None
+        return self._shown(masks, slots)(rows)
+
+    def _action_array(self, agents: Sequence[str], values: list[Any]) -> Array:
+        """Return actions of agents as an array over all slots; the rows of agents that left hold anything."""
+        array = _array(values)
+        if not self.batch.are_actions(array, len(values)) and self.batch.world.agents > 1:
+            # What the dead give, whatever it is, is ignored.
+            acting = on_host(self.alive)[self._named].tolist()
+            values = [value if acts else self.batch.idle for value, acts in zip(values, acting, strict=True)]
+            array = _array(values)
+        if not self.batch.are_actions(array, len(values)):
+            raise refuse_first(agents, values, self.batch.slot_action_space)
+        if len(values) == self.batch_size:
+            return array
+        whole = np.empty((self.batch_size, *self.batch.action_shape), array.dtype)
+        whole[self._named] = array
+        return whole
+
+    def _values(self, agents: Sequence[str], actions: Mapping[str, Any]) -> list[Any]:
+        """Return the actions of those that are there; none is to be for an agent that there never was."""
+        try:
+            values = [actions[agent] for agent in agents]
+        except KeyError as missing:
+            raise ActionError(
+                f"no action for {missing.args[0]!r}; all {len(agents)} agents in env.agents need one"
+            ) from None
+        if len(actions) != len(values):
+            unknown = [agent for agent in actions if agent not in self.names]
+            if unknown:
+                raise ActionError(
+                    f"an action for {unknown[0]!r}, but there is no such agent; agents are agent_0 to "
+                    f"agent_{self.batch_size - 1}"
+                )
+        return values
+
+    def _name_who_is_there(self) -> Names:
+        """Return the agents that are there: whatever is done to the public list, dicts keep these."""
+        live = self.live
+        if live is not self._named:
+            self._here = self.names.of(live)
+            self._agents = AgentList(self._here)
+            self._named = live
+        return self._here
+
+
+def _array(values: list[Any]) -> Array:
+    """Return values as an array; an empty one where some are sequences of other lengths."""
+    try:
+        return np.array(values)
+    except ValueError:
+        return np.empty(0)
+
+
+def _first(own: Space[Any], whole: Space[Any]) -> slice | None:
+    """Return which elements of a row are a role's; ``None`` for all."""
+    return None if own.shape == whole.shape else slice((own.shape or (0,))[0])
 
 
 def parallel_env(
@@ -334,4 +569,10 @@ def parallel_env(
         initial_states=initial_states,
         copy=copy,
     )
-    return PearlParallelEnv(config, make_device(device), rewards, autoreset, render_mode)
+    check_memory(config)
+    leaves = not autoreset
+    return PearlParallelEnv(
+        DeviceBatch(
+            config, make_device(device), rewards, autoreset=autoreset, leaves=leaves, render_mode=render_mode
+        )
+    )

@@ -3,27 +3,62 @@
 from __future__ import annotations
 
 import inspect
+from collections.abc import Mapping
 from copy import deepcopy
-from typing import Any
+from typing import Any, Self
 
+import numpy as np
 import numpy.typing as npt
-from gymnasium.utils import seeding
-from gymnasium.vector import AutoresetMode
+from gymnasium.spaces import Space, Tuple
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
 
-from pearl_marl.batch.starts import checked_start
-from pearl_marl.batch.step import Array
+from pearl_marl.batch.config import checked_mask
+from pearl_marl.batch.step import Array, BatchStep, on_host
 from pearl_marl.deferral import uninterrupted
-from pearl_marl.devices import BatchConfig, BatchStep, Device, make_device
-from pearl_marl.errors import ArgumentError
-from pearl_marl.interfaces.batch import World
-from pearl_marl.interfaces.vector_interface import Shown, VectorInterface, checked_mode, slot_autoreset_mode
+from pearl_marl.devices import BatchConfig, Device, make_device
+from pearl_marl.errors import ArgumentError, OrderError
+from pearl_marl.interfaces.agent_dict import observations_in
+from pearl_marl.interfaces.batch import Batch, DeviceBatch, moved
+from pearl_marl.interfaces.world import Mask
 from pearl_marl.packing import observed_as
 from pearl_marl.registry import get_spec
 from pearl_marl.spec import check_slots
 
+Observations = Array | tuple[Array, ...]
+"""Of all slots, as Gymnasium batches them: those of a ``Tuple`` space are a tuple of arrays."""
 
-class PearlVectorEnv(VectorInterface):
-    """Many slots of one environment as a ``gymnasium.vector.VectorEnv``.
+Shown = tuple[Observations, Array, Array, Array, dict[str, Any]]
+"""Observations, rewards (``float32``), terminations, truncations, infos."""
+
+
+_NO_PICTURES = (
+    "a VectorEnv of this package draws nothing: make the environment with pearl_marl.parallel_env and a "
+    "render_mode"
+)
+
+
+def checked_mode(given: AutoresetMode | str, render_mode: str | None) -> AutoresetMode:
+    """Return an autoreset mode by its value, or by its name as Gymnasium or the command line writes it."""
+    if render_mode is not None:
+        raise ArgumentError(_NO_PICTURES)
+    try:
+        return AutoresetMode(given)
+    except ValueError:
+        name = given.upper().replace("-", "_") if isinstance(given, str) else ""
+        if name in AutoresetMode.__members__:
+            return AutoresetMode[name]
+        possible = ", ".join(f"{mode.name!r} or {mode.value!r}" for mode in AutoresetMode)
+        raise ArgumentError(f"autoreset_mode is {given!r}; possible are {possible}") from None
+
+
+def slot_autoreset_mode(mode: AutoresetMode) -> AutoresetMode:
+    """Return when a device's slots begin again under a mode: in DISABLED mode at once, but nobody sees it."""
+    return AutoresetMode.SAME_STEP if mode is AutoresetMode.DISABLED else mode
+
+
+class PearlVectorEnv(VectorEnv[Any, Any, Any]):
+    """The slots of a batch as a ``gymnasium.vector.VectorEnv``, in wrappers or without.
 
     Make one with :func:`make_vec`. In each autoreset mode it returns what Gymnasium's own
     ``SyncVectorEnv`` returns, with these differences: rewards are ``float32``, one seed serves the
@@ -37,52 +72,79 @@ class PearlVectorEnv(VectorInterface):
     ``DISABLED``
         It has to be reset before the next step: ``reset(options={"reset_mask": ended})``.
 
-    ``device`` is the :class:`pearl_marl.devices.Device` that steps the slots.
+    Attributes
+    ----------
+    batch
+        What steps: see :class:`pearl_marl.interfaces.batch.Batch`. Wrappers change it.
+    env
+        The environment without the outermost wrapper; only where there is one.
     """
 
-    def __init__(
-        self,
-        config: BatchConfig,
-        device: Device,
-        rewards: npt.ArrayLike | None,
-        autoreset_mode: AutoresetMode,
-    ) -> None:
-        spec = config.spec
-        self.device = device.open(config, rewards)
-        self._start: dict[str, Array] | None = None
-        # Copies, or seeding one environment's spaces would seed another's.
-        spaces = deepcopy(spec.observation_space), deepcopy(spec.action_space)
-        super().__init__(config.n_envs, *spaces, autoreset_mode, World.of(spec))
+    def __init__(self, batch: Batch, mode: AutoresetMode, inside: PearlVectorEnv | None = None) -> None:
+        self.batch, self._mode, self._inside = batch, mode, inside
+        self.num_envs = count = batch.batch_size
+        self.metadata = {"autoreset_mode": mode, "render_modes": []}
+        self.spec = None if inside is None else inside.spec  # which gymnasium.make_vec notes
+        self.single_observation_space: Space[Any] = batch.slot_observation_space
+        self.single_action_space: Space[Any] = batch.slot_action_space
+        self.observation_space = batch_space(self.single_observation_space, count)
+        self.action_space = batch_space(self.single_action_space, count)
+        self._observations = observations_in(self.single_observation_space)
+        # DISABLED mode only: which wait for a reset, and what all saw last.
+        self._waiting = np.zeros(count, np.bool_)
+        self._seen: Array = np.zeros(0)
 
-    def start_from(self, state: object) -> None:
-        """Let the next reset set fields of states: see :meth:`reset`, whose ``options["state"]`` this is."""
-        self._start = checked_start(self.device.config.spec, state, self.device.config.n_envs)
+    def __copy__(self) -> Self:
+        # Two environments that share a device would step each other's agents.
+        return deepcopy(self)
 
-    @uninterrupted
-    def reset_batch(self, seed: int | None = None, mask: npt.ArrayLike | None = None) -> Array:
-        """See :class:`VectorInterface`."""
-        start, self._start = self._start, None
-        obs = self.device.reset(seed, mask)
-        if start:
-            obs = self.device.put(start, mask)
-        if seed is not None:
-            self._np_random, self._np_random_seed = seeding.np_random(int(seed))
-        return self.began(obs, mask)
+    def __getattr__(self, name: str) -> Any:
+        return moved(self, name)
 
-    def step_batch(self, actions: npt.ArrayLike) -> BatchStep:
-        """See :class:`VectorInterface`."""
-        return self.device.step(actions)
+    def around(self, batch: Batch) -> PearlVectorEnv:
+        """Return an environment like this one of a batch that changes this one's."""
+        return PearlVectorEnv(batch, self.autoreset_mode, self)
 
-    @uninterrupted
-    def send(self, actions: npt.ArrayLike) -> None:
-        """Start a step and return at once; :meth:`recv` has its results. Takes what :meth:`step` does."""
-        self.check_nobody_waits()
-        self.device.send(actions)
+    @property
+    def autoreset_mode(self) -> AutoresetMode:
+        """What becomes of sub-environments that ended; Gymnasium's own environments have it, too."""
+        return self._mode
 
-    @uninterrupted
-    def recv(self) -> Shown:
-        """Wait for the step that :meth:`send` started and return what :meth:`step` would have."""
-        return self.shown(self.device.recv())
+    @property
+    def env(self) -> PearlVectorEnv:
+        """The environment without the outermost wrapper; no attribute of one that has none."""
+        if self._inside is None:
+            raise AttributeError(f"{type(self).__name__} has no wrapper, and so no 'env'")
+        return self._inside
+
+    @property
+    def unwrapped(self) -> PearlVectorEnv:
+        """The environment without any wrapper."""
+        return self if self._inside is None else self._inside.unwrapped
+
+    @property
+    def transform(self) -> Any:
+        """What the outermost wrapper does: see :class:`pearl_marl.wrappers.transform.Transform`."""
+        return self.batch.transform  # type: ignore[attr-defined]  # where there is a wrapper
+
+    @property
+    def device(self) -> Device:
+        """The :class:`pearl_marl.devices.Device` that steps the slots."""
+        return self.batch.innermost.device
+
+    @property
+    def np_random(self) -> np.random.Generator:
+        """Random numbers from the seed of :meth:`reset`."""
+        return self.batch.innermost.np_random
+
+    @np_random.setter
+    def np_random(self, value: np.random.Generator) -> None:
+        self.batch.innermost.np_random = value
+
+    @property
+    def np_random_seed(self) -> int:
+        """What they were made from; -1 where they were assigned."""
+        return self.batch.innermost.np_random_seed
 
     @property
     def max_cycles(self) -> int:
@@ -93,23 +155,153 @@ class PearlVectorEnv(VectorInterface):
     def max_cycles(self, value: int | None) -> None:
         self.device.set_max_cycles(value)
 
+    @property
+    def action_masks(self) -> Array | None:
+        """Which actions may be taken in the next step: see :class:`pearl_marl.devices.BatchStep`."""
+        return self.batch.action_masks
+
+    @property
+    def ready(self) -> bool:
+        """Whether a step is possible: after the first reset, and until closed."""
+        return self.batch.ready
+
+    def step_batch(self, actions: npt.ArrayLike) -> BatchStep:
+        """Step every slot once; return arrays, in DISABLED mode those of ``SAME_STEP``."""
+        return self.batch.step_batch(actions)
+
+    @uninterrupted
+    def reset_batch(self, seed: int | None = None, mask: npt.ArrayLike | None = None) -> Array:
+        """Begin new episodes, in the masked slots only if there is a mask; return all observations."""
+        return self._began(self.batch.reset_batch(seed, mask), mask)
+
+    def reset_slots(self, mask: Mask) -> Array:
+        """Begin an episode in the masked slots; return all observations."""
+        return self._began(self.batch.reset_slots(mask), mask)
+
+    def _began(self, obs: Array, mask: npt.ArrayLike | None) -> Array:
+        """Take note of new episodes, in the masked slots or all; return ``obs``, all observations."""
+        if self.autoreset_mode is AutoresetMode.DISABLED:
+            seen = on_host(obs).copy()
+            if mask is None:
+                self._waiting = np.zeros(self.num_envs, np.bool_)
+            else:
+                others = ~np.asarray(mask)
+                self._waiting = self._waiting & others
+                if len(self._seen):  # or the device was restored, and nobody has seen anything here yet
+                    seen[others] = self._seen[others]
+            self._seen = seen
+        return obs
+
+    @uninterrupted
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observations, dict[str, Any]]:
+        """Begin new episodes; return the observations of all sub-environments, and empty infos.
+
+        ``seed`` is a non-negative integer for the whole batch; ``None`` goes on with the random numbers in
+        use. ``options={"reset_mask": mask}``, ``bool`` of shape ``(num_envs,)``, resets some only, and
+        ``options={"state": {"field": values}}`` sets fields of the states that episodes begin with: a number,
+        or an array of shape ``(num_envs,)``.
+        """
+        options = {} if options is None else options
+        if not isinstance(options, Mapping):
+            raise ArgumentError(
+                f"options is {options!r}; it must be a dict, as {{'reset_mask': mask}}, or None"
+            )
+        unknown = [name for name in options if name not in ("reset_mask", "state")]
+        if unknown:
+            raise ArgumentError(f"unknown reset option {unknown[0]!r}; there are 'reset_mask' and 'state'")
+        mask = options.get("reset_mask")
+        if mask is not None and not (mask := checked_mask(mask, self.num_envs)).any():
+            raise ArgumentError("reset_mask resets nothing: at least one element must be True")
+        if options.get("state") is not None:
+            self.batch.innermost.start_from(options["state"])
+        obs = on_host(self.reset_batch(seed, mask))
+        if self.autoreset_mode is AutoresetMode.DISABLED:
+            obs = self._seen.copy()
+        return self._batched(obs), {}
+
+    @uninterrupted
+    def send(self, actions: npt.ArrayLike) -> None:
+        """Start a step and return at once; :meth:`recv` has its results. Takes what :meth:`step` does."""
+        self.check_nobody_waits()
+        self._unchanged("send").send(actions)
+
+    @uninterrupted
+    def recv(self) -> Shown:
+        """Wait for the step that :meth:`send` started and return what :meth:`step` would have."""
+        return self.shown(self._unchanged("recv").recv())
+
+    def _unchanged(self, call: str) -> DeviceBatch:
+        if not isinstance(self.batch, DeviceBatch):
+            raise OrderError(f"a wrapped environment has no {call}(): only step() and step_batch()")
+        return self.batch
+
     def recover(self) -> None:
         """See :meth:`pearl_marl.PearlParallelEnv.recover`."""
         self.device.recover()
 
-    @property
-    def action_masks(self) -> Array | None:
-        """Which actions may be taken in the next step: see :class:`pearl_marl.devices.BatchStep`."""
-        return self.device.action_masks
-
-    @property
-    def ready(self) -> bool:
-        """See :class:`pearl_marl.interfaces.batch.Batch`."""
-        return self.device.ready
-
     def close_extras(self, **kwargs: Any) -> None:
         """Release the device."""
-        self.device.close()
+        if self._inside is not None:
+            self._inside.close(**kwargs)
+        self.batch.innermost.close()
+
+    @uninterrupted
+    def step(self, actions: Any) -> Shown:
+        """Step every sub-environment once.
+
+        Parameters
+        ----------
+        actions
+            Of shape ``(num_envs, *single_action_space.shape)``.
+
+        Returns
+        -------
+        Observations, rewards (``float32``), terminations, truncations, infos.
+
+        Raises
+        ------
+        ActionError
+            Names the first agent whose action is not in the action space. Nothing has stepped.
+        OrderError
+            Before ``reset``, after ``close``, or in DISABLED mode while one that ended has not been reset.
+        """
+        self.check_nobody_waits()
+        return self.shown(self.batch.step_batch(actions))
+
+    def render(self) -> tuple[Any, ...] | None:
+        """Refuse to draw."""
+        raise OrderError(_NO_PICTURES)
+
+    def check_nobody_waits(self) -> None:
+        """Refuse a step in DISABLED mode while one that ended has not been reset."""
+        if self.autoreset_mode is AutoresetMode.DISABLED and self._waiting.any():
+            first = int(np.argmax(self._waiting))
+            raise OrderError(
+                f"sub-environment {first} has ended and was not reset; in DISABLED mode call "
+                "reset(options={'reset_mask': terminations | truncations}) before the next step"
+            )
+
+    def shown(self, result: BatchStep) -> Shown:
+        """Return a step's results as Gymnasium has them."""
+        result = result.on_host()
+        obs, rewards, terminations, truncations, final_obs = result
+        infos: dict[str, Any] = {}
+        if self.autoreset_mode is AutoresetMode.DISABLED:
+            obs = result.arrivals()
+            self._waiting, self._seen = result.ended, obs.copy()
+        elif self.autoreset_mode is AutoresetMode.SAME_STEP and (ended := result.ended).any():
+            # One object an element, as Gymnasium has it, so that wrappers can replace each by another shape.
+            final = np.full(self.num_envs, None, object)
+            slots = np.flatnonzero(ended)
+            for slot, observation in zip(slots.tolist(), self._observations(final_obs[slots]), strict=True):
+                final[slot] = observation
+            infos = {"final_obs": final, "_final_obs": ended, "final_info": {}, "_final_info": ended.copy()}
+        return self._batched(obs), rewards, terminations, truncations, infos
+
+    def _batched(self, obs: Array) -> Observations:
+        return tuple(obs.T) if isinstance(self.single_observation_space, Tuple) else obs
 
 
 def make_vec(
@@ -161,4 +353,6 @@ def make_vec(
         initial_states=initial_states,
         copy=copy,
     )
-    return PearlVectorEnv(config, make_device(device), rewards, mode)
+    autoreset = mode is not AutoresetMode.DISABLED
+    batch = DeviceBatch(config, make_device(device), rewards, autoreset=autoreset, leaves=False)
+    return PearlVectorEnv(batch, mode)

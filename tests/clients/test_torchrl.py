@@ -31,7 +31,7 @@ def test_pettingzoo_wrapper(name: str) -> None:
     env = PettingZooWrapper(
         inside, use_mask=True, group_map=MarlGroupMapType.ALL_IN_ONE_GROUP, categorical_actions=True
     )
-    if not inside.world.masked:  # its check draws any actions
+    if not inside.batch.world.masked:  # its check draws any actions
         check_env_specs(env)
     env.set_seed(0)
     rollout = env.rollout(10, break_when_any_done=False)

@@ -199,7 +199,7 @@ class TestPettingZoosOwn:
 
     def test_parallel_seeds(self, name: str) -> None:
         make = partial(pearl_marl.parallel_env, name, max_cycles=10)
-        if make().world.masked == "refused":
+        if make().batch.world.masked == "refused":
             pytest.skip("the test draws any action, and this environment refuses masked ones")
         pettingzoo.test.parallel_seed_test(make, num_cycles=10)
         pettingzoo.test.parallel_seed_test(partial(make, autoreset=False), num_cycles=10)

@@ -39,7 +39,7 @@ FORMS: dict[str, tuple[Any, AutoresetMode, bool]] = {
 @pytest.mark.parametrize(("make", "mode", "autoreset"), FORMS.values(), ids=FORMS)
 def test_members(make: Any, mode: AutoresetMode, autoreset: bool, wrap: Any) -> None:
     env = wrap(make())
-    batch: Batch = env
+    batch: Batch = env.batch
     assert batch.batch_size == N
     assert batch.slot_autoreset_mode is mode
     assert batch.autoreset is autoreset
@@ -54,6 +54,15 @@ def test_members(make: Any, mode: AutoresetMode, autoreset: bool, wrap: Any) -> 
     assert batch.reset_slots(mask).shape == obs.shape
     env.close()
     assert not batch.ready
+
+
+@pytest.mark.parametrize("make", [parallel, lambda: vector("SameStep")])
+def test_what_moved_to_the_batch_is_still_found(make: Any) -> None:
+    env = make()
+    with pytest.warns(DeprecationWarning, match="world of an environment is now batch.world"):
+        assert env.world is env.batch.world
+    with pytest.raises(AttributeError, match=f"'{type(env).__name__}' object has no attribute 'worlds'"):
+        _ = env.worlds
 
 
 class TestWhoIsThere:
@@ -125,7 +134,7 @@ class TestActionsOfThoseWhoLeft:
         env, gone, _ = self.gone()
         actions = np.zeros(N, np.uint8)
         actions[gone] = 200
-        filled = env.filled(actions)
+        filled = env.batch.filled(actions)
         assert filled.dtype == np.uint8
         assert not filled.any()
         assert actions[gone] == 200, "what was given is not written into"

@@ -45,7 +45,7 @@ DUPLICATES: dict[str, Callable[[Any], Any]] = {
 def actions(env: Any, seed: int) -> Any:
     """Actions that may be taken in the next step."""
     spec = env.unwrapped.device.config.spec
-    return random_actions(spec, np.random.default_rng(seed), env.batch_size, env.action_masks)
+    return random_actions(spec, np.random.default_rng(seed), env.batch.batch_size, env.action_masks)
 
 
 def parallel(name: str, **arguments: Any) -> Any:
@@ -95,13 +95,13 @@ def test_environments_go_on(name: str, form: str) -> None:
     env.step_batch(actions(env, 0))
     copies = [duplicate(env) for duplicate in DUPLICATES.values()]
     for t in range(1, 3):
-        if env.live.any():
+        if env.batch.live.any():
             given = actions(env, t)
             step = env.step_batch(given)
             for other in copies:
                 assert_same_step(other.step_batch(given), step)
         for other in copies:
-            np.testing.assert_array_equal(other.live, env.live)
+            np.testing.assert_array_equal(other.batch.live, env.batch.live)
             if form not in ("vector", "next step"):
                 assert other.agents == env.agents
 
@@ -112,7 +112,7 @@ def test_environments_that_have_not_begun(name: str) -> None:
     other = pickled(env)
     assert other.agents == []
     with pytest.raises(OrderError, match=r"call reset\(\) first"):
-        other.step_batch(np.zeros(other.batch_size, np.int64))
+        other.step_batch(np.zeros(other.batch.batch_size, np.int64))
     np.testing.assert_array_equal(other.reset_batch(3), env.reset_batch(3))
 
 
@@ -150,7 +150,7 @@ def test_sb3_environments_go_on(name: str) -> None:
     given = actions(inside, 0)
     env.step(given)
     copies = [pickled(env), copy.deepcopy(env), copy.copy(env)]
-    if inside.world.masked != "refused":
+    if inside.batch.world.masked != "refused":
         observations, rewards, dones, infos = env.step(given)
         for other in copies:
             again = other.step(given)
@@ -211,7 +211,7 @@ def test_wrapped_environments_go_on(wrap: Any, make: Any) -> None:
 @pytest.mark.parametrize("mode", ["R", "full"])
 def test_wrapped_pictures_and_numbers_go_on(mode: str) -> None:
     env = parallel("LevelBasedForaging")
-    shape = env.slot_observation_space.shape
+    shape = env.batch.slot_observation_space.shape
     pictures = wrappers.reshape_v0(env, (1, shape[0] // 3, 3))
     env = wrappers.resize_v1(wrappers.color_reduction_v0(pictures, mode), 2, 2)
     np.testing.assert_array_equal(pickled(env).reset_batch(1), env.reset_batch(1))
@@ -356,7 +356,7 @@ def users(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
 
 def steps(env: Any) -> list[Any]:
     """What an environment shows in a few steps."""
-    return [env.step_batch(np.ones(env.batch_size, np.int64)).obs.tolist() for _ in range(4)]
+    return [env.step_batch(np.ones(env.batch.batch_size, np.int64)).obs.tolist() for _ in range(4)]
 
 
 def test_environments_of_users_go_on(users: str) -> None:

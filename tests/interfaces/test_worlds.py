@@ -102,7 +102,7 @@ class TestSpaces:
 
     def test_an_environment_without_masks_has_plain_observations(self) -> None:
         env = pearl_marl.parallel_env("CliffWalking", 3)
-        assert env.observation_space("agent_2") is env.slot_observation_space
+        assert env.observation_space("agent_2") is env.batch.slot_observation_space
         assert env.action_masks is None
 
     def test_states(self) -> None:

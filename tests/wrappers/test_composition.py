@@ -225,7 +225,7 @@ class TestFaces:
         env.reset(seed=0)
         inner = env.unwrapped
         assert isinstance(inner, pearl_marl.PearlParallelEnv)
-        assert env.metadata is inner.metadata
+        assert env.metadata == inner.metadata
         assert env.spec is inner.spec
         assert env.device is inner.device
         assert env.render_mode is None
@@ -234,8 +234,10 @@ class TestFaces:
         assert env.num_agents == env.max_num_agents == 3
         env.max_cycles = 2
         assert inner.max_cycles == env.max_cycles == 2
-        for name in ("send", "recv", "_nothing", "nothing"):
-            assert not hasattr(env, name)
+        assert not hasattr(env, "nothing")
+        for past in (lambda: env.send([0] * 3), env.recv):
+            with pytest.raises(OrderError, match="a wrapped environment has no"):
+                past()
         env.close()
         for call in (
             lambda: env.step(dict.fromkeys(env.agents, 0)),
@@ -261,7 +263,8 @@ class TestFaces:
         assert env.num_envs == 3
         assert env.single_observation_space.shape == (8,)
         assert env.device is inner.device
-        assert not hasattr(env, "send")
+        with pytest.raises(OrderError, match=r"a wrapped environment has no send\(\)"):
+            env.send([0] * 3)
         del env
         inner.reset(seed=0)  # a wrapper that is gone has not closed what was inside
         env = wrappers.frame_stack_v1(inner, 2)

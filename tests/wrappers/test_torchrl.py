@@ -270,7 +270,9 @@ def test_roles_that_take_turns_in_a_world() -> None:
     meadow = WORLDS[0]
     hare, snail = meadow.roles[0], meadow.roles[2]
     inside = made("Meadow", 3)
-    with mock.patch.object(inside, "world", inside.world._replace(roles=(hare, snail, hare, snail))):
+    with mock.patch.object(
+        inside.batch, "world", inside.batch.world._replace(roles=(hare, snail, hare, snail))
+    ):
         env = to_torchrl(inside)
     assert env.group_map == {"hare": ["agent_0", "agent_2"], "snail": ["agent_1", "agent_3"]}
     env.set_seed(0)
@@ -393,8 +395,8 @@ def test_what_is_refused(make: Any, message: str) -> None:
 
 def two_kinds_of_hares() -> Any:
     env = made("Meadow", 1)
-    *others, last = env.world.roles
-    env.world = env.world._replace(roles=(*others, last._replace(name="hare")))
+    *others, last = env.batch.world.roles
+    env.batch.world = env.batch.world._replace(roles=(*others, last._replace(name="hare")))
     return env
 
 
