@@ -30,6 +30,7 @@ os.environ.setdefault("PEARL_LIGHT_SIMULATION", "1")
 import pearl_marl
 from pearl_marl import cli, registry
 
+from . import sampling
 from .toy import TOYS
 from .toy_fields import FIELDS
 from .toy_world import WORLDS
@@ -43,6 +44,7 @@ if importlib.util.find_spec("hypothesis"):  # which the environments of single l
 
 
 def pytest_configure(config: pytest.Config) -> None:
+    sampling.exhaustive = config.getoption("--exhaustive")
     config.addinivalue_line("markers", "slow: takes seconds or gigabytes; runs where --slow is given")
     exhaustive = (
         "exhaustive: at more sizes, or for longer, what another test shows; runs where --exhaustive is given"

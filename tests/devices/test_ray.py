@@ -260,6 +260,7 @@ def kill_when_named(file: Path) -> None:
     os.kill(int(file.read_text()), signal.SIGKILL)
 
 
+@pytest.mark.exhaustive  # the workers of a training are given up likewise
 def test_an_actor_that_is_lost_again_and_again(tmp_path: Path, opened: Any) -> None:
     file = tmp_path / "todo"
     device, native = opened(Ray(["native", Dangerous(file)])), opened(Native())

@@ -96,6 +96,10 @@ def test_walks_lead_to_the_end(page, tmp_path):
         assert formatted == core.read_text()
 
 
+REPEATED = "BenchMARL", "Stable-Baselines3: DQN", "Stable-Baselines3: players of one world"
+"""Scripts that learn what the tests of those bridges do; `make test-exhaustive` has them, too."""
+
+
 def test_every_script_has_a_heading():
     assert [script for _, script in SCRIPTS] == blocks(INTEGRATIONS, "python")
 
@@ -103,8 +107,7 @@ def test_every_script_has_a_heading():
 @pytest.mark.parametrize(
     ("library", "script"),
     [
-        # The tests of that bridge learn the same.
-        pytest.param(library, script, marks=pytest.mark.exhaustive if library == "BenchMARL" else ())
+        pytest.param(library, script, marks=pytest.mark.exhaustive if library in REPEATED else ())
         for library, script in SCRIPTS
     ],
     ids=[library for library, _ in SCRIPTS],
@@ -172,6 +175,8 @@ LONG = (
     "pearl synth CliffWalking --n-envs 16 --pe-num 4 --data-wl 32 --option is_slippery=true "
     "--part ecp5 --json",
     "pearl bench LevelBasedForaging --training --quick",  # the benchmark's own tests do so
+    "python -m pearl_marl.experiments.sb3_training CartPole --algo ppo --n-agents 256 --steps 20000 "
+    "--every 8192 --out out/sb3",  # its own tests do so
     "python -m pearl_marl.experiments.sb3_training CartPole --algo ppo --n-agents 256 --steps 20000 "
     "--every 8192 --source envpool",
 )
