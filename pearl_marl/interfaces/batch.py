@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import warnings
 from abc import ABC, abstractmethod
 from copy import deepcopy
 from dataclasses import replace
@@ -160,21 +159,6 @@ class Batch(ABC):
     @abstractmethod
     def load_state(self, blob: bytes) -> Array:
         """Continue from what :meth:`save_state` returned; return every agent's observation."""
-
-
-def moved(view: Any, name: str) -> Any:
-    """Return what was an attribute of environments before they had a batch, with a warning."""
-    if name not in _MOVED:
-        raise AttributeError(f"{type(view).__name__!r} object has no attribute {name!r}")
-    warnings.warn(f"{name} of an environment is now batch.{name}", DeprecationWarning, stacklevel=3)
-    return getattr(view.batch, name)
-
-
-_MOVED = {
-    *("batch_size", "world", "slot_observation_space", "slot_action_space", "slot_autoreset_mode"),
-    *("live", "alive", "autoreset"),
-}
-"""Some of them are an environment's, too."""
 
 
 class DeviceBatch(Batch):

@@ -5,7 +5,6 @@ from __future__ import annotations
 import functools
 import inspect
 from collections.abc import Callable, Mapping, Sequence
-from copy import deepcopy
 from typing import Any, Self
 
 import numpy as np
@@ -21,15 +20,16 @@ from pearl_marl.devices import BatchConfig, BatchStep, Device, make_device
 from pearl_marl.errors import ActionError, ArgumentError, OrderError
 from pearl_marl.interfaces.agent_dict import AgentDict, ended_infos, observations_in, python_values
 from pearl_marl.interfaces.agent_spaces import AgentSpaces
-from pearl_marl.interfaces.batch import Batch, DeviceBatch, moved
+from pearl_marl.interfaces.batch import Batch, DeviceBatch
 from pearl_marl.interfaces.names import AgentList, Names
+from pearl_marl.interfaces.view import View
 from pearl_marl.interfaces.world import Mask
 from pearl_marl.packing import observed_as
 from pearl_marl.registry import get_spec
 from pearl_marl.spec import EnvSpec, Role, snake_case
 
 
-class PearlParallelEnv(pettingzoo.ParallelEnv):  # type: ignore[misc]  # pettingzoo has no types
+class PearlParallelEnv(View, pettingzoo.ParallelEnv):  # type: ignore[misc]  # pettingzoo has no types
     """The agents of a batch as those of a PettingZoo ``ParallelEnv``, in wrappers or without.
 
     A slot of a device is a *world*: it has one agent, or several that share its state. Agents ``agent_0`` to
@@ -59,9 +59,9 @@ class PearlParallelEnv(pettingzoo.ParallelEnv):  # type: ignore[misc]  # petting
         The same, made when they are read and never changed.
     """
 
-    def __init__(self, batch: Batch, inside: PearlParallelEnv | None = None) -> None:
+    def __init__(self, batch: Batch, inside: Self | None = None) -> None:
         self.batch = batch
-        self._inside = inside
+        self.inside = inside
         count, observation_space = batch.batch_size, batch.slot_observation_space
         self.names = Names(count)
         self.possible_agents: list[str] = AgentList(self.names)
@@ -83,37 +83,13 @@ class PearlParallelEnv(pettingzoo.ParallelEnv):  # type: ignore[misc]  # petting
             "is_parallelizable": True,
         }
 
-    def __copy__(self) -> Self:
-        # Two environments that share a device would step each other's agents.
-        return deepcopy(self)
-
     def __repr__(self) -> str:
         of = f"{self.spec.id}, n_agents={self.batch_size}, device={self.device.name}"
         return f"{type(self).__name__}({of})"
 
-    def __getattr__(self, name: str) -> Any:
-        return moved(self, name)
-
     def around(self, batch: Batch) -> PearlParallelEnv:
         """Return an environment like this one of a batch that changes this one's."""
         return PearlParallelEnv(batch, self)
-
-    @property
-    def env(self) -> PearlParallelEnv:
-        """The environment without the outermost wrapper; no attribute of one that has none."""
-        if self._inside is None:
-            raise AttributeError(f"{type(self).__name__} has no wrapper, and so no 'env'")
-        return self._inside
-
-    @property
-    def unwrapped(self) -> PearlParallelEnv:
-        """The environment without any wrapper."""
-        return self if self._inside is None else self._inside.unwrapped
-
-    @property
-    def transform(self) -> Any:
-        """What the outermost wrapper does: see :class:`pearl_marl.wrappers.transform.Transform`."""
-        return self.batch.transform  # type: ignore[attr-defined]  # where there is a wrapper
 
     @property
     def spec(self) -> EnvSpec:
@@ -121,37 +97,9 @@ class PearlParallelEnv(pettingzoo.ParallelEnv):  # type: ignore[misc]  # petting
         return self.batch.innermost.spec
 
     @property
-    def device(self) -> Device:
-        """The :class:`pearl_marl.devices.Device` that steps the slots."""
-        return self.batch.innermost.device
-
-    @property
     def render_mode(self) -> str | None:
         """What :meth:`render` makes."""
         return self.batch.innermost.render_mode
-
-    @property
-    def np_random(self) -> np.random.Generator:
-        """Random numbers for other packages' wrappers, from the seed of :meth:`reset`."""
-        return self.batch.innermost.np_random
-
-    @np_random.setter
-    def np_random(self, value: np.random.Generator) -> None:
-        self.batch.innermost.np_random = value
-
-    @property
-    def max_cycles(self) -> int:
-        """Steps after which an episode is truncated, 0 for never. Assigning takes effect at the next step.
-
-        ``None`` is the environment's own limit. Episodes under way count from their beginning, and those that
-        are too long already end with that step. Where there was no limit, no steps were counted: they are
-        from then on.
-        """
-        return self.device.config.limit
-
-    @max_cycles.setter
-    def max_cycles(self, value: int | None) -> None:
-        self.device.set_max_cycles(value)
 
     @property
     def batch_size(self) -> int:
@@ -172,16 +120,6 @@ class PearlParallelEnv(pettingzoo.ParallelEnv):  # type: ignore[misc]  # petting
     def alive(self) -> Mask:
         """Which agents take part in the next step: all that are not dead. Shape ``(n_agents,)``."""
         return self.batch.alive
-
-    @property
-    def action_masks(self) -> Array | None:
-        """Which actions are allowed in the next step: see :class:`pearl_marl.devices.BatchStep`."""
-        return self.batch.action_masks
-
-    @property
-    def ready(self) -> bool:
-        """Whether a step is possible: after the first reset, and until closed."""
-        return self.batch.ready
 
     @property
     def agents(self) -> list[str]:
@@ -283,16 +221,11 @@ class PearlParallelEnv(pettingzoo.ParallelEnv):  # type: ignore[misc]  # petting
         With two environments of half the slots each, one steps while the other's results are used.
         Takes and raises what :meth:`step_batch` does.
         """
-        self._unchanged("send").send(actions)
+        self.unchanged.send(actions)
 
     def recv(self) -> BatchStep:
         """Wait for the step that :meth:`send` started and return its results."""
-        return self._unchanged("recv").recv()
-
-    def _unchanged(self, call: str) -> DeviceBatch:
-        if not isinstance(self.batch, DeviceBatch):
-            raise OrderError(f"a wrapped environment has no {call}(): only step() and step_batch()")
-        return self.batch
+        return self.unchanged.recv()
 
     def state(self) -> Array:
         """Return the state of every world, shape ``(n_worlds, fields)``, within ``state_space``."""
@@ -316,16 +249,6 @@ class PearlParallelEnv(pettingzoo.ParallelEnv):  # type: ignore[misc]  # petting
             The bytes are damaged, of another version, environment, size or mode. Nothing has changed.
         """
         return self.batch.load_state(blob)
-
-    def recover(self) -> None:
-        """After a DeviceError, continue from where the last successful call left every agent.
-
-        Raises
-        ------
-        DeviceError
-            The device is still not available; call again when it is.
-        """
-        self.device.recover()
 
     def set_rewards(self, table: npt.ArrayLike) -> None:
         """Replace the reward table, as many finite numbers as ``spec.rewards`` has, from the next step on."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Mapping
-from copy import deepcopy
 from typing import Any, Self
 
 import numpy as np
@@ -19,7 +18,8 @@ from pearl_marl.deferral import uninterrupted
 from pearl_marl.devices import BatchConfig, Device, make_device
 from pearl_marl.errors import ArgumentError, OrderError
 from pearl_marl.interfaces.agent_dict import observations_in
-from pearl_marl.interfaces.batch import Batch, DeviceBatch, moved
+from pearl_marl.interfaces.batch import Batch, DeviceBatch
+from pearl_marl.interfaces.view import View
 from pearl_marl.interfaces.world import Mask
 from pearl_marl.packing import observed_as
 from pearl_marl.registry import get_spec
@@ -57,7 +57,7 @@ def slot_autoreset_mode(mode: AutoresetMode) -> AutoresetMode:
     return AutoresetMode.SAME_STEP if mode is AutoresetMode.DISABLED else mode
 
 
-class PearlVectorEnv(VectorEnv[Any, Any, Any]):
+class PearlVectorEnv(View, VectorEnv[Any, Any, Any]):
     """The slots of a batch as a ``gymnasium.vector.VectorEnv``, in wrappers or without.
 
     Make one with :func:`make_vec`. In each autoreset mode it returns what Gymnasium's own
@@ -80,8 +80,8 @@ class PearlVectorEnv(VectorEnv[Any, Any, Any]):
         The environment without the outermost wrapper; only where there is one.
     """
 
-    def __init__(self, batch: Batch, mode: AutoresetMode, inside: PearlVectorEnv | None = None) -> None:
-        self.batch, self._mode, self._inside = batch, mode, inside
+    def __init__(self, batch: Batch, mode: AutoresetMode, inside: Self | None = None) -> None:
+        self.batch, self._mode, self.inside = batch, mode, inside
         self.num_envs = count = batch.batch_size
         self.metadata = {"autoreset_mode": mode, "render_modes": []}
         self.spec = None if inside is None else inside.spec  # which gymnasium.make_vec notes
@@ -94,13 +94,6 @@ class PearlVectorEnv(VectorEnv[Any, Any, Any]):
         self._waiting = np.zeros(count, np.bool_)
         self._seen: Array = np.zeros(0)
 
-    def __copy__(self) -> Self:
-        # Two environments that share a device would step each other's agents.
-        return deepcopy(self)
-
-    def __getattr__(self, name: str) -> Any:
-        return moved(self, name)
-
     def around(self, batch: Batch) -> PearlVectorEnv:
         """Return an environment like this one of a batch that changes this one's."""
         return PearlVectorEnv(batch, self.autoreset_mode, self)
@@ -111,59 +104,9 @@ class PearlVectorEnv(VectorEnv[Any, Any, Any]):
         return self._mode
 
     @property
-    def env(self) -> PearlVectorEnv:
-        """The environment without the outermost wrapper; no attribute of one that has none."""
-        if self._inside is None:
-            raise AttributeError(f"{type(self).__name__} has no wrapper, and so no 'env'")
-        return self._inside
-
-    @property
-    def unwrapped(self) -> PearlVectorEnv:
-        """The environment without any wrapper."""
-        return self if self._inside is None else self._inside.unwrapped
-
-    @property
-    def transform(self) -> Any:
-        """What the outermost wrapper does: see :class:`pearl_marl.wrappers.transform.Transform`."""
-        return self.batch.transform  # type: ignore[attr-defined]  # where there is a wrapper
-
-    @property
-    def device(self) -> Device:
-        """The :class:`pearl_marl.devices.Device` that steps the slots."""
-        return self.batch.innermost.device
-
-    @property
-    def np_random(self) -> np.random.Generator:
-        """Random numbers from the seed of :meth:`reset`."""
-        return self.batch.innermost.np_random
-
-    @np_random.setter
-    def np_random(self, value: np.random.Generator) -> None:
-        self.batch.innermost.np_random = value
-
-    @property
     def np_random_seed(self) -> int:
         """What they were made from; -1 where they were assigned."""
         return self.batch.innermost.np_random_seed
-
-    @property
-    def max_cycles(self) -> int:
-        """See :class:`pearl_marl.PearlParallelEnv`."""
-        return self.device.config.limit
-
-    @max_cycles.setter
-    def max_cycles(self, value: int | None) -> None:
-        self.device.set_max_cycles(value)
-
-    @property
-    def action_masks(self) -> Array | None:
-        """Which actions may be taken in the next step: see :class:`pearl_marl.devices.BatchStep`."""
-        return self.batch.action_masks
-
-    @property
-    def ready(self) -> bool:
-        """Whether a step is possible: after the first reset, and until closed."""
-        return self.batch.ready
 
     def step_batch(self, actions: npt.ArrayLike) -> BatchStep:
         """Step every slot once; return arrays, in DISABLED mode those of ``SAME_STEP``."""
@@ -225,26 +168,17 @@ class PearlVectorEnv(VectorEnv[Any, Any, Any]):
     def send(self, actions: npt.ArrayLike) -> None:
         """Start a step and return at once; :meth:`recv` has its results. Takes what :meth:`step` does."""
         self.check_nobody_waits()
-        self._unchanged("send").send(actions)
+        self.unchanged.send(actions)
 
     @uninterrupted
     def recv(self) -> Shown:
         """Wait for the step that :meth:`send` started and return what :meth:`step` would have."""
-        return self.shown(self._unchanged("recv").recv())
-
-    def _unchanged(self, call: str) -> DeviceBatch:
-        if not isinstance(self.batch, DeviceBatch):
-            raise OrderError(f"a wrapped environment has no {call}(): only step() and step_batch()")
-        return self.batch
-
-    def recover(self) -> None:
-        """See :meth:`pearl_marl.PearlParallelEnv.recover`."""
-        self.device.recover()
+        return self.shown(self.unchanged.recv())
 
     def close_extras(self, **kwargs: Any) -> None:
         """Release the device."""
-        if self._inside is not None:
-            self._inside.close(**kwargs)
+        if self.inside is not None:
+            self.inside.close(**kwargs)
         self.batch.innermost.close()
 
     @uninterrupted
