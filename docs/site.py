@@ -43,16 +43,6 @@ REFERENCE = {
 """Headings of the reference's pages, and what of ``pearl_marl`` is on them."""
 
 
-def on_startup(**_: Any) -> None:
-    """Lay the package out as it is installed, which is what the reference is read from."""
-    package = ROOT / "out" / "reference" / "pearl_marl"
-    package.mkdir(parents=True, exist_ok=True)
-    for target in [*(ROOT / "pearl_marl").iterdir(), ROOT / "wrappers"]:
-        link = package / target.name
-        if target.name != "__pycache__" and not link.is_symlink():
-            link.symlink_to(target)
-
-
 class Source(File):
     """A file of the repository that is no page there."""
 

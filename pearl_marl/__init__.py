@@ -10,7 +10,6 @@ from __future__ import annotations
 import os
 from typing import TYPE_CHECKING
 
-import pearl_marl.clone
 import pearl_marl.envs  # the folders; the function below takes their name  # noqa: F401
 from pearl_marl import errors
 from pearl_marl.interfaces.registration import announce_all, register

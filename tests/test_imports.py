@@ -62,10 +62,11 @@ print(pearl_marl.get_spec("CliffWalking").name, pearl_marl.wrappers.__file__)
 
 
 def test_a_clone_is_whole_where_another_copy_is_installed() -> None:
-    """Python finds the folder of the package first there, and four others lie beside it."""
+    """Python finds the folder of the package first there, and four others are linked into it."""
     root = Path(__file__).parents[1]
     printed = subprocess.run([sys.executable, "-c", IN_A_CLONE], capture_output=True, text=True, cwd=root)
-    assert printed.stdout.split() == ["CliffWalking", str(root / "wrappers" / "__init__.py")], printed.stderr
+    wrappers = root / "pearl_marl" / "wrappers" / "__init__.py"
+    assert printed.stdout.split() == ["CliffWalking", str(wrappers)], printed.stderr
 
 
 def test_the_import_alone_takes_no_library() -> None:
@@ -160,7 +161,7 @@ def test_public_names() -> None:
 
 COMMAND = """
 import atexit, json, sys
-from pearl_marl_entry import main
+from pearl_marl.__main__ import main
 sys.argv = ["pearl", *{arguments!r}]
 atexit.register(lambda: print(json.dumps(list(sys.modules)), file=sys.stderr))
 main()

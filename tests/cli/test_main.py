@@ -20,7 +20,7 @@ from pearl_marl.version import __version__
 
 Pearl = Callable[..., tuple[int, str, str]]
 
-ENTRY = "import sys; from pearl_marl_entry import main; sys.argv[0] = 'pearl'; main()"
+ENTRY = "import sys; from pearl_marl.__main__ import main; sys.argv[0] = 'pearl'; main()"
 ROOT = Path(__file__).parents[2]
 DEADLINE = 300
 

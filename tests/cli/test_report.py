@@ -12,14 +12,14 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from pearl_marl.experiments import energy, figure6, figure7, figure8, goals, readme, report
-from pearl_marl.experiments.section import KINDS, Row, select
 from typer.testing import CliRunner
 
 from pearl_marl.benchmark.contenders import contenders
 from pearl_marl.benchmark.measure import Contender
 from pearl_marl.cli import app
 from pearl_marl.errors import ArgumentError, DeviceError
+from pearl_marl.experiments import energy, figure6, figure7, figure8, goals, readme, report
+from pearl_marl.experiments.section import KINDS, Row, select
 from pearl_marl.registry import get_spec, names
 
 

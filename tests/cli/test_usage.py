@@ -289,7 +289,7 @@ def test_a_refused_call_leaves_no_folder(
 
 
 def called(*arguments: str, **given: Any) -> subprocess.CompletedProcess[str]:
-    program = "import sys; from pearl_marl_entry import main; sys.argv[0] = 'pearl'; main()"
+    program = "import sys; from pearl_marl.__main__ import main; sys.argv[0] = 'pearl'; main()"
     return subprocess.run(
         [sys.executable, "-c", program, *arguments], text=True, stderr=subprocess.PIPE, check=False, **given
     )
@@ -326,7 +326,7 @@ def test_streams_of_ascii(tmp_path: Path) -> None:
 
 def test_a_current_folder_that_is_gone(tmp_path: Path) -> None:
     (gone := tmp_path / "gone").mkdir()
-    program = "import os, sys; from pearl_marl_entry import main; os.rmdir(os.getcwd()); main()"
+    program = "import os, sys; from pearl_marl.__main__ import main; os.rmdir(os.getcwd()); main()"
     done = subprocess.run(
         [sys.executable, "-c", program, "envs"], cwd=gone, capture_output=True, text=True, check=False
     )
@@ -364,7 +364,7 @@ def test_a_shell_completes(line: str, words: list[str]) -> None:
         "COMP_WORDS": f"pearl {line}",
         "COMP_CWORD": str(len(line.split())),
     }
-    program = "import sys; from pearl_marl_entry import main; sys.argv[:] = ['pearl']; main()"
+    program = "import sys; from pearl_marl.__main__ import main; sys.argv[:] = ['pearl']; main()"
     done = subprocess.run(
         [sys.executable, "-c", program], env=environment, capture_output=True, text=True, check=False
     )
