@@ -24,7 +24,7 @@ ALSO = ("LICENSE", "CITATION.cff")
 
 REFERENCE = {
     "Environments": (
-        *("parallel_env", "env", "raw_env", "make_vec", "envs", "get_spec", "register", "unpacked"),
+        *("parallel_env", "env", "raw_env", "make_vec", "list_envs", "get_spec", "register", "unpacked"),
         *("PearlParallelEnv", "PearlVectorEnv", "batch.step.BatchStep", "interfaces.agent_dict.AgentDict"),
         "errors",
     ),

@@ -16,7 +16,6 @@ from typing import Annotated, Any
 import gymnasium
 import typer
 from gymnasium.spaces import Box
-from pearl_marl.experiments.calling import call
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from stable_baselines3 import DQN, PPO
@@ -27,6 +26,7 @@ from torch import nn
 import pearl_marl
 from pearl_marl.errors import ArgumentError
 from pearl_marl.evaluation.run import Evaluation
+from pearl_marl.experiments.calling import call
 from pearl_marl.registry import get_spec
 from pearl_marl.training.run_folder import RunFolder
 from pearl_marl.training_benchmark.sb3 import EnvPoolVecEnv

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from gymnasium.spaces import Box, Discrete, MultiBinary, MultiDiscrete, Text
 from gymnasium.vector import AutoresetMode
-from pearl_marl.wrappers import reward_lambda_v0
 
 import pearl_marl
 from pearl_marl.devices import BatchConfig, Native, Ray, Rtl, Sharded
@@ -22,6 +21,7 @@ from pearl_marl.memory_map import memory_map
 from pearl_marl.plan import plan
 from pearl_marl.policies.loading import load_policy, table_policy
 from pearl_marl.spec import Field, Golden
+from pearl_marl.wrappers import reward_lambda_v0
 
 from .toy import DRIFT
 
@@ -628,7 +628,7 @@ def test_registering_twice_warns(toys: None) -> None:
     with pytest.warns(UserWarning, match="'Drift' was registered before"):
         pearl_marl.register(DRIFT)
     assert pearl_marl.get_spec("DRIFT") is DRIFT
-    assert "Drift" in pearl_marl.envs()
+    assert "Drift" in pearl_marl.list_envs()
 
 
 def test_memory_maps_of_too_many_elements() -> None:

@@ -34,7 +34,8 @@ from numba.core import event
 with event.install_recorder("numba:compile") as compiled:
     from pearl_marl import *
     import pearl_marl
-print(json.dumps({"modules": list(sys.modules), "compiled": len(compiled.buffer), "envs": pearl_marl.envs()}))
+envs = pearl_marl.list_envs()
+print(json.dumps({"modules": list(sys.modules), "compiled": len(compiled.buffer), "envs": envs}))
 """
 
 
@@ -101,7 +102,7 @@ def test_both_libraries_know_the_environments_in_whatever_order(imports: str) ->
     import pearl_marl
 
     seen = told(REGISTERED.format(imports=imports))
-    ids = [pearl_marl.get_spec(name).id for name in pearl_marl.envs()]
+    ids = [pearl_marl.get_spec(name).id for name in pearl_marl.list_envs()]
     assert {name for name in seen["registered"] if "earl/" in name} >= {
         f"{library}/{env_id}" for library in ("Pearl", "pearl") for env_id in ids
     }
@@ -150,6 +151,13 @@ def test_nothing_is_compiled(imported: Any) -> None:
 
 def test_environments_are_found(imported: Any) -> None:
     assert "CliffWalking" in imported["envs"]
+
+
+def test_the_old_name_of_the_list_warns() -> None:
+    import pearl_marl
+
+    with pytest.warns(DeprecationWarning, match=r"pearl_marl\.list_envs\(\)"):
+        assert pearl_marl.envs() == pearl_marl.list_envs()  # type: ignore[operator]
 
 
 def test_public_names() -> None:

@@ -52,7 +52,7 @@ def on_gpu(array: Any) -> Any:
 @pytest.mark.parametrize(
     "name",
     sampled(
-        pearl_marl.envs(), ("Blackjack", "CartPole", "CliffWalking", "ConnectFour", "Overcooked", "Taxi")
+        pearl_marl.list_envs(), ("Blackjack", "CartPole", "CliffWalking", "ConnectFour", "Overcooked", "Taxi")
     ),
 )
 def test_every_environment_is_bit_exact(name: str) -> None:
@@ -363,7 +363,7 @@ def test_the_source_is_the_specs() -> None:
 
 
 @pytest.mark.gpu
-@pytest.mark.parametrize("name", pearl_marl.envs())
+@pytest.mark.parametrize("name", pearl_marl.list_envs())
 def test_every_environment_on_a_real_gpu(name: str) -> None:
     for run in runs(pearl_marl.get_spec(name), 43_008, 120):
         for _ in verify(run, Lockstep("cuda", "native"), seed=3):

@@ -54,7 +54,7 @@ with mock.patch.object(kernel_source, "kernel_source", side_effect=POISON), \\
         mock.patch.object(kernels, "load", side_effect=POISON), \\
         mock.patch.object(kernels, "compile_kernels", side_effect=POISON), \\
         mock.patch("numba.core.dispatcher.Dispatcher.compile", side_effect=POISON):
-    for name in pearl_marl.envs():
+    for name in pearl_marl.list_envs():
         spec = pearl_marl.get_spec(name)
         device = Reference().open(BatchConfig(spec=spec, n_envs=3, max_cycles=2))
         device.reset(seed=0)

@@ -9,10 +9,10 @@ os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")
 
 import numpy as np
 import pytest
-from pearl_marl.envs.connect_four.step import CELLS, COLUMNS, has_four
 from pettingzoo.classic.connect_four import connect_four
 
 import pearl_marl
+from pearl_marl.envs.connect_four.step import CELLS, COLUMNS, has_four
 from pearl_marl.golden import call_reference, reference
 from pearl_marl.rendering import renderer
 

@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 import pytest
 from lbforaging.foraging import ForagingEnv
-from pearl_marl.envs.level_based_foraging.picture import CELL, FOOD, PLAYER
-from pearl_marl.envs.level_based_foraging.step import chosen, ones
 from scipy import stats
 
 import pearl_marl
 from pearl_marl import EnvSpec
+from pearl_marl.envs.level_based_foraging.picture import CELL, FOOD, PLAYER
+from pearl_marl.envs.level_based_foraging.step import chosen, ones
 from pearl_marl.errors import ArgumentError
 from pearl_marl.golden import call_reference, reference
 

@@ -8,11 +8,11 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
-from pearl_marl.envs.mountain_car.step import LEFT_END, MAX_SPEED, RIGHT_END
 from scipy import stats
 
 import pearl_marl
 from pearl_marl.devices import BatchConfig, Native
+from pearl_marl.envs.mountain_car.step import LEFT_END, MAX_SPEED, RIGHT_END
 from pearl_marl.errors import ArgumentError
 from pearl_marl.golden import call_reference
 

@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from pearl_marl.envs.overcooked.kitchen import LAYOUTS, Kitchen
-from pearl_marl.envs.overcooked.picture import COOKS, ONION, SIZE
 
 import pearl_marl
 from pearl_marl import EnvSpec
+from pearl_marl.envs.overcooked.kitchen import LAYOUTS, Kitchen
+from pearl_marl.envs.overcooked.picture import COOKS, ONION, SIZE
 from pearl_marl.errors import ArgumentError
 from pearl_marl.golden import call_reference, reference
 

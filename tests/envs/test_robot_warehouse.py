@@ -12,17 +12,17 @@ import gymnasium
 import networkx
 import numpy as np
 import pytest
+from rware.warehouse import Direction, RewardType, Shelf, Warehouse
+from scipy import stats
+
+import pearl_marl
+from pearl_marl import EnvSpec, rng
 from pearl_marl.envs.robot_warehouse import picture
 from pearl_marl.envs.robot_warehouse.moves import AHEAD, make_ties
 from pearl_marl.envs.robot_warehouse.rules import Rules
 from pearl_marl.envs.robot_warehouse.spec import rules_of
 from pearl_marl.envs.robot_warehouse.step import make_golden
 from pearl_marl.envs.robot_warehouse.ties import in_a_set
-from rware.warehouse import Direction, RewardType, Shelf, Warehouse
-from scipy import stats
-
-import pearl_marl
-from pearl_marl import EnvSpec, rng
 from pearl_marl.errors import ArgumentError
 from pearl_marl.golden import call_reference, reference
 from pearl_marl.layout import Layout

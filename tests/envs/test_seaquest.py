@@ -9,14 +9,14 @@ import gymnasium
 import numpy as np
 import pytest
 from minatar import Environment
-from pearl_marl.envs.seaquest.spec import LAYOUT, minatar_attributes
-from pearl_marl.envs.seaquest.step import CHANCE, CHANCE_BITS, THIRD
 from scipy import stats
 
 import pearl_marl
 from pearl_marl import rng
 from pearl_marl.compiler.kernels import compile_kernels
 from pearl_marl.devices import BatchConfig, Native
+from pearl_marl.envs.seaquest.spec import LAYOUT, minatar_attributes
+from pearl_marl.envs.seaquest.step import CHANCE, CHANCE_BITS, THIRD
 from pearl_marl.errors import ArgumentError
 from pearl_marl.golden import call_reference
 from pearl_marl.spec import EnvSpec

@@ -10,7 +10,7 @@ from pearl_marl.batch.actions import random_actions
 from pearl_marl.errors import ArgumentError
 from pearl_marl.packing import row_dtype
 
-PACKING = [name for name in pearl_marl.envs() if pearl_marl.get_spec(name).unpack is not None]
+PACKING = [name for name in pearl_marl.list_envs() if pearl_marl.get_spec(name).unpack is not None]
 
 
 def test_environments_with_planes_are_there() -> None:
