@@ -409,3 +409,9 @@ def choose_words(
         for s in range(n):
             for j in range(logits.shape[1]):
                 logits[first + s, j] = sums[j, s]
+
+
+@called
+def filtered_size(net: Prepared) -> int:
+    """Return how many numbers filters find in an agent's planes."""
+    return len(net.filter_bias) * (net.shape[0] - 2) * (net.shape[1] - 2) if net.kind == PLANES else 0
