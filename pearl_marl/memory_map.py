@@ -30,12 +30,17 @@ the current states is its state word and, above it, these bits of its last step.
 states, elapsed, reset mask and actions can be written and (but for control) read only while no step runs;
 results and status are read-only. A refused access, and one to a hole in the map, is answered with an error.
 The one word that can be written at any time is ``RESET`` of control.
+
+A build with a policy engine (:class:`Engine`) has two more regions behind the status: ``policy``, which is
+written before a rollout and reads as zero, and ``statistics``, which can be read at any time. A word of
+``policy`` holds a number of 32 bits, however wide it is.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import IntEnum, IntFlag
+from typing import NamedTuple
 
 from pearl_marl.errors import ArgumentError
 from pearl_marl.spec import EnvSpec, check_slots, word_bits
@@ -60,6 +65,9 @@ REGION_NAMES = (
     "status",
 )
 
+ENGINE_REGION_NAMES = ("policy", "statistics")
+"""Regions behind these where there is a policy engine."""
+
 
 class Control(IntEnum):
     """The 32-bit words of the control region, by index; the first eight are read-only identity.
@@ -83,7 +91,8 @@ class Control(IntEnum):
     FIRST_SLOT = 12
     MAX_CYCLES = 13
     RESET = 14
-    RESERVED_1 = 15
+    STEPS = 15
+    """How many steps a rollout has, where there is a policy engine; otherwise 0 and not to be written."""
 
 
 class Doorbell(IntEnum):
@@ -107,6 +116,9 @@ class Mode(IntFlag):
     """Every slot steps from its start state."""
     RESET_MASK = 8
     """So does every slot whose bit in the reset mask is set."""
+    ROLLOUT = 16
+    """Make ``STEPS`` steps, whose actions the policy engine chooses. The reset mask is ignored, and no
+    results are written. Without an engine, this bit has no meaning."""
 
 
 class Status(IntEnum):
@@ -137,6 +149,92 @@ class StatusError(IntFlag):
     old. So it is set by the doorbell, and whoever polls the status alone finds it."""
     RESET = 8
     """Nothing has been written to the control region since the hardware was reset: it holds no batch."""
+
+
+class Statistics(IntEnum):
+    """The 32-bit words of the statistics of a rollout, by index; sums have two, the lower first.
+
+    ``STEPS`` are those that are done, also while a rollout runs. Everything else is complete when the status
+    has the doorbell's sequence number. ``EPISODES`` are agents' episodes that ended, and began with the
+    rollout or within it. ``TRUNCATED`` are those of them that the time limit ended, ``LENGTHS`` the sum of
+    their steps, and ``RETURNS`` the sum of their rewards, a signed whole number: see ``Section.QUANTA``.
+    """
+
+    STEPS = 0
+    CYCLES = 2
+    EPISODES = 4
+    TRUNCATED = 6
+    LENGTHS = 8
+    RETURNS = 10
+
+
+STATISTICS_WORDS = 12
+
+
+class Section(IntEnum):
+    """The sections of the policy region; each has as many words as the largest."""
+
+    SETTINGS = 0
+    """How actions are chosen; the number of the last layer; the limit of inputs, or the table's first row; an
+    unused word; then two for each layer."""
+    BIASES = 1
+    ACTIVATION = 2
+    """The table for the sums of layers that have one: it is the same for all of them."""
+    CHANCES = 3
+    QUANTA = 4
+    """What each category of rewards counts, a signed whole number of 40 bits: its lower 32 bits first."""
+    SCALINGS = 5
+    """Of each element its offset, and its shift above its multiplier; for a table, its factor."""
+    WEIGHTS = 6
+    """The weights, or the table."""
+
+
+SECTION_BITS = 3
+ENTRIES = 1024
+"""Numbers in a table of activations or chances."""
+
+
+class Engine(NamedTuple):
+    """The policy engine of a build: what is the largest policy that it takes, and how fast it is."""
+
+    kind: str = "network"
+    """``"network"`` or ``"table"``."""
+    drawn: bool = False
+    """Whether it is able to draw actions; if not, it takes the best."""
+    table_rows: int = 1
+    """Of a table: how many observations it tells apart."""
+    logit_bits: int = 32
+    """Of a table: the width of its numbers, sign included."""
+    products: int = 1
+    """Of a network, as all that follows: products of each agent in a cycle."""
+    side: int = 1
+    """Groups of slots that are computed side by side."""
+    rounds: int = 1
+    """Batches of these that a layer takes one after the other."""
+    hidden: int = 1
+    """The most outputs of a layer but the last."""
+    layers: int = 1
+    weight_bits: int = 8
+    value_bits: int = 12
+    """Width of what weights are multiplied by, sign included: inputs, and outputs of layers."""
+
+    def weight_words(self, spec: EnvSpec) -> int:
+        """Return how many words of weights it has room for, each with those of ``products`` products."""
+        sizes = [len(spec.observation), *[self.hidden] * (self.layers - 1), sum(spec.action_counts)]
+        return sum(-(-sizes[k] // self.products) * sizes[k + 1] for k in range(self.layers))
+
+    def index_bits(self, spec: EnvSpec) -> int:
+        """Return the bits of an index of the policy region."""
+        actions = sum(spec.action_counts)
+        largest = [ENTRIES, 2 * len(spec.observation)]
+        largest += [2 << spec.reward.bits] if spec.rewards else []
+        if self.kind == "table":
+            largest.append(self.table_rows << (actions - 1).bit_length())
+        else:
+            columns = -(-self.products * self.weight_bits // 32)
+            largest += [self.weight_words(spec) << (columns - 1).bit_length()]
+            largest += [(self.layers - 1) * self.hidden + actions, 4 + 2 * self.layers]
+        return SECTION_BITS + (max(largest) - 1).bit_length()
 
 
 @dataclass(frozen=True, slots=True)
@@ -173,6 +271,7 @@ class MemoryMap:
     data_wl: int
     groups: int
     regions: tuple[Region, ...]
+    engine: Engine | None = None
 
     def __getitem__(self, name: str) -> Region:
         return next(region for region in self.regions if region.name == name)
@@ -213,7 +312,9 @@ def stream_bits(spec: EnvSpec) -> dict[str, int]:
     }
 
 
-def memory_map(spec: EnvSpec, n_envs: int, pe_num: int, data_wl: int) -> MemoryMap:
+def memory_map(
+    spec: EnvSpec, n_envs: int, pe_num: int, data_wl: int, engine: Engine | None = None
+) -> MemoryMap:
     """Lay out the Comm-BRAM for one build; raise ArgumentError where a size is out of range.
 
     That is ``1 .. n_envs`` for ``pe_num``, the processing elements (the last group may be partly empty), and
@@ -251,7 +352,12 @@ def memory_map(spec: EnvSpec, n_envs: int, pe_num: int, data_wl: int) -> MemoryM
         region = Region(name, offset, rows, row_words, row_slots, slot_bits)
         regions.append(region)
         offset += region.words * data_wl // 8
-    return MemoryMap(n_envs, pe_num, data_wl, groups, tuple(regions))
+    if engine is not None:
+        sizes = 1 << engine.index_bits(spec), -(-32 * STATISTICS_WORDS // data_wl)
+        for name, words in zip(ENGINE_REGION_NAMES, sizes, strict=True):
+            regions.append(Region(name, offset, 1, words, 0, 0))
+            offset += words * data_wl // 8
+    return MemoryMap(n_envs, pe_num, data_wl, groups, tuple(regions), engine)
 
 
 MAX_DEFAULT_PE_NUM = 128
@@ -268,7 +374,11 @@ with a small model, which compiles quickly."""
 
 
 def default_map(
-    spec: EnvSpec, n_envs: int, pe_num: int | None = None, data_wl: int | None = None
+    spec: EnvSpec,
+    n_envs: int,
+    pe_num: int | None = None,
+    data_wl: int | None = None,
+    engine: Engine | None = None,
 ) -> MemoryMap:
     """Lay out the Comm-BRAM, with sizes chosen where none are given.
 
@@ -290,4 +400,4 @@ def default_map(
         pe_num = min(1 << (max(1, most).bit_length() - 1), 1 << (least - 1).bit_length())
     if data_wl is None:
         data_wl = next((width for width in DATA_WIDTHS if width >= pe_num * widest), DATA_WIDTHS[-1])
-    return memory_map(spec, n_envs, pe_num, data_wl)
+    return memory_map(spec, n_envs, pe_num, data_wl, engine)

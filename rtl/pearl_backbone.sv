@@ -8,6 +8,7 @@
 module pearl_backbone
   import pearl_pkg::*;
   import pearl_core_pkg::*;
+  import pearl_engine_pkg::*;
   import pearl_map_pkg::*;
 #(
     // Slots, processing elements and bits of a word of the address space.
@@ -74,6 +75,8 @@ module pearl_backbone
       offset_of(Rewards),
       offset_of(Ters),
       offset_of(Status),
+      offset_of(Policy),
+      offset_of(Statistics),
       offset_of(NumRegions)
   };
 
@@ -97,7 +100,7 @@ module pearl_backbone
 
   // ---- The address space ----
 
-  logic busy, start, done, ring, keys_stale, keys_next, keys_valid;
+  logic busy, start, done, last_step, ring, keys_stale, keys_next, keys_valid;
   logic [NumRegions-1:0] host_re, host_we;
   logic [WORD_ADDR_BITS-1:0] host_index;
   logic [DATA_WL-1:0] host_wdata, next_host_wdata;
@@ -109,7 +112,8 @@ module pearl_backbone
   // long as the map.
   logic unused_host;
   assign unused_host = ^{host_re[Control], host_re[Doorbell], host_re[Status], host_index,
-                         host_we[Observations], host_we[Rewards], host_we[Ters], host_we[Status]};
+                         host_we[Observations], host_we[Rewards], host_we[Ters], host_we[Status],
+                         host_re[Policy], host_re[Statistics], host_we[Policy], host_we[Statistics]};
 
   pearl_port #(
       .DATA_WL(DATA_WL),
@@ -143,7 +147,7 @@ module pearl_backbone
   mode_t mode;
   logic [1:0][31:0] seed;
   logic [63:0] tick;
-  logic [31:0] first_slot, limit, cycles;
+  logic [31:0] first_slot, limit, steps, cycles, step_cycles;
   logic limited;
 
   pearl_registers #(
@@ -152,7 +156,8 @@ module pearl_backbone
       .PE_NUM     (PE_NUM),
       .STATE_BITS (STATE_BITS),
       .RESULT_BITS(OBS_BITS + REWARD_BITS + TER_BITS),
-      .ENV_HASH   (ENV_HASH)
+      .ENV_HASH   (ENV_HASH),
+      .ROLLOUTS   (ENGINE != NoEngine)
   ) u_registers (
       .clk_i,
       .rst_ni,
@@ -174,7 +179,9 @@ module pearl_backbone
       .first_slot_o   (first_slot),
       .limited_o      (limited),
       .limit_o        (limit),
+      .steps_o        (steps),
       .done_i         (done),
+      .last_i         (last_step),
       .cycles_i       (cycles),
       .busy_write_i   (busy_write),
       .busy_doorbell_i(busy_doorbell),
@@ -182,30 +189,44 @@ module pearl_backbone
   );
 
   logic obs_done, rewards_done, ters_done, irq_q;
+  // Whether the doorbell was for a rollout; of its steps: one is to begin, none runs although there are more, the
+  // random keys of its actions are there, and what became of it is in the sums.
+  logic rollout, stepping, ring_step, between_steps, policy_keys_valid, counted;
 
   pearl_sequencer u_sequencer (
       .clk_i,
       .rst_ni        (awake_q),
-      .ring_i        (ring),
-      .keys_valid_i  (keys_valid),
-      .results_done_i(obs_done && rewards_done && ters_done),
-      .busy_o        (busy),
+      .ring_i        (ring_step),
+      .keys_valid_i  (keys_valid && policy_keys_valid),
+      .results_done_i(rollout ? counted : obs_done && rewards_done && ters_done),
+      .busy_o        (stepping),
       .start_o       (start),
       .done_o        (done),
-      .cycles_o      (cycles)
+      .cycles_o      (step_cycles)
   );
+  assign busy = stepping || between_steps;
 
   always_ff @(posedge clk_i) begin
     if (!awake_q || ring) irq_q <= 1'b0;
-    else if (done) irq_q <= 1'b1;
+    else if (done && last_step) irq_q <= 1'b1;
   end
   assign irq_o = irq_q;
 
   // ---- From the host's words to groups: actions, reset bits, random draws ----
 
-  logic issue, issue_last;
-  logic [GROUP_BITS-1:0] issue_group;
-  logic [31:0] issue_slot;
+  typedef struct packed {
+    logic valid;
+    logic last;
+    logic observe;
+    logic [GROUP_BITS-1:0] group;
+    logic [31:0] slot;
+  } issue_t;
+
+  // The next group, of a step or of a rollout.
+  issue_t issue, plain, rolled;
+  // With what actions, where it is of a rollout; and with what resets.
+  logic [PE_NUM-1:0][ACTION_BITS-1:0] chosen;
+  mode_t path_mode;
   logic actions_valid, resets_valid;
   logic [PE_NUM-1:0][ACTION_BITS-1:0] actions;
   logic [PE_NUM-1:0] resets;
@@ -221,7 +242,7 @@ module pearl_backbone
       .start_i     (start),
       .valid_o     (actions_valid),
       .row_o       (actions),
-      .take_i      (issue),
+      .take_i      (plain.valid),
       .host_re_i   (host_re[Actions]),
       .host_we_i   (host_we[Actions]),
       .host_addr_i (host_index[index_bits(ACTION_WORDS)-1:0]),
@@ -240,7 +261,7 @@ module pearl_backbone
       .start_i     (start),
       .valid_o     (resets_valid),
       .row_o       (resets),
-      .take_i      (issue),
+      .take_i      (plain.valid),
       .host_re_i   (host_re[ResetMask]),
       .host_we_i   (host_we[ResetMask]),
       .host_addr_i (host_index[index_bits(MASK_WORDS)-1:0]),
@@ -259,14 +280,16 @@ module pearl_backbone
   ) u_group_reader (
       .clk_i,
       .rst_ni      (awake_q),
-      .start_i     (start),
+      .start_i     (start && !rollout),
       .first_slot_i(first_slot),
       .rows_valid_i(actions_valid && resets_valid),
-      .issue_o     (issue),
-      .group_o     (issue_group),
-      .last_o      (issue_last),
-      .slot_o      (issue_slot)
+      .issue_o     (plain.valid),
+      .group_o     (plain.group),
+      .last_o      (plain.last),
+      .slot_o      (plain.slot)
   );
+  assign plain.observe = 1'b0;
+  assign issue = rollout ? rolled : plain;
 
   logic [PE_NUM-1:0][RNG_WORDS-1:0][31:0] rng;
 
@@ -281,13 +304,16 @@ module pearl_backbone
       .seed_i   (seed),
       .tick_i   (tick),
       .valid_o  (keys_valid),
-      .slot_i   (issue_slot),
+      .slot_i   (issue.slot),
       .draws_o  (rng)
   );
 
   // ---- Groups on their way ----
 
-  logic results_valid, results_last;
+  logic at_result, results_valid, results_last, results_observe;
+  logic [GROUP_BITS-1:0] results_group;
+  logic [PE_NUM-1:0][AGENTS-1:0] gone;
+  logic [PE_NUM-1:0][ELAPSED_BITS-1:0] elapsed;
   logic [PE_NUM-1:0][OBS_BITS-1:0] obs;
   logic [PE_NUM-1:0][REWARD_BITS-1:0] rewards;
   logic [PE_NUM-1:0][TER_BITS-1:0] ters;
@@ -301,26 +327,105 @@ module pearl_backbone
       .clk_i,
       .rst_ni      (awake_q),
       .busy_i      (busy),
-      .mode_i      (mode),
+      .mode_i      (path_mode),
       .limited_i   (limited),
       .limit_i     (limit),
-      .issue_i     (issue),
-      .last_i      (issue_last),
-      .group_i     (issue_group),
-      .actions_i   (actions),
+      .issue_i     (issue.valid),
+      .last_i      (issue.last),
+      .observe_i   (issue.observe),
+      .group_i     (issue.group),
+      .actions_i   (rollout ? chosen : actions),
       .resets_i    (resets),
       .rng_i       (rng),
-      .valid_o     (results_valid),
+      .valid_o     (at_result),
       .last_o      (results_last),
+      .observe_o   (results_observe),
+      .group_o     (results_group),
       .obs_o       (obs),
       .rewards_o   (rewards),
       .ters_o      (ters),
+      .gone_o      (gone),
+      .elapsed_o   (elapsed),
       .host_re_i   (host_re[Elapsed:InitialStates]),
       .host_we_i   (host_we[Elapsed:InitialStates]),
       .host_addr_i (host_index),
       .host_wdata_i(host_wdata),
       .host_rdata_o(state_rdata)
   );
+
+  // A rollout leaves no results but its sums.
+  assign results_valid = at_result && !rollout;
+
+  // ---- Rollouts: the policy engine, and what becomes of episodes ----
+
+  if (ENGINE == NoEngine) begin : gen_no_engine
+    logic unused;
+    assign unused = ^{steps, results_observe, results_group, gone, elapsed};
+    assign rollout = 1'b0;
+    assign ring_step = ring;
+    assign between_steps = 1'b0;
+    assign last_step = 1'b1;
+    assign policy_keys_valid = 1'b1;
+    assign counted = 1'b1;
+    assign cycles = step_cycles;
+    assign rolled = '0;
+    assign chosen = '0;
+    assign path_mode = mode;
+    assign host_rdata[Policy] = '0;
+    assign host_rdata[Statistics] = '0;
+  end else begin : gen_engine
+    pearl_rollout #(
+        .GROUPS(GROUPS),
+        .PE_NUM(PE_NUM),
+        .DATA_WL(DATA_WL),
+        .INTERVAL(INTERVAL),
+        .DEPTH(DEPTH)
+    ) u_rollout (
+        .clk_i,
+        .rst_ni         (awake_q),
+        .policy_we_i    (host_we[Policy]),
+        .host_index_i   (host_index[POLICY_INDEX_BITS-1:0]),
+        .host_wdata_i   (host_wdata[31:0]),
+        .statistics_o   (host_rdata[Statistics]),
+        .ring_i         (ring),
+        .mode_i         (mode),
+        .steps_i        (steps),
+        .first_slot_i   (first_slot),
+        .start_i        (start),
+        .done_i         (done),
+        .last_step_o    (last_step),
+        .rollout_o      (rollout),
+        .mode_o         (path_mode),
+        .ring_o         (ring_step),
+        .between_o      (between_steps),
+        .cycles_o       (cycles),
+        .keys_stale_i   (keys_stale),
+        .keys_next_i    (keys_next),
+        .seed_i         (seed),
+        .tick_i         (tick),
+        .keys_valid_o   (policy_keys_valid),
+        .issue_o        (rolled.valid),
+        .issue_last_o   (rolled.last),
+        .issue_observe_o(rolled.observe),
+        .issue_group_o  (rolled.group),
+        .issue_slot_o   (rolled.slot),
+        .actions_o      (chosen),
+        .valid_i        (at_result && rollout),
+        .last_i         (results_last),
+        .observe_i      (results_observe),
+        .group_i        (results_group),
+        .obs_i          (obs),
+        .rewards_i      (rewards),
+        .ters_i         (ters),
+        .gone_i         (gone),
+        .elapsed_i      (elapsed),
+        .counted_o      (counted)
+    );
+    // What is written there is not read, and the cycles of each step are part of those of all.
+    assign host_rdata[Policy] = '0;
+    logic unused;
+    assign unused = ^step_cycles;
+  end
 
   // ---- From groups to the host's words: three banks, written in parallel ----
 

@@ -5,6 +5,8 @@ module pearl_draws
 #(
     parameter  int unsigned PE_NUM = 4,
     parameter  int unsigned DRAWS  = 1,
+    // The index of the first.
+    parameter  int unsigned FIRST  = 0,
     localparam int unsigned WORDS  = DRAWS == 0 ? 1 : DRAWS
 ) (
     input  logic                               clk_i,
@@ -30,7 +32,8 @@ module pearl_draws
     logic [DRAWS-1:0][31:0] key_a, key_b;
 
     pearl_rng #(
-        .DRAWS(DRAWS)
+        .DRAWS(DRAWS),
+        .FIRST(FIRST)
     ) u_rng (
         .clk_i,
         .rst_ni,

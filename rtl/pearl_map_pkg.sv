@@ -5,6 +5,7 @@
 package pearl_map_pkg;
   import pearl_pkg::*;
   import pearl_core_pkg::*;
+  import pearl_engine_pkg::*;
 
   localparam int unsigned SLOT_BITS = TER_BITS + STATE_BITS;
 
@@ -28,7 +29,10 @@ package pearl_map_pkg;
       Observations: return stream_words(n_envs, OBS_BITS, data_wl);
       Rewards: return stream_words(n_envs, REWARD_BITS, data_wl);
       Ters: return stream_words(n_envs, TER_BITS, data_wl);
-      default: return stream_words(STATUS_WORDS, 32, data_wl);
+      Status: return stream_words(STATUS_WORDS, 32, data_wl);
+      // Without a policy engine, the map ends with the status.
+      Policy: return ENGINE == NoEngine ? 0 : 1 << POLICY_INDEX_BITS;
+      default: return ENGINE == NoEngine ? 0 : stream_words(STATISTICS_WORDS, 32, data_wl);
     endcase
   endfunction
 

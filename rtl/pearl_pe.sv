@@ -12,6 +12,8 @@ module pearl_pe
     input logic                           rst_ni,
     input logic                           valid_i,
     input mode_t                          mode_i,
+    // Only show what this step starts from: nobody writes the other results.
+    input logic                           observe_i,
     // Whether there is a time limit, and the last step that it allows, counted from 0.
     input logic                           limited_i,
     input logic  [ELAPSED_BITS-1:0]       limit_i,
@@ -30,10 +32,15 @@ module pearl_pe
     output logic [ STATE_BITS-1:0] state_o,
     output logic [   OBS_BITS-1:0] obs_o,
     output logic [REWARD_BITS-1:0] reward_o,
-    output logic [   TER_BITS-1:0] ter_o
+    output logic [   TER_BITS-1:0] ter_o,
+    // Agents that had ended before this step.
+    output logic [     AGENTS-1:0] gone_o
 );
 
   logic named, ended, first;
+  // What chooses the actions does not matter here.
+  logic unused_rollout;
+  assign unused_rollout = mode_i.rollout;
   assign named = mode_i.reset_all || (mode_i.reset_mask && reset_i);
   // A slot has ended when all its agents have.
   assign ended = ter_i[AGENTS] || &ter_i[AGENTS-1:0];
@@ -46,7 +53,7 @@ module pearl_pe
   always_ff @(posedge clk_i) begin
     first_q  <= first;
     start_q  <= first && !mode_i.stored;
-    hold_q   <= mode_i.next_step && ended && !named;
+    hold_q   <= observe_i || (mode_i.next_step && ended && !named);
     state_q  <= first && mode_i.stored ? init_i : state_i;
     action_q <= action_i;
   end
@@ -112,6 +119,7 @@ module pearl_pe
     );
   end
 
+  assign gone_o    = gone;
   assign elapsed_o = elapsed_q;
   assign reward_o  = held_q ? '0 : reward;
   assign ter_o     = {truncated_q, held_q ? AGENTS'(0) : gone | terminated};

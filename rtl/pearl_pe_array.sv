@@ -10,6 +10,8 @@ module pearl_pe_array
     input logic                                                    clk_i,
     input logic                                                    rst_ni,
     input logic                                                    valid_i,
+    // The group is only to show what its step starts from.
+    input logic                                                    observe_i,
     input mode_t                                                   mode_i,
     input logic                                                    limited_i,
     input logic  [ELAPSED_BITS-1:0]                                limit_i,
@@ -30,7 +32,8 @@ module pearl_pe_array
     output logic [PE_NUM-1:0][TER_BITS+STATE_BITS-1:0] states_o,
     output logic [PE_NUM-1:0][           OBS_BITS-1:0] obs_o,
     output logic [PE_NUM-1:0][        REWARD_BITS-1:0] rewards_o,
-    output logic [PE_NUM-1:0][           TER_BITS-1:0] ters_o
+    output logic [PE_NUM-1:0][           TER_BITS-1:0] ters_o,
+    output logic [PE_NUM-1:0][             AGENTS-1:0] gone_o
 );
 
   localparam int unsigned LAST_PES = (N_ENVS - 1) % PE_NUM + 1;
@@ -48,6 +51,7 @@ module pearl_pe_array
         .rst_ni,
         .valid_i,
         .mode_i,
+        .observe_i,
         .limited_i,
         .limit_i,
         .state_i(states_i[i][STATE_BITS-1:0]),
@@ -62,7 +66,8 @@ module pearl_pe_array
         .state_o(states_o[i][STATE_BITS-1:0]),
         .obs_o(obs),
         .reward_o(reward),
-        .ter_o(ter)
+        .ter_o(ter),
+        .gone_o(gone_o[i])
     );
 
     assign padding = i >= LAST_PES && last_late_i;

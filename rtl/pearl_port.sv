@@ -51,7 +51,7 @@ module pearl_port
 );
 
   localparam logic [NumRegions-1:0] RESULTS = NumRegions'(1 << Observations | 1 << Rewards | 1 << Ters);
-  localparam logic [NumRegions-1:0] READ_ONLY = RESULTS | NumRegions'(1 << Status);
+  localparam logic [NumRegions-1:0] READ_ONLY = RESULTS | NumRegions'(1 << Status | 1 << Statistics);
   // What the pipeline does not use, so that it can be read at any time.
   localparam logic [NumRegions-1:0] SHARED = READ_ONLY | NumRegions'(1 << Control | 1 << Doorbell);
   localparam int unsigned RESET_INDEX = word_index(CONTROL_RESET, DATA_WL);

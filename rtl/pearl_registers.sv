@@ -16,6 +16,8 @@ module pearl_registers
     parameter int unsigned RESULT_BITS = 9,
     // Names the environment and its options: a host refuses a build that is for another one.
     parameter logic [31:0] ENV_HASH = 32'h0,
+    // Whether there is a number of steps to make.
+    parameter bit ROLLOUTS = 1'b0,
     localparam int unsigned INDEX_BITS = index_bits(stream_words(CONTROL_WORDS, 32, DATA_WL))
 ) (
     input logic clk_i,
@@ -46,8 +48,12 @@ module pearl_registers
     // Whether there is a time limit, and the limit less one, to compare with.
     output logic               limited_o,
     output logic  [31:0]       limit_o,
+    // Of a rollout.
+    output logic  [31:0]       steps_o,
 
+    // A step is done; it is the last one of its doorbell.
     input logic        done_i,
+    input logic        last_i,
     input logic [31:0] cycles_i,
     // A write, or a doorbell, was refused because a step was running.
     input logic        busy_write_i,
@@ -62,7 +68,7 @@ module pearl_registers
 
   logic [1:0][31:0] seed_q;
   logic [63:0] tick_q;
-  logic [31:0] first_slot_q, max_cycles_q, limit_q, mode_word_q, sequence_q, finished_q, cycles_q;
+  logic [31:0] first_slot_q, max_cycles_q, steps_q, limit_q, mode_word_q, sequence_q, finished_q, cycles_q;
   logic [DOORBELL_WORDS-1:0] doorbell_we;
   error_t error_q  /* verilator public_flat_rw */;
   error_t error;
@@ -85,6 +91,7 @@ module pearl_registers
       tick_q       <= '0;
       first_slot_q <= '0;
       max_cycles_q <= '0;
+      steps_q      <= '0;
       stale_q      <= 1'b1;
       next_q       <= 1'b0;
     end else begin
@@ -104,6 +111,7 @@ module pearl_registers
         if (reaches(CONTROL_MAX_CYCLES, index_i)) begin
           max_cycles_q <= word_of(CONTROL_MAX_CYCLES, wdata_i);
         end
+        if (ROLLOUTS && reaches(CONTROL_STEPS, index_i)) steps_q <= word_of(CONTROL_STEPS, wdata_i);
       end
     end
   end
@@ -143,7 +151,7 @@ module pearl_registers
       if (control_we_i) error_q.reset <= 1'b0;
       if (busy_write_i) error_q.busy_write <= 1'b1;
       if (busy_doorbell_i) error_q.busy_doorbell <= 1'b1;
-      if (done_i) begin
+      if (done_i && last_i) begin
         finished_q <= sequence_q;
         cycles_q   <= cycles_i;
       end
@@ -154,8 +162,10 @@ module pearl_registers
   logic [DOORBELL_BITS-1:0] doorbell;
   logic [  STATUS_BITS-1:0] status;
 
-  // The last two control words read as zero: the one that resets, and a reserved one.
+  // The word that resets reads as zero.
   assign control = CONTROL_BITS'({
+    steps_q,
+    32'h0,
     max_cycles_q,
     first_slot_q,
     tick_q,
@@ -216,6 +226,7 @@ module pearl_registers
   assign first_slot_o = first_slot_q;
   assign limited_o = limited_q;
   assign limit_o = limit_q;
+  assign steps_o = steps_q;
 
   always_ff @(posedge clk_i) begin
     if (!clear) begin

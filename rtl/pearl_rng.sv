@@ -9,8 +9,9 @@
 module pearl_rng
   import pearl_pkg::*;
 #(
-    // Draws of a slot in a step.
-    parameter int unsigned DRAWS = 1
+    // Draws of a slot in a step, and the index of the first.
+    parameter int unsigned DRAWS = 1,
+    parameter int unsigned FIRST = 0
 ) (
     input  logic                   clk_i,
     input  logic                   rst_ni,
@@ -57,7 +58,7 @@ module pearl_rng
       0: next_word_q <= seed_i[1];
       1: next_word_q <= tick_i[63:32];
       2: next_word_q <= tick_i[31:0];
-      default: next_word_q <= 32'(round_q) - LAST_SHARED;
+      default: next_word_q <= FIRST + 32'(round_q) - LAST_SHARED;
     endcase
     if (restart_i) word_q <= seed_i[0];
     else if (next_i) word_q <= tick_i[31:0];

@@ -26,6 +26,8 @@ module pearl_state_path
     // A group and its rows.
     input logic                                         issue_i,
     input logic                                         last_i,
+    // It is only to show what its step starts from: nothing of it is written back.
+    input logic                                         observe_i,
     input logic [GROUP_BITS-1:0]                        group_i,
     input logic [    PE_NUM-1:0][ACTION_BITS-1:0]       actions_i,
     input logic [    PE_NUM-1:0]                        resets_i,
@@ -33,11 +35,16 @@ module pearl_state_path
     input logic [    PE_NUM-1:0][  RNG_WORDS-1:0][31:0] rng_i,
 
     // Its results.
-    output logic                               valid_o,
-    output logic                               last_o,
-    output logic [PE_NUM-1:0][   OBS_BITS-1:0] obs_o,
-    output logic [PE_NUM-1:0][REWARD_BITS-1:0] rewards_o,
-    output logic [PE_NUM-1:0][   TER_BITS-1:0] ters_o,
+    output logic                                    valid_o,
+    output logic                                    last_o,
+    output logic                                    observe_o,
+    output logic [GROUP_BITS-1:0]                   group_o,
+    output logic [    PE_NUM-1:0][    OBS_BITS-1:0] obs_o,
+    output logic [    PE_NUM-1:0][ REWARD_BITS-1:0] rewards_o,
+    output logic [    PE_NUM-1:0][    TER_BITS-1:0] ters_o,
+    // Agents that had ended before, and steps of episodes.
+    output logic [    PE_NUM-1:0][      AGENTS-1:0] gone_o,
+    output logic [    PE_NUM-1:0][ELAPSED_BITS-1:0] elapsed_o,
 
     // The host's way to the three memories. What it reads comes READ_LATENCY + 1 cycles later; in every other
     // cycle that is zero.
@@ -51,13 +58,14 @@ module pearl_state_path
   typedef struct packed {
     logic valid;
     logic last;
+    logic observe;
     logic [GROUP_BITS-1:0] group;
   } group_t;
 
   // Where a group is: its states are read, at the processing elements, its elapsed steps are read, it
   // has its results.
   group_t at_read, at_pe, at_count, at_result;
-  // At the processing elements only the fact that there is a group matters.
+  // At the processing elements it does not matter which group it is.
   logic unused_at_pe;
   assign unused_at_pe = ^{at_pe.last, at_pe.group};
 
@@ -66,7 +74,7 @@ module pearl_state_path
       .STAGES(issue_to_read(DRAWS))
   ) u_to_read (
       .clk_i,
-      .d_i(group_t'{valid: issue_i, last: last_i, group: group_i}),
+      .d_i(group_t'{valid: issue_i, last: last_i, observe: observe_i, group: group_i}),
       .d_o(at_read)
   );
   pearl_delay #(
@@ -95,7 +103,12 @@ module pearl_state_path
       .d_o(at_result)
   );
   assign valid_o = at_result.valid;
-  assign last_o  = at_result.last;
+  assign last_o = at_result.last;
+  assign observe_o = at_result.observe;
+  assign group_o = at_result.group;
+
+  logic write_back;
+  assign write_back = at_result.valid && !at_result.observe;
 
   logic [PE_NUM-1:0][ACTION_BITS-1:0] actions;
   logic [PE_NUM-1:0] resets;
@@ -119,6 +132,7 @@ module pearl_state_path
   logic [PE_NUM-1:0][STATE_BITS-1:0] inits;
   logic [PE_NUM-1:0][SLOT_BITS-1:0] states, next_states;
   logic [PE_NUM-1:0][ELAPSED_BITS-1:0] elapsed, next_elapsed;
+  assign elapsed_o = next_elapsed;
 
   logic [Elapsed:InitialStates][DATA_WL-1:0] host_rdata;
   logic [DATA_WL-1:0] host_rdata_q;
@@ -157,7 +171,7 @@ module pearl_state_path
       .re_i        (at_read.valid),
       .raddr_i     (at_read.group),
       .rdata_o     (states),
-      .we_i        (at_result.valid),
+      .we_i        (write_back),
       .waddr_i     (at_result.group),
       .wdata_i     (next_states),
       .host_re_i   (host_re_i[CurrentStates]),
@@ -177,7 +191,7 @@ module pearl_state_path
       .re_i        (at_count.valid),
       .raddr_i     (at_count.group),
       .rdata_o     (elapsed),
-      .we_i        (at_result.valid),
+      .we_i        (write_back),
       .waddr_i     (at_result.group),
       .wdata_i     (next_elapsed),
       .host_re_i   (host_re_i[Elapsed]),
@@ -194,6 +208,7 @@ module pearl_state_path
       .clk_i,
       .rst_ni,
       .valid_i     (at_pe.valid),
+      .observe_i   (at_pe.observe),
       .mode_i,
       .limited_i,
       .limit_i,
@@ -209,7 +224,8 @@ module pearl_state_path
       .states_o    (next_states),
       .obs_o,
       .rewards_o,
-      .ters_o
+      .ters_o,
+      .gone_o
   );
 
 endmodule

@@ -25,11 +25,14 @@ from gymnasium.vector import AutoresetMode
 from pearl_marl import rng
 from pearl_marl.batch.config import BatchConfig
 from pearl_marl.batch.results import ResultArrays
+from pearl_marl.batch.rollout import Rollout
 from pearl_marl.batch.slot_memory import SlotMemory
 from pearl_marl.batch.step import Array, BatchStep, Seen
 from pearl_marl.compiler.kernels import compile_kernels
+from pearl_marl.deferral import uninterrupted
 from pearl_marl.devices.base import Device
 from pearl_marl.devices.identity import check_identity
+from pearl_marl.devices.link_rollout import LinkRollout
 from pearl_marl.devices.transport import STAGES, Exchange, Transport, word
 from pearl_marl.errors import DeviceError
 from pearl_marl.hardware.build import Build
@@ -44,6 +47,7 @@ from pearl_marl.memory_map import (
     StatusError,
     ter_bits,
 )
+from pearl_marl.policies.device_policy import DevicePolicy
 from pearl_marl.spec import EnvSpec, Field, word_bits
 
 _ELAPSED = Field("elapsed", ELAPSED_BITS)
@@ -58,6 +62,7 @@ class CommBram(Device):
     """
 
     _cycles = 0
+    _policy: DevicePolicy | None = None
 
     patience = 10.0
     """Seconds to wait at a reset for a step that was left under way, before the hardware is reset."""
@@ -182,6 +187,42 @@ class CommBram(Device):
             self._resets_all = False
             self._mask[:] = False
         return results
+
+    @uninterrupted
+    def rollout(self, policy: DevicePolicy, steps: int) -> Rollout:
+        """Make many steps with a policy's actions in the hardware; return sums over all agents' episodes.
+
+        What follows is as if the steps had been made one by one.
+
+        Raises
+        ------
+        ArgumentError
+            The hardware has no policy engine, or none that takes this policy.
+        """
+        self.check_idle("rollout", ready=True)
+        self.check_known()
+        config = self.config
+        run = LinkRollout.of(policy, self._layout, config.spec, self.rewards, steps, config.limit)
+        if self._mask.any():  # the mask is of one step only
+            self._write(*self._read())
+        if policy is not self._policy:
+            run.load(self._transport)
+            self._policy = policy
+        self._write_settings()
+        mode = self._mode | (Mode.RESET_ALL if self._resets_all else Mode(0))
+        sequence = (self._sequence + 1) & 0xFFFFFFFF
+        self.known = False
+        result, self._cycles = run.run(self._transport, mode, sequence)
+        self.known = True
+        self._sequence, self._resets_all = sequence, False
+        self.tick = (self.tick + steps) & 0xFFFFFFFFFFFFFFFF
+        self._held = self._settings(self.tick)
+        if self._next_step or config.spec.agents > 1 or config.spec.mask_fields:
+            memory, seen = self._slots()
+            self._ended = SlotMemory(config.spec, config.n_envs, memory).ended.copy()
+            self.alive = seen.alive.copy()
+            self.action_masks = None if seen.action_masks is None else seen.action_masks.copy()
+        return result
 
     def _pack(self, actions: Array) -> None:
         """Bring actions to what is written, each agent's fields side by side."""
@@ -344,7 +385,7 @@ class CommBram(Device):
         self.known = False
         self._transport.reconnect()
         check_identity(self.name, self._transport, Build(spec, self._layout))
-        self._held = _UNSET
+        self._held, self._policy = _UNSET, None
         deadline = time.monotonic() + self.patience
         while (rung := self._word("doorbell", Doorbell.SEQUENCE)) != self._word("status", Status.SEQUENCE):
             if time.monotonic() > deadline:

@@ -14,7 +14,7 @@ from pearl_marl.devices.simulator.simulation import Simulation
 from pearl_marl.devices.transport import Transport
 from pearl_marl.errors import ArgumentError, DeviceError
 from pearl_marl.hardware.build import Build
-from pearl_marl.memory_map import MemoryMap
+from pearl_marl.memory_map import Engine, MemoryMap
 
 PATHS = ("backdoor", "axi")
 
@@ -46,6 +46,8 @@ class Rtl(CommBram):
     pipelined
         Whether groups of slots overlap in the hardware. If not, one is read, computed and written after the
         other, as in the paper's form without pipeline: the same answers in more clock cycles.
+    engine
+        What policy engine the hardware has, for rollouts (:mod:`pearl_marl.devices.link_rollout`).
     """
 
     name = "rtl"
@@ -58,6 +60,7 @@ class Rtl(CommBram):
         trace: str | os.PathLike[str] | None = None,
         *,
         pipelined: bool = True,
+        engine: Engine | None = None,
     ) -> None:
         for name, value in (("pe_num", pe_num), ("data_wl", data_wl)):
             if value is not None and (isinstance(value, bool) or not isinstance(value, (int, np.integer))):
@@ -69,7 +72,7 @@ class Rtl(CommBram):
         if self._trace is not None and not (isinstance(self._trace, str) and self._trace.isascii()):
             raise ArgumentError(f"trace is {trace!r}; it must be a file name in ASCII")
         self._pe_num, self._data_wl, self._path = pe_num, data_wl, path
-        self._pipelined = pipelined
+        self._pipelined, self._engine = pipelined, engine
 
     @property
     def clock(self) -> int:
@@ -88,7 +91,7 @@ class Rtl(CommBram):
 
     def _connect(self, config: BatchConfig) -> tuple[Transport, MemoryMap]:
         pe_num, data_wl = (None if value is None else int(value) for value in (self._pe_num, self._data_wl))
-        build = Build.of(config.spec, config.n_envs, pe_num, data_wl)
+        build = Build.of(config.spec, config.n_envs, pe_num, data_wl, self._engine)
         if self._trace is not None:  # before a model is compiled, which takes a minute
             try:
                 Path(self._trace).touch()

@@ -77,6 +77,10 @@ class Transport(ABC):
     def wait(self, step: Exchange) -> None:
         """Return once a step has ended, or as soon as that is likely."""
 
+    def pause(self) -> None:
+        """Let some time pass while the hardware is busy with more than a step."""
+        time.sleep(1e-4)
+
     def unfinished(self, step: Exchange, waited: float) -> bool:
         """Return whether to read again, ``waited`` seconds after the write; may pause, or raise."""
         return False

@@ -19,7 +19,7 @@ from pearl_marl.compiler.loading import fingerprint
 from pearl_marl.compiler.targets import Target
 from pearl_marl.errors import ArgumentError, DeviceError
 from pearl_marl.hardware.build import Build
-from pearl_marl.memory_map import MemoryMap, stream_bits
+from pearl_marl.memory_map import Engine, MemoryMap, stream_bits
 from pearl_marl.spec import EnvSpec, snake_case, word_bits
 
 TARGET = Target("xc7", 150.0)
@@ -99,8 +99,8 @@ WRAPPER = "pearl_core.sv"
 """The file that ties a core to the backbone: :func:`core_wrapper`."""
 
 
-def core_wrapper(spec: EnvSpec) -> str:
-    """Return the module and package under which the backbone knows an environment's core.
+def core_wrapper(spec: EnvSpec, engine: Engine | None = None) -> str:
+    """Return the module and packages under which the backbone knows an environment's core, and its engine.
 
     The core keeps its own name, so one bitstream may hold any environment.
 
@@ -123,7 +123,40 @@ def core_wrapper(spec: EnvSpec) -> str:
         reward_bits=bits["rewards"],
         draws=spec.reset_draws + spec.step_draws,
         env_hash=f"32'h{env_hash(spec):08X}",
+        **_engine_constants(spec, engine),
     )
+
+
+def _engine_constants(spec: EnvSpec, engine: Engine | None) -> dict[str, object]:
+    """Return the constants of the engine's package; of no engine, the least that are legal."""
+    shape, fields = engine or Engine(), spec.observation
+    offsets = [word_bits(fields[:k]) for k in range(len(fields))]
+    return {
+        "engine": "NoEngine" if engine is None else f"{engine.kind.title()}Engine",
+        "agent_obs_bits": word_bits(spec.seen),
+        "elements": len(fields),
+        "element_bits": max(field.bits + (not field.signed) for field in fields),
+        "element_offsets": ", ".join(map(str, offsets)),
+        "element_widths": ", ".join(str(field.bits) for field in fields),
+        "element_signs": ", ".join(str(int(field.signed)) for field in fields),
+        "masked": int(bool(spec.mask_fields)),
+        "actions": max(1, sum(spec.action_counts)),
+        "agent_reward_bits": spec.reward.bits,
+        "reward_tabled": int(bool(spec.rewards)),
+        "reward_signed": int(spec.reward.signed),
+        "drawn": int(shape.drawn),
+        "logit_bits": shape.logit_bits,
+        "table_rows": shape.table_rows,
+        "products": shape.products,
+        "side": shape.side,
+        "rounds": shape.rounds,
+        "hidden": shape.hidden,
+        "layers": shape.layers,
+        "weight_bits": shape.weight_bits,
+        "value_bits": shape.value_bits,
+        "weight_words": shape.weight_words(spec),
+        "policy_index_bits": shape.index_bits(spec),
+    }
 
 
 def backbone_paths() -> list[Path]:
@@ -133,10 +166,10 @@ def backbone_paths() -> list[Path]:
     return packages + sorted(path for path in folder.glob("*.sv") if path not in packages)
 
 
-def sources(spec: EnvSpec, target: Target = TARGET) -> list[Path]:
+def sources(spec: EnvSpec, target: Target = TARGET, engine: Engine | None = None) -> list[Path]:
     """Return every file of a design, in the order in which they have to be read."""
     package, *rest = backbone_paths()
-    return [package, core_path(spec, target), _kept(core_wrapper(spec), WRAPPER), *rest]
+    return [package, core_path(spec, target), _kept(core_wrapper(spec, engine), WRAPPER), *rest]
 
 
 def core_parameters(spec: EnvSpec) -> dict[str, str]:

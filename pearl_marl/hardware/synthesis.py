@@ -239,7 +239,8 @@ def _job(build: Build, family: Family, placement: Placement | None) -> _Job:
     for program in programs:
         toolchain.find(program)
     tools = {program: version(program) for program in programs}
-    files = {path.name: path.read_text("utf-8") for path in elaboration.sources(build.spec, family.target)}
+    sources = elaboration.sources(build.spec, family.target, build.layout.engine)
+    files = {path.name: path.read_text("utf-8") for path in sources}
     script = _script(build, family, list(files), placement)
     parts = [script, files, tools, _place(placement) if placement else ""]
     digest = hashlib.sha256(json.dumps(parts).encode()).hexdigest()[:24]

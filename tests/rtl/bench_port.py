@@ -8,10 +8,12 @@ from typing import Any
 from bench import READ_LATENCY, each_variant, start
 from cocotb.triggers import FallingEdge, ReadOnly
 
-from pearl_marl.memory_map import REGION_NAMES, Control, Doorbell
+from pearl_marl.memory_map import ENGINE_REGION_NAMES, Control, Doorbell
+from pearl_marl.memory_map import REGION_NAMES as OTHER_NAMES
 
+REGION_NAMES = (*OTHER_NAMES, *ENGINE_REGION_NAMES)
 RESULTS = {"observations", "rewards", "ters"}
-READ_ONLY = RESULTS | {"status"}
+READ_ONLY = RESULTS | {"status", "statistics"}
 # What may be read while a step runs.
 SHARED = READ_ONLY | {"control", "doorbell"}
 # What answers a cycle later than the others.
@@ -97,8 +99,9 @@ async def requests_reach_their_regions(dut: Any, given: Any) -> None:
             allowed = name in SHARED or not busy
         else:
             allowed = name not in READ_ONLY and not (busy or outdated)
-        outdated = bool(kind == "fetch" and address == reset_word and busy)
-        accepted = allowed or resets or outdated
+        fetches_reset = kind == "fetch" and address == reset_word
+        outdated = bool(fetches_reset and busy)
+        accepted = allowed or resets or fetches_reset
         answered = None if kind == "write" and accepted else 0
         if name is not None and accepted:
             at = index, data

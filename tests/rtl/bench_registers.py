@@ -21,7 +21,7 @@ async def words_equal_the_model(dut: Any, given: Any) -> None:
 
     flags = ("done_i", "busy_write_i", "busy_doorbell_i", "untorn_i", "draining_i")
     inputs = ("index_i", "control_we_i", "doorbell_we_i", "wdata_i", "next_wdata_i", "cycles_i", *flags)
-    await start(dut, **dict.fromkeys(inputs, 0))
+    await start(dut, **dict.fromkeys(inputs, 0), last_i=1)
     source = random.Random(16)
     control, doorbell, status = [*identity, *[0] * 8], [0, 0], [0, 0, int(StatusError.RESET)]
     stale = False

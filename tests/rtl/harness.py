@@ -111,7 +111,7 @@ BUS = (
 def whole(build: Build) -> Design:
     """The whole design of a build."""
     spec, parameters = build.spec, elaboration.top_parameters(build)
-    return Design("pearl_top", tuple(elaboration.sources(spec)), parameters)
+    return Design("pearl_top", tuple(elaboration.sources(spec, engine=build.layout.engine)), parameters)
 
 
 AXI_PROPERTIES = HERE / "axi_properties.sv"

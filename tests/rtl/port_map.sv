@@ -37,7 +37,9 @@ module port_map
   pearl_port #(
       .DATA_WL(DATA_WL),
       .WORD_ADDR_BITS(WORD_ADDR_BITS),
-      .OFFSETS('{0, W, 2 * W, 3 * W, 4 * W, 5 * W, 6 * W, 7 * W, 8 * W, 9 * W, 10 * W, 11 * W})
+      .OFFSETS(
+      '{0, W, 2 * W, 3 * W, 4 * W, 5 * W, 6 * W, 7 * W, 8 * W, 9 * W, 10 * W, 11 * W, 12 * W, 13 * W}
+      )
   ) u_port (
       .*
   );

@@ -13,8 +13,10 @@ from harness import HERE, Design, whole
 
 from pearl_marl import memory_map
 from pearl_marl.errors import ArgumentError, DeviceError
-from pearl_marl.hardware import elaboration, toolchain
+from pearl_marl.hardware import elaboration, policy_words, toolchain
 from pearl_marl.hardware.build import Build
+from pearl_marl.memory_map import Engine
+from pearl_marl.policies import device_policy
 from pearl_marl.registry import get_spec, names
 from pearl_marl.spec import EnvSpec, word_bits
 
@@ -64,6 +66,33 @@ def test_lint_is_clean(env: str, size: tuple[int, int, int]) -> None:
 def test_lint_is_clean_with_options(env: str, options: dict[str, Any]) -> None:
     spec = spec_of(env, options)
     lint(whole(Build.of(spec, 7, 4, 32)))
+
+
+NETWORK = Engine("network", products=4, side=2, rounds=2, hidden=8, layers=3)
+TABLE = Engine("table", table_rows=48, logit_bits=8)
+
+
+@pytest.mark.parametrize(
+    ("env", "engine"),
+    [
+        ("CartPole", NETWORK._replace(drawn=True)),
+        ("CliffWalking", TABLE),
+        # Masks, and several agents; a layer alone; words of weights that are no power of two.
+        *(
+            pytest.param(env, engine, marks=pytest.mark.exhaustive)
+            for env, engine in (
+                ("LevelBasedForaging", NETWORK),
+                ("CartPole", NETWORK._replace(layers=1, products=8, side=1, rounds=1)),
+                ("Taxi", NETWORK._replace(products=3)),
+                ("CliffWalking", TABLE._replace(drawn=True)),
+                ("ShiftAdd", NETWORK),
+            )
+        ),
+    ],
+)
+def test_lint_is_clean_with_an_engine(env: str, engine: Engine) -> None:
+    spec = spec_of(env, {})
+    lint(whole(Build.of(spec, 7, 4, 32, engine)))
 
 
 @pytest.mark.parametrize("env", ["CliffWalking", "ShiftAdd"])
@@ -174,14 +203,24 @@ def test_package_says_what_the_map_says() -> None:
     package = next(path for path in elaboration.backbone_paths() if path.name == "pearl_pkg.sv").read_text()
     words = "".join(package.split())
     control = memory_map.Control
-    for name in ("SEED_0", "SEED_1", "TICK_LOW", "TICK_HIGH", "FIRST_SLOT", "MAX_CYCLES", "RESET"):
+    for name in ("SEED_0", "SEED_1", "TICK_LOW", "TICK_HIGH", "FIRST_SLOT", "MAX_CYCLES", "RESET", "STEPS"):
         assert f"CONTROL_{name}={control[name].value};" in words
     assert f"CONTROL_WORDS={len(control)};" in words
     assert f"DOORBELL_WORDS={len(memory_map.Doorbell)};" in words
     assert f"STATUS_WORDS={len(memory_map.Status)};" in words
     assert f"PROTOCOL_VERSION={memory_map.PROTOCOL_VERSION};" in words
     assert f"ELAPSED_BITS={memory_map.ELAPSED_BITS};" in words
-    names = "".join(name.title().replace("_", "") + "," for name in memory_map.REGION_NAMES)
+    assert f"STATISTICS_WORDS={memory_map.STATISTICS_WORDS};" in words
+    assert f"SECTION_BITS={memory_map.SECTION_BITS};" in words
+    assert f"ENTRIES={memory_map.ENTRIES};" in words
+    assert f"MULTIPLIER_BITS={policy_words.MULTIPLIER_BITS};" in words
+    assert f"QUANTUM_BITS={policy_words.QUANTUM_BITS};" in words
+    assert f"RETURN_BITS={policy_words.RETURN_BITS};" in words
+    assert f"POLICY_DRAW=32'h{device_policy.FIRST_DRAW:08X};" in words.replace("8000_0000", "80000000")
+    sections = "".join(section.name.title().replace("_", "") + "," for section in memory_map.Section)
+    assert f"{{{sections}NumSections}}section_e;" in words
+    regions = (*memory_map.REGION_NAMES, *memory_map.ENGINE_REGION_NAMES)
+    names = "".join(name.title().replace("_", "") + "," for name in regions)
     assert f"{{{names}NumRegions}}region_e;" in words
     for fields, type_name in ((memory_map.Mode, "mode_t"), (memory_map.StatusError, "error_t")):
         body = package[: package.index(f"}} {type_name}")].rpartition("{")[2]

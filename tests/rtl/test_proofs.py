@@ -17,6 +17,7 @@ import pytest
 from harness import BUS, HERE
 
 from pearl_marl.hardware import elaboration, toolchain
+from pearl_marl.registry import get_spec
 from tests.sampling import sampled
 
 FORMAL = HERE / "formal"
@@ -174,7 +175,9 @@ class Around:
             "ENV_HASH": 0,
         }
         lines = [f"  localparam int unsigned {name} = {value};\n" for name, value in stated.items()]
-        return f"package pearl_core_pkg;\n{''.join(lines)}endpackage\n"
+        wrapper = elaboration.core_wrapper(get_spec("CliffWalking"))
+        no_engine = wrapper[wrapper.index("package pearl_engine_pkg;") : wrapper.index("module pearl_core")]
+        return f"package pearl_core_pkg;\n{''.join(lines)}endpackage\n{no_engine}"
 
     @property
     def flush(self) -> int:
@@ -272,7 +275,11 @@ RESETS = {
     "port open": ("pearl_backbone.sv", "busy || !awake_q)", "busy)"),
 }
 IDLES = {
-    "interrupt early": ("pearl_backbone.sv", "else if (done) irq_q <= 1'b1", "else irq_q <= 1'b1"),
+    "interrupt early": (
+        "pearl_backbone.sv",
+        "else if (done && last_step) irq_q <= 1'b1",
+        "else irq_q <= 1'b1",
+    ),
     "status at the doorbell": (
         "pearl_registers.sv",
         "error_q.torn_read <= 1'b1;",

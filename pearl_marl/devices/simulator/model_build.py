@@ -82,7 +82,7 @@ def library(build: Build, traced: bool = False, pipelined: bool = True) -> Path:
         *(_TRACED if traced else []),
         *(f"-G{name}={value}" for name, value in parameters.items()),
     ]
-    sources = elaboration.sources(spec)
+    sources = elaboration.sources(spec, engine=layout.engine)
     code = _columns(layout) + _CODE.read_text("utf-8")
     texts = [code, *(path.read_text("utf-8") for path in (*sources, Path(pyverilator_mends.__file__)))]
     digest = _digest(_tools(), arguments, make, traced, texts)

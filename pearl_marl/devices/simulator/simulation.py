@@ -24,6 +24,9 @@ _ANSWERS = {
 }
 
 
+_NOT_ENDED = 2
+
+
 class Simulation(Transport):
     """A simulated board as a transport.
 
@@ -63,6 +66,12 @@ class Simulation(Transport):
     def wait(self, step: Exchange) -> None:
         """Clock until the interrupt."""
         self._check(self._functions.pearl_wait(self._host))
+
+    def pause(self) -> None:
+        """Clock until the interrupt, or for many cycles."""
+        answer = self._functions.pearl_wait(self._host)
+        if answer != _NOT_ENDED:
+            self._check(answer)
 
     def exchange(self, step: Exchange) -> None:
         """Do a whole step in one call, unless its stages are timed."""

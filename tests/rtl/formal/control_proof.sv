@@ -54,7 +54,9 @@ module control_proof
   pearl_port #(
       .DATA_WL(DATA_WL),
       .WORD_ADDR_BITS(8),
-      .OFFSETS('{0, W, 2 * W, 3 * W, 4 * W, 5 * W, 6 * W, 7 * W, 8 * W, 9 * W, 10 * W, 11 * W})
+      .OFFSETS(
+      '{0, W, 2 * W, 3 * W, 4 * W, 5 * W, 6 * W, 7 * W, 8 * W, 9 * W, 10 * W, 11 * W, 11 * W, 11 * W}
+      )
   ) u_port (
       .clk_i,
       .rst_ni         (started_q),
@@ -102,7 +104,9 @@ module control_proof
       .first_slot_o   (),
       .limited_o      (),
       .limit_o        (),
+      .steps_o        (),
       .done_i         (done),
+      .last_i         (1'b1),
       .cycles_i       (cycles),
       .busy_write_i   (busy_write),
       .busy_doorbell_i(busy_doorbell),

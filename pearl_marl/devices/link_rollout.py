@@ -1,0 +1,115 @@
+"""Rollouts in hardware: a policy, a number of steps and a doorbell go there, and sums come back."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from pearl_marl.batch.rollout import Rollout
+from pearl_marl.devices.transport import Transport
+from pearl_marl.errors import ArgumentError, DeviceError
+from pearl_marl.hardware.policy_words import Quanta, Words, policy_words, quanta
+from pearl_marl.memory_map import (
+    SECTION_BITS,
+    STATISTICS_WORDS,
+    Control,
+    MemoryMap,
+    Mode,
+    Section,
+    Statistics,
+    Status,
+    StatusError,
+)
+from pearl_marl.policies.device_policy import DevicePolicy
+from pearl_marl.spec import EnvSpec
+
+
+class LinkRollout(NamedTuple):
+    """A rollout that fits the hardware behind a link."""
+
+    layout: MemoryMap
+    sections: dict[Section, Words]
+    rewards: Quanta
+    agents: int
+    steps: int
+
+    @classmethod
+    def of(
+        cls,
+        policy: DevicePolicy,
+        layout: MemoryMap,
+        spec: EnvSpec,
+        rewards: npt.NDArray[np.float32],
+        steps: int,
+        longest: int,
+    ) -> LinkRollout:
+        """Return the rollout of a policy; raise ArgumentError where the hardware has no engine that takes it.
+
+        ``rewards`` are those of the categories, and ``longest`` the time limit, 0 if there is none.
+        """
+        if isinstance(steps, bool) or not isinstance(steps, (int, np.integer)) or not 1 <= steps < 1 << 32:
+            raise ArgumentError(f"steps is {steps!r}; it must be an integer from 1 to {(1 << 32) - 1:,}")
+        if layout.engine is None:
+            raise ArgumentError("the hardware has no policy engine; take a build with one, or another device")
+        if policy.spec.id != spec.id or policy.spec.options != spec.options:
+            raise ArgumentError(f"the policy is for {policy.spec.id}, and the batch is of {spec.id}")
+        sections = policy_words(policy, layout.engine)
+        whole = quanta(spec, rewards, min(int(steps), longest or int(steps)))
+        return cls(layout, sections, whole, layout.n_envs * spec.agents, int(steps))
+
+    def load(self, transport: Transport) -> None:
+        """Write the policy. It stays until another one is written, also over a reset."""
+        for section, words in self.sections.items():
+            self._write(transport, section, words)
+
+    def run(self, transport: Transport, mode: Mode, sequence: int) -> tuple[Rollout, int]:
+        """Do the rollout; return what became of its episodes, as sums over all agents, and the clock cycles.
+
+        Raises
+        ------
+        DeviceError
+            The hardware was reset, or refused a write.
+        """
+        self._write(transport, Section.QUANTA, self.rewards.numbers)
+        transport.write(4 * Control.STEPS, np.array([self.steps], "<u4").view(np.uint8))
+        doorbell = np.array([mode | Mode.ROLLOUT, sequence], "<u4")
+        transport.write(self.layout["doorbell"].offset, doorbell.view(np.uint8))
+        status = np.zeros(4 * len(Status), np.uint8)
+        while True:
+            transport.pause()
+            transport.read(self.layout["status"].offset, status)
+            found = status.view("<u4")
+            error = StatusError(int(found[Status.ERROR]))
+            if error & (StatusError.RESET | StatusError.BUSY_WRITE | StatusError.BUSY_DOORBELL):
+                raise DeviceError(
+                    f"the hardware reports {error.name} in a rollout; reset, or load a saved state"
+                )
+            if found[Status.SEQUENCE] == sequence:
+                break
+        sums = np.zeros(4 * STATISTICS_WORDS, np.uint8)
+        transport.read(self.layout["statistics"].offset, sums)
+        words = sums.view("<i8")
+
+        def total(name: Statistics) -> int:
+            return int(words[name // 2])
+
+        rollout = Rollout(
+            steps=self.steps,
+            truncated=total(Statistics.TRUNCATED),
+            returns=np.array([total(Statistics.RETURNS) * self.rewards.quantum]),
+            squares=np.array([np.nan]),
+            lengths=np.array([total(Statistics.LENGTHS)]),
+            ended=np.array([total(Statistics.EPISODES)]),
+        )
+        return rollout, total(Statistics.CYCLES)
+
+    def _write(self, transport: Transport, section: Section, words: Words) -> None:
+        """Write the numbers that a section begins with, each to a word of its own."""
+        if words.size:
+            region, width = self.layout["policy"], self.layout.data_wl // 32
+            spread = np.zeros((len(words), width), "<u4")
+            spread[:, 0] = words
+            start = section * (region.words >> SECTION_BITS) * 4 * width
+            transport.write(region.offset + start, spread.view(np.uint8).ravel())

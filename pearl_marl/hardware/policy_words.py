@@ -1,0 +1,195 @@
+"""From a policy in integers to the words of a policy engine; what does not fit is refused."""
+
+from __future__ import annotations
+
+import math
+from fractions import Fraction
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from pearl_marl.errors import ArgumentError
+from pearl_marl.memory_map import Engine, Section
+from pearl_marl.policies.device_policy import DevicePolicy
+from pearl_marl.policies.integer_network import Dense, IntegerNetwork, Levels, Rows, Scaling
+from pearl_marl.spec import EnvSpec
+
+Words = npt.NDArray[np.uint32]
+
+MULTIPLIER_BITS = 16
+RETURN_BITS = 48
+QUANTUM_BITS = 40
+"""Widths of the engine's multipliers of inputs, of an episode's return, and of what a reward counts as."""
+
+
+def check_engine(spec: EnvSpec) -> None:
+    """Refuse an environment whose observations or actions no engine takes."""
+    if spec.unpack is not None:
+        raise ArgumentError(
+            f"a policy engine takes observations as their words are, and the host unpacks those of {spec.id}"
+            "; roll out on another device"
+        )
+    if len(spec.action_counts) != 1:
+        raise ArgumentError(
+            f"a policy engine chooses one of so many actions, and {spec.id} has {spec.action_space}; "
+            "roll out on another device"
+        )
+
+
+def policy_words(policy: DevicePolicy, engine: Engine) -> dict[Section, Words]:
+    """Return what each section of the policy region begins with.
+
+    Raises
+    ------
+    ArgumentError
+        The policy is none that an engine takes, or larger than this one.
+    """
+    spec = policy.spec
+    check_engine(spec)
+    if not isinstance(policy, IntegerNetwork):
+        raise _refusal(f"takes networks and tables of integers, and this is a {type(policy).__name__}")
+    head, inputs = policy.head, policy.inputs
+    assert not isinstance(head, Levels)  # there are none for a single action of so many
+    if len(head.weights) and not engine.drawn:
+        raise _refusal("takes the best action, and this policy draws its actions")
+    if not 0 <= head.shift < 32:
+        raise _refusal(f"shifts distances of logits by 31 bits at most, and this policy by {head.shift}")
+    if isinstance(inputs, Rows):
+        words = _table(policy, inputs, engine)
+    elif isinstance(inputs, Scaling):
+        words = _network(policy, inputs, engine)
+    else:
+        raise _refusal(f"takes numbers, and this policy begins with {type(inputs).__name__}")
+    words[Section.SETTINGS][0] = head.shift | (32 if len(head.weights) else 0)
+    if len(head.weights):
+        words[Section.CHANCES] = _unsigned(head.weights)
+    return words
+
+
+def _table(policy: IntegerNetwork, inputs: Rows, engine: Engine) -> dict[Section, Words]:
+    if engine.kind != "table":
+        raise _refusal("takes networks, and this policy is a table")
+    if len(inputs.first) != 1 or len(policy.layers) != 1:
+        raise _refusal("takes one table of logits, and this policy has several, or layers behind it")
+    if len(policy.indicator):
+        raise _refusal("does not tell the agents of a world apart, and this policy does")
+    rows = len(inputs.table)
+    if rows > engine.table_rows:
+        raise _refusal(f"has room for {engine.table_rows:,} rows, and this table has {rows:,}")
+    logits = inputs.table.astype(np.int64) + policy.layers[0].bias
+    _fit(logits, engine.logit_bits, "logits")
+    actions = logits.shape[1]
+    padded = np.zeros((rows, 1 << (actions - 1).bit_length()), np.int64)
+    padded[:, :actions] = logits
+    return {
+        Section.SETTINGS: _unsigned([0, 0, inputs.first[0], 0]),
+        Section.SCALINGS: _unsigned(inputs.factors[0]),
+        Section.WEIGHTS: _unsigned(padded.ravel()),
+    }
+
+
+def _network(policy: IntegerNetwork, inputs: Scaling, engine: Engine) -> dict[Section, Words]:
+    layers = policy.layers
+    if engine.kind != "network":
+        raise _refusal("takes tables, and this policy is a network")
+    if len(policy.indicator):
+        raise _refusal("does not tell the agents of a world apart, and this policy does")
+    if len(layers) > engine.layers:
+        raise _refusal(f"has {engine.layers} layers, and this policy {len(layers)}")
+    for layer in layers[:-1]:
+        if len(layer.bias) > engine.hidden:
+            raise _refusal(f"has layers of {engine.hidden} units, and this policy one of {len(layer.bias)}")
+    if np.max(inputs.multiplier) >= 1 << MULTIPLIER_BITS:
+        raise _refusal(
+            f"has multipliers of {MULTIPLIER_BITS} bits, and this policy has {np.max(inputs.multiplier)}"
+        )
+    _fit(inputs.offset, 32, "offsets")
+    _fit(np.array([inputs.limit]), engine.value_bits, "inputs")
+    tables = {layer.activation.tobytes(): layer.activation for layer in layers[:-1] if len(layer.activation)}
+    if len(tables) > 1:
+        raise _refusal("has one table of activations, and the layers of this policy have several")
+    words = {
+        Section.SETTINGS: [0, len(layers) - 1, inputs.limit, 0],
+        Section.SCALINGS: np.stack(
+            [inputs.offset, inputs.multiplier | inputs.shift << MULTIPLIER_BITS], 1
+        ).ravel(),
+        Section.BIASES: np.concatenate([layer.bias for layer in layers]),
+        Section.WEIGHTS: np.concatenate([_weights(layer, engine) for layer in layers]),
+    }
+    for layer in layers:
+        _fit(layer.weights, engine.weight_bits, "weights")
+        limit = 0
+        if layer is not layers[-1]:
+            _fit(
+                layer.activation if len(layer.activation) else np.array([layer.limit]),
+                engine.value_bits,
+                "units",
+            )
+            limit = layer.limit
+        outputs, width = layer.weights.shape
+        size = -(-width // engine.products) | outputs << 16
+        words[Section.SETTINGS] += [size, limit | layer.shift << 26 | bool(len(layer.activation)) << 31]
+    for table in tables.values():
+        words[Section.ACTIVATION] = table
+    return {section: _unsigned(values) for section, values in words.items()}
+
+
+def _weights(layer: Dense, engine: Engine) -> Words:
+    """Return the words of a layer's weights: each of ``products``, in a power of two of 32 bits."""
+    outputs, width = layer.weights.shape
+    chunks = -(-width // engine.products)
+    padded = np.zeros((outputs, chunks * engine.products), np.int64)
+    padded[:, :width] = layer.weights
+    bits = (padded.reshape(-1, engine.products, 1) >> np.arange(engine.weight_bits)) & 1
+    columns = -(-engine.products * engine.weight_bits // 32)
+    filled = np.zeros((outputs * chunks, 32 << (columns - 1).bit_length()), np.uint8)
+    filled[:, : engine.products * engine.weight_bits] = bits.reshape(outputs * chunks, -1)
+    return np.packbits(filled.ravel(), bitorder="little").view("<u4")
+
+
+class Quanta(NamedTuple):
+    """Rewards as whole numbers."""
+
+    numbers: Words
+    """Of each category, in two halves; empty where rewards are no categories."""
+    quantum: float
+    """What one of them is worth."""
+
+
+def quanta(spec: EnvSpec, rewards: npt.NDArray[np.float32], steps: int) -> Quanta:
+    """Return rewards as whole numbers of which an episode of so many steps can be added up exactly.
+
+    ``rewards`` are those of the categories.
+    """
+    if not spec.rewards:
+        most, quantum = 1 << spec.reward.bits, Fraction(1, 1 << spec.reward.fraction)
+        numbers = []
+    else:
+        exact = [Fraction(float(reward)) for reward in rewards]
+        quantum = Fraction(1, math.lcm(*(reward.denominator for reward in exact)))
+        whole = [int(reward / quantum) for reward in exact]
+        quantum *= math.gcd(*whole) or 1
+        numbers = [int(reward / quantum) for reward in exact]
+        most = max(map(abs, numbers))
+    if (spec.rewards and most >= 1 << QUANTUM_BITS - 1) or most * steps >= 1 << RETURN_BITS - 1:
+        raise ArgumentError(
+            f"rewards as whole numbers reach {most:,}, too much to add up {steps:,} of them in the policy "
+            "engine; take fewer steps, or rewards that are rounder"
+        )
+    halves = [half for number in numbers for half in (number, number >> 32)]
+    return Quanta(_unsigned(halves), float(quantum))
+
+
+def _fit(numbers: npt.NDArray[np.integer], bits: int, what: str) -> None:
+    low, high = -(1 << bits - 1), (1 << bits - 1) - 1
+    if numbers.size and (numbers.min() < low or numbers.max() > high):
+        raise _refusal(f"has {what} of {bits} bits, and this policy has {numbers.min()} to {numbers.max()}")
+
+
+def _unsigned(numbers: npt.ArrayLike) -> Words:
+    return (np.asarray(numbers, np.int64) & 0xFFFFFFFF).astype(np.uint32)
+
+
+def _refusal(what: str) -> ArgumentError:
+    return ArgumentError(f"the policy engine {what}; take another policy, or a build with another engine")
