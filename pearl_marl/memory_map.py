@@ -226,11 +226,13 @@ class Engine(NamedTuple):
     def index_bits(self, spec: EnvSpec) -> int:
         """Return the bits of an index of the policy region."""
         actions = sum(spec.action_counts)
-        largest = [ENTRIES, 2 * len(spec.observation)]
+        largest = [ENTRIES, len(spec.observation)]
         largest += [2 << spec.reward.bits] if spec.rewards else []
         if self.kind == "table":
             largest.append(self.table_rows << (actions - 1).bit_length())
         else:
+            chunks = -(-len(spec.observation) // self.products)
+            largest.append(2 * chunks << (self.products - 1).bit_length())
             columns = -(-self.products * self.weight_bits // 32)
             largest += [self.weight_words(spec) << (columns - 1).bit_length()]
             largest += [(self.layers - 1) * self.hidden + actions, 4 + 2 * self.layers]

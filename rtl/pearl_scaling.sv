@@ -15,7 +15,8 @@ module pearl_scaling
     input logic clk_i,
     input logic rst_ni,
 
-    // An element has two numbers: its offset; its shift, over its multiplier.
+    // An element has two numbers: its offset; its shift, above its multiplier. Elements of a word of them have indices
+    // from a multiple of a power of two on.
     input logic [NumSections-1:0] we_i,
     input logic [ INDEX_BITS-1:0] index_i,
     input logic [           31:0] wdata_i,
@@ -33,7 +34,7 @@ module pearl_scaling
   // So many elements of a row at once: all, where it has less than PRODUCTS.
   localparam int unsigned COLUMNS = ELEMENTS < PRODUCTS ? ELEMENTS : PRODUCTS;
   localparam int unsigned CHUNK_BITS = index_bits(CHUNKS);
-  localparam int unsigned COLUMN_BITS = index_bits(PRODUCTS);
+  localparam int unsigned COLUMN_BITS = $clog2(PRODUCTS);
   localparam int unsigned OFFSET_BITS = 32;
   localparam int unsigned SCALE_BITS = SHIFT_BITS + MULTIPLIER_BITS;
   localparam int unsigned DIFFERENCE_BITS = at_least(ELEMENT_BITS, OFFSET_BITS) + 1;
@@ -108,8 +109,8 @@ module pearl_scaling
       logic [SHIFT_BITS-1:0] shift, shift_late;
       logic signed [MULTIPLIER_BITS:0] multiplier, multiplier_q;
 
-      assign at_column   = 32'(index_i[COLUMN_BITS:1]) % PRODUCTS == i;
-      assign write_chunk = CHUNK_BITS'(32'(index_i[INDEX_BITS-1:1]) / PRODUCTS);
+      assign at_column   = 32'(index_i[INDEX_BITS-1:1]) % (1 << COLUMN_BITS) == i;
+      assign write_chunk = CHUNK_BITS'(32'(index_i[INDEX_BITS-1:1]) >> COLUMN_BITS);
 
       pearl_ram #(
           .WIDTH(OFFSET_BITS),

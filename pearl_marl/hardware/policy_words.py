@@ -109,30 +109,35 @@ def _network(policy: IntegerNetwork, inputs: Scaling, engine: Engine) -> dict[Se
     tables = {layer.activation.tobytes(): layer.activation for layer in layers[:-1] if len(layer.activation)}
     if len(tables) > 1:
         raise _refusal("has one table of activations, and the layers of this policy have several")
-    words = {
-        Section.SETTINGS: [0, len(layers) - 1, inputs.limit, 0],
-        Section.SCALINGS: np.stack(
-            [inputs.offset, inputs.multiplier | inputs.shift << MULTIPLIER_BITS], 1
-        ).ravel(),
-        Section.BIASES: np.concatenate([layer.bias for layer in layers]),
-        Section.WEIGHTS: np.concatenate([_weights(layer, engine) for layer in layers]),
-    }
+    settings = [0, len(layers) - 1, inputs.limit, 0]
     for layer in layers:
         _fit(layer.weights, engine.weight_bits, "weights")
-        limit = 0
-        if layer is not layers[-1]:
-            _fit(
-                layer.activation if len(layer.activation) else np.array([layer.limit]),
-                engine.value_bits,
-                "units",
-            )
-            limit = layer.limit
         outputs, width = layer.weights.shape
-        size = -(-width // engine.products) | outputs << 16
-        words[Section.SETTINGS] += [size, limit | layer.shift << 26 | bool(len(layer.activation)) << 31]
+        shift = limit = 0
+        if layer is not layers[-1]:
+            shift, limit = layer.shift, layer.limit
+            _fit(layer.activation if len(layer.activation) else np.array([limit]), engine.value_bits, "units")
+        settings.append(-(-width // engine.products) | outputs << 16)
+        settings.append(limit | shift << 26 | bool(len(layer.activation)) << 31)
+    words = {
+        Section.SETTINGS: _unsigned(settings),
+        Section.SCALINGS: scaling_words(inputs, engine.products),
+        Section.BIASES: _unsigned(np.concatenate([layer.bias for layer in layers])),
+        Section.WEIGHTS: np.concatenate([_weights(layer, engine) for layer in layers]),
+    }
     for table in tables.values():
-        words[Section.ACTIVATION] = table
-    return {section: _unsigned(values) for section, values in words.items()}
+        words[Section.ACTIVATION] = _unsigned(table)
+    return words
+
+
+def scaling_words(inputs: Scaling, products: int) -> Words:
+    """Return two words of each element; each ``products`` elements begin at a multiple of a power of two."""
+    count = len(inputs.offset)
+    words = np.zeros((-(-count // products), 1 << (products - 1).bit_length(), 2), np.int64)
+    chunk, column = np.divmod(np.arange(count), products)
+    words[chunk, column, 0] = inputs.offset
+    words[chunk, column, 1] = inputs.multiplier | inputs.shift << MULTIPLIER_BITS
+    return _unsigned(words.ravel())
 
 
 def _weights(layer: Dense, engine: Engine) -> Words:

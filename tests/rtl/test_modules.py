@@ -51,6 +51,28 @@ def group_reader(groups: int, pe_num: int, word: int, ii: int, obs: int, reward:
     return variant("pearl_group_reader", parameters, **sizes)
 
 
+def network(
+    group: int,
+    side: int,
+    rounds: int,
+    inputs: int,
+    hidden: tuple[int, ...],
+    products: int,
+    weight: int,
+    value: int,
+) -> Variant:
+    shape = {"products": products, "side": side, "rounds": rounds, "weight_bits": weight, "value_bits": value}
+    parameters = {name.upper(): number for name, number in shape.items()}
+    parameters |= {
+        "GROUP": group,
+        "INPUTS": inputs,
+        "HIDDEN": max(hidden, default=1),
+        "LAYERS": len(hidden) + 1,
+    }
+    engine = {**shape, "hidden": max(hidden, default=1), "layers": len(hidden) + 1}
+    return variant("pearl_network", parameters, group=group, inputs=inputs, sizes=hidden, engine=engine)
+
+
 MODULES = {
     "rng": [variant("pearl_rng", {"DRAWS": draws}, draws=draws) for draws in (1, 3)],
     "draw_row": [
@@ -102,6 +124,38 @@ MODULES = {
         group_reader(7, 8, 32, 1, 3, 13),  # the rewards' is
         group_reader(9, 4, 64, 4, 13, 5),  # a core that takes four cycles
         group_reader(1, 1, 1024, 1, 6, 1),
+    ],
+    "network": [
+        network(*sizes)
+        for sizes in (
+            (2, 2, 2, 4, (8, 6), 4, 8, 12),
+            # Less inputs than products, a batch of one round; no hidden layer; words of weights of 48 bits.
+            (1, 3, 1, 3, (5,), 8, 6, 9),
+            (3, 1, 3, 7, (), 2, 16, 12),
+            (1, 2, 2, 5, (4, 9, 3), 3, 16, 10),
+        )
+    ],
+    "scaling": [
+        variant(
+            "pearl_scaling",
+            {"ROWS": rows, "ELEMENTS": elements, "ELEMENT_BITS": bits, "PRODUCTS": products},
+            rows=rows,
+            elements=elements,
+            bits=bits,
+            products=products,
+        )
+        for rows, elements, bits, products in ((2, 4, 32, 4), (1, 7, 6, 3), (3, 2, 33, 8))
+    ],
+    "choice": [
+        variant(
+            "pearl_choice",
+            {"ROWS": rows, "ACTIONS": actions, "LOGIT_BITS": bits, "DRAWN": drawn},
+            rows=rows,
+            actions=actions,
+            bits=bits,
+            drawn=drawn,
+        )
+        for rows, actions, bits, drawn in ((2, 4, 32, 1), (1, 2, 6, 1), (3, 6, 32, 0), (1, 6, 16, 1))
     ],
 }
 """By the bench that tests them."""

@@ -1,0 +1,238 @@
+"""Rollouts in simulated hardware: equal to steps one by one, and as fast as the formula says."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+import pytest
+from gymnasium.vector import AutoresetMode
+
+from pearl_marl import get_spec
+from pearl_marl.devices import BatchConfig, Native, Rtl
+from pearl_marl.devices.base import Device
+from pearl_marl.errors import ArgumentError
+from pearl_marl.hardware.policy_words import policy_words, quanta
+from pearl_marl.latency.rollouts import rollout_step_cycles
+from pearl_marl.memory_map import Engine, memory_map
+from pearl_marl.policies.device_policy import elements_of, policy_draws
+from pearl_marl.policies.integer_network import Head, IntegerNetwork
+
+from ..rtl.random_policies import random_network, random_table
+from ..toy_world import MEADOW
+
+NETWORK = Engine("network", drawn=True, products=4, side=2, rounds=2, hidden=8, layers=3)
+TABLE = Engine("table", drawn=True, table_rows=64, logit_bits=8)
+NEXT, SAME = AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP
+
+
+class Expected:
+    """Sums over the episodes of agents that are stepped one by one, ``agents`` in each of ``n`` worlds."""
+
+    def __init__(self, n: int, agents: int) -> None:
+        self.running, self.length = np.zeros((n, agents)), np.zeros((n, agents), int)
+        # Whether an agent has ended in this episode, and whether its world spends the next step resetting.
+        self.over, self.resetting = np.zeros((n, agents), bool), np.zeros(n, bool)
+        self.begin()
+
+    def begin(self) -> None:
+        """Begin a rollout: what has begun before does not count."""
+        self.whole = self.length == 0
+        self.returns = self.lengths = self.ended = self.truncated = 0
+
+    def step(self, result: Any, resets: bool) -> None:
+        """Take up a step; with ``resets`` worlds that ended spend the next one resetting."""
+        rewards, terminated, truncated = (
+            np.asarray(part).reshape(self.over.shape)
+            for part in (result.rewards, result.terminations, result.truncations)
+        )
+        part = ~self.over & ~self.resetting[:, None]
+        self.resetting[:] = False
+        self.running[part] += rewards[part]
+        self.length[part] += 1
+        ends = part & (terminated | truncated).astype(bool)
+        counted = ends & self.whole
+        self.returns += self.running[counted].sum()
+        self.lengths += self.length[counted].sum()
+        self.ended += counted.sum()
+        self.truncated += (counted & ~terminated.astype(bool)).sum()
+        self.over |= ends
+        worlds = self.over.all(1)
+        self.over[worlds], self.resetting[worlds] = False, resets
+        # An agent that ends before its world begins with it again.
+        self.running[ends], self.length[ends], self.whole[ends] = 0, 0, True
+
+
+def step_by_step(device: Device, obs: Any, policy: IntegerNetwork, steps: int, sums: Expected) -> Any:
+    """Act and step; return what is observed at the end."""
+    spec, n = policy.spec, device.config.n_envs
+    slots, agents = np.repeat(np.arange(n, dtype=np.uint32), spec.agents), np.tile(np.arange(spec.agents), n)
+    slots += np.uint32(device.config.first_slot)
+    sums.begin()
+    for _ in range(steps):
+        draws = policy_draws(policy.draws, device.seed, device.tick, slots, agents, spec.agents)
+        choice = policy.choose(np.asarray(obs), agents, device.action_masks, draws)
+        result = device.step(choice.words[:, 0])
+        sums.step(result, device.config.autoreset_mode is NEXT)
+        obs = result.seen.obs
+    return obs
+
+
+CASES = [
+    ("CartPole", NETWORK, [8, 6], {"n_envs": 37}, 64),
+    ("CliffWalking", TABLE, None, {"n_envs": 7, "max_cycles": 13, "first_slot": 5}, 32),
+    # Agents that end one by one.
+    ("Meadow", NETWORK, [8], {"n_envs": 7, "max_cycles": 20, "autoreset_mode": NEXT}, 32),
+    *(
+        pytest.param(*case, marks=pytest.mark.exhaustive)
+        for case in (
+            ("CartPole", NETWORK, [5], {"n_envs": 37, "max_cycles": 9, "autoreset_mode": NEXT}, 1024),
+            ("CartPole", NETWORK, [], {"n_envs": 37, "initial_states": "stored"}, 64),
+            ("CartPole", NETWORK._replace(products=3, side=1, drawn=False), [8], {"n_envs": 9}, 64),
+            ("Meadow", NETWORK, [8], {"n_envs": 7}, 32),
+            # Masks, and rewards that are no whole numbers.
+            ("LevelBasedForaging", NETWORK, [8], {"n_envs": 7, "max_cycles": 20}, 32),
+            (
+                "LevelBasedForaging",
+                NETWORK,
+                [8],
+                {"n_envs": 7, "max_cycles": 20, "autoreset_mode": NEXT},
+                32,
+            ),
+            ("RobotWarehouse", NETWORK, [8], {"n_envs": 3, "max_cycles": 11}, 32),
+            ("FrozenLake", TABLE, None, {"n_envs": 20}, 32),
+            ("Blackjack", TABLE._replace(table_rows=1024), None, {"n_envs": 20}, 32),
+            (
+                "Taxi",
+                TABLE._replace(table_rows=512),
+                None,
+                {"n_envs": 20, "max_cycles": 17, "autoreset_mode": NEXT, "initial_states": "stored"},
+                32,
+            ),
+        )
+    ),
+]
+
+
+@pytest.mark.parametrize(("env", "engine", "hidden", "settings", "data_wl"), CASES)
+def test_a_rollout_is_its_steps(
+    env: str, engine: Engine, hidden: list[int] | None, settings: dict[str, Any], data_wl: int
+) -> None:
+    spec = MEADOW if env == "Meadow" else get_spec(env)
+    random = np.random.default_rng(24)
+    pe_num = min(4, settings["n_envs"])
+    hardware, native = Rtl(pe_num, data_wl, engine=engine), Native()
+    hardware.open(BatchConfig(spec=spec, **settings))
+    native.open(BatchConfig(spec=elements_of(spec), **settings))
+    hardware.reset(seed=3)
+    obs, sums = native.reset(seed=3), Expected(native.config.n_envs, spec.agents)
+    widths = [len(spec.observation), *(hidden or []), *spec.action_counts]
+    layout = memory_map(spec, settings["n_envs"], pe_num, data_wl, engine)
+    step_cycles = rollout_step_cycles(spec, layout, widths)
+    last = episodes = 0
+    for steps, drawn in ((50, engine.drawn), (1, engine.drawn), (20, False), (21, False)):
+        if not drawn or steps == 50:
+            policy = (
+                random_table(random, spec, 6, drawn)
+                if hidden is None
+                else random_network(random, spec, hidden, drawn)
+            )
+        found = hardware.rollout(policy, steps)
+        obs = step_by_step(native, obs, policy, steps, sums)
+        assert (found.episodes, found.truncated) == (sums.ended, sums.truncated)
+        assert (found.lengths.sum(), found.returns.sum()) == (sums.lengths, sums.returns)
+        episodes += found.episodes
+        assert hardware.tick == native.tick
+        assert np.array_equal(hardware.snapshot().memory, native.snapshot().memory)
+        assert np.array_equal(hardware.alive, native.alive)
+        if native.action_masks is not None:
+            assert np.array_equal(hardware.action_masks, native.action_masks)
+        if steps == 21:
+            # Of a layer alone, what comes in and what goes out get in each other's way.
+            off = 0 if hidden != [] else 0.02 * step_cycles
+            assert abs(hardware.cycles - last - step_cycles) <= off
+        last = hardware.cycles
+    assert episodes or settings.get("initial_states")
+    # What follows: a reset of some slots, a rollout, and steps.
+    mask = np.arange(settings["n_envs"]) % 2 == 0
+    hardware.reset(mask=mask)
+    obs = native.reset(mask=mask)
+    hardware.rollout(policy, 5)
+    step_by_step(native, obs, policy, 5, sums)
+    idle = [0] * native.config.n_agents
+    if native.action_masks is not None:
+        idle = native.action_masks.argmax(1).tolist()
+    ours, theirs = hardware.step(idle), native.step(idle)
+    assert np.array_equal(ours.rewards, theirs.rewards)
+    assert np.array_equal(hardware.snapshot().memory, native.snapshot().memory)
+    hardware.close()
+    native.close()
+
+
+def test_a_rollout_without_an_engine_is_refused() -> None:
+    spec = get_spec("CliffWalking")
+    device = Rtl(4, 32)
+    device.open(BatchConfig(spec=spec, n_envs=7))
+    device.reset(seed=1)
+    policy = random_table(np.random.default_rng(0), spec, 8, drawn=False)
+    with pytest.raises(ArgumentError, match="the hardware has no policy engine"):
+        device.rollout(policy, 5)
+    for steps in (0, True, 1 << 32, 1.5):
+        with pytest.raises(ArgumentError, match="it must be an integer from 1 to 4,294,967,295"):
+            device.rollout(policy, steps)  # type: ignore[arg-type]
+    device.close()
+
+
+def test_what_an_engine_does_not_take_is_said() -> None:
+    random = np.random.default_rng(25)
+    cart, cliff = get_spec("CartPole"), get_spec("CliffWalking")
+    network, table = (
+        random_network(random, cart, [8, 8], drawn=True),
+        random_table(random, cliff, 8, drawn=False),
+    )
+    assert policy_words(network, NETWORK)
+    assert policy_words(table, TABLE)
+    wide = dataclasses.replace(table, layers=(table.layers[0]._replace(bias=np.full(4, 200, np.int32)),))
+    two = tuple(
+        layer._replace(activation=np.full(1024, k, np.int16)) for k, layer in enumerate(network.layers[:2])
+    )
+    for policy, engine, sentence in (
+        (network, NETWORK._replace(drawn=False), "takes the best action, and this policy draws"),
+        (network, TABLE, "takes tables, and this policy is a network"),
+        (table, NETWORK, "takes networks, and this policy is a table"),
+        (network, NETWORK._replace(layers=2), "has 2 layers, and this policy 3"),
+        (network, NETWORK._replace(hidden=4), "has layers of 4 units, and this policy one of 8"),
+        (network, NETWORK._replace(weight_bits=4), "has weights of 4 bits, and this policy has"),
+        (network, NETWORK._replace(value_bits=8), "has inputs of 8 bits, and this policy has"),
+        (table, TABLE._replace(table_rows=63), "has room for 63 rows, and this table has 64"),
+        (wide, TABLE, "has logits of 8 bits, and this policy has"),
+        (dataclasses.replace(network, layers=(*two, network.layers[2])), NETWORK, "one table of activations"),
+        (
+            dataclasses.replace(network, head=Head((2,), 40, network.head.weights)),  # type: ignore[union-attr]
+            NETWORK,
+            "by 31 bits at most, and this policy by 40",
+        ),
+    ):
+        with pytest.raises(ArgumentError, match=sentence):
+            policy_words(policy, engine)
+    for env, sentence in (
+        ("Seaquest", "the host unpacks those of Seaquest"),
+        ("Pendulum", "one of so many actions"),
+    ):
+        of_env = object.__new__(IntegerNetwork)
+        object.__setattr__(of_env, "spec", get_spec(env))
+        with pytest.raises(ArgumentError, match=sentence):
+            policy_words(of_env, NETWORK)
+
+
+def test_rewards_become_whole_numbers() -> None:
+    spec = get_spec("CliffWalking")
+    for rewards in ([-1.0, -100.0], [0.5, -0.75], [0.1, 3.0], [0.0, 0.0]):
+        table = np.array(rewards, np.float32)
+        words, quantum = quanta(spec, table, 1000)
+        numbers = [int(low) | int(high) << 32 for low, high in words.reshape(-1, 2)]
+        signed = [number - (1 << 64 if number >> 63 else 0) for number in numbers]
+        assert [number * quantum for number in signed] == table.tolist()
+    with pytest.raises(ArgumentError, match="too much to add up 1,000 of them"):
+        quanta(spec, np.array([1e-30, 1.0], np.float32), 1000)
