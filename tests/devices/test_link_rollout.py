@@ -12,10 +12,19 @@ from gymnasium.vector import AutoresetMode
 from pearl_marl import get_spec
 from pearl_marl.devices import BatchConfig, Native, Rtl
 from pearl_marl.devices.base import Device
-from pearl_marl.errors import ArgumentError
+from pearl_marl.errors import ArgumentError, DeviceError
 from pearl_marl.hardware.policy_words import policy_words, quanta
 from pearl_marl.latency.rollouts import rollout_step_cycles
-from pearl_marl.memory_map import Engine, memory_map
+from pearl_marl.memory_map import (
+    STATISTICS_WORDS,
+    Control,
+    Engine,
+    Mode,
+    Statistics,
+    Status,
+    StatusError,
+    memory_map,
+)
 from pearl_marl.policies.device_policy import elements_of, policy_draws
 from pearl_marl.policies.integer_network import Head, IntegerNetwork
 
@@ -236,3 +245,38 @@ def test_rewards_become_whole_numbers() -> None:
         assert [number * quantum for number in signed] == table.tolist()
     with pytest.raises(ArgumentError, match="too much to add up 1,000 of them"):
         quanta(spec, np.array([1e-30, 1.0], np.float32), 1000)
+
+
+def test_a_rollout_tells_how_far_it_is_and_a_reset_ends_it() -> None:
+    spec, random = get_spec("CliffWalking"), np.random.default_rng(26)
+    policy = random_table(random, spec, 6, drawn=True)
+    device = Rtl(4, 32, engine=TABLE)
+    device.open(BatchConfig(spec=spec, n_envs=7, max_cycles=13))
+    device.reset(seed=3)
+    first = device.rollout(policy, 30)
+    layout, transport = memory_map(spec, 7, 4, 32, TABLE), device._transport
+
+    def words(region: str, count: int) -> Any:
+        found = np.zeros(4 * count, np.uint8)
+        transport.read(layout[region].offset, found)
+        return found.view("<u4")
+
+    # A rollout of very many steps, of which none is waited for.
+    transport.write(4 * Control.STEPS, np.array([1 << 30], "<u4").view(np.uint8))
+    sequence = int(words("status", 1)[0])
+    doorbell = np.array([Mode.ROLLOUT, sequence + 1], "<u4").view(np.uint8)
+    transport.write(layout["doorbell"].offset, doorbell)
+    done = [int(words("statistics", STATISTICS_WORDS)[Statistics.STEPS]) for _ in range(60)]
+    assert done == sorted(done)
+    assert 0 < done[-1] < 1 << 30
+    assert words("status", 1)[0] == sequence, "the rollout is not over"
+    with pytest.raises(DeviceError, match="the hardware refused a transfer"):
+        transport.write(layout["policy"].offset, np.zeros(4, np.uint8))
+    transport.write(4 * Control.RESET, np.array([1], "<u4").view(np.uint8))
+    for _ in range(20):
+        words("status", 3)
+    assert words("status", 3)[Status.ERROR] == StatusError.RESET
+    device.reset(seed=3)
+    again = device.rollout(policy, 30)
+    assert (again.episodes, again.returns.sum()) == (first.episodes, first.returns.sum())
+    device.close()
