@@ -10,6 +10,8 @@ T1 and T7 are measured on this machine, by stepping the host's half of the proto
 core's timing (:func:`step_cycles` in ``cycles.py``), as the simulated device takes them. T2 and T6 come
 from a :class:`Link`: so much for a call, so much for a byte. ``prediction.py`` puts all together.
 
+A rollout with a policy engine is counted likewise (:func:`rollout_step_cycles` in ``rollouts.py``).
+
 Where the paper's hardware takes T3, T4 and T5 partly one after the other (its Eq. 2 and 3, see
 :class:`~pearl_marl.latency.cycles.Loop`), this one does all three at the same time. Its form without
 pipeline, which the paper compares with, is :func:`predict` with ``pipelined=False``.
@@ -20,6 +22,7 @@ May import ``devices``, ``hardware`` and what is below them.
 from pearl_marl.latency.cycles import axi_cycles, draws_wait, loop_cycles, step_cycles
 from pearl_marl.latency.host import HostTimes, measure_host
 from pearl_marl.latency.prediction import LINKS, Link, predict
+from pearl_marl.latency.rollouts import rollout_step_cycles
 
 __all__ = [
     "LINKS",
@@ -30,5 +33,6 @@ __all__ = [
     "loop_cycles",
     "measure_host",
     "predict",
+    "rollout_step_cycles",
     "step_cycles",
 ]
