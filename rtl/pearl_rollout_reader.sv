@@ -76,4 +76,11 @@ module pearl_rollout_reader
     end
   end
 
+  always_ff @(posedge clk_i) begin
+    if (rst_ni && !start_i) begin
+      assert (32'(credits_q) < CREDITS || !actions_valid_i)
+      else $error("pearl_rollout_reader: actions came that no group waits for");
+    end
+  end
+
 endmodule
