@@ -84,7 +84,8 @@ module pearl_port
 
   always_comb begin
     for (int unsigned i = 0; i < NumRegions; i++) begin
-      hit[i] = BOUND_BITS'(asked_q.addr) >= BOUND_BITS'(OFFSETS[i]) &&
+      // A build may lack a region: it is empty then, and takes no hardware.
+      hit[i] = OFFSETS[i] != OFFSETS[i+1] && BOUND_BITS'(asked_q.addr) >= BOUND_BITS'(OFFSETS[i]) &&
           BOUND_BITS'(asked_q.addr) < BOUND_BITS'(OFFSETS[i+1]);
     end
   end
