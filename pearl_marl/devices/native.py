@@ -24,7 +24,7 @@ from pearl_marl.compiler.block_pieces import BLOCK
 from pearl_marl.compiler.kernel_source import GIVEN, RESULTS
 from pearl_marl.compiler.kernels import compile_kernels
 from pearl_marl.deferral import completed
-from pearl_marl.devices.base import Device, count_or_none
+from pearl_marl.devices.base import Device, Phase, count_or_none
 from pearl_marl.devices.threads import Threads
 from pearl_marl.errors import ActionError
 
@@ -149,7 +149,8 @@ class Native(Device):
     def step(self, actions: npt.ArrayLike) -> BatchStep:
         """Step every slot once; see :meth:`Device.step`."""
         # The kernel looks at the actions itself, where no other thread has begun by then.
-        if not (self.ready and self.under_way is None and self._checks and self._threads == 1):
+        alone = self._threads == 1 and self.stage_seconds is None
+        if not (alone and self._checks and self.phase is Phase.READY):
             return super().step(actions)
         if not are_words(actions, self._words):
             return super().step(actions)

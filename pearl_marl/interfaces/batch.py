@@ -20,7 +20,7 @@ from pearl_marl.batch.slot_memory import state_dtype
 from pearl_marl.batch.starts import checked_start
 from pearl_marl.batch.step import Array, BatchStep, on_host
 from pearl_marl.deferral import uninterrupted
-from pearl_marl.devices import BatchConfig, Device
+from pearl_marl.devices import BatchConfig, Device, Phase
 from pearl_marl.elements import ActionSpace
 from pearl_marl.errors import ArgumentError, OrderError
 from pearl_marl.interfaces.world import Mask, World
@@ -223,7 +223,7 @@ class DeviceBatch(Batch):
     @property
     def ready(self) -> bool:
         """See :class:`Batch`."""
-        return self.device.ready
+        return self.device.phase is Phase.READY
 
     @property
     def np_random(self) -> np.random.Generator:

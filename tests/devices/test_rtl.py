@@ -103,7 +103,7 @@ def test_both_paths_give_the_same_words(pe_num: int, data_wl: int, monkeypatch: 
             device.step(actions)
             if t % 10 == 6:
                 device.reset(mask=mask)
-        a, b = (device._answer[:-8] for device in devices)
+        a, b = (device._protocol.answer[:-8] for device in devices)
         np.testing.assert_array_equal(a, b)
         assert devices[0].cycles == devices[1].cycles > 0
     np.testing.assert_array_equal(devices[0].snapshot().memory, devices[1].snapshot().memory)
@@ -190,7 +190,7 @@ def test_a_step_takes_its_bound_and_the_latency(env: str) -> None:
     case = Case(env, "rtl")
     device = case.open(device=case.device(path="axi"))
     device.reset(seed=0)
-    layout = device._layout
+    layout = device._protocol.layout
     words = [layout[region].words for region in ("actions", "observations", "rewards", "ters")]
     for actions in case.actions(3):
         device.step(actions)
