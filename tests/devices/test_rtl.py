@@ -19,7 +19,7 @@ from gymnasium.vector import AutoresetMode
 from pearl_marl import cache, get_spec
 from pearl_marl.batch.actions import random_actions
 from pearl_marl.devices import BatchConfig, Lockstep, Native, Rtl, make_device
-from pearl_marl.devices.simulator import model_build, pyverilator_mends
+from pearl_marl.devices.simulator import model_build, pyverilator_model
 from pearl_marl.devices.simulator.simulation import Simulation
 from pearl_marl.errors import ArgumentError, DeviceError, LockstepError
 from pearl_marl.hardware import elaboration
@@ -376,7 +376,7 @@ def test_a_build_that_is_killed_leaves_nothing_behind(own_cache: Path) -> None:
     assert list(own_cache.glob("rtl/*.tmp"))
     assert not list(own_cache.glob("rtl/*/model.so"))
     built = model_build.library(Build.of(SPEC, 40, 40, 32))
-    assert pyverilator_mends.load(built).module_name == "pearl_top"
+    assert pyverilator_model.load(built).module_name == "pearl_top"
     assert not list(own_cache.glob("rtl/*.tmp"))
 
 
