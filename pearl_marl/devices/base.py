@@ -29,7 +29,7 @@ from gymnasium.vector import AutoresetMode
 
 from pearl_marl import rng
 from pearl_marl.batch import rewards as reward_tables
-from pearl_marl.batch.actions import encode, idle_action, refuse_masked, room_for_words
+from pearl_marl.batch.actions import ActionRules, encode, refuse_masked, room_for_words
 from pearl_marl.batch.config import BatchConfig, checked_mask
 from pearl_marl.batch.recycling import Recycler
 from pearl_marl.batch.results import Layout
@@ -122,6 +122,7 @@ class Device(ABC):
 
     action_masks: Array | None = None
     alive: Array
+    action_rules: ActionRules
 
     config: BatchConfig
 
@@ -152,6 +153,9 @@ class Device(ABC):
         self.reward_table = table
         self.seed = (0, 0)
         self.tick = 0
+        self.action_rules = ActionRules.of(
+            config.spec, config.spec.action_space, config.n_agents, config.first_slot
+        )
         self._actions = room_for_words(config.spec, config.n_agents)
         self.alive = np.ones(config.n_agents, np.bool_)
         # Of one agent without masks nothing has to be remembered from one step to the next.
@@ -294,35 +298,12 @@ class Device(ABC):
         try:
             return self._encoded(actions)
         except ActionError:
-            # What a slot is given for a step that it spends resetting is ignored, whatever it is.
-            others = self._without_resetting(actions)
-            if others is None:
+            if self.config.autoreset_mode is not AutoresetMode.NEXT_STEP:
                 raise
-            return self._encoded(others)
-
-    def _without_resetting(self, actions: Any) -> list[Any] | None:
-        """Return actions with possible ones for slots that spend the step resetting; ``None`` if none do."""
-        spec, n = self.config.spec, self.config.n_agents
-        if not isinstance(actions, (list, tuple)):
-            try:
-                actions = np.asarray(actions.cpu() if hasattr(actions, "cpu") else actions)
-            except (TypeError, ValueError):
-                return None
-        if isinstance(actions, np.ndarray):
-            fits = actions.shape == (n, *(spec.action_space.shape or ()))
-        else:
-            fits = len(actions) == n
-        if self.config.autoreset_mode is not AutoresetMode.NEXT_STEP or not fits:
-            return None
-        ended = SlotMemory(spec, self.config.n_envs, self._read()[0]).ended
-        resetting = np.flatnonzero((ended & 1).repeat(spec.agents))
-        if not resetting.size:
-            return None
-        given, masks, least = list(actions), self.action_masks, idle_action(spec.action_space)
-        idle = None if masks is None else on_host(masks).argmax(1)
-        for row in resetting.tolist():
-            given[row] = least if idle is None else idle[row]
-        return given
+        # What a slot is given for a step that it spends resetting is ignored, whatever it is.
+        ended = SlotMemory(self.config.spec, self.config.n_envs, self._read()[0]).ended
+        resetting = (ended & 1).astype(np.bool_).repeat(self.config.spec.agents)
+        return self._encoded(self.action_rules.with_idle(actions, resetting, self.action_masks))
 
     def _encoded(self, actions: Any) -> Array:
         spec, first = self.config.spec, self.config.first_slot

@@ -15,7 +15,7 @@ from gymnasium.spaces import Discrete
 from gymnasium.vector import AutoresetMode
 
 from pearl_marl import rng
-from pearl_marl.batch.actions import are_words, refusal, room_for_words
+from pearl_marl.batch.actions import are_words, room_for_words
 from pearl_marl.batch.config import BatchConfig
 from pearl_marl.batch.results import ResultArrays
 from pearl_marl.batch.slot_memory import SlotMemory, aligned_bytes, counter_dtype
@@ -153,7 +153,7 @@ class Native(Device):
         if not (alone and self._checks and self.phase is Phase.READY):
             return super().step(actions)
         if not are_words(actions, self._words):
-            return super().step(actions)
+            actions = self.encoded(actions)
         tick = self._given[_TICK]
         try:
             # One call of the kernel moves slots and tick, so that Ctrl-C comes before both or after both.
@@ -187,8 +187,7 @@ class Native(Device):
         if actions.ndim > 1:  # to the kernel, fields of one agent are like more agents of a slot
             actions = actions.reshape(-1)
         if not self._run(self._kernels.step, (given, actions, self.reward_table)):
-            space: Any = self.config.spec.action_space
-            raise refusal(actions, space, len(actions), self.config.first_slot)
+            raise self.action_rules.refusal(actions)
         if self._tuning:
             self._tune(time.perf_counter() - began)
         return results
