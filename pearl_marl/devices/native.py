@@ -19,7 +19,7 @@ from pearl_marl.batch.actions import are_words, room_for_words
 from pearl_marl.batch.config import BatchConfig
 from pearl_marl.batch.results import ResultArrays
 from pearl_marl.batch.slot_memory import SlotMemory, aligned_bytes, counter_dtype
-from pearl_marl.batch.step import Array, BatchStep, Seen
+from pearl_marl.batch.step import Array, BatchStep, Observed
 from pearl_marl.compiler.block_pieces import BLOCK
 from pearl_marl.compiler.kernel_source import GIVEN, RESULTS
 from pearl_marl.compiler.kernels import compile_kernels
@@ -63,36 +63,36 @@ class Native(Device):
 
     @property
     def tick(self) -> int:
-        """See :class:`Device`. It lies in what the kernels are given, which may move it with the slots."""
-        return int(self._given[_TICK])
+        """See :class:`Device`. It is an argument of the kernels, which may move it with the slots."""
+        return int(self._arguments[_TICK])
 
     @tick.setter
     def tick(self, tick: int) -> None:
-        self._given[_TICK] = tick
+        self._arguments[_TICK] = tick
 
     def _open(self, config: BatchConfig) -> None:
         spec, n = config.spec, config.n_envs
         self._results = ResultArrays(config)
         self._slots = SlotMemory(spec, n)
         self._memory = self._slots.bytes
-        self._given = np.zeros(len(GIVEN), np.uint64)
+        self._arguments = np.zeros(len(GIVEN), np.uint64)
         self._count(config, self._slots.elapsed)
         # Without stored initial states the kernels get the memory itself, and do not look.
         self._stored = SlotMemory(spec, n).bytes if config.initial_states == "stored" else self._memory
-        shown = ("action_masks",) * bool(spec.mask_fields) + ("alive",) * (spec.agents > 1)
-        self._places = np.array([GIVEN.index(name) for name in (*RESULTS, *shown)])
+        more = ("action_masks",) * bool(spec.mask_fields) + ("alive",) * (spec.agents > 1)
+        self._address_of_results = np.array([GIVEN.index(name) for name in (*RESULTS, *more)])
         self._words = room_for_words(spec, config.n_agents)  # as the kernel takes them
-        # Others are checked by what the kernel does not know: roles, and what was seen before the step. Of a
+        # Others are checked by what the kernel does not know: roles, and masks of before the step. Of a
         # class that does more in a step, the tick moves after that.
         whole = type(self)._step is Native._step
-        self._checks = isinstance(spec.action_space, Discrete) and not shown and whole
-        self._put("memory", self._memory.ctypes.data)
-        self._put("stored", self._stored.ctypes.data)
-        self._put("first_slot", config.first_slot)
-        self._put("next_step", config.autoreset_mode is AutoresetMode.NEXT_STEP)
-        self._put("use_stored", self._stored is not self._memory)
-        self._put("n", n)
-        self._put("checked", self._checks)
+        self._checks = isinstance(spec.action_space, Discrete) and not more and whole
+        self._set("memory", self._memory.ctypes.data)
+        self._set("stored", self._stored.ctypes.data)
+        self._set("first_slot", config.first_slot)
+        self._set("next_step", config.autoreset_mode is AutoresetMode.NEXT_STEP)
+        self._set("use_stored", self._stored is not self._memory)
+        self._set("n", n)
+        self._set("checked", self._checks)
         self._addresses: Array | None = None
         self._seed: tuple[int, int] | None = None
         self._pool = Threads(max(self._threads, _cores()), "pearl-native")
@@ -106,13 +106,13 @@ class Native(Device):
         words = counter_dtype(most)
         self._elapsed = aligned_bytes(config.n_envs * words.itemsize).view(words)
         self._elapsed[:] = elapsed
-        self._put("elapsed", self._elapsed.ctypes.data)
-        self._put("limit", config.limit)
+        self._set("elapsed", self._elapsed.ctypes.data)
+        self._set("limit", config.limit)
         self._kernels = compile_kernels(config.spec, words)
 
-    def _put(self, name: str, value: int) -> None:
-        """Change what every step is given."""
-        self._given[GIVEN.index(name)] = value
+    def _set(self, name: str, value: int) -> None:
+        """Change an argument of every step."""
+        self._arguments[GIVEN.index(name)] = value
 
     def _run(self, kernel: Any, arguments: tuple[Any, ...]) -> Any:
         """Call ``kernel(*arguments, lo, hi)`` for every range, one of them on this thread.
@@ -133,31 +133,29 @@ class Native(Device):
             task.result()
         return True
 
-    def _reset(self, mask: Array | None, seed: int | None) -> Seen:
+    def _reset(self, mask: Array | None, seed: int | None) -> Observed:
         config, stored = self.config, self._stored
         n = config.n_envs
         flags = np.ones(n, np.uint8) if mask is None else mask.astype(np.uint8)
         results = self._results.take()
         use_stored = stored is not self._memory
-        given = self._memory, stored, flags, results.obs
+        slots = self._memory, stored, flags, results.obs
         again = use_stored and mask is not None
-        place = (*self.seed, rng.signed(self.tick), config.first_slot, again, n)
-        self._run(self._kernels.reset, (*given, *results.arrays[5:], *place))
+        position = (*self.seed, rng.signed(self.tick), config.first_slot, again, n)
+        self._run(self._kernels.reset, (*slots, *results.arrays[5:], *position))
         self._elapsed[slice(None) if mask is None else mask] = 0
         if use_stored and mask is None:
             stored[:] = self._read()[0]
-        return results.seen
+        return results.observed
 
     def step(self, actions: npt.ArrayLike) -> BatchStep:
         """Step every slot once; see :meth:`Device.step`."""
         # The kernel looks at the actions itself, where no other thread has begun by then.
-        if not (
-            self.phase is _READY and self._checks and self._threads == 1 and self.stage_seconds is None
-        ):
+        if not (self.phase is _READY and self._checks and self._threads == 1 and self.stage_seconds is None):
             return super().step(actions)
         if not are_words(actions, self._words):
             actions = self.encoded(actions)
-        tick = self._given[_TICK]
+        tick = self._arguments[_TICK]
         try:
             # One call of the kernel moves slots and tick, so that Ctrl-C comes before both or after both.
             return self._step(actions)  # type: ignore[arg-type]
@@ -166,14 +164,15 @@ class Native(Device):
                 raise
             return super().step(actions)  # which looks whether they are of slots that only reset
         except BaseException as error:
-            if self._given[_TICK] != tick:
+            if self._arguments[_TICK] != tick:
                 completed(error, "step")
             raise
 
     def _step(self, actions: Array) -> BatchStep:
-        results, addresses = self._results.take_addressed()
+        results, block = self._results.take_block()
+        addresses = block.addresses
         began = time.perf_counter() if self._tuning else 0.0
-        given = self._given
+        arguments = self._arguments
         # They may be results of the last step, which this one writes over, unless they own their memory.
         if (
             actions.base is not None
@@ -184,12 +183,12 @@ class Native(Device):
             actions = self._words
         # For few slots, to write the same again would be a good part of a step.
         if addresses is not self._addresses:
-            given[self._places] = self._addresses = addresses
+            arguments[self._address_of_results] = self._addresses = addresses
         if self.seed is not self._seed:
-            given[_SEEDS] = self._seed = self.seed
+            arguments[_SEEDS] = self._seed = self.seed
         if actions.ndim > 1:  # to the kernel, fields of one agent are like more agents of a slot
             actions = actions.reshape(-1)
-        if not self._run(self._kernels.step, (given, actions, self.reward_table)):
+        if not self._run(self._kernels.step, (arguments, actions, self.reward_table)):
             raise self.action_rules.refusal(actions)
         if self._tuning:
             self._tune(time.perf_counter() - began)
@@ -215,7 +214,7 @@ class Native(Device):
         self._slots.elapsed[:] = self._elapsed
         return self._memory, self._stored if self._stored is not self._memory else self._memory[:0]
 
-    def _write(self, memory: Array, stored: Array) -> Seen:
+    def _write(self, memory: Array, stored: Array) -> Observed:
         self._memory[:] = memory
         self._count(self.config, self._slots.elapsed)
         if stored.size:

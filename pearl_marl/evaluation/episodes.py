@@ -46,7 +46,7 @@ class RunningEpisodes:
         self._steps += 1
         self._returns += step.rewards
         self._starts[self._dead] = self._steps  # their next episode begins with that of their world
-        self._dead = np.flatnonzero(~step.alive)
+        self._dead = np.flatnonzero(~step.in_episode)
         slots = np.flatnonzero(step.ended)
         if not slots.size:
             return NONE

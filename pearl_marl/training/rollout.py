@@ -89,7 +89,7 @@ class Agents:
             state = words.repeat_interleave(self.spec.agents, 0)
         self.view = View(obs, masks, self.position, state)
         if self.spec.agents > 1:  # who is alone in its world does not end before it
-            self.alive = torch.as_tensor(self.device.alive, device=obs.device)
+            self.alive = torch.as_tensor(self.device.in_episode, device=obs.device)
         self.acting = self.alive if masks is None else self.alive & (masks != 0).any(1)
 
     @property
