@@ -11,8 +11,7 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium.spaces import Box, Discrete, Space
 
-from pearl_marl.batch.recycling import Recycler
-from pearl_marl.batch.results import memory_of_machine
+from pearl_marl.batch.results import Recycler, memory_of_machine
 from pearl_marl.batch.step import Array, BatchStep
 from pearl_marl.elements import bounds
 from pearl_marl.errors import ArgumentError
