@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import math
+import warnings
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
@@ -106,7 +107,11 @@ def command(
     # --seed always has a value, which must not overrule what --set says.
     given = {"seed": seed, **common.env_options(setting, "--set")}
     given |= {name: n for name, n in chosen.items() if n is not None}
-    settings = training.settings_for(algo, env_id, given, shards, spec.agents)
+    with warnings.catch_warnings(record=True) as renamed:
+        warnings.simplefilter("always", DeprecationWarning)
+        settings = training.settings_for(algo, env_id, given, shards, spec.agents)
+    for warning in renamed:
+        error_console.print(f"pearl: {warning.message}", markup=False, soft_wrap=True)
 
     columns = (
         TextColumn(f"{env_id}, {algo}", markup=False),

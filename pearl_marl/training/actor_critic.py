@@ -66,7 +66,7 @@ class ActorCritic(nn.Module):
         The environment that they are for.
     width
         Of their networks' layers.
-    sharing, chance
+    sharing, temperature
         See :class:`~pearl_marl.policies.trained.NetworkPolicy`.
     central
         Whether the critic is given the state of the whole world, and has an output for each of its agents,
@@ -74,12 +74,14 @@ class ActorCritic(nn.Module):
     """
 
     def __init__(
-        self, spec: EnvSpec, width: int, sharing: str = "all", chance: float = 0.0, central: bool = False
+        self, spec: EnvSpec, width: int, sharing: str = "all", temperature: float = 0.0, central: bool = False
     ) -> None:
         super().__init__()
         self.continuous = isinstance(spec.action_space, Box)
         self.central = central
-        self.policy = NetworkPolicy(spec, "mean" if self.continuous else "logits", width, sharing, chance)
+        self.policy = NetworkPolicy(
+            spec, "mean" if self.continuous else "logits", width, sharing, temperature
+        )
         network: Any = self.policy.network
         # Of a picture, most of the work is to see what is on it: actor and critic do that together.
         self.shared = not central and isinstance(network, Network) and network.encoder.kind == "picture"

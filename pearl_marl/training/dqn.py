@@ -22,14 +22,14 @@ from pearl_marl.training.dense_dqn import Steps
 from pearl_marl.training.dense_dqn import learn as learn_dense
 from pearl_marl.training.restoring import copied, observed, whole
 from pearl_marl.training.rollout import TEAM, Agents, Trainer, seen_spec, team_rewards
-from pearl_marl.training.settings import SEEDS, WIDEST, Checked, check_memory, choice, count, number
+from pearl_marl.training.settings import SEEDS, WIDEST, TrainerSettings, check_memory, choice, count, number
 
 Remembered = tuple[Tensor, Tensor, Tensor, Tensor, Tensor | None]
 """Actions, rewards, ends and who was there, of some steps; and of masks, what was allowed next."""
 
 
 @dataclass(frozen=True)
-class Settings(Checked):
+class DQNSettings(TrainerSettings):
     """What a run of DQN depends on, each said beside its default."""
 
     n_agents: int = count(512, most=MAX_SLOTS)  # that gather experience
@@ -40,22 +40,24 @@ class Settings(Checked):
     minibatch: int = count(256)  # how many single steps an update learns from
     learning_rate: float = number(2e-3, most=1, above=True)  # of Adam
     discount: float = number(0.99, most=1)  # gamma
-    refresh: int = count(50)  # updates after which the target network becomes a copy of the network
-    explore_first: float = number(1.0, most=1)  # share of random actions at first
-    explore_last: float = number(0.02, most=1)  # and at last
-    exploring: float = number(0.2, most=1, above=True)  # the part of the run in which it falls
+    target_update: int = count(50, formerly="refresh")  # updates between two copies into the target network
+    epsilon: float = number(1.0, most=1, formerly="explore_first")  # share of random actions at first
+    final_epsilon: float = number(0.02, most=1, formerly="explore_last")  # and at last
+    # The part of the run in which it falls.
+    exploration_fraction: float = number(0.2, most=1, above=True, formerly="exploring")
     reward_scale: float = number(1.0, above=True)  # what rewards are multiplied with before anything else
     width: int = count(64, most=WIDEST)  # of the network's layers
     sharing: str = choice(*SHARING)  # what a world's agents share: all; all but being told who they are; none
     rewards: str = choice(*TEAM)  # what an agent wants: its own, or the mean or the sum of its world's
-    chance: float = number(0.0, most=1)  # share of random actions where the policy is used
+    # Share of random actions where the trained policy is used.
+    evaluation_epsilon: float = number(0.0, most=1, formerly="chance")
     seed: int = count(0, least=0, most=SEEDS)  # of everything random
 
 
 class DQN(Trainer):
     """A run of DQN: :meth:`iterate` is a step of all agents with its updates."""
 
-    def __init__(self, spec: EnvSpec, device: Any, settings: Settings) -> None:
+    def __init__(self, spec: EnvSpec, device: Any, settings: DQNSettings) -> None:
         n, depth = settings.n_agents, settings.memory
         if spec.turns:
             raise ArgumentError(
@@ -72,7 +74,9 @@ class DQN(Trainer):
             13 * rows,
         )
         torch.manual_seed(settings.seed)
-        self.policy = NetworkPolicy(spec, "values", settings.width, settings.sharing, settings.chance)
+        self.policy = NetworkPolicy(
+            spec, "values", settings.width, settings.sharing, epsilon=settings.evaluation_epsilon
+        )
         self.target = NetworkPolicy(spec, "values", settings.width, settings.sharing)
         agents = Agents(spec, device, n, settings.seed)
         obs, where = agents.obs, agents.obs.device
@@ -115,9 +119,9 @@ class DQN(Trainer):
     @property
     def explored(self) -> float:
         """The share of actions that is random now."""
-        settings: Settings = self.settings
-        passed = min(1.0, self.done / (settings.exploring * settings.iterations))
-        return settings.explore_first + passed * (settings.explore_last - settings.explore_first)
+        settings: DQNSettings = self.settings
+        passed = min(1.0, self.done / (settings.exploration_fraction * settings.iterations))
+        return settings.epsilon + passed * (settings.final_epsilon - settings.epsilon)
 
     def _step(self) -> None:
         view, alive = self.agents.view, self.agents.alive
@@ -152,7 +156,7 @@ class DQN(Trainer):
         loss = learn(obs, arrivals, position, steps)
         self.optimiser.step(settings.learning_rate)
         self.updated += 1
-        if self.updated % settings.refresh == 0:
+        if self.updated % settings.target_update == 0:
             self.target.load_state_dict(self.policy.state_dict())
         return loss
 

@@ -22,12 +22,12 @@ from pearl_marl.training.actor_critic import ActorCritic, View
 from pearl_marl.training.adam import Adam
 from pearl_marl.training.dense_ppo import Learning, fits
 from pearl_marl.training.rollout import TEAM, Experience, RolloutWorker, Trainer, seen_spec
-from pearl_marl.training.settings import SEEDS, WIDEST, Checked, check_memory, choice, count, number
+from pearl_marl.training.settings import SEEDS, WIDEST, TrainerSettings, check_memory, choice, count, number
 from pearl_marl.training.workers import RayWorkers
 
 
 @dataclass(frozen=True)
-class Settings(Checked):
+class PPOSettings(TrainerSettings):
     """What a run of PPO depends on, each said beside its default.
 
     Agents are in blocks, which the policy sees one at a time, each with random numbers of its own. What is
@@ -35,20 +35,21 @@ class Settings(Checked):
     """
 
     n_agents: int = count(1024, most=MAX_SLOTS)  # that gather experience
-    depth: int = count(32)  # steps of each between updates
+    rollout_length: int = count(32, formerly="depth")  # steps of each between updates
     iterations: int = count(60)  # updates in all
     epochs: int = count(4)  # how often an update goes through its experience
     minibatch: int = count(4096)  # steps of single agents to learn from at a time
     learning_rate: float = number(3e-3, most=1, above=True)  # of Adam, at first; falls to 0 evenly
     discount: float = number(0.98, most=1)  # gamma of the advantages
-    trace: float = number(0.9, most=1)  # lambda of the advantages
+    gae_lambda: float = number(0.9, most=1, formerly="trace")  # of the advantages
     clip: float = number(0.2, above=True)  # how far a probability may move in an update, as a ratio
     entropy: float = number(0.0)  # its weight in the loss
     reward_scale: float = number(1.0, above=True)  # what rewards are multiplied with before anything else
     width: int = count(64, most=WIDEST)  # of the networks' layers
     sharing: str = choice(*SHARING)  # what a world's agents share: all; all but being told who they are; none
     rewards: str = choice(*TEAM)  # what an agent wants: its own, or the mean or the sum of its world's
-    chance: float = number(0.0)  # temperature of the policy where it is used; 0 is its best actions
+    # Of the policy where it is used; 0 takes the most probable actions.
+    temperature: float = number(0.0, formerly="chance")
     blocks: int = count(1, most=MAX_SLOTS)
     seed: int = count(0, least=0, most=SEEDS)  # of everything random
 
@@ -73,12 +74,14 @@ class PPO(Trainer):
     gathers: type[RolloutWorker] = RolloutWorker
     """What gathers experience in this process."""
 
-    def __init__(self, spec: EnvSpec, device: Any, settings: Settings, shards: int | None = None) -> None:
+    def __init__(self, spec: EnvSpec, device: Any, settings: PPOSettings, shards: int | None = None) -> None:
         # Of every step at least an observation, and six numbers of its experience.
-        rows = settings.n_agents * settings.depth
-        check_memory(seen_spec(spec, device), settings, device, ("n_agents", "depth"), rows, 6 * 4 * rows)
+        rows = settings.n_agents * settings.rollout_length
+        check_memory(
+            seen_spec(spec, device), settings, device, ("n_agents", "rollout_length"), rows, 6 * 4 * rows
+        )
         torch.manual_seed(settings.seed)
-        self.model = ActorCritic(spec, settings.width, settings.sharing, settings.chance, self.central)
+        self.model = ActorCritic(spec, settings.width, settings.sharing, settings.temperature, self.central)
         self.worker: Any
         if shards is None:
             self.worker = self.gathers(spec, device, settings, self.model)
@@ -86,7 +89,7 @@ class PPO(Trainer):
         else:
             agents = self.worker = RayWorkers(spec, device, settings, self.model, shards)
         super().__init__(settings, agents, self.worker.where)
-        self.depth = settings.depth
+        self.depth = settings.rollout_length
         self.model.to(self.where)
         self.policy = self.model.policy
         self.optimiser = Adam(self.model.parameters(), epsilon=1e-5, longest=0.5)

@@ -271,7 +271,7 @@ class Experience(NamedTuple):
 
 
 class RolloutWorker:
-    """Gathers with the agents of some blocks, by default all: see :class:`pearl_marl.training.ppo.Settings`.
+    """Gathers with the agents of some blocks, by default all: see ``ppo.PPOSettings``.
 
     The weights of the model, which acts, may change between rollouts.
     """
@@ -299,7 +299,7 @@ class RolloutWorker:
         noise = self._noise(rollout)
         views, made, taken, steps = [agents.view], [], [], []
         acting, alive = [self.acting()], [agents.alive]
-        for t in range(settings.depth):
+        for t in range(settings.rollout_length):
             made.append(self.decide(agents.view, t))
             actions, given = model.draw(made[-1], noise[t])
             taken.append(actions)
@@ -328,7 +328,7 @@ class RolloutWorker:
             final = view.pick(slice(0, -1))._replace(obs=torch.stack([step.final_obs for step in steps]))
             wanted += settings.discount * self._values(final, cut)
         course = Course(wanted, values, over, decides, unknown)
-        gains, learned = advantages(course, settings.discount, settings.trace)
+        gains, learned = advantages(course, settings.discount, settings.gae_lambda)
         return Experience(
             view.pick(slice(0, -1)), actions, logs, gains, gains + values[:-1], learned, rewards, ended
         )
@@ -353,7 +353,7 @@ class RolloutWorker:
     def _noise(self, rollout: int) -> Tensor:
         """Return what makes the rollout's actions random."""
         settings = self.settings
-        size = (settings.depth, len(self.agents.obs), self.model.policy.outputs)
+        size = (settings.rollout_length, len(self.agents.obs), self.model.policy.outputs)
         noise = torch.empty(size, device=self.where)
         for number, block in zip(self.numbers, self.blocks, strict=True):
             random = torch.Generator(self.where).manual_seed(seed_of(settings.seed, rollout, number))

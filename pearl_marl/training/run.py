@@ -35,11 +35,11 @@ ALGORITHMS: dict[str, Any] = {
     "q-learning": q_learning.QLearning,
 }
 SETTINGS: dict[str, Any] = {
-    "ppo": ppo.Settings,
-    "mappo": ppo.Settings,
-    "self-play": self_play.Settings,
-    "dqn": dqn.Settings,
-    "q-learning": q_learning.Settings,
+    "ppo": ppo.PPOSettings,
+    "mappo": ppo.PPOSettings,
+    "self-play": self_play.SelfPlaySettings,
+    "dqn": dqn.DQNSettings,
+    "q-learning": q_learning.QLearningSettings,
 }
 
 ALIASES = {"ippo": "ppo", "iql": "dqn"}
@@ -48,45 +48,8 @@ ALIASES = {"ippo": "ppo", "iql": "dqn"}
 OPTIONS = ("n_agents", "iterations", "seed")
 """Settings that ``pearl train`` has options of their own for; others are given by ``--set``."""
 
-USUAL: dict[str, tuple[str, ...]] = {
-    "lr": ("learning_rate", "rate"),
-    "alpha": ("rate", "learning_rate"),
-    "learning_rate": ("rate",),
-    "gamma": ("discount",),
-    "lambda": ("trace",),
-    "gae_lambda": ("trace",),
-    "clip_range": ("clip",),
-    "clip_coef": ("clip",),
-    "clip_eps": ("clip",),
-    "ent_coef": ("entropy",),
-    "entropy_coef": ("entropy",),
-    "eps": ("epsilon", "explore_last"),
-    "epsilon": ("explore_last",),
-    "exploration_initial_eps": ("explore_first",),
-    "exploration_final_eps": ("explore_last",),
-    "exploration_fraction": ("exploring",),
-    "temperature": ("chance",),
-    "n_steps": ("depth",),
-    "num_steps": ("depth",),
-    "rollout_length": ("depth",),
-    "n_epochs": ("epochs",),
-    "num_epochs": ("epochs",),
-    "update_epochs": ("epochs",),
-    "batch_size": ("minibatch",),
-    "minibatch_size": ("minibatch",),
-    "gradient_steps": ("updates",),
-    "target_update_interval": ("refresh",),
-    "target_network_frequency": ("refresh",),
-    "buffer_size": ("memory",),
-    "learning_starts": ("warm_up",),
-    "hidden_size": ("width",),
-    "n_envs": ("n_agents",),
-    "num_envs": ("n_agents",),
-}
-"""What other libraries call settings, and the names here; the first that the algorithm has is meant."""
-
 BLOCKS = 8
-"""Into how many blocks agents are divided for shards, unless said otherwise: see ``ppo.Settings``."""
+"""Into how many blocks agents are divided for shards, unless said otherwise: see ``ppo.PPOSettings``."""
 
 _UNUSABLE = ArithmeticError, AttributeError, LookupError, RuntimeError, TypeError, ValueError
 """What trainers raise where a checkpoint does not hold what it should."""
@@ -112,15 +75,15 @@ def settings_for(
     if algorithm not in ALGORITHMS:
         possible = ", ".join(map(repr, (*ALGORITHMS, *ALIASES)))
         raise ArgumentError(f"--algo is {algorithm!r}; possible are {possible}")
-    names = [setting.name for setting in dataclasses.fields(SETTINGS[algorithm])]
+    kind = SETTINGS[algorithm]
+    names = [setting.name for setting in dataclasses.fields(kind)]
+    given = kind.renamed(given)
     for name, value in given.items():
         if name not in names:
-            known = [usual for usual in USUAL.get(name, ()) if usual in names]
-            near = known or difflib.get_close_matches(name, names, 1)
+            near = difflib.get_close_matches(name, names, 1)
             hint = f"did you mean {near[0]!r}?" if near else f"there are {', '.join(names)}"
             raise ArgumentError(f"--set {name}: {algorithm} has no such setting; {hint}")
-        possible = SETTINGS[algorithm].range(name)
-        if value not in possible:
+        if value not in (possible := kind.range(name)):
             option = f"--{name.replace('_', '-')}" if name in OPTIONS else f"--set {name}"
             raise ArgumentError(f"{option} is {value!r}; it must be {possible}")
     preset = PRESETS.get((algorithm, get_spec(env_id).name), {})
@@ -209,6 +172,7 @@ def train(
             "goal": goal,
             "evaluate_every": every,
         },
+        SETTINGS[algorithm].successors(),
     )
     with run.claimed():
         seconds, best = 0.0, -np.inf

@@ -27,7 +27,7 @@ from pearl_marl.training.settings import count, number
 
 
 @dataclass(frozen=True)
-class Settings(ppo.Settings):
+class SelfPlaySettings(ppo.PPOSettings):
     """What a run depends on: PPO's settings, and these."""
 
     join_every: int = count(10)  # iterations, after which the policy joins the league; and it does at first
@@ -50,7 +50,7 @@ class LeagueWorker(RolloutWorker):
         group = 1 + (world - first) // agents % settings.opponents
         self.players = torch.where((world < first) | (world % agents == seat), 0, group)
         self.met: list[int] = []
-        self.random_moves = torch.zeros(settings.depth, n, dtype=torch.bool, device=self.where)
+        self.random_moves = torch.zeros(settings.rollout_length, n, dtype=torch.bool, device=self.where)
 
     def gather(self, rollout: int) -> Any:
         """Step all agents, against members that the rollout's number decides; return the experience."""
@@ -58,7 +58,9 @@ class LeagueWorker(RolloutWorker):
         draw = np.random.default_rng(seed_of(settings.seed, rollout, 1))
         self.met = draw.choice(list(self.league), settings.opponents).tolist()
         random = torch.Generator(self.where).manual_seed(seed_of(settings.seed, rollout, 2))
-        chances = torch.rand((settings.depth, len(self.players)), generator=random, device=self.where)
+        chances = torch.rand(
+            (settings.rollout_length, len(self.players)), generator=random, device=self.where
+        )
         self.random_moves = chances < settings.random_moves
         return super().gather(rollout)
 
@@ -87,7 +89,7 @@ class SelfPlay(ppo.PPO):
 
     gathers = LeagueWorker
 
-    def __init__(self, spec: EnvSpec, device: Any, settings: Settings) -> None:
+    def __init__(self, spec: EnvSpec, device: Any, settings: SelfPlaySettings) -> None:
         if spec.agents < 2:
             raise ArgumentError(f"{spec.name} has one agent in a world, and self-play takes two: use ppo")
         super().__init__(spec, device, settings)

@@ -131,7 +131,13 @@ class Leagues(Training):
 
     weight = 2
     algorithm, env_id = "self-play", "ConnectFour"
-    given: ClassVar[dict[str, Any]] = {"n_agents": 4, "iterations": 2, "width": 8, "minibatch": 8, "depth": 8}
+    given: ClassVar[dict[str, Any]] = {
+        "n_agents": 4,
+        "iterations": 2,
+        "width": 8,
+        "minibatch": 8,
+        "rollout_length": 8,
+    }
 
 
 class Memories(Training):

@@ -20,7 +20,7 @@ ROWS = 200
 def trainer_with_experience(algorithm: str, env_id: str) -> tuple[Any, View, list[Tensor], Tensor]:
     """A trainer far from its first weights, with a rollout of other ones, and rows of it to learn from."""
     spec = get_spec(env_id)
-    small = {"n_agents": 64, "depth": 8, "minibatch": ROWS, "entropy": 0.05}
+    small = {"n_agents": 64, "rollout_length": 8, "minibatch": ROWS, "entropy": 0.05}
     trainer = ALGORITHMS[algorithm](spec, "native", settings_for(algorithm, env_id, small))
     experience = trainer.worker.gather(0)
     view, rows = experience.view.flat(), experience.learned.flatten().nonzero()[:, 0]
@@ -87,5 +87,5 @@ def test_actions_that_were_not_allowed() -> None:
 def test_pictures_and_networks_apart_are_left_to_pytorch() -> None:
     for env_id in ("Seaquest", "CoinGame"):
         spec = get_spec(env_id)
-        small = {"n_agents": 4, "depth": 2}
+        small = {"n_agents": 4, "rollout_length": 2}
         assert not fits(ALGORITHMS["ppo"](spec, "native", settings_for("ppo", env_id, small)).model)

@@ -16,7 +16,7 @@ from pearl_marl.policies import trained
 from pearl_marl.policies.loading import table_policy
 from pearl_marl.spec import EnvSpec
 from pearl_marl.training.actor_critic import ActorCritic
-from pearl_marl.training.ppo import MAPPO, PPO, Settings
+from pearl_marl.training.ppo import MAPPO, PPO, PPOSettings
 from pearl_marl.training.run import evaluate
 
 from ..toy import LADDER, SLIDE
@@ -24,12 +24,18 @@ from ..toy_fields import FIELDS, GLIDER, LAMPS, RELAY, ROVER
 
 pytestmark = pytest.mark.usefixtures("toys")
 
-SMALL: dict[str, Any] = {"n_agents": 256, "depth": 16, "iterations": 12, "minibatch": 1024, "seed": 0}
+SMALL: dict[str, Any] = {
+    "n_agents": 256,
+    "rollout_length": 16,
+    "iterations": 12,
+    "minibatch": 1024,
+    "seed": 0,
+}
 
 
 @pytest.mark.parametrize(("spec", "gain"), [(ROVER, 20), (LAMPS, 0.5), (GLIDER, 5), (RELAY, 0.5)])
 def test_ppo_gets_better(spec: EnvSpec, gain: float, tmp_path: Path) -> None:
-    trainer = PPO(spec, "native", Settings(**SMALL))
+    trainer = PPO(spec, "native", PPOSettings(**SMALL))
     before, _ = evaluate(trainer.policy, spec, 200)
     for _ in range(12):
         trainer.update()
@@ -41,7 +47,7 @@ def test_ppo_gets_better(spec: EnvSpec, gain: float, tmp_path: Path) -> None:
 
 
 def test_a_central_critic_too() -> None:
-    trainer = MAPPO(RELAY, "native", Settings(**{**SMALL, "iterations": 1}))
+    trainer = MAPPO(RELAY, "native", PPOSettings(**{**SMALL, "iterations": 1}))
     trainer.update()
 
 
@@ -66,8 +72,8 @@ def test_fields_are_chosen_and_weighed_for_themselves() -> None:
     torch.testing.assert_close(by, due)
 
 
-def test_chance_draws_each_field() -> None:
-    policy = ActorCritic(LAMPS, 8, chance=1.0).policy
+def test_each_field_is_drawn() -> None:
+    policy = ActorCritic(LAMPS, 8, temperature=1.0).policy
     actions = policy.act(torch.zeros(4000, 4, dtype=torch.int8)).numpy()
     assert np.abs(actions.mean(0) - 0.5).max() < 0.1
     assert np.abs(np.corrcoef(actions.T) - np.eye(3)).max() < 0.1

@@ -25,7 +25,7 @@ rollout = importlib.import_module("pearl_marl.training.rollout")
 
 Pearl = Callable[..., tuple[int, str, str]]
 
-SMALL: dict[str, Any] = {"n_agents": 32, "depth": 16, "iterations": 3, "minibatch": 64}
+SMALL: dict[str, Any] = {"n_agents": 32, "rollout_length": 16, "iterations": 3, "minibatch": 64}
 
 
 pytestmark = pytest.mark.usefixtures("toys")
@@ -104,7 +104,7 @@ def test_logits_of_masked_actions_have_no_probability_and_no_gradient() -> None:
 
 def test_who_waits_is_credited_with_what_the_other_does() -> None:
     """In Nim who moves wins, so nobody loses by a move of its own."""
-    e = trainer_of("ppo", "Nim", **SMALL, discount=1.0, trace=1.0).worker.gather(0)
+    e = trainer_of("ppo", "Nim", **SMALL, discount=1.0, gae_lambda=1.0).worker.gather(0)
     losses = e.ended & (e.rewards < 0)
     assert losses.any()
     assert not e.learned[losses].any(), "it was not on turn"
@@ -120,7 +120,7 @@ def test_who_waits_is_credited_with_what_the_other_does() -> None:
 
 
 def test_the_dead_do_not_learn() -> None:
-    trainer = trainer_of("ppo", "Meadow", **{**SMALL, "depth": 40})
+    trainer = trainer_of("ppo", "Meadow", **{**SMALL, "rollout_length": 40})
     e = trainer.worker.gather(0)
     dead = (e.view.masks == 0).all(2)
     assert dead.any()
@@ -142,7 +142,7 @@ def test_team_rewards() -> None:
 
 
 def test_who_is_dead_still_wants_what_the_team_earns() -> None:
-    given = {**SMALL, "depth": 60, "discount": 1.0, "trace": 1.0}
+    given = {**SMALL, "rollout_length": 60, "discount": 1.0, "gae_lambda": 1.0}
     own, team = (
         trainer_of("ppo", "Meadow", rewards=whose, **given).worker.gather(0) for whose in ("own", "sum")
     )
@@ -200,7 +200,7 @@ def test_the_central_critic_learns() -> None:
 
 def test_a_step_of_which_the_state_is_not_known_is_not_learned_from() -> None:
     """At a time limit the next state is that of another episode, which must not get into the advantages."""
-    given = {**SMALL, "n_agents": 200, "depth": 20, "discount": 0.9, "trace": 0.0}
+    given = {**SMALL, "n_agents": 200, "rollout_length": 20, "discount": 0.9, "gae_lambda": 0.0}
     trainer = trainer_of("mappo", "LevelBasedForaging", {"max_episode_steps": 7}, **given)
     e = trainer.worker.gather(0)
     with torch.no_grad():
@@ -224,7 +224,7 @@ def test_a_step_of_which_the_state_is_not_known_is_not_learned_from() -> None:
 @pytest.mark.parametrize("algorithm", ["ippo", "mappo", "iql"])
 def test_networks_are_shared_or_not(algorithm: str, sharing: str, tmp_path: Path) -> None:
     given = {"n_agents": 32, "iterations": 12, "minibatch": 32, "sharing": sharing}
-    given |= {"depth": 4} if algorithm != "iql" else {"warm_up": 2}
+    given |= {"rollout_length": 4} if algorithm != "iql" else {"warm_up": 2}
     trainer = trainer_of(algorithm, "LevelBasedForaging", **given)
     for _ in range(4):
         trainer.iterate()
@@ -288,7 +288,14 @@ def test_other_names_of_algorithms(tmp_path: Path) -> None:
 
 
 def test_members_of_the_league_act_and_are_not_learned_from() -> None:
-    given = {**SMALL, "n_agents": 64, "mirrored": 0.25, "opponents": 3, "depth": 8, "random_moves": 0.0}
+    given = {
+        **SMALL,
+        "n_agents": 64,
+        "mirrored": 0.25,
+        "opponents": 3,
+        "rollout_length": 8,
+        "random_moves": 0.0,
+    }
     trainer = trainer_of("self-play", "ConnectFour", **given)
     worker = trainer.worker
     players = worker.players.reshape(-1, 2)
@@ -314,7 +321,14 @@ def test_members_of_the_league_act_and_are_not_learned_from() -> None:
 
 def test_random_moves_are_not_learned_from() -> None:
     """But what came before them is, and goes by the value of where they were made."""
-    given = {**SMALL, "n_agents": 128, "depth": 12, "mirrored": 1.0, "random_moves": 0.5, "discount": 0.9}
+    given = {
+        **SMALL,
+        "n_agents": 128,
+        "rollout_length": 12,
+        "mirrored": 1.0,
+        "random_moves": 0.5,
+        "discount": 0.9,
+    }
     trainer = trainer_of("self-play", "ConnectFour", **given)
     # A policy that plays in the middle, so that what is not there is random.
     with torch.no_grad():
@@ -371,7 +385,7 @@ def test_a_team_learns_to_forage(tmp_path: Path) -> None:
     options = {"field_size": [5, 5], "max_num_food": 1, "max_player_level": 1, "max_food_level": 1}
     given = {
         "n_agents": 256,
-        "depth": 16,
+        "rollout_length": 16,
         "iterations": 25,
         "epochs": 2,
         "minibatch": 1024,

@@ -36,7 +36,7 @@ EVALUATED = 50
 """A thousand episodes take longer than such training."""
 
 SMALL: dict[str, dict[str, Any]] = {
-    "ppo": {"n_agents": 32, "depth": 8, "iterations": 12, "minibatch": 64},
+    "ppo": {"n_agents": 32, "rollout_length": 8, "iterations": 12, "minibatch": 64},
     "dqn": {
         "n_agents": 16,
         "iterations": 40,
@@ -44,7 +44,7 @@ SMALL: dict[str, dict[str, Any]] = {
         "warm_up": 5,
         "updates": 2,
         "minibatch": 32,
-        "refresh": 9,
+        "target_update": 9,
     },
     "q-learning": {"n_agents": 64, "iterations": 40},
 }
@@ -88,7 +88,7 @@ def test_q_learning_finds_the_shortest_way_along_the_cliff(seed: int, tmp_path: 
 
 
 def test_every_agent_can_learn_for_itself(tmp_path: Path) -> None:
-    given = {"n_agents": 200, "learners": 200, "rate": 1.0, "epsilon": 0.1, "iterations": 2500}
+    given = {"n_agents": 200, "learners": 200, "learning_rate": 1.0, "epsilon": 0.1, "iterations": 2500}
     rows = run("q-learning", "CliffWalking", tmp_path, every=2500, evaluated=200, **given)
     assert rows[-1]["eval_return"] == -13
     assert rows[-1]["eval_deviation"] == 0
@@ -148,7 +148,14 @@ def test_returns_are_those_of_the_episodes_that_ended() -> None:
 
 def test_advantages_are_those_of_their_definition() -> None:
     """Weighted sums of errors up to the end of the episode; cut short, with what was to come."""
-    given = {"n_agents": 3, "depth": 250, "discount": 0.9, "trace": 0.7, "blocks": 2, "reward_scale": 0.5}
+    given = {
+        "n_agents": 3,
+        "rollout_length": 250,
+        "discount": 0.9,
+        "gae_lambda": 0.7,
+        "blocks": 2,
+        "reward_scale": 0.5,
+    }
     trainer = training.ALGORITHMS["ppo"](
         get_spec("Pendulum"), "native", training.settings_for("ppo", "Pendulum", given)
     )
@@ -330,7 +337,7 @@ def same(one: Any, other: Any) -> bool:
     [
         ("sarsa", {}, "'sarsa'.*'ppo', 'mappo', 'self-play', 'dqn', 'q-learning', 'ippo', 'iql'"),
         ("ppo", {"n_agent": 5}, "--set n_agent: .*'n_agents'"),
-        ("ppo", {"depth": 1.5}, "--set depth is 1.5"),
+        ("ppo", {"rollout_length": 1.5}, "--set rollout_length is 1.5"),
         ("dqn", {"discount": -1}, "--set discount is -1"),
         ("q-learning", {"n_agents": 10, "learners": 3}, "'learners' is 3; it must divide n_agents, 10"),
         ("dqn", {"discount": "high"}, "--set discount is 'high'"),

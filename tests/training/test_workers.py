@@ -26,7 +26,7 @@ distributed = importlib.import_module("pearl_marl.training.workers")
 
 pytestmark = pytest.mark.usefixtures("ray_cluster")
 
-SMALL = {"n_agents": 16, "depth": 70, "iterations": 3, "minibatch": 256}
+SMALL = {"n_agents": 16, "rollout_length": 70, "iterations": 3, "minibatch": 256}
 """Of Pendulum, whose episodes of 200 steps are cut short in the last rollout."""
 
 
