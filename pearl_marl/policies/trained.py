@@ -16,7 +16,7 @@ from torch import Tensor, nn
 from pearl_marl.elements import are_numbers, bounds
 from pearl_marl.errors import ArgumentError, shown, told
 from pearl_marl.policies import policy_file
-from pearl_marl.policies.network import SHARING, Array, check_weights, masked, networks
+from pearl_marl.policies.network import SHARING, Array, masked, most, networks
 from pearl_marl.registry import registered_spec
 from pearl_marl.spec import EnvSpec, is_number
 
@@ -139,13 +139,7 @@ class NetworkPolicy(_Trained):
         outputs = self(obs, masks)
         if self.about["kind"] == "mean":
             return self.within_bounds(outputs)
-        return self.most(outputs)
-
-    def most(self, outputs: Tensor) -> Tensor:
-        """Return the numbers of the greatest outputs: ``int64``, one for each field of an action."""
-        if not self.heads:
-            return outputs.argmax(-1)
-        return torch.stack([part.argmax(-1) for part in torch.split(outputs, self.heads, -1)], -1)
+        return most(outputs, self.heads)
 
     @torch.no_grad()
     def act(self, obs: Tensor, masks: Tensor | None = None) -> Tensor:
@@ -156,7 +150,7 @@ class NetworkPolicy(_Trained):
         outputs = self(obs, masks)
         noise = torch.rand(outputs.shape, generator=self.random).to(outputs.device)
         if kind == "logits":  # Gumbel's trick
-            return self.most(outputs / self.temperature - noise.log().neg().log())
+            return most(outputs / self.temperature - noise.log().neg().log(), self.heads)
         anyone = torch.rand(len(outputs), generator=self.random).to(outputs.device) < self.epsilon
         return torch.where(anyone, masked(noise, masks).argmax(1), outputs.argmax(1))
 
@@ -229,7 +223,7 @@ def load(path: Path) -> NetworkPolicy | Table:
         # On torch's device of no memory: the file may name any size.
         with torch.device("meta"):
             policy = _described(about, tensors)
-        check_weights(policy, tensors, policy.spec.name)
+        policy_file.check_weights(policy, tensors, policy.spec.name)
     except ArgumentError as error:
         raise ArgumentError(f"{file} is damaged, or of another version: {told(error)}") from None
     policy.load_state_dict(tensors, assign=True)

@@ -20,9 +20,10 @@ from pearl_marl.errors import ArgumentError
 from pearl_marl.policies.network import masked
 from pearl_marl.policies.trained import Table
 from pearl_marl.spec import MAX_SLOTS, EnvSpec
+from pearl_marl.training.agents import Agents
 from pearl_marl.training.restoring import copied
-from pearl_marl.training.rollout import Agents, Trainer
 from pearl_marl.training.settings import SEEDS, TrainerSettings, check_memory, count, number
+from pearl_marl.training.trainer import Trainer
 
 
 @dataclass(frozen=True)
@@ -116,7 +117,7 @@ class QLearning(Trainer):
         """Step all agents and update the tables."""
         rows, n_actions = self.rows, self.policy.values.shape[2]
         values = self.policy.values.view(-1, n_actions)  # of all learners, one below the other
-        masks, alive = self.agents.view.masks, self.agents.alive
+        masks, alive = self.agents.inputs.masks, self.agents.alive
         best = masked(values[rows], masks).argmax(1)
         actions = self.explore(best, n_actions, self.explored, masks)
         step = self.agents.step(actions)
@@ -125,9 +126,9 @@ class QLearning(Trainer):
             rewards = self.rewards[self.learner, rewards.long()]
         # Where the step itself led; in its place there may be the next episode's start already.
         later = values[self.policy.rows(step.arrivals())]
-        if self.agents.view.masks is not None:
+        if self.agents.inputs.masks is not None:
             # Where a time limit cut an episode short, nobody is told what was allowed next: anything.
-            later = masked(later, self.agents.view.masks.masked_fill(step.ended[:, None], 1))
+            later = masked(later, self.agents.inputs.masks.masked_fill(step.ended[:, None], 1))
         targets = rewards + self.settings.discount * later.amax(1) * ~step.terminations
         self._update(rows * n_actions + actions, targets, alive)
         self.episodes.add(rewards[None], step.ended[None])

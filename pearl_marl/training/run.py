@@ -25,7 +25,7 @@ from pearl_marl.spec import EnvSpec
 from pearl_marl.training import dqn, ppo, q_learning, self_play
 from pearl_marl.training.presets import PRESETS
 from pearl_marl.training.run_folder import POLICY, RunFolder
-from pearl_marl.training.threads import threads_for
+from pearl_marl.training.trainer import threads_for
 
 ALGORITHMS: dict[str, Any] = {
     "ppo": ppo.PPO,

@@ -25,7 +25,7 @@ from pearl_marl.errors import ArgumentError, DeviceError
 torch = pytest.importorskip("torch", reason="torch is not installed: pip install '.[train]'")
 training = importlib.import_module("pearl_marl.training.run")
 run_folder = importlib.import_module("pearl_marl.training.run_folder")
-rollout = importlib.import_module("pearl_marl.training.rollout")
+agents = importlib.import_module("pearl_marl.training.agents")
 
 GIVEN = {"n_agents": 64, "iterations": 6}
 
@@ -190,7 +190,7 @@ def test_a_device_that_fails_is_not_the_checkpoints_fault(
     def fails(*_: Any) -> None:
         raise DeviceError("the board is away")
 
-    monkeypatch.setattr(rollout.Agents, "load", fails)
+    monkeypatch.setattr(agents.Agents, "load", fails)
     with pytest.raises(DeviceError, match="the board is away"):
         run(folder)
 

@@ -29,7 +29,7 @@ from ..sampling import sampled
 torch = pytest.importorskip("torch", reason="torch is not installed: pip install '.[train]'")
 training = importlib.import_module("pearl_marl.training.run")
 policy = importlib.import_module("pearl_marl.policies.trained")
-rollout = importlib.import_module("pearl_marl.training.rollout")
+trainers = importlib.import_module("pearl_marl.training.trainer")
 actor_critic = importlib.import_module("pearl_marl.training.actor_critic")
 
 EVALUATED = 50
@@ -131,7 +131,7 @@ def test_a_checkpoint_of_another_version_is_refused(tmp_path: Path) -> None:
 def test_returns_are_those_of_the_episodes_that_ended() -> None:
     """As ``EpisodeStatistics`` has them, which counts step by step."""
     random, n = np.random.default_rng(0), 7
-    ours, theirs = rollout.Returns(n, torch.device("cpu")), EpisodeStatistics(n)
+    ours, theirs = trainers.EpisodeReturns(n, torch.device("cpu")), EpisodeStatistics(n)
     for steps in (1, 5, 3, 40):
         rewards, ended = random.normal(size=(steps, n)).astype(np.float32), random.random((steps, n)) < 0.2
         ours.add(torch.from_numpy(rewards), torch.from_numpy(ended))
@@ -159,16 +159,16 @@ def test_advantages_are_those_of_their_definition() -> None:
     trainer = training.ALGORITHMS["ppo"](
         get_spec("Pendulum"), "native", training.settings_for("ppo", "Pendulum", given)
     )
-    first = trainer.worker.agents.obs
+    first = trainer.worker.agents.obs.clone()
     e = trainer.worker.gather(0)
-    assert torch.equal(e.view.obs[0], first)
+    assert torch.equal(e.inputs.obs[0], first)
     assert e.ended[199].all(), "an episode of Pendulum has 200 steps"
     assert e.ended.sum() == 3
     with torch.no_grad():
-        seen = [*e.view.obs, trainer.worker.agents.obs]
-        values = torch.stack([trainer.model.values(actor_critic.View(obs)) for obs in seen])
-        outputs = torch.stack([trainer.policy(obs) for obs in e.view.obs])
-    torch.testing.assert_close(e.logs, trainer.model.weigh(outputs, e.actions).logs)
+        seen = [*e.inputs.obs, trainer.worker.agents.obs]
+        values = torch.stack([trainer.model.values(actor_critic.Inputs(obs)) for obs in seen])
+        outputs = torch.stack([trainer.policy(obs) for obs in e.inputs.obs])
+    torch.testing.assert_close(e.log_probs, trainer.model.evaluate(outputs, e.actions)[0])
     wanted = torch.zeros(3)
     for t in reversed(range(250)):
         if t == 199:  # the last reward's successor is not in the rollout: what counts is known otherwise
