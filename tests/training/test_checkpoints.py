@@ -32,17 +32,12 @@ GIVEN = {"n_agents": 64, "iterations": 6}
 
 def run(folder: Path, **given: Any) -> Any:
     settings = training.settings_for("q-learning", "CliffWalking", {**GIVEN, **given})
-    return training.train(
-        "CliffWalking",
-        {},
-        "q-learning",
-        settings,
-        "native",
-        folder,
-        evaluate_every=2,
-        checkpoint_seconds=0.0,
-        evaluated=10,
-    )
+    plan = training.Training("CliffWalking", "q-learning", settings, evaluate_every=2)
+    run = training.TrainingRun(plan, folder, evaluated=10, checkpoint_seconds=0.0)
+    with run.claimed():
+        while not run.finished:
+            run.iterate()
+    return run.rows
 
 
 @pytest.fixture(scope="module")
@@ -497,7 +492,8 @@ def test_what_no_trainer_keeps_is_refused(algorithm: str, env_id: str, tmp_path:
     settings = training.settings_for(algorithm, env_id, small)
 
     def train() -> None:
-        training.train(env_id, {}, algorithm, settings, "native", tmp_path, evaluate_every=1, evaluated=2)
+        plan = training.Training(env_id, algorithm, settings, evaluate_every=1)
+        training.train(plan, tmp_path, evaluated=2)
 
     train()
     file = tmp_path / "checkpoint.pt"

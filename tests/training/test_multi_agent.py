@@ -279,9 +279,10 @@ def test_other_names_of_algorithms(tmp_path: Path) -> None:
         "ppo", "LevelBasedForaging", {}
     )
     settings = training.settings_for("iql", "LevelBasedForaging", {"n_agents": 8, "iterations": 1})
-    training.train("LevelBasedForaging", {}, "iql", settings, "native", tmp_path, evaluated=10)
+    training.train(training.Training("LevelBasedForaging", "iql", settings), tmp_path, evaluated=10)
     assert json.loads((tmp_path / "config.json").read_text())["settings"]["algorithm"] == "dqn"
-    assert training.train("LevelBasedForaging", {}, "dqn", settings, "native", tmp_path), "the same run"
+    same = training.Training("LevelBasedForaging", "dqn", settings)
+    assert training.train(same, tmp_path), "the same run"
 
 
 # ---- Self-play ----
@@ -352,7 +353,7 @@ def test_random_moves_are_not_learned_from() -> None:
 
 def test_the_league_grows_and_is_kept_in_files(tmp_path: Path) -> None:
     settings = training.settings_for("self-play", "ConnectFour", {**SMALL, "join_every": 2, "iterations": 4})
-    rows = training.train("ConnectFour", {}, "self-play", settings, "native", tmp_path, evaluated=20)
+    rows = training.train(training.Training("ConnectFour", "self-play", settings), tmp_path, evaluated=20)
     past = {path.stem: trained.load(path).state_dict() for path in (tmp_path / "past").iterdir()}
     assert sorted(past) == ["000000", "000002", "000004"]
     last = trained.load(tmp_path).state_dict()
@@ -392,7 +393,8 @@ def test_a_team_learns_to_forage(tmp_path: Path) -> None:
         "learning_rate": 5e-3,
     }
     settings = training.settings_for("mappo", "LevelBasedForaging", given)
-    rows = training.train("LevelBasedForaging", options, "mappo", settings, "native", tmp_path, evaluated=200)
+    plan = training.Training("LevelBasedForaging", "mappo", settings, options)
+    rows = training.train(plan, tmp_path, evaluated=200)
     best = max(row["eval_world_return"] for row in rows)
     assert best > 0.9
     policy = load_policy(str(tmp_path), get_spec("LevelBasedForaging").with_options(**options))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import importlib
-import itertools
 import json
 import signal
 import subprocess
@@ -75,9 +74,8 @@ def run(
     **given: Any,
 ) -> list[dict[str, Any]]:
     settings = training.settings_for(algorithm, env, given)
-    rows: list[dict[str, Any]] = training.train(
-        env, {}, algorithm, settings, "native", folder, goal, every, evaluated=evaluated
-    )
+    plan = training.Training(env, algorithm, settings, goal=goal, evaluate_every=every)
+    rows: list[dict[str, Any]] = training.train(plan, folder, evaluated)
     return rows
 
 
@@ -259,11 +257,13 @@ import torch
 torch.set_num_threads(1)
 algorithm, env, folder, given = sys.argv[1], sys.argv[2], Path(sys.argv[3]), eval(sys.argv[4])
 settings = training.settings_for(algorithm, env, given)
-def slow(done, total, row):
-    print(done, flush=True)
-    time.sleep(0.05)
-arguments = {"progress": slow, "checkpoint_seconds": 0.2, "evaluated": 50}
-training.train(env, {}, algorithm, settings, "native", folder, **arguments)
+plan = training.Training(env, algorithm, settings)
+run = training.TrainingRun(plan, folder, evaluated=50, checkpoint_seconds=0.2)
+with run.claimed():
+    while not run.finished:
+        if run.iterate():
+            print(run.trainer.done, flush=True)
+            time.sleep(0.05)
 """
 
 
@@ -300,15 +300,19 @@ def test_a_stopped_run_goes_on_as_if_nothing_had_been(tmp_path: Path) -> None:
     """Wherever it is stopped: also between evaluations, long before a checkpoint is due."""
     whole = run("ppo", "FrozenLake", tmp_path / "whole", every=4, **SMALL["ppo"])
     settings = training.settings_for("ppo", "FrozenLake", SMALL["ppo"])
-    done = itertools.count(1)
-    for last in (3, 1):
+    plan = training.Training("FrozenLake", "ppo", settings, evaluate_every=4)
+
+    def stopped_after(iterations: int) -> None:
+        stopped = training.TrainingRun(plan, tmp_path / "stopped", evaluated=EVALUATED)
+        with stopped.claimed():
+            for _ in range(iterations):
+                stopped.iterate()
+            stopped.keep()
+            raise KeyboardInterrupt
+
+    for iterations in (3, 1):
         with pytest.raises(KeyboardInterrupt):
-            training.train(
-                *("FrozenLake", {}, "ppo", settings, "native", tmp_path / "stopped"),
-                evaluate_every=4,
-                evaluated=EVALUATED,
-                stopped=lambda last=last: next(done) >= last,  # type: ignore[misc]
-            )
+            stopped_after(iterations)
     rows = run("ppo", "FrozenLake", tmp_path / "stopped", every=4, **SMALL["ppo"])
     timeless = [[{**row, "seconds": 0} for row in part] for part in (whole, rows)]
     assert timeless[0] == timeless[1]
