@@ -44,8 +44,8 @@ def load(name: str, source: str, **names: Any) -> tuple[Any, Path]:
     return module, path
 
 
-def loop(function: Callable[..., Any], *uses: types.ModuleType) -> Callable[..., Any]:
-    """Compile a function of this package at its first call, and keep it as kernels are kept.
+def compiled_loop(function: Callable[..., Any], *uses: types.ModuleType) -> Callable[[], Callable[..., Any]]:
+    """Return a function that returns a function of this package compiled; it is kept as kernels are kept.
 
     It depends on its own module, and on those that it ``uses``, of which it calls functions.
     """
@@ -61,11 +61,7 @@ def loop(function: Callable[..., Any], *uses: types.ModuleType) -> Callable[...,
         jit = numba.njit(nogil=True, error_model="numpy", fastmath={"contract"})
         return kept_code(jit(getattr(loaded, function.__name__)), name)
 
-    @functools.wraps(function)
-    def call(*given: Any) -> Any:
-        return made()(*given)
-
-    return call
+    return made
 
 
 def with_callees(

@@ -44,10 +44,15 @@ class RunFolder:
         The folder.
     settings
         What the run depends on, by name; JSON.
+    successors
+        Names of the algorithm's renamed settings, by those that an older run has for them.
     """
 
-    def __init__(self, path: Path, settings: dict[str, Any]) -> None:
+    def __init__(
+        self, path: Path, settings: dict[str, Any], successors: Mapping[str, str] | None = None
+    ) -> None:
         self.path = path
+        self._successors = successors or {}
         self.rows: list[dict[str, Any]] = []
         self._settings = json.loads(json.dumps(settings))
         self._board: SummaryWriter | None = None
@@ -78,7 +83,7 @@ class RunFolder:
 
     def _check(self, theirs: dict[str, Any], what_is: str) -> None:
         """Refuse settings that are not this run's."""
-        before, now = _flat(theirs), _flat(self._settings)
+        before, now = _flat(theirs, self._successors), _flat(self._settings, {})
         # Where nobody gives evaluate_every, it follows from the iterations.
         for name in sorted({**before, **now}, key="evaluate_every".__eq__):
             # As text: True is 1 in Python.
@@ -248,7 +253,13 @@ def _is_row(row: Any) -> bool:
     )
 
 
-def _flat(settings: dict[str, Any]) -> dict[str, Any]:
-    """Return a run's settings with those of its algorithm among them."""
+def _flat(settings: dict[str, Any], successors: Mapping[str, str]) -> dict[str, Any]:
+    """Return a run's settings with those of its algorithm among them, by the names that they have now."""
     own = settings.get("settings")
-    return {**settings, **own, "settings": None} if isinstance(own, dict) else settings
+    if not isinstance(own, dict):
+        return settings
+    return {
+        **settings,
+        **{successors.get(name, name): value for name, value in own.items()},
+        "settings": None,
+    }

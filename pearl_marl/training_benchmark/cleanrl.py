@@ -115,7 +115,7 @@ def environments(task: Task, n: int, seed: int) -> Any:
 
 def train(task: Task, settings: Any, watch: Watch) -> None:
     """Train until the watch says that it is over."""
-    n, depth, width = settings.n_agents, settings.depth, settings.width
+    n, depth, width = settings.n_agents, settings.rollout_length, settings.width
     batch = n * depth
     torch.manual_seed(settings.seed)
     rng = np.random.default_rng(settings.seed)
@@ -169,7 +169,7 @@ def train(task: Task, settings: Any, watch: Watch) -> None:
             gains = torch.zeros((depth, n))
             for t in reversed(range(depth)):
                 surprise = rewards[t] + settings.discount * following * (1 - done) - values[t]
-                gain = surprise + settings.discount * settings.trace * (1 - done) * gain
+                gain = surprise + settings.discount * settings.gae_lambda * (1 - done) * gain
                 gains[t], following, done = gain, values[t], dones[t]
             returns = gains + values
 

@@ -117,7 +117,7 @@ def train(task: Task, settings: Any, watch: Watch) -> None:
     space: Any = env.observation_space(env_params)
     numbers, vector = not space.shape, len(space.shape) == 1
     shape = (int(space.n),) if numbers else space.shape
-    n, depth, s = settings.n_agents, settings.depth, settings
+    n, depth, s = settings.n_agents, settings.rollout_length, settings
     batches = max(n * depth // s.minibatch, 1)
 
     def prepared(statistics: Any, obs: Any) -> Any:
@@ -166,7 +166,7 @@ def train(task: Task, settings: Any, watch: Watch) -> None:
             step.rewards
             + s.discount * following * going_on
             - step.values
-            + s.discount * s.trace * going_on * gain
+            + s.discount * s.gae_lambda * going_on * gain
         )
         return (gain, step.values), gain
 

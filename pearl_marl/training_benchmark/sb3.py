@@ -146,7 +146,7 @@ def train(task: Task, settings: Any, watch: Watch) -> None:
         network = {"net_arch": [], **extractor}
     steps = settings.n_agents * settings.iterations
     if task.algorithm == "ppo":
-        steps *= settings.depth
+        steps *= settings.rollout_length
     given = {"policy_kwargs": network, "seed": settings.seed, "device": "cpu"}
     model: Any = {"ppo": _ppo, "dqn": _dqn}[task.algorithm](env, settings, given)
 
@@ -164,12 +164,12 @@ def _ppo(env: VecEnv, settings: Any, given: dict[str, Any]) -> PPO:
     return PPO(
         "MlpPolicy",
         env,
-        n_steps=settings.depth,
+        n_steps=settings.rollout_length,
         batch_size=settings.minibatch,
         n_epochs=settings.epochs,
         learning_rate=lambda left: settings.learning_rate * left,
         gamma=settings.discount,
-        gae_lambda=settings.trace,
+        gae_lambda=settings.gae_lambda,
         clip_range=settings.clip,
         ent_coef=settings.entropy,
         **given,
@@ -188,9 +188,9 @@ def _dqn(env: VecEnv, settings: Any, given: dict[str, Any]) -> DQN:
         gamma=settings.discount,
         learning_starts=settings.warm_up * n,
         buffer_size=settings.memory * n,
-        exploration_initial_eps=settings.explore_first,
-        exploration_final_eps=settings.explore_last,
-        exploration_fraction=settings.exploring,
-        target_update_interval=max(settings.refresh // settings.updates, 1) * n,
+        exploration_initial_eps=settings.epsilon,
+        exploration_final_eps=settings.final_epsilon,
+        exploration_fraction=settings.exploration_fraction,
+        target_update_interval=max(settings.target_update // settings.updates, 1) * n,
         **given,
     )

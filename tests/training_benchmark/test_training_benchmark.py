@@ -100,7 +100,7 @@ def test_a_few_iterations(monkeypatch: pytest.MonkeyPatch, module: str, task: Ta
     made = trainer(module)
     if who.missing(task) is not None:
         pytest.skip(str(who.missing(task)))
-    few = {"n_agents": 8, "depth": 4, "minibatch": 16, "epochs": 2, "iterations": 5, "width": 8}
+    few = {"n_agents": 8, "rollout_length": 4, "minibatch": 16, "epochs": 2, "iterations": 5, "width": 8}
     settings = dataclasses.replace(task.settings(0), **few)
     spec = get_spec(task.env_id)
     obs = np.zeros((8, *spec.observation_shape), spec.observation_dtype)
@@ -123,7 +123,7 @@ def test_a_few_iterations(monkeypatch: pytest.MonkeyPatch, module: str, task: Ta
 def test_all_iterations_are_noted() -> None:
     """Stable-Baselines3 tells nobody that the last one is over."""
     made = trainer("sb3")
-    settings = dataclasses.replace(EASY.settings(0), n_agents=4, depth=4, minibatch=8, iterations=3)
+    settings = dataclasses.replace(EASY.settings(0), n_agents=4, rollout_length=4, minibatch=8, iterations=3)
     noted = Watch(EASY._replace(goal=None, least=9))
     made.train(EASY, settings, noted)
     assert [steps for _, steps in noted.points] == [16, 32, 48]
