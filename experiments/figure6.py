@@ -15,8 +15,8 @@ from pearl_marl.benchmark.paper import TABLE_2
 from pearl_marl.devices import Rtl
 from pearl_marl.errors import ArgumentError
 from pearl_marl.hardware.fitting import PARTS
+from pearl_marl.latency import plan
 from pearl_marl.latency.prediction import Overlap, Prediction
-from pearl_marl.plan import plan
 from pearl_marl.registry import get_spec, names
 from pearl_marl.spec import EnvSpec
 

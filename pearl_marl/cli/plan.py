@@ -18,7 +18,7 @@ from pearl_marl.hardware.boards import BOARDS
 from pearl_marl.hardware.elaboration import clocked
 from pearl_marl.hardware.fitting import PARTS
 from pearl_marl.latency import LINKS, Link, loop_cycles
-from pearl_marl.plan import Plan, plan
+from pearl_marl.latency.planning import Plan, plan
 
 Slots = Annotated[int, typer.Option("--n-envs", min=1, help="Number of slots (worlds) of the design.")]
 LinkName = Annotated[
