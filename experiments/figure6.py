@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from pearl_marl.batch.actions import random_actions
-from pearl_marl.benchmark.contenders import contenders, simulated
 from pearl_marl.benchmark.measure import Contender, measure
 from pearl_marl.benchmark.paper import TABLE_2
+from pearl_marl.benchmark.steps import contenders, simulated
 from pearl_marl.devices import Rtl
 from pearl_marl.errors import ArgumentError
 from pearl_marl.hardware.fitting import PARTS

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from pearl_marl.benchmark.contenders import contenders
 from pearl_marl.benchmark.measure import UnavailableError
+from pearl_marl.benchmark.steps import contenders
 from pearl_marl.registry import get_spec
 from pearl_marl.spec import EnvSpec
 

@@ -20,8 +20,8 @@ from importlib import metadata, resources
 from pathlib import Path
 from typing import Any, NamedTuple, cast
 
-from pearl_marl.benchmark.machine import machine
 from pearl_marl.errors import ArgumentError, PearlError
+from pearl_marl.evaluation.machine import machine
 from pearl_marl.files import replace_file
 from pearl_marl.rendering import import_pyplot, save_figure
 

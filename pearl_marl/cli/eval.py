@@ -10,12 +10,12 @@ import typer
 from rich.markup import escape
 from rich.table import Table
 
-from pearl_marl.benchmark.machine import machine
 from pearl_marl.benchmark.measure import duration
 from pearl_marl.cli import common
 from pearl_marl.cli.common import console, error_console
 from pearl_marl.devices import Lockstep
 from pearl_marl.errors import ArgumentError, LockstepError, PearlError
+from pearl_marl.evaluation.machine import machine
 from pearl_marl.evaluation.matches import OPENINGS, Match, cross_table
 from pearl_marl.evaluation.report import write_report
 from pearl_marl.evaluation.run import LIMIT, Evaluation

@@ -9,11 +9,11 @@ import typer
 from rich.markup import escape
 from rich.table import Table
 
-from pearl_marl.benchmark.machine import machine
 from pearl_marl.benchmark.measure import duration, rate
 from pearl_marl.cli import common
 from pearl_marl.cli.common import console
 from pearl_marl.errors import ArgumentError
+from pearl_marl.evaluation.machine import machine
 from pearl_marl.hardware.boards import BOARDS
 from pearl_marl.hardware.elaboration import clocked
 from pearl_marl.hardware.fitting import PARTS

@@ -10,28 +10,28 @@ from typing import Any
 from rich import box
 from rich.markup import escape
 
-from pearl_marl.benchmark.machine import machine
 from pearl_marl.benchmark.measure import duration, rate
 from pearl_marl.cli import common
 from pearl_marl.cli.common import console
 from pearl_marl.errors import ArgumentError
+from pearl_marl.evaluation.machine import machine
 from pearl_marl.registry import get_spec
 
 
 def show(env_id: str | None, quick: bool, out: Path | None, as_json: bool) -> None:
     """Run the trainings of an environment, or all of them, and print what came of them."""
     try:
-        from pearl_marl.training_benchmark import tasks, turns
+        from pearl_marl.benchmark import training
     except ModuleNotFoundError as error:
         raise ArgumentError(
             f"training needs the Python package {error.name}: pip install '.[train]'"
         ) from None
     name = None if env_id is None else get_spec(env_id).name
-    chosen = turns.tasks_of(name, quick)
+    chosen = training.tasks_of(name, quick)
     if not chosen:
-        possible = ", ".join(dict.fromkeys(task.env_id for task in tasks.TASKS))
+        possible = ", ".join(dict.fromkeys(task.env_id for task in training.TASKS))
         raise ArgumentError(f"no training of {name} is compared; possible are {possible}")
-    work = turns.entries(chosen, turns.SEEDS[:1] if quick else turns.SEEDS)
+    work = training.jobs(chosen, quick)
     file = f"trainings_{name or 'all'}.json"
     common.check_results(out, file)
     goals = {task.name: task.goal for task in chosen}
@@ -39,10 +39,10 @@ def show(env_id: str | None, quick: bool, out: Path | None, as_json: bool) -> No
     threads = os.environ.get("OMP_NUM_THREADS", "as each chooses")
     result: dict[str, Any] = {"machine": machine(), "threads": threads, "quick": quick}
     result |= {"goals": goals, "rows": rows}
-    for row in common.progress(turns.run(work), len(work), "trainings"):
+    for row in common.progress(training.run(work), len(work), "trainings"):
         rows.append(row)
         result["date"] = datetime.datetime.now().astimezone().isoformat(timespec="seconds")
-        result["compared"] = turns.compared(rows)
+        result["compared"] = training.compared(rows)
         if out is not None:  # a run that is ended leaves what it has measured
             common.write_json(out, file, result)
     if common.delivered(result, as_json, out, file):

@@ -16,8 +16,8 @@ from pearl_marl.experiments import energy, figure6, figure7, figure8, goals, rea
 from pearl_marl.experiments.section import KINDS, Row, select
 from typer.testing import CliRunner
 
-from pearl_marl.benchmark.contenders import contenders
 from pearl_marl.benchmark.measure import Contender
+from pearl_marl.benchmark.steps import contenders
 from pearl_marl.cli import app
 from pearl_marl.errors import ArgumentError, DeviceError
 from pearl_marl.registry import get_spec, names

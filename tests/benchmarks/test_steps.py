@@ -1,4 +1,4 @@
-"""`pearl bench`: what it says it counts, and that everybody plays by the rules."""
+"""`pearl bench steps`: what it says it counts, and that every contender plays by the rules."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from pearl_marl import get_spec
-from pearl_marl.benchmark import contenders, peers
+from pearl_marl.benchmark import peers, steps
 from pearl_marl.benchmark.measure import Contender, Game, UnavailableError, measure
 
 from ..toy_world import MEADOW
@@ -32,7 +32,7 @@ def no_simulator(monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(*_: Any) -> None:
         raise UnavailableError("not in this test")
 
-    monkeypatch.setattr(contenders, "simulated", refuse)
+    monkeypatch.setattr(steps, "simulated", refuse)
 
 
 @pytest.mark.parametrize("name", PACKAGE)
@@ -82,7 +82,7 @@ def test_only_whole_worlds(pearl: Pearl) -> None:
 def games(name: str, n: int) -> dict[str, Game]:
     """Return the contenders that choose actions, by their names."""
     made = {}
-    for contender in contenders.contenders(get_spec(name), n):
+    for contender in steps.contenders(get_spec(name), n):
         try:
             step = contender.make()
         except UnavailableError:
