@@ -14,7 +14,7 @@ from pearl_marl.experiments import paper_builds, pipeline
 from pearl_marl.experiments.calling import call
 from pearl_marl.experiments.equations import LOOPS
 
-from pearl_marl.benchmark.measure import duration, rate
+from pearl_marl.benchmark.tables import duration, rate
 from pearl_marl.hardware import elaboration
 from pearl_marl.hardware.fitting import PARTS, modelled_bram36
 from pearl_marl.latency import HostTimes, loop_cycles, plan, predict, step_cycles

@@ -9,7 +9,7 @@ import typer
 from rich.markup import escape
 from rich.table import Table
 
-from pearl_marl.benchmark.measure import duration, rate
+from pearl_marl.benchmark.tables import duration, rate
 from pearl_marl.cli import common
 from pearl_marl.cli.common import console
 from pearl_marl.errors import ArgumentError

@@ -177,7 +177,7 @@ def few(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.usefixtures("few")
 def test_who_cannot_run_is_named(pearl: Pearl, tmp_path: Any) -> None:
-    call = ("bench", "levelbasedforaging", "--training", "--quick", "--out", tmp_path)
+    call = ("bench", "training", "levelbasedforaging", "--quick", "--out", tmp_path)
     status, out, err = pearl(*call)
     assert status == 0, err
     result = json.loads((tmp_path / "trainings_LevelBasedForaging.json").read_text())
@@ -225,9 +225,6 @@ def test_ratios_are_seed_by_seed() -> None:
 
 
 def test_refused_calls(pearl: Pearl) -> None:
-    status, _, err = pearl("bench", "Taxi", "--training")
+    status, _, err = pearl("bench", "training", "Taxi")
     assert status == 2
     assert "possible are CartPole, MountainCar, FrozenLake, Seaquest, LevelBasedForaging" in err
-    status, _, err = pearl("bench", "--training", "--all")
-    assert status == 2
-    assert "leave out --all" in err
