@@ -15,10 +15,9 @@ import pearl_marl
 from pearl_marl.devices import BatchConfig, Native, Ray, Rtl, Sharded
 from pearl_marl.devices.served import ServedBoard
 from pearl_marl.errors import ActionError, ArgumentError, OrderError, PearlError, SavedStateError
-from pearl_marl.latency import LINKS
+from pearl_marl.latency import LINKS, plan
 from pearl_marl.layout import Array, Bits
 from pearl_marl.memory_map import memory_map
-from pearl_marl.plan import plan
 from pearl_marl.policies.loading import load_policy, table_policy
 from pearl_marl.spec import Field, Golden
 from pearl_marl.wrappers import reward_lambda_v0

@@ -151,9 +151,7 @@ class Native(Device):
     def step(self, actions: npt.ArrayLike) -> BatchStep:
         """Step every slot once; see :meth:`Device.step`."""
         # The kernel looks at the actions itself, where no other thread has begun by then.
-        if not (
-            self.phase is _READY and self._checks and self._threads == 1 and self.stage_seconds is None
-        ):
+        if not (self.phase is _READY and self._checks and self._threads == 1 and self.stage_seconds is None):
             return super().step(actions)
         if not are_words(actions, self._words):
             actions = self.encoded(actions)

@@ -22,8 +22,8 @@ from typing import Any
 import torch
 from torch.utils.tensorboard import SummaryWriter
 
-from pearl_marl.benchmark.machine import machine
 from pearl_marl.errors import ArgumentError, shown, told
+from pearl_marl.evaluation.machine import machine
 from pearl_marl.files import check_files, check_uncompressed, claimed, replace_file
 from pearl_marl.rendering import new_figure, save_figure
 from pearl_marl.spec import is_number

@@ -21,8 +21,8 @@ from gymnasium.vector import AutoresetMode
 import pearl_marl
 from pearl_marl import wrappers
 from pearl_marl.batch.actions import random_actions
-from pearl_marl.benchmark.contenders import contenders
 from pearl_marl.benchmark.measure import measure
+from pearl_marl.benchmark.steps import contenders
 from pearl_marl.compiler.cuda_source import cuda_source
 from pearl_marl.devices import BatchConfig, Cuda, Lockstep, Native, Sharded, cuda
 from pearl_marl.errors import ActionError, ArgumentError, DeviceError

@@ -21,10 +21,9 @@ from torch import Tensor, nn
 from torch.distributions import Categorical
 
 from pearl_marl.benchmark.peers import quiet_spaces
+from pearl_marl.benchmark.training import TrainingTask
+from pearl_marl.benchmark.watch import Watch
 from pearl_marl.registry import get_spec
-
-from .tasks import Task
-from .watch import Watch
 
 
 class Normalised:
@@ -101,7 +100,7 @@ class Agent(nn.Module):
         return actions, logs, chances.entropy(), self.critic(features)[:, 0]  # type: ignore[no-untyped-call]
 
 
-def environments(task: Task, n: int, seed: int) -> Any:
+def environments(task: TrainingTask, n: int, seed: int) -> Any:
     """Return who steps: EnvPool, or MinAtar's own through Gymnasium where EnvPool has no such game."""
     oracle = get_spec(task.env_id).oracle or ""
     if "MinAtar" not in oracle:
@@ -113,7 +112,7 @@ def environments(task: Task, n: int, seed: int) -> Any:
     return envs
 
 
-def train(task: Task, settings: Any, watch: Watch) -> None:
+def train(task: TrainingTask, settings: Any, watch: Watch) -> None:
     """Train until the watch says that it is over."""
     n, depth, width = settings.n_agents, settings.rollout_length, settings.width
     batch = n * depth

@@ -16,10 +16,9 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecNormalize
 from torch import Tensor, nn
 
 from pearl_marl.benchmark.peers import quiet_spaces
+from pearl_marl.benchmark.training import TrainingTask
+from pearl_marl.benchmark.watch import Watch
 from pearl_marl.registry import get_spec
-
-from .tasks import Task
-from .watch import Watch
 
 
 class EnvPoolVecEnv(VecEnv):
@@ -120,7 +119,7 @@ class Watched(BaseCallback):
             self.watch(self.num_timesteps, self.choose)
 
 
-def environments(task: Task, n: int, seed: int) -> VecEnv:
+def environments(task: TrainingTask, n: int, seed: int) -> VecEnv:
     """Return who steps: EnvPool, or MinAtar's own where EnvPool has no such game."""
     oracle = get_spec(task.env_id).oracle or ""
     if "MinAtar" in oracle:
@@ -134,7 +133,7 @@ def environments(task: Task, n: int, seed: int) -> VecEnv:
     return VecNormalize(env, norm_reward=False) if vector else env
 
 
-def train(task: Task, settings: Any, watch: Watch) -> None:
+def train(task: TrainingTask, settings: Any, watch: Watch) -> None:
     """Train until the watch says that it is over."""
     env = environments(task, settings.n_agents, settings.seed)
     network: dict[str, Any] = {"net_arch": [settings.width] * 2, "activation_fn": nn.Tanh}

@@ -18,8 +18,8 @@ import numpy as np
 import numpy.typing as npt
 import optax
 
-from .tasks import Task
-from .watch import Watch
+from pearl_marl.benchmark.training import TrainingTask
+from pearl_marl.benchmark.watch import Watch
 
 NAMES = {
     "CartPole": "CartPole-v1",
@@ -111,7 +111,7 @@ def network(params: Any, obs: Any) -> tuple[Any, Any]:
     return applied(params["actor"], features, None), applied(params["critic"], features, None)[:, 0]
 
 
-def train(task: Task, settings: Any, watch: Watch) -> None:
+def train(task: TrainingTask, settings: Any, watch: Watch) -> None:
     """Train until the watch says that it is over."""
     env, env_params = gymnax.make(NAMES[task.env_id])
     space: Any = env.observation_space(env_params)
