@@ -20,7 +20,7 @@ ROOMS = (
         "rtl",
         "clone",
         "errors",
-        "limits",
+        "checks",
         "files",
         "arrays",
         "cache",

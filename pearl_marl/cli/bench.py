@@ -15,10 +15,10 @@ from pearl_marl.benchmark.contenders import contenders
 from pearl_marl.benchmark.growth import COUNTS, SUBJECTS, growth
 from pearl_marl.benchmark.machine import machine
 from pearl_marl.benchmark.measure import Contender, duration, measure, rate
+from pearl_marl.checks import MANY
 from pearl_marl.cli import common, trainings
 from pearl_marl.cli.common import console
 from pearl_marl.errors import ArgumentError
-from pearl_marl.limits import MANY
 from pearl_marl.registry import names
 from pearl_marl.spec import EnvSpec
 

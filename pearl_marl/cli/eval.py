@@ -12,6 +12,7 @@ from rich.table import Table
 
 from pearl_marl.benchmark.machine import machine
 from pearl_marl.benchmark.measure import duration
+from pearl_marl.checks import MANY
 from pearl_marl.cli import common
 from pearl_marl.cli.common import console, error_console
 from pearl_marl.devices import Lockstep
@@ -19,7 +20,6 @@ from pearl_marl.errors import ArgumentError, LockstepError, PearlError
 from pearl_marl.evaluation.matches import OPENINGS, Match, cross_table
 from pearl_marl.evaluation.report import write_report
 from pearl_marl.evaluation.run import LIMIT, Evaluation
-from pearl_marl.limits import MANY
 from pearl_marl.policies.loading import load_policy
 from pearl_marl.spec import MAX_CYCLES, EnvSpec
 

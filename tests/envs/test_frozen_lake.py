@@ -328,7 +328,7 @@ def test_saved_states_know_their_map() -> None:
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ({"map_name": "5x5"}, "map_name is '5x5'; it must be '4x4' or '8x8'"),
+        ({"map_name": "5x5"}, "map_name is '5x5'; possible are '4x4' and '8x8'; or give a map of your own"),
         ({"map_name": None}, "map_name is None.*generate_random_map"),
         ({"map_name": ["4x4"]}, "map_name is"),
         ({"desc": "SFFG"}, "desc is 'SFFG'; it must be a list of strings"),
@@ -344,7 +344,7 @@ def test_saved_states_know_their_map() -> None:
         ({"desc": ["sFF", "FFG"]}, "the letter 's'"),
         ({"desc": ["FFF", "FFG"]}, "desc has no S; put one where episodes are to start"),
         ({"is_slippery": 1}, "is_slippery is 1; it must be True or False"),
-        ({"success_rate": 1.5}, "success_rate is 1.5; it must be a probability, 0 to 1"),
+        ({"success_rate": 1.5}, "success_rate is 1.5; it must be a number from 0 to 1"),
         ({"success_rate": -0.1}, "success_rate is -0.1"),
         ({"success_rate": float("nan")}, "success_rate is nan"),
         ({"success_rate": True}, "success_rate is True"),

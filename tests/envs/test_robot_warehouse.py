@@ -600,7 +600,7 @@ def test_pictures() -> None:
 
 
 REFUSED: dict[str, dict[str, Any]] = {
-    "size is 'huge'; possible are 'tiny', 'small', 'medium', 'large'": {"size": "huge"},
+    "size is 'huge'; possible are 'tiny', 'small', 'medium' and 'large'": {"size": "huge"},
     "robots is 5; it must be an integer from 1 to 4: with more, rware breaks ties": {"robots": 5},
     "robots is 0; it must be an integer from 1 to 4": {"robots": 0},
     "robots is True; it must be an integer": {"robots": True},
@@ -611,7 +611,7 @@ REFUSED: dict[str, dict[str, Any]] = {
     },
     "column_height is 16; it must be an integer from 1 to 15": {"column_height": 16},
     "sensor_range is 6; it must be an integer from 1 to 5": {"sensor_range": 6},
-    "reward_type is 'team'; possible are 'individual', 'global', 'two_stage'": {"reward_type": "team"},
+    "reward_type is 'team'; possible are 'individual', 'global' and 'two_stage'": {"reward_type": "team"},
     "max_steps is 0; it must be an integer from 1": {"max_steps": 0},
     "unknown argument 'msg_bits'": {"msg_bits": 2},
 }

@@ -359,7 +359,7 @@ def test_options_and_limit() -> None:
     [
         ({"is_rainy": 1}, "is_rainy is 1; it must be True or False"),
         ({"fickle_passenger": "no"}, "fickle_passenger is 'no'; it must be True or False"),
-        ({"rainy_probability": 1.5}, "rainy_probability is 1.5; it must be a probability, 0 to 1"),
+        ({"rainy_probability": 1.5}, "rainy_probability is 1.5; it must be a number from 0 to 1"),
         ({"rainy_probability": True}, "rainy_probability is True"),
         ({"fickle_probability": -1}, "fickle_probability is -1"),
         ({"fickle_probability": float("nan")}, "fickle_probability is nan"),
