@@ -27,7 +27,15 @@ from pearl_marl.golden import MOST_DRAWS, CountingDraws, GoldenFunction, as_pyth
 from pearl_marl.layout import Interval, Layout, real_field
 from pearl_marl.pickling import reduced
 from pearl_marl.places import place_of
-from pearl_marl.positional import Positional, initial_of, step_of, takes_agent, unpack_of, view_of
+from pearl_marl.positional import (
+    Positional,
+    initial_of,
+    plain_unpack_of,
+    step_of,
+    takes_agent,
+    unpack_of,
+    view_of,
+)
 from pearl_marl.tracing.checks import Argument, Result, check
 from pearl_marl.tracing.operations import word_range
 from pearl_marl.tracing.records import RULES, record
@@ -296,6 +304,11 @@ class EnvSpec:
             None if golden.masks is None else view_of(state, golden.masks, n, world=world),
             None if self.unpack is None else unpack_of(golden.view, self.unpack, self.observation),
         )
+
+    @cached_property
+    def plain_unpack(self) -> GoldenFunction | None:
+        """``unpack(*observation, row)`` as Python runs it, without the code that is generated for kernels."""
+        return None if self.unpack is None else plain_unpack_of(self.golden.view, self.unpack)
 
     @property
     def _is_world(self) -> bool:
