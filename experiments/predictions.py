@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from pearl_marl.benchmark.measure import duration, rate
 from pearl_marl.benchmark.tables import duration, rate
 from pearl_marl.experiments import paper_builds, pipeline
 from pearl_marl.experiments.calling import call

@@ -19,7 +19,7 @@ ROOMS = (
     *(
         "rtl",
         "errors",
-        "limits",
+        "checks",
         "files",
         "arrays",
         "cache",

@@ -27,11 +27,11 @@ from pearl_marl.benchmark.tables import (
     steps_table,
     training_table,
 )
+from pearl_marl.checks import MANY
 from pearl_marl.cli import common
 from pearl_marl.cli.common import console
 from pearl_marl.errors import ArgumentError
 from pearl_marl.evaluation.machine import machine
-from pearl_marl.limits import MANY
 from pearl_marl.registry import get_spec, names
 from pearl_marl.spec import EnvSpec
 

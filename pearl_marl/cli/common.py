@@ -17,9 +17,9 @@ import typer
 from rich.console import Console
 from rich.markup import escape
 
+from pearl_marl.checks import MANY
 from pearl_marl.errors import ArgumentError
 from pearl_marl.files import check_files, replace_file
-from pearl_marl.limits import MANY
 from pearl_marl.registry import get_spec, names
 
 if TYPE_CHECKING:

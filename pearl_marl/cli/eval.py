@@ -9,6 +9,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from pearl_marl.benchmark.tables import duration
+from pearl_marl.checks import MANY
 from pearl_marl.cli import common, match
 from pearl_marl.cli.common import console, error_console
 from pearl_marl.cli.evaluating import (
@@ -23,7 +24,6 @@ from pearl_marl.errors import ArgumentError, LockstepError, PearlError
 from pearl_marl.evaluation.machine import machine
 from pearl_marl.evaluation.report import write_report
 from pearl_marl.evaluation.run import Evaluation
-from pearl_marl.limits import MANY
 from pearl_marl.policies.loading import load_policy
 
 PolicyName = Annotated[

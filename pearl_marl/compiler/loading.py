@@ -18,7 +18,8 @@ from typing import Any
 import numba
 import numpy as np
 
-from pearl_marl.cache import cache_folder, replace
+from pearl_marl.cache import cache_folder
+from pearl_marl.files import write_whole
 from pearl_marl.golden import GoldenFunction
 from pearl_marl.machine_code import kept_code
 from pearl_marl.places import is_librarys
@@ -30,7 +31,7 @@ def load(name: str, source: str, **names: Any) -> tuple[Any, Path]:
     content, known = source.encode(), path.exists()
     with contextlib.suppress(OSError):  # people read that file, and nothing else does
         if not known or path.read_bytes() != content:
-            replace(path, content)
+            write_whole(path, content)
     if not known:
         # It takes seconds: nobody should wonder whether it hangs.
         text = f"pearl: compiling {name} at its first calls; kept in {path.parent}"

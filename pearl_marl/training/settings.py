@@ -12,9 +12,9 @@ from typing import Any
 import torch
 
 from pearl_marl.batch.results import memory_of_machine
+from pearl_marl.checks import MANY
 from pearl_marl.devices import Cuda
 from pearl_marl.errors import ArgumentError
-from pearl_marl.limits import MANY
 from pearl_marl.spec import EnvSpec
 
 SEEDS = 2**63 - 1
