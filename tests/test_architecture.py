@@ -46,7 +46,7 @@ ROOMS = (
         "memory_map",
     ),
     *("batch", "rendering", "comparison", "compiler", "packing", "policies", "hardware", "devices"),
-    *("verification", "latency", "evaluation", "interfaces", "wrappers"),
+    *("verification", "latency", "plan", "evaluation", "interfaces", "wrappers"),
     *("porting", "testing", "training", "benchmark", "experiments", "cli", "__main__"),
 )
 """From the lowest up. The package itself, ``pearl_marl/__init__.py``, is above all: no module imports it."""
