@@ -24,7 +24,7 @@ ALSO = ("LICENSE", "CITATION.cff")
 
 REFERENCE = {
     "Environments": (
-        *("parallel_env", "env", "raw_env", "make_vec", "envs", "get_spec", "register", "unpacked"),
+        *("parallel_env", "env", "raw_env", "make_vec", "list_envs", "get_spec", "register", "unpacked"),
         *("PearlParallelEnv", "PearlVectorEnv", "batch.step.BatchStep", "interfaces.agent_dict.AgentDict"),
         "errors",
     ),
@@ -37,20 +37,10 @@ REFERENCE = {
         "wrappers.benchmarl",
     ),
     "Evaluation": ("evaluation", "policies"),
-    "Hardware": ("memory_map", "latency", "plan", "hardware"),
+    "Hardware": ("memory_map", "latency", "hardware"),
     "Authors": ("spec", "golden", "fixed_point", "planes", "testing"),
 }
 """Headings of the reference's pages, and what of ``pearl_marl`` is on them."""
-
-
-def on_startup(**_: Any) -> None:
-    """Lay the package out as it is installed, which is what the reference is read from."""
-    package = ROOT / "out" / "reference" / "pearl_marl"
-    package.mkdir(parents=True, exist_ok=True)
-    for target in [*(ROOT / "pearl_marl").iterdir(), ROOT / "wrappers"]:
-        link = package / target.name
-        if target.name != "__pycache__" and not link.is_symlink():
-            link.symlink_to(target)
 
 
 class Source(File):

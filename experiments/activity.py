@@ -20,12 +20,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from pearl_marl.experiments.calling import call
 from rich.console import Console
 from rich.progress import track
 
 from pearl_marl.batch.actions import random_actions
 from pearl_marl.devices import BatchConfig, Rtl
+from pearl_marl.experiments.calling import call
 from pearl_marl.registry import get_spec
 
 CONFIGURATIONS = (

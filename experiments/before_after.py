@@ -11,8 +11,8 @@ from typing import Annotated, Any
 
 import numpy as np
 import typer
-from pearl_marl.experiments.calling import call
 
+from pearl_marl.experiments.calling import call
 from pearl_marl.interfaces.parallel import parallel_env
 from pearl_marl.registry import get_spec
 from pearl_marl.rendering import Video

@@ -23,14 +23,14 @@ import typer
 from benchmarl.algorithms import IppoConfig, IqlConfig, MappoConfig, QmixConfig, VdnConfig
 from benchmarl.experiment import Callback, Experiment, ExperimentConfig
 from benchmarl.models.mlp import MlpConfig
-from pearl_marl.experiments.calling import call
-from pearl_marl.wrappers.benchmarl import PearlTask
-from pearl_marl.wrappers.torchrl import TorchRLEnv
 from rich.console import Console
 from torchrl.envs import PettingZooWrapper, SerialEnv
 
 import pearl_marl
+from pearl_marl.experiments.calling import call
 from pearl_marl.files import replace_file
+from pearl_marl.wrappers.benchmarl import PearlTask
+from pearl_marl.wrappers.torchrl import TorchRLEnv
 
 console = Console()
 
@@ -67,7 +67,7 @@ INSIDE = {"pearl": ("step_batch", "reset_batch", "reset_slots"), "pettingzoo": (
 """What of this package's environment either calls."""
 
 
-class PettingZooTask(PearlTask):  # type: ignore[misc]  # benchmarl has no types
+class PettingZooTask(PearlTask):
     """The same task as TorchRL and BenchMARL know it without our bridges."""
 
     def get_env_fun(self, num_envs: int, continuous_actions: bool, seed: int | None, device: Any) -> Any:

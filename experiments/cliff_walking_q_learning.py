@@ -20,13 +20,13 @@ from typing import Annotated, Any
 import numpy as np
 import numpy.typing as npt
 import typer
-from pearl_marl.experiments.calling import call
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.text import Text
 
 import pearl_marl
 from pearl_marl.evaluation.episodes import EpisodeStatistics
+from pearl_marl.experiments.calling import call
 from pearl_marl.files import replace_file
 from pearl_marl.rendering import import_pyplot, save_figure
 

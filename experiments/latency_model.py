@@ -7,12 +7,12 @@ row, which takes some five minutes the first time.
 from __future__ import annotations
 
 import numpy as np
-from pearl_marl.experiments.calling import call
 from rich.console import Console
 from rich.progress import track
 
 from pearl_marl.batch.actions import random_actions
 from pearl_marl.devices import BatchConfig, Rtl
+from pearl_marl.experiments.calling import call
 from pearl_marl.hardware.build import Build
 from pearl_marl.latency import axi_cycles, draws_wait, step_cycles
 from pearl_marl.registry import get_spec

@@ -14,11 +14,11 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from pearl_marl.experiments.calling import call
 from rich.console import Console
 from rich.progress import track
 
 from pearl_marl.benchmark.paper import TABLE_2
+from pearl_marl.experiments.calling import call
 from pearl_marl.files import replace_file
 from pearl_marl.hardware.build import Build
 from pearl_marl.hardware.fitting import PARTS, modelled_bram36, modelled_dsp

@@ -15,6 +15,7 @@ from typing import Any
 import numba
 import numpy as np
 import numpy.typing as npt
+
 from pearl_marl.envs.connect_four.step import COLUMNS, ROWS
 
 Array = npt.NDArray[Any]

@@ -9,10 +9,9 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+from pearl_marl.benchmark.paper import TABLE_2
 from pearl_marl.experiments import paper_builds
 from pearl_marl.experiments.calling import call
-
-from pearl_marl.benchmark.paper import TABLE_2
 from pearl_marl.hardware.boards import BOARDS
 from pearl_marl.hardware.build import Build
 from pearl_marl.latency import LINKS, HostTimes, measure_host, predict, step_cycles

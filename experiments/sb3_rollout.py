@@ -19,12 +19,12 @@ from typing import Annotated, Any
 import stable_baselines3
 import torch
 import typer
-from pearl_marl.experiments.calling import call
 from rich.console import Console
 from rich.table import Table
 
 import pearl_marl
 from pearl_marl.devices import Native
+from pearl_marl.experiments.calling import call
 from pearl_marl.files import replace_file
 
 console = Console()
@@ -91,7 +91,7 @@ def supersuit_chain(env: Any) -> Any:
 
 
 def main(
-    env_id: Annotated[str, typer.Option(help="A name of pearl_marl.envs().")] = "CartPole",
+    env_id: Annotated[str, typer.Option(help="A name of pearl_marl.list_envs().")] = "CartPole",
     n_agents: Annotated[list[int], typer.Option(help="How many; may be given more than once.")] = [  # noqa: B006
         1024,
         43008,

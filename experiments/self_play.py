@@ -11,8 +11,6 @@ from typing import Annotated, Any
 import numpy as np
 import numpy.typing as npt
 import typer
-from pearl_marl.experiments.calling import call
-from pearl_marl.experiments.perfect_play import ILLEGAL, Judge
 from rich.console import Console
 from rich.table import Table
 
@@ -20,6 +18,8 @@ from pearl_marl.batch.actions import random_actions
 from pearl_marl.devices import BatchConfig, Native
 from pearl_marl.errors import ArgumentError
 from pearl_marl.evaluation.matches import Match, cross_table
+from pearl_marl.experiments.calling import call
+from pearl_marl.experiments.perfect_play import ILLEGAL, Judge
 from pearl_marl.policies.loading import RANDOM, Policy, load_policy
 from pearl_marl.registry import get_spec
 

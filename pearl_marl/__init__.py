@@ -8,14 +8,15 @@
 from __future__ import annotations
 
 import os
+import types
+import warnings
 from typing import TYPE_CHECKING
 
-import pearl_marl.clone
-import pearl_marl.envs  # the folders; the function below takes their name  # noqa: F401
+import pearl_marl.envs
 from pearl_marl import errors
 from pearl_marl.interfaces.registration import announce_all, register
 from pearl_marl.registry import get_spec
-from pearl_marl.registry import names as envs
+from pearl_marl.registry import names as list_envs
 from pearl_marl.version import __version__
 
 _threads = os.environ.get("NUMBA_NUM_THREADS", "").strip()
@@ -60,6 +61,16 @@ else:
         return sorted({*globals(), *__all__})
 
 
+class _Environments(types.ModuleType):
+    """The package of the environments, which had the name of :func:`list_envs` as well."""
+
+    def __call__(self) -> list[str]:
+        warnings.warn("pearl_marl.envs() is now pearl_marl.list_envs()", DeprecationWarning, stacklevel=2)
+        return list_envs()
+
+
+pearl_marl.envs.__class__ = _Environments
+
 __all__ = [
     "EnvSpec",
     "PearlParallelEnv",
@@ -67,9 +78,9 @@ __all__ = [
     "__version__",
     "devices",
     "env",
-    "envs",
     "errors",
     "get_spec",
+    "list_envs",
     "make_vec",
     "parallel_env",
     "raw_env",

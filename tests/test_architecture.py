@@ -18,9 +18,8 @@ ROOT = Path(__file__).parents[1]
 ROOMS = (
     *(
         "rtl",
-        "clone",
         "errors",
-        "limits",
+        "checks",
         "files",
         "arrays",
         "cache",
@@ -47,13 +46,13 @@ ROOMS = (
         "memory_map",
     ),
     *("batch", "rendering", "comparison", "compiler", "packing", "policies", "hardware", "devices"),
-    *("verification", "latency", "evaluation", "interfaces", "wrappers", "plan", "benchmark"),
-    *("porting", "testing", "training", "training_benchmark", "experiments", "cli"),
+    *("verification", "latency", "plan", "evaluation", "interfaces", "wrappers"),
+    *("porting", "testing", "training", "benchmark", "experiments", "cli", "__main__"),
 )
 """From the lowest up. The package itself, ``pearl_marl/__init__.py``, is above all: no module imports it."""
 
 OUTSIDE = ("rtl", "envs", "wrappers", "experiments")
-"""Folders of the repository that are installed as rooms of the package."""
+"""Folders of the repository that are linked into the package as rooms of it."""
 
 SCRIPTS = {"benchmarl_foraging", "cliff_walking_q_learning", "sb3_rollout", "sb3_training"}
 """Experiments that are programs of their own: they import the package itself, as a user does."""
@@ -66,7 +65,7 @@ IMPORTERS = ("import_module", "__import__", "importorskip")
 def modules() -> dict[str, Path]:
     """Every module of the package by its name, without the package's own."""
     found = {}
-    for folder, prefix in ((ROOT / PACKAGE, ()), *((ROOT / name, (name,)) for name in OUTSIDE)):
+    for folder, prefix in ((ROOT / PACKAGE, ()), *((ROOT / PACKAGE / name, (name,)) for name in OUTSIDE)):
         for path in folder.rglob("*.py"):
             parts = (*prefix, *path.relative_to(folder).with_suffix("").parts)
             if "templates" not in parts:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import subprocess
 import sys
@@ -15,18 +16,23 @@ import pytest
 import pearl_marl
 
 ROOT = Path(__file__).parents[1]
-INSTALLED = {
-    "pearl_marl": "pearl_marl",
-    **{f"pearl_marl/{name}": name for name in ("envs", "wrappers", "experiments", "rtl")},
-}
-"""Folders of the wheel, and those of the repository that they are."""
+LINKED = "envs", "experiments", "rtl", "wrappers"
+"""Folders of the repository that are linked into the package, and lie in it where they are distributed."""
 
 
 def tracked() -> list[str]:
     listed = subprocess.run(["git", "ls-files"], cwd=ROOT, capture_output=True, text=True)
     if listed.returncode:
         pytest.skip("this is no git repository")
-    return [name for name in listed.stdout.split() if (ROOT / name).is_file()]
+    return [name for name in listed.stdout.split() if os.path.lexists(ROOT / name)]
+
+
+def distributed() -> list[str]:
+    """Return every file by its name in a distribution."""
+    links = {f"pearl_marl/{folder}" for folder in LINKED}
+    inside = tuple(f"{folder}/" for folder in LINKED)
+    names = (name for name in tracked() if name not in links)
+    return sorted(f"pearl_marl/{name}" if name.startswith(inside) else name for name in names)
 
 
 @pytest.fixture(scope="module")
@@ -34,10 +40,11 @@ def built(once: Any) -> Path:
     def build(folder: Path) -> None:
         for name in tracked():
             (folder / "tree" / name).parent.mkdir(parents=True, exist_ok=True)
-            shutil.copy(ROOT / name, folder / "tree" / name)
+            shutil.copy(ROOT / name, folder / "tree" / name, follow_symlinks=False)
         command = [sys.executable, "-m", "build", "--no-isolation", "--outdir", folder, folder / "tree"]
         done = subprocess.run(command, capture_output=True, text=True)
         assert done.returncode == 0, done.stdout + done.stderr
+        assert "Package would be ignored" not in done.stdout + done.stderr
 
     return once("distribution", build)
 
@@ -45,14 +52,7 @@ def built(once: Any) -> Path:
 def test_the_wheel_has_the_package_and_nothing_else(built: Path) -> None:
     (wheel,) = built.glob("*.whl")
     names = {name for name in zipfile.ZipFile(wheel).namelist() if ".dist-info/" not in name}
-    wanted = set()
-    for name in tracked():
-        folder, _, rest = name.partition("/")
-        if folder == "pearl_marl" and rest.startswith("cli/entry/"):
-            wanted.add("pearl_marl_entry/__init__.py")
-        elif folder in INSTALLED.values():
-            wanted.add(name if folder == "pearl_marl" else f"pearl_marl/{name}")
-    assert sorted(names) == sorted(wanted)
+    assert sorted(names) == [name for name in distributed() if name.startswith("pearl_marl/")]
 
 
 def test_the_source_distribution_is_the_repository(built: Path) -> None:
@@ -60,7 +60,7 @@ def test_the_source_distribution_is_the_repository(built: Path) -> None:
     with tarfile.open(archive) as files:
         names = {member.name.partition("/")[2] for member in files if member.isfile()}
     made = {name for name in names if ".egg-info/" in name or name in ("PKG-INFO", "setup.cfg")}
-    assert sorted(names - made) == sorted(name for name in tracked() if not name.startswith(".git"))
+    assert sorted(names - made) == [name for name in distributed() if not name.startswith(".git")]
 
 
 def test_the_files_are_ready_for_the_index(built: Path) -> None:

@@ -34,7 +34,8 @@ from numba.core import event
 with event.install_recorder("numba:compile") as compiled:
     from pearl_marl import *
     import pearl_marl
-print(json.dumps({"modules": list(sys.modules), "compiled": len(compiled.buffer), "envs": pearl_marl.envs()}))
+envs = pearl_marl.list_envs()
+print(json.dumps({"modules": list(sys.modules), "compiled": len(compiled.buffer), "envs": envs}))
 """
 
 
@@ -62,10 +63,11 @@ print(pearl_marl.get_spec("CliffWalking").name, pearl_marl.wrappers.__file__)
 
 
 def test_a_clone_is_whole_where_another_copy_is_installed() -> None:
-    """Python finds the folder of the package first there, and four others lie beside it."""
+    """Python finds the folder of the package first there, and four others are linked into it."""
     root = Path(__file__).parents[1]
     printed = subprocess.run([sys.executable, "-c", IN_A_CLONE], capture_output=True, text=True, cwd=root)
-    assert printed.stdout.split() == ["CliffWalking", str(root / "wrappers" / "__init__.py")], printed.stderr
+    wrappers = root / "pearl_marl" / "wrappers" / "__init__.py"
+    assert printed.stdout.split() == ["CliffWalking", str(wrappers)], printed.stderr
 
 
 def test_the_import_alone_takes_no_library() -> None:
@@ -100,7 +102,7 @@ def test_both_libraries_know_the_environments_in_whatever_order(imports: str) ->
     import pearl_marl
 
     seen = told(REGISTERED.format(imports=imports))
-    ids = [pearl_marl.get_spec(name).id for name in pearl_marl.envs()]
+    ids = [pearl_marl.get_spec(name).id for name in pearl_marl.list_envs()]
     assert {name for name in seen["registered"] if "earl/" in name} >= {
         f"{library}/{env_id}" for library in ("Pearl", "pearl") for env_id in ids
     }
@@ -151,6 +153,13 @@ def test_environments_are_found(imported: Any) -> None:
     assert "CliffWalking" in imported["envs"]
 
 
+def test_the_old_name_of_the_list_warns() -> None:
+    import pearl_marl
+
+    with pytest.warns(DeprecationWarning, match=r"pearl_marl\.list_envs\(\)"):
+        assert pearl_marl.envs() == pearl_marl.list_envs()  # type: ignore[operator]
+
+
 def test_public_names() -> None:
     import pearl_marl
 
@@ -160,7 +169,7 @@ def test_public_names() -> None:
 
 COMMAND = """
 import atexit, json, sys
-from pearl_marl_entry import main
+from pearl_marl.__main__ import main
 sys.argv = ["pearl", *{arguments!r}]
 atexit.register(lambda: print(json.dumps(list(sys.modules)), file=sys.stderr))
 main()

@@ -25,7 +25,7 @@ from pearl_marl.spec import word_bits
 from .toy import DRIFT, LADDER
 from .toy_fields import RELAY, ROVER
 
-SPECS = [pearl_marl.get_spec(name) for name in pearl_marl.envs()] + [DRIFT, LADDER, ROVER, RELAY]
+SPECS = [pearl_marl.get_spec(name) for name in pearl_marl.list_envs()] + [DRIFT, LADDER, ROVER, RELAY]
 
 
 @st.composite
@@ -139,7 +139,7 @@ def test_default_sizes_that_the_page_shows() -> None:
     page = (Path(__file__).parents[1] / "docs" / "hardware.md").read_text()
     row = re.compile(r"^\| ([A-Z]\w+) \| (\d+) \| (\d+) \| ([\d,]+) \| ([\d,]+) \| ([\d,]+) \|", re.MULTILINE)
     shown = {name: [int(figure.replace(",", "")) for figure in rest] for name, *rest in row.findall(page)}
-    assert list(shown) == pearl_marl.envs()
+    assert list(shown) == pearl_marl.list_envs()
     for name, (latency, pe_num, data_wl, bound, cycles) in shown.items():
         layout = default_map(pearl_marl.get_spec(name), 43_008)
         assert (layout.pe_num, layout.data_wl) == (pe_num, data_wl)

@@ -19,7 +19,7 @@ from pearl_marl.spec import EnvSpec
 INSTALL = r"pip install '\.\[render\]'"
 DRAWN = [
     (name, mode)
-    for name in pearl_marl.envs()
+    for name in pearl_marl.list_envs()
     for mode in pearl_marl.get_spec(name).render_modes
     if mode != "ansi"
 ]
@@ -81,7 +81,7 @@ def drawn_by(draw: Any) -> EnvSpec:
     )
 
 
-@pytest.mark.parametrize("name", pearl_marl.envs())
+@pytest.mark.parametrize("name", pearl_marl.list_envs())
 def test_pictures_are_bytes(name: str) -> None:
     for library in ("pygame", "minatar", "seaborn", "PIL"):
         pytest.importorskip(library)

@@ -191,4 +191,4 @@ def with_state(spec: EnvSpec, fields: Sequence[Field]) -> EnvSpec:
     return changed
 
 
-ENVIRONMENTS = (*pearl_marl.envs(), *(spec.name for spec in TOYS))
+ENVIRONMENTS = (*pearl_marl.list_envs(), *(spec.name for spec in TOYS))

@@ -31,7 +31,7 @@ def benchmarl_task(
     Parameters
     ----------
     env_id
-        A name of :func:`pearl_marl.envs`, in any case.
+        A name of :func:`pearl_marl.list_envs`, in any case.
     state
         Whether critics and mixers get a world's state instead of all observations: see :func:`to_torchrl`.
     wrap

@@ -38,7 +38,7 @@ def rllib_vector_env(env_id: str, *, wrap: Callable[[Any], Any] | None = None, *
     Parameters
     ----------
     env_id
-        A name of :func:`pearl_marl.envs`, in any case.
+        A name of :func:`pearl_marl.list_envs`, in any case.
     wrap
         Puts wrappers of this package around the environment; given the environment, returns another.
     **arguments

@@ -457,7 +457,7 @@ def parallel_env(
     Parameters
     ----------
     env_id
-        A name of :func:`pearl_marl.envs`, in any case.
+        A name of :func:`pearl_marl.list_envs`, in any case.
     n_agents
         How many agents, a multiple of how many share a world; by default those of one world.
     device

@@ -256,7 +256,7 @@ def make_vec(
     Parameters
     ----------
     env_id
-        A name of :func:`pearl_marl.envs`, in any case.
+        A name of :func:`pearl_marl.list_envs`, in any case.
     num_envs
         How many slots.
     autoreset_mode

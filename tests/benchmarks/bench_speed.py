@@ -18,7 +18,7 @@ from pearl_marl.compiler.kernels import compile_kernels
 N = 43008
 
 
-@pytest.fixture(params=pearl_marl.envs())
+@pytest.fixture(params=pearl_marl.list_envs())
 def env(request: pytest.FixtureRequest) -> Any:
     env = pearl_marl.parallel_env(request.param, N, copy=False)
     env.reset(seed=0)

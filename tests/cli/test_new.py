@@ -155,7 +155,7 @@ def test_a_name_with_its_module(pearl: Any, tmp_path: Path, monkeypatch: pytest.
         pearl_marl.get_spec("TwoRooms")
     for name in ("two_rooms:TwoRooms", "two_rooms:two_rooms", "two_rooms.spec:TwoRooms", "TwoRooms"):
         assert pearl_marl.get_spec(name).id == "TwoRooms-v0"
-    assert "TwoRooms" in pearl_marl.envs()
+    assert "TwoRooms" in pearl_marl.list_envs()
     assert len(pearl_marl.make_vec("two_rooms:TwoRooms", 3).reset(seed=0)[0]) == 3
     assert pearl("run", "two_rooms:TwoRooms", "--n-agents", 5, "--steps", 5)[0] == 0
 

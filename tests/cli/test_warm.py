@@ -16,7 +16,7 @@ import pytest
 
 Pearl = Callable[..., tuple[int, str, str]]
 
-ENTRY = "import sys; from pearl_marl_entry import main; sys.argv[0] = 'pearl'; main()"
+ENTRY = "import sys; from pearl_marl.__main__ import main; sys.argv[0] = 'pearl'; main()"
 
 STEPS = """
 import json, sys

@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from pearl_marl.wrappers import sb3_vec_env
 
 import pearl_marl
+from pearl_marl.wrappers import sb3_vec_env
 
 pytest.importorskip("imitation", reason="imitation is not installed: make test-clients")
 from imitation.algorithms.adversarial.gail import GAIL

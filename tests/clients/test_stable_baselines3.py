@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from pearl_marl.wrappers import sb3_vec_env
 
 import pearl_marl
+from pearl_marl.wrappers import sb3_vec_env
 
 pytest.importorskip("stable_baselines3", reason="Stable-Baselines3 is not installed")
 from stable_baselines3 import A2C, DQN, PPO, SAC

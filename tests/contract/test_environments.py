@@ -56,7 +56,7 @@ class OfTwoSizes:
 
 
 class TestEnvironments(ContractSuite):
-    environments = tuple(pearl_marl.envs())
+    environments = tuple(pearl_marl.list_envs())
     devices = ("native",)
 
     @pytest.mark.slow
@@ -77,7 +77,7 @@ class TestEnvironments(ContractSuite):
 
 IN_EVERY_FORM = ("Blackjack", "CliffWalking", "ConnectFour", "Pendulum")
 """Which have observations and actions of all kinds, draws, masks and turns."""
-OTHERS = tuple(name for name in pearl_marl.envs() if name not in IN_EVERY_FORM)
+OTHERS = tuple(name for name in pearl_marl.list_envs() if name not in IN_EVERY_FORM)
 
 
 class TestSimulated(OfTwoSizes, ContractSuite):
@@ -193,7 +193,7 @@ class TestGpuEnvironments(ContractSuite):
     ``tests/devices/test_cuda.py`` holds every environment on it against the reference.
     """
 
-    environments = tuple(pearl_marl.envs())
+    environments = tuple(pearl_marl.list_envs())
     devices = ("cuda",)
 
 

@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from pearl_marl.envs.coin_game.picture import BLUE_COLOUR, CELL, RED_COLOUR, draw
-from pearl_marl.envs.coin_game.step import STAY
 from scipy import stats
 
 import pearl_marl
 from pearl_marl import EnvSpec
+from pearl_marl.envs.coin_game.picture import BLUE_COLOUR, CELL, RED_COLOUR, draw
+from pearl_marl.envs.coin_game.step import STAY
 from pearl_marl.errors import ArgumentError
 from pearl_marl.golden import call_reference, reference
 

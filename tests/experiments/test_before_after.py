@@ -5,8 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from pearl_marl.experiments import before_after
 from PIL import Image
+
+from pearl_marl.experiments import before_after
 
 
 def test_it_shows_every_stage(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

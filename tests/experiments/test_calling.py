@@ -5,9 +5,9 @@ from __future__ import annotations
 import sys
 
 import pytest
-from pearl_marl.experiments.calling import call
 
 from pearl_marl.errors import ArgumentError
+from pearl_marl.experiments.calling import call
 
 
 def refused(name: str = "") -> None:

@@ -19,7 +19,7 @@ from pettingzoo.utils.conversions import aec_to_parallel
 import pearl_marl
 from pearl_marl.errors import ActionError, DeviceError, OrderError
 
-NAMES = pearl_marl.envs()
+NAMES = pearl_marl.list_envs()
 
 
 @pytest.fixture(autouse=True)

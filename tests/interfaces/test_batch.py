@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode
-from pearl_marl.wrappers import black_death_v3, clip_reward_v0, frame_skip_v0, frame_stack_v1
-from pearl_marl.wrappers.transform import Transform
 
 import pearl_marl
 from pearl_marl.errors import ActionError, ArgumentError, OrderError
 from pearl_marl.interfaces.batch import Batch
+from pearl_marl.wrappers import black_death_v3, clip_reward_v0, frame_skip_v0, frame_stack_v1
+from pearl_marl.wrappers.transform import Transform
 
 pytestmark = pytest.mark.usefixtures("toys")
 

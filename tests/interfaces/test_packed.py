@@ -10,7 +10,7 @@ from pearl_marl.batch.actions import random_actions
 from pearl_marl.errors import ArgumentError
 from pearl_marl.packing import row_dtype
 
-PACKING = [name for name in pearl_marl.envs() if pearl_marl.get_spec(name).unpack is not None]
+PACKING = [name for name in pearl_marl.list_envs() if pearl_marl.get_spec(name).unpack is not None]
 
 
 def test_environments_with_planes_are_there() -> None:
@@ -62,7 +62,7 @@ def test_of_a_vector_env() -> None:
             "packed",
             r"observations is 'packed', and only planes can be, which Taxi's are not: leave it out",
         ),
-        ("Seaquest", "bits", r"observations is 'bits'; possible are 'whole', 'packed'"),
+        ("Seaquest", "bits", r"observations is 'bits'; possible are 'whole' and 'packed'"),
     ],
 )
 def test_refusals(name: str, observations: str, message: str) -> None:

@@ -88,7 +88,7 @@ BATCHES: dict[str, Callable[[str], Any]] = {
 
 
 @pytest.mark.parametrize("form", BATCHES)
-@pytest.mark.parametrize("name", pearl_marl.envs())
+@pytest.mark.parametrize("name", pearl_marl.list_envs())
 def test_environments_go_on(name: str, form: str) -> None:
     env = BATCHES[form](name)
     env.reset(seed=5)
@@ -106,7 +106,7 @@ def test_environments_go_on(name: str, form: str) -> None:
                 assert other.agents == env.agents
 
 
-@pytest.mark.parametrize("name", pearl_marl.envs())
+@pytest.mark.parametrize("name", pearl_marl.list_envs())
 def test_environments_that_have_not_begun(name: str) -> None:
     env = parallel(name)
     other = pickled(env)
@@ -116,7 +116,7 @@ def test_environments_that_have_not_begun(name: str) -> None:
     np.testing.assert_array_equal(other.reset_batch(3), env.reset_batch(3))
 
 
-@pytest.mark.parametrize("name", pearl_marl.envs())
+@pytest.mark.parametrize("name", pearl_marl.list_envs())
 def test_the_turns_of_the_aec_form_go_on(name: str) -> None:
     env = pearl_marl.env(name)
     env.reset(seed=1)
@@ -138,7 +138,7 @@ def test_the_turns_of_the_aec_form_go_on(name: str) -> None:
             assert [act(other, t) for other in copies] == [expected] * len(copies)
 
 
-@pytest.mark.parametrize("name", pearl_marl.envs())
+@pytest.mark.parametrize("name", pearl_marl.list_envs())
 def test_sb3_environments_go_on(name: str) -> None:
     pytest.importorskip("stable_baselines3")
     inside = parallel(name, max_cycles=2)
@@ -261,7 +261,7 @@ def test_there_is_no_copy_of_a_step_under_way(duplicate: Any) -> None:
     env.recv()
 
 
-@pytest.mark.parametrize("name", pearl_marl.envs())
+@pytest.mark.parametrize("name", pearl_marl.list_envs())
 def test_specs_come_back(name: str) -> None:
     """With every function doing the same, which is what the hash of a kernel or of hardware goes by."""
     from pearl_marl.hardware.elaboration import env_hash
@@ -380,7 +380,9 @@ def test_a_spec_that_pickle_cannot_write_is_refused(users: str) -> None:
 @pytest.mark.slow
 def test_another_process_goes_on(users: str) -> None:
     """As with multiprocessing's spawn, which knows nothing but the pickles."""
-    environments = [parallel(name) for name in pearl_marl.envs() if name not in ("Pendulum", "ConnectFour")]
+    environments = [
+        parallel(name) for name in pearl_marl.list_envs() if name not in ("Pendulum", "ConnectFour")
+    ]
     environments += [
         pearl_marl.parallel_env(f"{users}:{name}", 2, device="reference")
         for name in ("Configured", "Held", "Registered")

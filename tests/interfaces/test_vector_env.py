@@ -10,11 +10,11 @@ import pytest
 import torch
 from gymnasium.vector import AutoresetMode
 from gymnasium.wrappers import vector as wrappers
-from pearl_marl.wrappers import clip_reward_v0, frame_stack_v1, sticky_actions_v0
 
 import pearl_marl
 from pearl_marl import devices
 from pearl_marl.errors import ActionError, ArgumentError, OrderError
+from pearl_marl.wrappers import clip_reward_v0, frame_stack_v1, sticky_actions_v0
 
 
 def test_gymnasium_chooses_the_vector_entry_point_by_itself() -> None:

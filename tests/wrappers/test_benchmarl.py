@@ -10,11 +10,11 @@ from unittest import mock
 
 import numpy as np
 import pytest
-from pearl_marl.wrappers import agent_indicator_v0, dtype_v0, flatten_v0, pad_observations_v0
 
 import pearl_marl
 from pearl_marl import registry
 from pearl_marl.errors import ArgumentError
+from pearl_marl.wrappers import agent_indicator_v0, dtype_v0, flatten_v0, pad_observations_v0
 
 from ..toy_world import MEADOW, NIM
 
@@ -24,6 +24,7 @@ import torch
 from benchmarl.algorithms import IppoConfig, MappoConfig, QmixConfig, VdnConfig
 from benchmarl.experiment import Callback, Experiment, ExperimentConfig
 from benchmarl.models.mlp import MlpConfig
+
 from pearl_marl.wrappers import benchmarl_task
 
 

@@ -10,10 +10,10 @@ import gymnasium
 import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode
-from pearl_marl.wrappers import dtype_v0, flatten_v0, frame_stack_v1, rllib_multi_agent_env, rllib_vector_env
 
 import pearl_marl
 from pearl_marl.errors import ArgumentError
+from pearl_marl.wrappers import dtype_v0, flatten_v0, frame_stack_v1, rllib_multi_agent_env, rllib_vector_env
 
 # Of what RLlib itself is not asked, also where it is not installed.
 

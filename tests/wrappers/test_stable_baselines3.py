@@ -14,11 +14,11 @@ import gymnasium
 import numpy as np
 import pytest
 from gymnasium.spaces import Box, Discrete, MultiDiscrete, Tuple
-from pearl_marl.wrappers import clip_reward_v0, flatten_v0, frame_stack_v1, observation_lambda_v0, sb3_vec_env
 
 import pearl_marl
 from pearl_marl.devices import BatchConfig, Native
 from pearl_marl.errors import ActionError, ArgumentError, OrderError
+from pearl_marl.wrappers import clip_reward_v0, flatten_v0, frame_stack_v1, observation_lambda_v0, sb3_vec_env
 
 pytest.importorskip("stable_baselines3", reason="Stable-Baselines3 is not installed: pip install '.[train]'")
 

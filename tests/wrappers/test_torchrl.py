@@ -9,12 +9,12 @@ from unittest import mock
 import numpy as np
 import pytest
 from gymnasium.spaces import Discrete, Tuple
-from pearl_marl.wrappers import agent_indicator_v0, dtype_v0, flatten_v0, frame_skip_v0, frame_stack_v1
 
 import pearl_marl
 from pearl_marl import registry
 from pearl_marl.errors import ActionError, ArgumentError, OrderError
 from pearl_marl.golden import reference
+from pearl_marl.wrappers import agent_indicator_v0, dtype_v0, flatten_v0, frame_skip_v0, frame_stack_v1
 
 from ..toy import TOYS
 from ..toy_fields import FIELDS
@@ -23,11 +23,12 @@ from ..toy_world import HARES, WORLDS, crowd
 pytest.importorskip("torchrl", reason="TorchRL is not installed: pip install '.[torchrl]'")
 
 import torch
-from pearl_marl.wrappers import to_torchrl
 from tensordict import TensorDict
 from torchrl.collectors import Collector
 from torchrl.envs import RewardSum, TransformedEnv
 from torchrl.envs.utils import check_env_specs, step_mdp
+
+from pearl_marl.wrappers import to_torchrl
 
 
 @pytest.fixture(autouse=True)
@@ -50,7 +51,7 @@ def rows(tensordict: Any, groups: list[str], key: str) -> Any:
     return [tensordict[group, key].numpy() for group in groups]
 
 
-@pytest.mark.parametrize("name", [*pearl_marl.envs(), *TOY_NAMES])
+@pytest.mark.parametrize("name", [*pearl_marl.list_envs(), *TOY_NAMES])
 @pytest.mark.parametrize("state", [False, True])
 def test_specs(name: str, state: bool) -> None:
     env = to_torchrl(made(name, 3, max_cycles=2), state=state)

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 import supersuit
 from gymnasium.spaces import Box, Dict, Discrete
-from pearl_marl.wrappers.stable_baselines3 import sb3_vec_env
 
 import pearl_marl
 from pearl_marl import registry, wrappers
 from pearl_marl.batch.actions import random_allowed
 from pearl_marl.batch.step import BatchStep
 from pearl_marl.errors import ActionError, ArgumentError
+from pearl_marl.wrappers.stable_baselines3 import sb3_vec_env
 
 from ..toy_world import WORLDS, crowd
 

@@ -1,4 +1,4 @@
-"""What ``pearl`` starts with. Python takes a second to load the rest: Ctrl-C ends it without a traceback."""
+"""The start of ``pearl``: the rest takes a second to load, in which Ctrl-C ends it without a traceback."""
 
 from __future__ import annotations
 
@@ -19,3 +19,7 @@ def main() -> None:
     from pearl_marl.cli import main as run
 
     run()
+
+
+if __name__ == "__main__":
+    main()
