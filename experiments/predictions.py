@@ -14,7 +14,7 @@ from pearl_marl.experiments import paper_builds, pipeline
 from pearl_marl.experiments.calling import call
 from pearl_marl.experiments.equations import LOOPS
 
-from pearl_marl.benchmark.tables import duration, rate
+from pearl_marl.benchmark.tables import Table, duration, rate
 from pearl_marl.hardware import elaboration
 from pearl_marl.hardware.fitting import PARTS, modelled_bram36
 from pearl_marl.latency import HostTimes, loop_cycles, plan, predict, step_cycles
@@ -46,8 +46,7 @@ _HEADINGS_LINK = "slots | T1 | T2 | T3 to T5 | T6 | T7 | a step | steps/s | two 
 
 
 def _print(title: str, headings: str, rows: Iterable[tuple[str, ...]]) -> None:
-    lines = [f"| {headings} |", "|" + " ---: |" * len(headings.split("|"))]
-    print("\n".join([f"\n{title}\n", *lines, *(f"| {' | '.join(row)} |" for row in rows)]))
+    print(f"\n{title}\n\n{Table(headings.split(' | '), list(rows), text=()).markdown()}")
 
 
 def _defaults() -> Iterable[tuple[str, ...]]:
