@@ -70,6 +70,15 @@ def peers(spec: EnvSpec, n: int) -> list[Contender]:
 
 
 @contextmanager
+def installed(package: str) -> Iterator[None]:
+    """Import what a package has; without the package, the contender is unavailable."""
+    try:
+        yield
+    except ImportError:
+        raise UnavailableError(f"not installed: pip install {package}") from None
+
+
+@contextmanager
 def quiet_spaces() -> Iterator[None]:
     """Keep Gymnasium quiet while EnvPool makes its spaces: it warns of float64 limits in float32 boxes."""
     with warnings.catch_warnings():
@@ -122,10 +131,8 @@ def _envpool_agents(spec: EnvSpec) -> int:
 
 
 def _envpool(spec: EnvSpec, n: int) -> Step | Game:
-    try:
+    with installed("'.[bench]'"):
         import envpool
-    except ImportError:
-        raise UnavailableError("not installed: pip install '.[bench]'") from None
     name = ENVPOOL_GAMES.get(spec.name) or _required(spec, "EnvPool")
     options = dict(spec.options)
     known = envpool.list_all_envs()
@@ -166,10 +173,8 @@ def _envpool_worlds(envs: Any, obs: Any, infos: Any) -> Game:
 
 
 def _foraging(spec: EnvSpec, count: int) -> Game:
-    try:
+    with installed("lbforaging"):
         from lbforaging.foraging import ForagingEnv
-    except ImportError:
-        raise UnavailableError("not installed: pip install lbforaging") from None
     options = dict(spec.options)
     options["sight"] = options["sight"] or max(options["field_size"])
     games = [ForagingEnv(**options) for _ in range(count // spec.agents)]
@@ -190,10 +195,8 @@ def _foraging(spec: EnvSpec, count: int) -> Game:
 
 
 def _warehouse(spec: EnvSpec, count: int) -> Game:
-    try:
+    with installed("rware"):
         from rware.warehouse import RewardType, Warehouse
-    except ImportError:
-        raise UnavailableError("not installed: pip install rware") from None
     options = dict(spec.options)
     shelf_rows, shelf_columns = SIZES[options["size"]]
     games = [
@@ -228,10 +231,8 @@ def _warehouse(spec: EnvSpec, count: int) -> Game:
 
 
 def _connect_four(spec: EnvSpec, count: int) -> Game:
-    try:
+    with installed("pettingzoo"):
         from pettingzoo.classic.connect_four.connect_four import raw_env
-    except ImportError:
-        raise UnavailableError("not installed: pip install pettingzoo") from None
     games = [raw_env() for _ in range(count // spec.agents)]
     observed = []
     for i, game in enumerate(games):
@@ -255,11 +256,9 @@ def _connect_four(spec: EnvSpec, count: int) -> Game:
 
 
 def _overcooked(spec: EnvSpec, count: int) -> Step:
-    try:
+    with installed("overcooked-ai"):
         from overcooked_ai_py.mdp.actions import Action
         from overcooked_ai_py.mdp.overcooked_mdp import OvercookedGridworld
-    except ImportError:
-        raise UnavailableError("not installed: pip install overcooked-ai") from None
     cook_time, horizon = spec.options["cook_time"], spec.options["horizon"]
     options = {} if cook_time is None else {"cook_time": cook_time}
     mdp = OvercookedGridworld.from_layout_name(spec.options["layout"], **options)
@@ -278,12 +277,9 @@ def _overcooked(spec: EnvSpec, count: int) -> Step:
 
 
 def _coin_game(spec: EnvSpec, count: int) -> Step:
-    try:
-        with silence():
-            import jax
-            from jaxmarl.environments.coin_game import CoinGame
-    except ImportError:
-        raise UnavailableError("not installed: pip install jaxmarl") from None
+    with installed("jaxmarl"), silence():
+        import jax
+        from jaxmarl.environments.coin_game import CoinGame
     game, worlds = CoinGame(**spec.options), count // spec.agents
     actions = dict(zip(game.agents, _actions(spec, count, np.int32).reshape(worlds, -1).T, strict=True))
     key, start = jax.random.split(jax.random.PRNGKey(0))
@@ -351,10 +347,8 @@ def _minatar(spec: EnvSpec, count: int) -> Step:
     game = _required(spec, "MinAtar").partition("MinAtar/")[2].rpartition("-v")[0].lower()
     if not game:
         raise UnavailableError(f"MinAtar has no {spec.name}")
-    try:
+    with installed("minatar"):
         from minatar import Environment
-    except ImportError:
-        raise UnavailableError("not installed: pip install minatar") from None
     actions = _actions(spec, count, np.int64).tolist()
     envs = [Environment(game, **dict(spec.options)) for _ in range(count)]
     for i, env in enumerate(envs):
