@@ -24,7 +24,7 @@ class Ended(NamedTuple):
 
 
 NONE = Ended(np.zeros(0, np.intp), np.zeros(0), np.zeros(0, np.int64), np.zeros(0, np.bool_))
-"""What most steps of few slots end."""
+"""No episodes, as in most steps of few slots."""
 
 
 class RunningEpisodes:
