@@ -15,7 +15,7 @@ from typing import Annotated, Any, NoReturn
 
 import typer
 from rich.markup import escape
-from typer.core import TyperGroup
+from typer.core import TyperCommand, TyperGroup
 from typer.exceptions import TyperException
 
 from pearl_marl.cli import usage
@@ -50,6 +50,18 @@ COMMANDS = {
 """The commands, in the order of their list, each with the first sentence of its own help."""
 
 
+class _Command(TyperCommand):
+    """A command that says itself which arguments it does not take."""
+
+    allow_extra_args = True
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        others: list[str] = super().parse_args(ctx, args)
+        if not ctx.resilient_parsing:  # a shell completes a word
+            usage.refuse_others(ctx.info_name, others, sys.argv[1:])
+        return others
+
+
 class _Commands(TyperGroup):
     """Has the list of commands without importing any, and imports the one that is called."""
 
@@ -59,7 +71,7 @@ class _Commands(TyperGroup):
         name, _, rest = super().resolve_command(ctx, args)  # which refuses what is no command
         alone = typer.Typer(add_completion=False, rich_markup_mode=self.rich_markup_mode)
         with interrupts.at_once():  # Numba and PyTorch take seconds to load
-            alone.command(name)(import_module(f"{__name__}.{name}").command)
+            alone.command(name, cls=_Command)(import_module(f"{__name__}.{name}").command)
         return name, typer.main.get_command(alone), rest
 
 
