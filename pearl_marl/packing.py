@@ -105,7 +105,7 @@ def unpacked(spec: EnvSpec, rows: Array) -> Array:
             f"uint8 of the shape (n, {layout.itemsize})"
         )
     words = np.ascontiguousarray(rows).view(layout)[:, 0]
-    columns = (np.ascontiguousarray(words[f.name], f.dtype) for f in spec.observation)
+    columns = tuple(np.ascontiguousarray(words[f.name], f.dtype) for f in spec.observation)
     observations = np.empty((len(rows), *spec.observation_shape), spec.observation_dtype)
-    compile_kernels(spec).deliver(*columns, observations)
+    compile_kernels(spec).deliver(columns, observations, len(rows))
     return observations

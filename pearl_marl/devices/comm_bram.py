@@ -226,13 +226,13 @@ class CommBram(Device):
         unpack(self._reward_stream, spec.reward.bits, self._reward_words, spec.reward.bits)
         unpack(self._ter_stream, self._ter.bits, self._ters, self._ter.bits)
         # What agents that ended before do not get is the host's affair.
-        gone: tuple[Array, ...] = ()
+        ended: tuple[Array, ...] = ()
         if spec.agents > 1:
-            gone = (np.where(self._ended & 1, 0, self._ended).astype(self._ended.dtype),)
+            ended = (np.where(self._ended & 1, 0, self._ended).astype(self._ended.dtype),)
         # The episode that begins in the hardware's next step begins here in this one.
         self._kernels.results(
-            *self._obs_words, self._reward_words, self._ters, *gone, self._stored.bytes, self.reward_table,
-            *results.arrays, *self.seed, rng.signed(rng.following(self.tick)),
+            tuple(self._obs_words), self._reward_words, (self._ters, *ended), self._stored.bytes,
+            self.reward_table, tuple(results.arrays), *self.seed, rng.signed(rng.following(self.tick)),
             config.first_slot, self._next_step, self._repeats, n, 0, n,
         )  # fmt: skip
         if self._next_step:
@@ -268,7 +268,7 @@ class CommBram(Device):
         n, flags = config.n_envs, mask.view(np.uint8)
         memory.elapsed[mask] = 0
         self._kernels.reset(
-            memory.bytes, self._stored.bytes, flags, results.obs, *results.arrays[5:], *self.seed,
+            memory.bytes, self._stored.bytes, flags, (results.obs, *results.arrays[5:]), *self.seed,
             rng.signed(self.tick), config.first_slot, use_stored, n, 0, n,
         )  # fmt: skip
 

@@ -100,7 +100,7 @@ class Match:
             self.spec.positional.step, [*self.ours, actions, draw_0, draw_1]
         )
         seen = np.empty((self.n, 10, 10, 10), bool)
-        self.deliver(*call_reference(self.spec.positional.observe, after), seen)
+        self.deliver(tuple(call_reference(self.spec.positional.observe, after)), seen, self.n)
         for k, environment in enumerate(self.theirs):
             game = environment.env
             environment.random.expect(game, int(draw_0[k]), int(draw_1[k]))
