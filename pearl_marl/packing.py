@@ -1,7 +1,7 @@
 """Observations as the words that an environment makes them of: a row of bytes instead of planes.
 
-Seaquest's ten planes of 100 elements are 69 bytes like this, ConnectFour's two boards 16. Whoever keeps or
-sends many of them does so packed, and unpacks those at hand.
+Seaquest's ten planes of 100 elements are 69 bytes like this, ConnectFour's two boards 16. Keep or
+send many of them packed, and unpack those at hand.
 """
 
 from __future__ import annotations

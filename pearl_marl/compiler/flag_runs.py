@@ -26,7 +26,7 @@ def cell_dtype(spec: EnvSpec) -> np.dtype[Any]:
     return np.dtype(np.uint8 if spec.observation_dtype == np.bool_ else spec.observation_dtype)
 
 
-class Run(NamedTuple):
+class FlagRun(NamedTuple):
     """Elements of a row that are written at once: flags that a byte holds, or a single one."""
 
     of_mask: bool
@@ -43,7 +43,7 @@ def is_flag(field: Field) -> bool:
     return field.bits == 1 and not field.signed and not field.fraction
 
 
-def runs(spec: EnvSpec) -> list[Run]:
+def runs(spec: EnvSpec) -> list[FlagRun]:
     """Return the elements of an agent's row that are written in runs.
 
     That is all masks, and all of an observation whose elements are its fields and that has many flags, or is
@@ -56,12 +56,12 @@ def runs(spec: EnvSpec) -> list[Run]:
     return _runs(False, spec.observation, 0) + masks
 
 
-def _runs(of_mask: bool, fields: Sequence[Field], first: int) -> list[Run]:
-    found: list[Run] = []
+def _runs(of_mask: bool, fields: Sequence[Field], first: int) -> list[FlagRun]:
+    found: list[FlagRun] = []
     flags = [is_flag(field) for field in fields]
     for k, flag in enumerate(flags):
         if flag and k and flags[k - 1] and found[-1].size < BYTE:
             found[-1] = found[-1]._replace(size=found[-1].size + 1)
         else:
-            found.append(Run(of_mask, k, first + k, 1))
+            found.append(FlagRun(of_mask, k, first + k, 1))
     return found

@@ -77,16 +77,16 @@ STEP_ARGUMENTS = *ADDRESSES, *SETTINGS
 """What the kernel ``step`` takes in one array, in its order. Numba looks at each argument of a call, and
 longest at arrays: for few slots that was most of a step."""
 
-_PLACE = "seed_0", "seed_1", "tick", "first_slot"
+_DRAWN_FROM = "seed_0", "seed_1", "tick", "first_slot"
 _RANGE = "n", "lo", "hi"
 
 KERNELS = {
-    "reset": ("memory", "stored", "mask", "seen", *_PLACE, "use_stored", *_RANGE),
+    "reset": ("memory", "stored", "mask", "views", *_DRAWN_FROM, "use_stored", *_RANGE),
     "step": ("arguments", "actions", "table", "lo", "hi"),
     "deliver": ("words", "observations", "n"),
     "results": (
         *("words", "codes", "end_words", "stored", "table", "results"),
-        *(*_PLACE, "next_step", "use_stored", *_RANGE),
+        *(*_DRAWN_FROM, "next_step", "use_stored", *_RANGE),
     ),
     "advance": ("memory", "actions", "table", "rewards", "terminations", *_RANGE),
 }
@@ -162,7 +162,7 @@ class KernelLoops:
 
     def reset(self, code: Code, kernel: Kernel) -> None:
         """Write the kernel ``reset``."""
-        kernel |= {"over": kernel["mask"], **self._seen(kernel["seen"])}
+        kernel |= {"over": kernel["mask"], **self._views(kernel["views"])}
         lo, hi = kernel["lo"], kernel["hi"]
         with self._scratch(code, "end_bits") as frame:
             frame = self._with_keys(code, frame, kernel, self.reset_draws)
@@ -260,18 +260,18 @@ class KernelLoops:
         ends = ("end_words", "end_bits_before")[: len(kernel["end_words"])]
         kernel |= dict(zip(ends, kernel["end_words"], strict=True))
         kernel |= dict(zip(RESULTS, results[: len(RESULTS)], strict=True))
-        kernel |= self._seen([results[0], *results[len(RESULTS) :]])
+        kernel |= self._views([results[0], *results[len(RESULTS) :]])
         lo, hi = kernel["lo"], kernel["hi"]
         fields = list(enumerate(zip(kernel["words"], self.spec.seen, strict=True)))
         with self._scratch(code, "over", "end_bits", "changed", *self.state) as frame:
             frame = self._with_keys(code, frame, kernel, self.reset_draws)
             for f in self._blocks(code, frame, kernel, lo, hi):
                 self._load(code, f, kernel, "starts")
-                given = {
+                delivered = {
                     f"word_{k}": column.view(numba_type(field.dtype), 0, f.b * self.agents)
                     for k, (column, field) in fields
                 }
-                self._run(code, self.deliver_rows, f.with_(**given))
+                self._run(code, self.deliver_rows, f.with_(**delivered))
                 code.run(self.rewards, f)
                 self._clear(code, f.over, f.m)
                 code.run(self.ends.take_delivered, f)
@@ -302,10 +302,10 @@ class KernelLoops:
 
     # What belongs to a block.
 
-    def _seen(self, seen: Sequence[Column]) -> Kernel:
+    def _views(self, views: Sequence[Column]) -> Kernel:
         """Return the arrays of what agents see, by name."""
         names = ["observations", *["action_masks"] * bool(self.masks), *["alive"] * (self.agents > 1)]
-        return dict(zip(names, seen, strict=True))
+        return dict(zip(names, views, strict=True))
 
     def _scratch(self, code: Code, *names: str) -> Any:
         """Return scratch space, as a context manager: a frame of the columns with these names, and others."""

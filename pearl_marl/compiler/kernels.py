@@ -18,7 +18,7 @@ import llvmlite
 import numba
 import numpy as np
 
-from pearl_marl import object_code, remaking, rng
+from pearl_marl import object_code, rebinding, rng
 from pearl_marl.batch import slot_memory
 from pearl_marl.compiler import (
     flag_runs,
@@ -54,9 +54,9 @@ class Kernels(NamedTuple):
     Results are those of :attr:`pearl_marl.batch.step.BatchStep.arrays`: where there are masks, and worlds of
     several agents, ``action_masks`` and ``alive`` follow the observations that come last.
 
-    ``reset(memory, stored, mask, seen, seed_0, seed_1, tick, first_slot, use_stored, n, lo, hi)``
+    ``reset(memory, stored, mask, views, seed_0, seed_1, tick, first_slot, use_stored, n, lo, hi)``
         starts an episode in every slot of ``lo .. hi - 1`` whose mask is set, and writes the observation of
-        every slot of the range. ``seen`` is a tuple of observations, then masks and ``alive``, where there
+        every slot of the range. ``views`` is a tuple of observations, then masks and ``alive``, where there
         are any. Elapsed steps are left to the caller.
     ``step(arguments, actions, table, lo, hi)``
         steps that range. ``arguments`` is a ``uint64`` array of addresses and settings: see
@@ -96,7 +96,7 @@ def compile_kernels(spec: EnvSpec, counter: np.dtype[Any] | None = None) -> Kern
     source = kernel_source(spec, counter)
     parts = (
         *(flag_runs, kernel_ends, kernel_loops, llvm_functions, llvm_loops, llvm_planes, llvm_words),
-        *(object_code, remaking, rng, slot_memory),
+        *(object_code, rebinding, rng, slot_memory),
     )
     versions = (
         numba.__version__,

@@ -33,7 +33,7 @@ from pearl_marl.compiler.llvm_words import (
     Maker,
     arrays,
 )
-from pearl_marl.remaking import remade
+from pearl_marl.rebinding import rebound
 
 cgutils: Any = _cgutils
 """Numba's, which has no types."""
@@ -433,7 +433,7 @@ class Code(Writer):
             function.__globals__["range"] = self.range
             return function
 
-        return remade(function, meaning, with_range)(*arguments)
+        return rebound(function, meaning, with_range)(*arguments)
 
     @property
     def _vocabulary(self) -> dict[str, Any]:

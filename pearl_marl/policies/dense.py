@@ -17,7 +17,7 @@ from llvmlite import ir
 from numba import njit, types
 from numba.extending import intrinsic
 
-from pearl_marl.compiler.loading import loop
+from pearl_marl.compiler.loading import compiled_loop
 
 Array = npt.NDArray[Any]
 
@@ -397,5 +397,5 @@ def _backward(layers: Layers, given: Given, by_outputs: Array, gradients: Layers
     given_back(total, gradients)
 
 
-forward: Callable[[Layers, Given, Array], None] = loop(_forward)
-backward: Callable[[Layers, Given, Array, Layers], None] = loop(_backward)
+forward: Callable[[Layers, Given, Array], None] = compiled_loop(_forward)
+backward: Callable[[Layers, Given, Array, Layers], None] = compiled_loop(_backward)

@@ -15,7 +15,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor, nn
 
-from pearl_marl.compiler.loading import loop
+from pearl_marl.compiler.loading import compiled_loop
 from pearl_marl.training.restoring import copied, whole
 
 Array = npt.NDArray[Any]
@@ -52,7 +52,7 @@ def _adam(
         values[i] -= far * mean[i] / (np.sqrt(square[i] * share) + least)
 
 
-_move = loop(_adam)
+_move = compiled_loop(_adam)
 
 Gradients = list[tuple[Tensor, Tensor]]
 """Tensors, each with the gradient of the loss by it."""

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from pearl_marl.compiler.loading import loop
+from pearl_marl.compiler.loading import compiled_loop
 from pearl_marl.policies import dense
 from pearl_marl.policies.dense import (
     ROWS,
@@ -92,4 +92,4 @@ def _learn(
     return loss
 
 
-learn = loop(_learn, dense)
+learn = compiled_loop(_learn, dense)

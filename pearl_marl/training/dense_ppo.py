@@ -17,7 +17,7 @@ import torch
 from numba.extending import overload
 from torch import Tensor
 
-from pearl_marl.compiler.loading import loop
+from pearl_marl.compiler.loading import compiled_loop
 from pearl_marl.policies import dense
 from pearl_marl.policies.dense import (
     ARITHMETIC,
@@ -215,8 +215,8 @@ def _learn(
         found[k] *= share
 
 
-_batch_of = loop(_batch)
-_learn_some = loop(_learn, dense)
+_batch_of = compiled_loop(_batch)
+_learn_some = compiled_loop(_learn, dense)
 
 WORTH = 1 << 16
 """Rows times width of a minibatch from which on a second thread does half of it."""
