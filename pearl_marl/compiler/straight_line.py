@@ -152,7 +152,7 @@ def _is_bit(node: Node) -> bool:
 
 
 def _may_be_no_flag(node: Node) -> bool:
-    """Return whether a flag can be another number where it is not used: then ``1 | flag`` is no flag either."""
+    """Return whether an unused flag can be another number: then ``1 | flag`` is no flag either."""
     if not node.loose or not node.is_flag:
         return False
     match node.op:

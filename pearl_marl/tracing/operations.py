@@ -4,9 +4,9 @@ A node is a mathematical integer, which never overflows; ``wrap`` is where a wor
 operation has besides its arguments: a constant's value, a shift, ``(bits, signed)`` of a wrap, the entries of
 a table, the range of a ``narrow``.
 
-Two operations have a meaning where it is not used, so that a graph can be run as a whole: a divisor below
-1 counts as 1, and what is beyond the range of a ``narrow`` is its nearest end. A compiler may
-make anything of it.
+Two operations have a meaning even where their result is not used, so that a graph can be run as a whole: a
+divisor below 1 counts as 1, and a word beyond the range of a ``narrow`` is its nearest end. A compiler may make
+anything of it.
 """
 
 from __future__ import annotations
