@@ -5,8 +5,8 @@ operation has besides its arguments: a constant's value, a shift, ``(bits, signe
 a table, the range of a ``narrow``.
 
 Two operations have a meaning even where their result is not used, so that a graph can be run as a whole: a
-divisor below 1 counts as 1, and a word beyond the range of a ``narrow`` is its nearest end. A compiler may make
-anything of it.
+divisor below 1 counts as 1, and a word beyond the range of a ``narrow`` is its nearest end. A compiler may
+make anything of it.
 """
 
 from __future__ import annotations
