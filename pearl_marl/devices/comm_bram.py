@@ -225,7 +225,8 @@ class Mirror:
             absent = (np.where(self._ended & 1, 0, self._ended).astype(self._ended.dtype),)
         self._tick[0] = tick
         self._kernels.results(
-            *words, *absent, self.starts.bytes, reward_table, *block.arrays, *seed, self._signed_tick[0],
+            words[:-2], words[-2], (words[-1], *absent), self.starts.bytes, reward_table,
+            tuple(block.arrays), *seed, self._signed_tick[0],
             config.first_slot, self._next_step, self.repeats, n, 0, n,
         )  # fmt: skip
         if self._next_step:
@@ -245,7 +246,7 @@ class Mirror:
         config, results, n = self._config, self._results.take(), self._config.n_envs
         memory.elapsed[mask] = 0
         self._kernels.reset(
-            memory.bytes, self.starts.bytes, mask.view(np.uint8), results.obs, *results.arrays[5:], *seed,
+            memory.bytes, self.starts.bytes, mask.view(np.uint8), (results.obs, *results.arrays[5:]), *seed,
             rng.signed(tick), config.first_slot, use_stored, n, 0, n,
         )  # fmt: skip
         return results.observed

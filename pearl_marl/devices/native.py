@@ -20,8 +20,7 @@ from pearl_marl.batch.config import BatchConfig
 from pearl_marl.batch.results import ResultArrays
 from pearl_marl.batch.slot_memory import SlotMemory, aligned_bytes, counter_dtype
 from pearl_marl.batch.step import Array, BatchStep, Observed
-from pearl_marl.compiler.block_pieces import BLOCK
-from pearl_marl.compiler.kernel_source import GIVEN, RESULTS
+from pearl_marl.compiler.kernel_loops import BLOCK, RESULTS, STEP_ARGUMENTS
 from pearl_marl.compiler.kernels import compile_kernels
 from pearl_marl.deferral import completed
 from pearl_marl.devices.base import Device, Phase, count_or_none
@@ -34,8 +33,8 @@ SLOW_STEP_SECONDS = 300e-6
 SECONDS_PER_THREAD = 150e-6
 """The least work a thread is taken for."""
 
-_TICK = GIVEN.index("tick")
-_SEEDS = slice(GIVEN.index("seed_0"), GIVEN.index("seed_1") + 1)
+_TICK = STEP_ARGUMENTS.index("tick")
+_SEEDS = slice(STEP_ARGUMENTS.index("seed_0"), STEP_ARGUMENTS.index("seed_1") + 1)
 
 _READY = Phase.READY  # an enum's members are looked up slowly
 
@@ -75,12 +74,12 @@ class Native(Device):
         self._results = ResultArrays(config)
         self._slots = SlotMemory(spec, n)
         self._memory = self._slots.bytes
-        self._arguments = np.zeros(len(GIVEN), np.uint64)
+        self._arguments = np.zeros(len(STEP_ARGUMENTS), np.uint64)
         self._count(config, self._slots.elapsed)
         # Without stored initial states the kernels get the memory itself, and do not look.
         self._stored = SlotMemory(spec, n).bytes if config.initial_states == "stored" else self._memory
         more = ("action_masks",) * bool(spec.mask_fields) + ("alive",) * (spec.agents > 1)
-        self._address_of_results = np.array([GIVEN.index(name) for name in (*RESULTS, *more)])
+        self._address_of_results = np.array([STEP_ARGUMENTS.index(name) for name in (*RESULTS, *more)])
         self._words = room_for_words(spec, config.n_agents)  # as the kernel takes them
         # Others are checked by what the kernel does not know: roles, and masks of before the step. Of a
         # class that does more in a step, the tick moves after that.
@@ -112,7 +111,7 @@ class Native(Device):
 
     def _set(self, name: str, value: int) -> None:
         """Change an argument of every step."""
-        self._arguments[GIVEN.index(name)] = value
+        self._arguments[STEP_ARGUMENTS.index(name)] = value
 
     def _run(self, kernel: Any, arguments: tuple[Any, ...]) -> Any:
         """Call ``kernel(*arguments, lo, hi)`` for every range, one of them on this thread.
@@ -139,10 +138,10 @@ class Native(Device):
         flags = np.ones(n, np.uint8) if mask is None else mask.astype(np.uint8)
         results = self._results.take()
         use_stored = stored is not self._memory
-        slots = self._memory, stored, flags, results.obs
+        observed = results.obs, *results.arrays[5:]
         again = use_stored and mask is not None
         position = (*self.seed, rng.signed(self.tick), config.first_slot, again, n)
-        self._run(self._kernels.reset, (*slots, *results.arrays[5:], *position))
+        self._run(self._kernels.reset, (self._memory, stored, flags, observed, *position))
         self._elapsed[slice(None) if mask is None else mask] = 0
         if use_stored and mask is None:
             stored[:] = self._read()[0]
