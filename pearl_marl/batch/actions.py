@@ -92,8 +92,11 @@ class ActionRules:
             if masks is not None:
                 idle = idle.astype(array.dtype)
             return np.where(ignored.reshape(-1, *(1,) * len(self.shape)), idle, array)
-        rows = on_cpu.ndim > 0 if isinstance(on_cpu, np.ndarray) else isinstance(on_cpu, (list, tuple))
-        if not rows or len(on_cpu) != len(ignored):
+        if isinstance(on_cpu, np.ndarray):
+            fits = on_cpu.shape == (len(ignored), *self.shape)
+        else:
+            fits = isinstance(on_cpu, (list, tuple)) and len(on_cpu) == len(ignored)
+        if not fits:
             return actions
         values = list(on_cpu)
         for row in np.flatnonzero(ignored).tolist():
