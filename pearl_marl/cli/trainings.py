@@ -19,7 +19,7 @@ from pearl_marl.registry import get_spec
 
 
 def show(env_id: str | None, quick: bool, out: Path | None, as_json: bool) -> None:
-    """Run the trainings of an environment, or all of them, and print what came of them."""
+    """Run the trainings of an environment, or all of them, and print their results."""
     try:
         from pearl_marl.training_benchmark import tasks, turns
     except ModuleNotFoundError as error:
@@ -43,7 +43,7 @@ def show(env_id: str | None, quick: bool, out: Path | None, as_json: bool) -> No
         rows.append(row)
         result["date"] = datetime.datetime.now().astimezone().isoformat(timespec="seconds")
         result["compared"] = turns.compared(rows)
-        if out is not None:  # a run that is ended leaves what it has measured
+        if out is not None:  # a run that is ended leaves its results so far
             common.write_json(out, file, result)
     if common.delivered(result, as_json, out, file):
         return
@@ -61,7 +61,7 @@ def _print(task: str, goal: float | None, summary: list[dict[str, Any]]) -> None
     figures = ["agent-\nsteps/s", "x"]
     if goal is not None:
         figures += [f"to {goal:g}", "reached", "x"]
-    grid = common.table(task, ["who"], figures, box=box.SIMPLE, padding=(0, 1, 0, 0))
+    grid = common.table(task, ["trainer"], figures, box=box.SIMPLE, padding=(0, 1, 0, 0))
     # Names are folded, between words, so that all fits into 80 columns.
     grid.columns[0].no_wrap, grid.columns[0].min_width = False, len("CleanRL's PPO")
     for row in summary:
