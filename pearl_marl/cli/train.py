@@ -102,12 +102,12 @@ def command(
             f"training needs the Python package {error.name}: pip install '.[train]'"
         ) from None
     chosen = {"n_agents": n_agents, "iterations": iterations}
-    # --seed always has a value, which must not overrule what --set says.
-    given = {"seed": seed, **common.env_options(setting, "--set")}
-    given |= {name: n for name, n in chosen.items() if n is not None}
+    # --seed always has a value, which must not overrule --set seed=N.
+    changes = {"seed": seed, **common.env_options(setting, "--set")}
+    changes |= {name: n for name, n in chosen.items() if n is not None}
     with warnings.catch_warnings(record=True) as renamed:
         warnings.simplefilter("always", DeprecationWarning)
-        settings = training.settings_for(algo, env_id, given, shards, spec.agents)
+        settings = training.settings_for(algo, env_id, changes, shards, spec.agents)
     for warning in renamed:
         error_console.print(f"pearl: {warning.message}", markup=False, soft_wrap=True)
 
@@ -150,6 +150,6 @@ def command(
 
 
 def _note(row: dict[str, Any]) -> str:
-    """Return what the progress bar says after an evaluation."""
+    """Return the text of the progress bar after an evaluation."""
     trained = row["train_return"]
     return f"return {row['eval_return']:.1f}" + ("" if trained is None else f", in training {trained:.1f}")

@@ -1,7 +1,7 @@
 """Networks of two hidden layers with hyperbolic tangents, forward and back, compiled for a CPU.
 
-They are small, and PyTorch would spend most of its time on calling its operations and on moving what lies
-between them. Here a few rows go through all layers at once, while they are in the processor's first cache.
+They are small, and PyTorch would spend most of its time on calling operations and on moving values between
+them. Here a few rows go through all layers at once, while they are in the processor's first cache.
 Matrices are multiplied by a block of sums that stay in SIMD registers, made of LLVM's vectors.
 """
 
@@ -156,7 +156,7 @@ def exponential(x: Any) -> Any:
 
 @called
 def _tanh(h: Array, n: int) -> None:
-    """Put hyperbolic tangents in the place of the first ``n`` numbers."""
+    """Replace the first ``n`` numbers by their hyperbolic tangents."""
     for i in range(n):
         h[i] = _ONE - _TWO / (exponential(h[i] * _TWO) + _ONE)
 
@@ -281,7 +281,7 @@ def forward_rows(layers: Layers, weights: Padded, observed: Observed, rows: Arra
 
 @called
 def gradient_sums(gradients: Layers) -> Padded:
-    """Return zeros, in which gradients are added up; those by tables are in their place from the first."""
+    """Return zeros to add up gradients in; gradients by tables are added up where they stay."""
     gradients.table[:] = 0
     gradients.indicator[:] = 0
     width, inputs = gradients.first.shape
@@ -359,7 +359,7 @@ def backward_rows(
 
 @called
 def store_gradients(total: Padded, gradients: Layers) -> None:
-    """Put sums in the place of gradients; those by tables are there already."""
+    """Write the sums into the gradients; those by tables are there already."""
     width, inputs = gradients.first.shape
     outputs, high = gradients.third.shape[0], len(total.bias1)
     for i in range(width):
@@ -388,7 +388,7 @@ def _forward(layers: Layers, observed: Observed, outputs: Array) -> None:
 
 
 def _backward(layers: Layers, observed: Observed, by_outputs: Array, gradients: Layers) -> None:
-    """Compute gradients from those by the outputs; what lies between is computed again."""
+    """Compute gradients from those by the outputs; hidden layers are computed again."""
     weights, tile, total = padded(layers), tile_of(layers), gradient_sums(gradients)
     out = len(weights.bias3)
     numbers = np.arange(len(by_outputs))

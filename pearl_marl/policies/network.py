@@ -22,7 +22,7 @@ Array = npt.NDArray[Any]
 _EMPTY = torch.empty(0, 1)
 
 SHARING = ("all", "indicator", "none")
-"""What the networks of a world's agents have in common: see :class:`NetworkPolicy`."""
+"""Whether the agents of a world share a network: see :class:`NetworkPolicy`."""
 
 MASKED = torch.finfo(torch.float32).min
 """The output of a masked action. Minus infinity would do for its probability, but makes the entropy NaN.

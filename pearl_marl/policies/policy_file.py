@@ -1,4 +1,4 @@
-"""The file of a trained policy: tensors, what they are of, and a checksum over all of it.
+"""The file of a trained policy: tensors, a description, and a checksum over all of it.
 
 A ``safetensors`` file, which other programs read too. Its metadata have ``format``, ``policy`` (JSON) and
 ``checksum``: SHA-256 of the header without it, in :func:`sealed`'s form, and of the tensors' bytes.
@@ -29,9 +29,9 @@ def write(path: Path, about: dict[str, Any], tensors: dict[str, Tensor]) -> None
 
 
 def read(path: Path) -> tuple[Any, dict[str, Tensor]]:
-    """Return what a file says of its policy, and its tensors; or raise ArgumentError.
+    """Return a policy's description in a file, and its tensors; or raise ArgumentError.
 
-    Nothing is allocated for what the file does not hold, and a bit that flipped anywhere is noticed.
+    No memory is taken for more than the file holds, and a bit that flipped anywhere is noticed.
     """
     try:
         check_readable(path)
@@ -70,10 +70,10 @@ _FIXED = "bound", "offsets"
 """Buffers that follow from the environment, and are not learned."""
 
 
-def check_weights(module: nn.Module, tensors: Any, whose: str) -> None:
+def check_weights(module: nn.Module, tensors: Any, owner: str) -> None:
     """Refuse tensors from a file that are not those of a module, or that no training leaves.
 
-    Compiled loops trust them: with other offsets, they would read what is beside a table.
+    Compiled loops trust them: with other offsets, they would read beside a table.
     """
     wanted = module.state_dict()
     found = tensors if isinstance(tensors, Mapping) else {}
@@ -86,13 +86,13 @@ def check_weights(module: nn.Module, tensors: Any, whose: str) -> None:
         ]
         if kinds[0] != kinds[1]:
             raise ArgumentError(
-                f"its tensors are not those of {whose}: {shown(name)} is {kinds[0]}, not {kinds[1]}"
+                f"its tensors are not those of {owner}: {shown(name)} is {kinds[0]}, not {kinds[1]}"
             )
         tensor, last = found[name], name.rpartition(".")[2]
         if not tensor.isfinite().all():
             raise ArgumentError(f"{name} has NaN or an infinity among its numbers: the training diverged")
         if last in _FIXED and not tensor.equal(wanted[name].to(tensor.device)):
-            raise ArgumentError(f"{name} has other numbers than {whose} has")
+            raise ArgumentError(f"{name} has other numbers than {owner} has")
         if last in ("variance", "count") and tensor.min() < 0:
             raise ArgumentError(f"{name} has a number below 0")
 

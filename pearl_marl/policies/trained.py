@@ -1,4 +1,4 @@
-"""What trainers make: policies by a network or by tables, and the file that keeps one.
+"""Policies that trainers make, by a network or by tables, and the file that keeps one.
 
 A trained policy is a ``policy.safetensors`` with all that is needed to use it again; see :func:`load`.
 """
@@ -25,11 +25,11 @@ KINDS = ("logits", "values", "mean")
 """How a network's outputs are meant: see :class:`NetworkPolicy`."""
 
 _SCALAR = torch.zeros(())
-"""What stands for a tensor that a file does not have."""
+"""Stands for a tensor that a file does not have."""
 
 
 class _Trained(nn.Module):
-    """A policy that says what it is for, and ``about`` what it was made."""
+    """A policy with its environment, and with ``about``, which describes it in its file."""
 
     def __init__(self, spec: EnvSpec, **about: Any) -> None:
         super().__init__()
@@ -55,7 +55,7 @@ class _Trained(nn.Module):
         """Begin the random numbers anew, of a policy that uses any."""
 
     def positions(self, n: int) -> Tensor:
-        """Return who of its world each of ``n`` agents is."""
+        """Return the position of each of ``n`` agents in its world."""
         return torch.arange(n, device=next(self.buffers()).device) % self.spec.agents
 
     def save(self, path: Path) -> None:
@@ -64,7 +64,7 @@ class _Trained(nn.Module):
 
 
 class NetworkPolicy(_Trained):
-    """What chooses actions: a network, and how its outputs are meant.
+    """A policy by a network, whose outputs are meant in one of several ways.
 
     Parameters
     ----------
@@ -78,8 +78,9 @@ class NetworkPolicy(_Trained):
     width
         Of the network's layers.
     sharing
-        What agents of a world have in common. ``"all"``: one network, that sees nothing but observations.
-        ``"indicator"``: one network, which is told whose they are. ``"none"``: each has its own.
+        What agents of a world have in common. ``"all"``: one network, whose only input is observations.
+        ``"indicator"``: one network, which is also told the agent's position in its world. ``"none"``: each
+        agent has its own.
     temperature, epsilon
         How random its actions are where it is used. With ``"logits"``, they are drawn at this temperature; 0
         takes the most probable. With ``"values"``, this share is random. Two agents of a team that both want
@@ -168,7 +169,7 @@ class NetworkPolicy(_Trained):
 
 
 class Table(_Trained):
-    """What chooses actions by tables: a value for each observation and action, one table a learner.
+    """A policy by tables of a value for each observation and action, one table for each learner.
 
     Observations are numbers, or tuples of them. Of ``n``, the first ``n / learners`` are the first learner's,
     and so on.
@@ -232,7 +233,7 @@ def load(path: Path) -> NetworkPolicy | Table:
 
 
 def _check_description(about: Any) -> None:
-    """Refuse what a file says of its policy where that lacks something, or has it of another type."""
+    """Refuse the description of a policy that lacks something, or has it of another type."""
     if not isinstance(about, dict):
         raise ArgumentError("its metadata say nothing of its policy")
     needed: dict[str, type] = {"environment": str, "options": dict, "kind": str}

@@ -59,8 +59,8 @@ class ActorCritic(nn.Module):
         self.policy = NetworkPolicy(
             spec, "mean" if self.continuous else "logits", width, sharing, temperature
         )
-        network: Any = self.policy.network
-        # Of a picture, most of the work is to see what is on it: actor and critic do that together.
+        network = self.actor
+        # For pictures, most of the work is in the first layers: actor and critic share them.
         self.shared = not central and isinstance(network, Network) and network.encoder.kind == "picture"
         self.critic: Any
         # In worlds the critic expects nothing at first: rewards are rare, and noise would outdo them.
@@ -113,7 +113,7 @@ class ActorCritic(nn.Module):
         return masked(self.actor.output(features), inputs.masks), self.critic(features)[:, 0]
 
     def noise(self, shape: tuple[int, ...], random: torch.Generator) -> Tensor:
-        """Return what makes random actions of outputs of that shape: see :meth:`draw`."""
+        """Return the noise that makes actions random, for outputs of that shape: see :meth:`draw`."""
         noise = torch.empty(shape, device=random.device)
         if self.continuous:
             return noise.normal_(generator=random)

@@ -64,10 +64,10 @@ class DQNSettings(TrainerSettings):
     final_epsilon: float = number(0.02, most=1, formerly="explore_last")  # and at last
     # The part of the run in which it falls.
     exploration_fraction: float = number(0.2, most=1, above=True, formerly="exploring")
-    reward_scale: float = number(1.0, above=True)  # what rewards are multiplied with before anything else
+    reward_scale: float = number(1.0, above=True)  # factor of rewards, before anything else
     width: int = count(64, most=WIDEST)  # of the network's layers
-    sharing: str = choice(*SHARING)  # what a world's agents share: all; all but being told who they are; none
-    rewards: str = choice(*TEAM)  # what an agent wants: its own, or the mean or the sum of its world's
+    sharing: str = choice(*SHARING)  # of networks, among the agents of a world
+    rewards: str = choice(*TEAM)  # an agent's own, or the mean or sum of its world's
     # Share of random actions where the trained policy is used.
     evaluation_epsilon: float = number(0.0, most=1, formerly="chance")
     seed: int = count(0, least=0, most=SEEDS)  # of everything random
@@ -153,7 +153,7 @@ class DQN(Trainer):
         rewards = rewards * self.settings.reward_scale
         self._remember(rewards=rewards, arrivals=step.arrivals(), over=step.terminations)
         if agents.inputs.masks is not None:
-            # Where a time limit cut an episode short, the device does not say what was allowed: anything.
+            # Where a time limit cut an episode short, the device does not tell the masks: all are allowed.
             self._remember(masks=agents.inputs.masks.masked_fill(step.ended[:, None], 1))
         self.done += 1
 

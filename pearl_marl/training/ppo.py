@@ -46,10 +46,10 @@ class PPOSettings(TrainerSettings):
     gae_lambda: float = number(0.9, most=1, formerly="trace")  # of the advantages
     clip: float = number(0.2, above=True)  # how far a probability may move in an update, as a ratio
     entropy: float = number(0.0)  # its weight in the loss
-    reward_scale: float = number(1.0, above=True)  # what rewards are multiplied with before anything else
+    reward_scale: float = number(1.0, above=True)  # factor of rewards, before anything else
     width: int = count(64, most=WIDEST)  # of the networks' layers
-    sharing: str = choice(*SHARING)  # what a world's agents share: all; all but being told who they are; none
-    rewards: str = choice(*TEAM)  # what an agent wants: its own, or the mean or the sum of its world's
+    sharing: str = choice(*SHARING)  # of networks, among the agents of a world
+    rewards: str = choice(*TEAM)  # an agent's own, or the mean or sum of its world's
     # Of the policy where it is used; 0 takes the most probable actions.
     temperature: float = number(0.0, formerly="chance")
     blocks: int = count(1, most=MAX_SLOTS)
@@ -74,7 +74,7 @@ class PPO(Trainer):
     """Whether the critic is given the state of the world."""
 
     gathers: type[RolloutWorker] = RolloutWorker
-    """What gathers rollouts in this process."""
+    """The class that gathers rollouts in this process."""
 
     def __init__(self, spec: EnvSpec, device: Any, settings: PPOSettings, shards: int | None = None) -> None:
         # Of every step at least an observation, and six numbers more.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-# Two who want to be in the same cell have to know who gives way, or leave it to chance.
+# Two agents that want to be in the same cell need to know which gives way, or act at random.
 FORAGING: dict[str, Any] = {
     "n_agents": 512,
     "rollout_length": 16,
@@ -32,7 +32,7 @@ COOKING: dict[str, Any] = {
 }
 
 # A random player brings a shelf in one episode of sixty: rewards are made large, so that the first few count.
-# Robots that hardly see each other earn by chance: only large batches show what an action was worth.
+# Robots that hardly see each other earn by chance: only large batches show the value of an action.
 WAREHOUSE: dict[str, Any] = {
     "n_agents": 4096,
     "rollout_length": 64,
@@ -49,7 +49,7 @@ WAREHOUSE: dict[str, Any] = {
 }
 
 PRESETS: dict[tuple[str, str], dict[str, Any]] = {
-    # Fast rather than frugal: every step is learned from once, so another costs little.
+    # Fast rather than frugal: every step is learned from once, so another one costs little.
     ("ppo", "CartPole"): {
         "n_agents": 512,
         "epochs": 1,
@@ -58,7 +58,7 @@ PRESETS: dict[tuple[str, str], dict[str, Any]] = {
         "width": 32,
     },
     ("ppo", "MountainCar"): {
-        # The goal is far: what follows from it has to be seen through some 200 steps.
+        # The goal is far: its value has to travel back through some 200 steps.
         "n_agents": 2048,
         "rollout_length": 16,
         "iterations": 150,
@@ -103,7 +103,7 @@ PRESETS: dict[tuple[str, str], dict[str, Any]] = {
     ("ppo", "Overcooked"): COOKING,
     ("ppo", "RobotWarehouse"): WAREHOUSE,
     ("mappo", "RobotWarehouse"): WAREHOUSE,
-    # Two players who share nothing: each has a network of its own.
+    # Two players that share nothing: each has a network of its own.
     ("ppo", "CoinGame"): {
         "n_agents": 512,
         "rollout_length": 16,

@@ -62,10 +62,10 @@ class QLearning(Trainer):
     settings
         The run's.
     rates
-        What stands in for ``settings.learning_rate``, shape ``(learners,)``: learners may differ.
+        Learning rates instead of ``settings.learning_rate``, shape ``(learners,)``: learners may differ.
     rewards
-        What stands in for the environment's reward table, shape ``(learners, entries)``: learners may want
-        different things. The device hands out the numbers of entries instead, and each learner looks them up.
+        Reward tables instead of the environment's, shape ``(learners, entries)``: learners may want different
+        things. The device then returns the numbers of entries, and each learner looks them up.
     """
 
     def __init__(
@@ -86,9 +86,9 @@ class QLearning(Trainer):
         check_memory(spec, settings, device, ("n_agents", "learners"), n, others)
         self.policy = Table(spec, learners)
         entries = len(spec.rewards or ())
-        for name, given, shape in (("rates", rates, (learners,)), ("rewards", rewards, (learners, entries))):
-            if given is not None and np.shape(given) != shape:
-                raise ArgumentError(f"{name} have the shape {np.shape(given)}; of {spec.name} it is {shape}")
+        for name, array, shape in (("rates", rates, (learners,)), ("rewards", rewards, (learners, entries))):
+            if array is not None and np.shape(array) != shape:
+                raise ArgumentError(f"{name} have the shape {np.shape(array)}; of {spec.name} it is {shape}")
         agents = Agents(spec, device, n, settings.seed)
         where = agents.obs.device
         super().__init__(settings, agents, where)
@@ -124,10 +124,10 @@ class QLearning(Trainer):
         rewards = step.rewards
         if self.rewards is not None:
             rewards = self.rewards[self.learner, rewards.long()]
-        # Where the step itself led; in its place there may be the next episode's start already.
+        # Of where the step itself led: the observations may be the next episode's first ones already.
         later = values[self.policy.rows(step.arrivals())]
         if self.agents.inputs.masks is not None:
-            # Where a time limit cut an episode short, nobody is told what was allowed next: anything.
+            # Where a time limit cut an episode short, the device does not tell the masks: all are allowed.
             later = masked(later, self.agents.inputs.masks.masked_fill(step.ended[:, None], 1))
         targets = rewards + self.settings.discount * later.amax(1) * ~step.terminations
         self._update(rows * n_actions + actions, targets, alive)
@@ -142,12 +142,12 @@ class QLearning(Trainer):
     def _update(self, entries: Tensor, targets: Tensor, alive: Tensor) -> None:
         """Move the entries that agents visited towards the mean of their targets."""
         learner = self.learner
-        if self.agents.spec.agents > 1:  # else nobody has ended before its world
+        if self.agents.spec.agents > 1:  # else no agent has ended before its world
             entries, targets, learner = entries[alive], targets[alive], learner[alive]
         values, updates = self.policy.values.view(-1), self.updates
         self.visits.index_add_(0, entries, torch.ones_like(targets, dtype=torch.float64))
         self.sums.index_add_(0, entries, targets.double())
-        # Who visited the same entry computes the same for it, so that it matters not whose is kept.
+        # Agents that visited the same entry compute the same for it, so any of their results may be kept.
         mean = (self.sums[entries] / self.visits[entries]).float()
         rates = self.rates[learner] / (1 + self.settings.learning_rate_decay * updates[entries])
         old = values[entries]

@@ -142,7 +142,7 @@ class RolloutWorker:
         return outputs
 
     def _noise(self, rollout: int) -> Tensor:
-        """Return what makes the rollout's actions random."""
+        """Return the noise that makes the rollout's actions random."""
         settings = self.settings
         size = (settings.rollout_length, len(self.agents.obs), self.model.policy.outputs)
         noise = torch.empty(size, device=self.where)
@@ -164,7 +164,7 @@ class RolloutWorker:
 
 
 def _rows(steps: int, like: Tensor) -> Tensor:
-    """Return room for a tensor of each step."""
+    """Return an empty row for each step, to hold such a tensor."""
     return like.new_empty((steps, *like.shape))
 
 
@@ -207,7 +207,7 @@ def _of_every_step(trajectories: Trajectories, discount: float, gae_lambda: floa
 def _of_decisions(trajectories: Trajectories, discount: float, gae_lambda: float) -> tuple[Tensor, Tensor]:
     """Return the same where steps lie between an agent's decisions; those are not discounted.
 
-    A decision of which is not known where it led is not learned from: the one before it goes by its value.
+    A decision is not learned from if it is not known where it led. The one before it goes by its value.
     """
     rewards, values, ended, acting, unknown = trajectories
     advantages, mask = torch.zeros_like(rewards), acting[:-1].clone()

@@ -1,4 +1,4 @@
-"""A training run from its settings to its policy: what ``pearl train`` does."""
+"""A training from its settings to its policy, as ``pearl train`` does it."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ SETTINGS: dict[str, Any] = {
 }
 
 ALIASES = {"ippo": "ppo", "iql": "dqn"}
-"""What the algorithms are called where they learn for every agent of a world."""
+"""Names of the algorithms where they learn for every agent of a world."""
 
 OPTIONS = ("n_agents", "iterations", "seed")
 """Settings that ``pearl train`` has options of their own for; others are given by ``--set``."""
@@ -58,12 +58,12 @@ _NOT_ITS_FAULT = PearlError, torch.cuda.OutOfMemoryError
 
 
 def settings_for(
-    algorithm: str, env_id: str, given: dict[str, Any], shards: int | None = None, agents: int = 1
+    algorithm: str, env_id: str, changes: dict[str, Any], shards: int | None = None, agents: int = 1
 ) -> Any:
-    """Return an algorithm's settings for an environment: its preset, and over it those given.
+    """Return an algorithm's settings for an environment: its preset, with changes.
 
-    With ``shards``, agents are in blocks, as many for any number of shards. Unless their number is given, it
-    is one of whole worlds, of so many ``agents`` each.
+    With ``shards``, agents are in blocks, as many for any number of shards. Unless the changes say how many
+    agents there are, they are of whole worlds, of so many ``agents`` each.
 
     Raises
     ------
@@ -76,8 +76,8 @@ def settings_for(
         raise ArgumentError(f"--algo is {algorithm!r}; possible are {possible}")
     kind = SETTINGS[algorithm]
     names = [setting.name for setting in dataclasses.fields(kind)]
-    given = kind.renamed(given)
-    for name, value in given.items():
+    changes = kind.renamed(changes)
+    for name, value in changes.items():
         if name not in names:
             near = difflib.get_close_matches(name, names, 1)
             hint = f"did you mean {near[0]!r}?" if near else f"there are {', '.join(names)}"
@@ -86,15 +86,15 @@ def settings_for(
             option = f"--{name.replace('_', '-')}" if name in OPTIONS else f"--set {name}"
             raise ArgumentError(f"{option} is {value!r}; it must be {possible}")
     preset = PRESETS.get((algorithm, get_spec(env_id).name), {})
-    settings = SETTINGS[algorithm](**{**preset, **given})
-    if "n_agents" not in given:
+    settings = SETTINGS[algorithm](**{**preset, **changes})
+    if "n_agents" not in changes:
         n = max(settings.n_agents // agents, 1) * agents
         settings = dataclasses.replace(settings, n_agents=n)
     if shards is None:
         return settings
     if algorithm != "ppo":
         raise ArgumentError(f"{algorithm} does not learn with --shards: leave it out, or use ppo")
-    if "blocks" in given:
+    if "blocks" in changes:
         return settings
     return dataclasses.replace(settings, blocks=min(BLOCKS, settings.n_agents))
 
@@ -322,8 +322,7 @@ def _check_worlds(spec: EnvSpec, algorithm: str, settings: Any) -> None:
 def evaluate(policy: Any, spec: EnvSpec, n: int, seed: int = 1) -> tuple[float, float]:
     """Return mean and standard deviation of the return of ``n`` agents' first episodes.
 
-    In a game of turns, the return against players who make random moves: against itself it would be that of
-    every policy.
+    In a game of turns, it is the return against random players: against itself, every policy has the same.
     """
     policy.seed(seed)
     if spec.turns:

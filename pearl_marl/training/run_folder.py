@@ -32,11 +32,11 @@ CHECKPOINT, PREVIOUS = "checkpoint.pt", "checkpoint.previous.pt"
 CONFIG, METRICS, POLICY, CURVE = "config.json", "metrics.csv", "policy.safetensors", "learning_curve.png"
 
 FORMAT = 5
-"""Of checkpoints; another number for every change of what trainers keep in them."""
+"""Of checkpoints; it changes with the data that trainers keep in them."""
 
 
 class RunFolder:
-    """The folder of one run, new or to be gone on with; ``rows`` are the metrics so far, a dict a report.
+    """The folder of one run, new or resumed; ``rows`` are the metrics so far, a dict for each report.
 
     Parameters
     ----------
@@ -222,7 +222,7 @@ def _settings(config: Path) -> dict[str, Any]:
 _GLOBALS = re.compile(
     r"collections OrderedDict|torch._utils _rebuild_tensor_v2|torch [A-Z][A-Za-z0-9]+Storage"
 )
-"""What the pickle of tensors and plain data names."""
+"""Names in the pickle of tensors and plain data."""
 
 
 def _is_plain(archive: zipfile.ZipFile) -> bool:

@@ -1,7 +1,7 @@
-"""Self-play: PPO against its past selves, for games that somebody wins.
+"""Self-play: PPO against its past selves, for games with a winner.
 
 From time to time the policy, as it is, joins the *league*, and stays there. In some worlds the learner plays
-all sides, in the others one, against members of the league. So it cannot forget how to beat who it has been.
+all sides, in the others one, against members of the league. So it cannot forget how to beat earlier policies.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ class LeagueWorker(RolloutWorker):
         n, agents, seat = len(self.agents.obs), spec.agents, self.agents.position
         world = torch.arange(n, device=self.where) // agents
         first = round(settings.mirrored * (n // agents))
-        # Whose row it is: 0 the learner's, k the k-th opponent's. The learner has each seat equally often.
+        # The player of each row: 0 is the learner, k the k-th opponent. The learner has each seat as often.
         group = 1 + (world - first) // agents % settings.opponents
         self.players = torch.where((world < first) | (world % agents == seat), 0, group)
         self.met: list[int] = []
@@ -59,10 +59,8 @@ class LeagueWorker(RolloutWorker):
         draw = np.random.default_rng(seed_of(settings.seed, rollout, 1))
         self.met = draw.choice(list(self.league), settings.opponents).tolist()
         random = torch.Generator(self.where).manual_seed(seed_of(settings.seed, rollout, 2))
-        chances = torch.rand(
-            (settings.rollout_length, len(self.players)), generator=random, device=self.where
-        )
-        self.random_moves = chances < settings.random_moves
+        draws = torch.rand((settings.rollout_length, len(self.players)), generator=random, device=self.where)
+        self.random_moves = draws < settings.random_moves
         return super().gather(rollout)
 
     def acting(self) -> Tensor:
@@ -74,7 +72,7 @@ class LeagueWorker(RolloutWorker):
         return self.random_moves
 
     def decide(self, inputs: Inputs, step: int) -> Tensor:
-        """Return the outputs of the policies of all who play; equal ones where the move is random."""
+        """Return the outputs of all players' policies; equal ones where the move is random."""
         policy, acting = self.model.policy, self.agents.acting
         outputs = torch.full((len(inputs.obs), policy.outputs), MASKED, device=self.where)
         for player, weights in enumerate([{}, *(self.league[k] for k in self.met)]):
@@ -99,7 +97,7 @@ class SelfPlay(ppo.PPO):
         self._join()
 
     def update(self) -> None:
-        """Gather rollout and learn from it; join the league, if it is time."""
+        """Gather a rollout and learn from it; join the league, if it is time."""
         super().update()
         if self.done % self.settings.join_every == 0:
             self._join()

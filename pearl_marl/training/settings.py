@@ -1,4 +1,4 @@
-"""What the trainers' settings may be, said beside their defaults, and whether this machine can hold them."""
+"""Ranges of the trainers' settings, beside their defaults, and a check of the memory that they take."""
 
 from __future__ import annotations
 
@@ -85,15 +85,15 @@ class TrainerSettings:
 
     @classmethod
     def range(cls, name: str) -> Range | Choice:
-        """Return what a setting may be."""
+        """Return the values that a setting may have."""
         (found,) = (f.metadata["range"] for f in fields(cls) if f.name == name)  # type: ignore[arg-type]
         return found  # type: ignore[no-any-return]
 
     @classmethod
-    def renamed(cls, given: Mapping[str, Any]) -> dict[str, Any]:
+    def renamed(cls, values: Mapping[str, Any]) -> dict[str, Any]:
         """Return settings by the names that they have now; earlier names warn."""
         successors, result = cls.successors(), {}
-        for said, value in given.items():
+        for said, value in values.items():
             if (name := successors.get(said, said)) in result:
                 raise ArgumentError(f"setting {name!r} is given twice, also as {said!r}: give it once")
             if name != said:
@@ -122,11 +122,11 @@ def check_memory(
     Parameters
     ----------
     spec, settings, device
-        The run's. With the device ``"cuda"``, what is learned from is on the GPU.
+        The run's. With the device ``"cuda"``, the samples are on the GPU.
     names
         The settings that the memory grows with.
     observations, others
-        What the run holds at least: observations, and bytes of anything else.
+        Observations that the run holds at least, and bytes of anything else.
 
     Raises
     ------
@@ -138,8 +138,8 @@ def check_memory(
     if device == Cuda.name and torch.cuda.is_available():
         there, where = torch.cuda.get_device_properties(0).total_memory, "the GPU"
     if needed > there:
-        given = ", ".join(f"{name}={getattr(settings, name)}" for name in names)
+        chosen = ", ".join(f"{name}={getattr(settings, name)}" for name in names)
         raise ArgumentError(
-            f"training on {spec.name} with {given} takes at least {needed / 2**30:,.1f} GiB of memory, and "
+            f"training on {spec.name} with {chosen} takes at least {needed / 2**30:,.1f} GiB of memory, and "
             f"{where} has {there / 2**30:,.1f} GiB: make one of these settings smaller"
         )

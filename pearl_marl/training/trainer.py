@@ -1,4 +1,4 @@
-"""A training run of any algorithm: what an iteration and a checkpoint have in common."""
+"""Any algorithm's trainer: its iterations, its episodes' returns and its checkpoints."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ class Trainer:
     settings
         The run's.
     agents
-        :class:`~pearl_marl.training.agents.Agents`, or what else has ``state``, ``load`` and ``config``.
+        :class:`~pearl_marl.training.agents.Agents`, or something else with ``state``, ``load``, ``config``.
     where
         The device of torch that has their observations, and on which it learns.
     """

@@ -1,7 +1,7 @@
 """Rollouts of one training run, gathered by many processes: weights travel instead of steps.
 
-What a worker gathers depends on what it is sent and on its agents' state, which comes back each time. A
-worker that was lost is replaced by one that is given that state, and gathers the same.
+A worker's rollout depends on the weights that it is sent and on its agents' state, which comes back each
+time. A lost worker is replaced by one that gets that state, and gathers the same.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ from pearl_marl.training.actor_critic import ActorCritic
 from pearl_marl.training.rollout import Rollout, RolloutWorker, block_edges
 
 RESOURCES: dict[str, dict[str, float]] = {"cuda": {"GPU": 1}, "xdma": {"fpga": 1}, "serial": {"fpga": 1}}
-"""What a worker takes up of the machine that it is placed on, by its device."""
+"""Resources that a worker needs of its machine, by its device."""
 
 ATTEMPTS = 3
 """How often in a row a worker may be lost in the same rollout, or while it starts."""
 
 
 class Worker:
-    """What runs in a process of its own: a :class:`RolloutWorker` that is sent weights."""
+    """A :class:`RolloutWorker` in a process of its own, which is sent weights."""
 
     def begin(self, packed: Packed) -> SavedState:
         """Make the agents; return their state. In the parcel are arguments of :class:`RolloutWorker`."""
@@ -48,7 +48,7 @@ class Worker:
         """Return a rollout's tensors, and the agents' state after it; they begin at ``state``, if any."""
         if state is not None:
             self.worker.agents.load(state)
-        # Copies: what comes out of the object store cannot be written to.
+        # Copies: arrays out of the object store cannot be written to.
         self.model.load_state_dict({name: torch.tensor(array) for name, array in weights.items()})
         tensors = self.worker.gather(rollout).tensors()
         arrays = [None if tensor is None else tensor.cpu().numpy() for tensor in tensors]
@@ -65,7 +65,7 @@ class RayWorkers:
     ArgumentError
         There are fewer blocks than shards.
     DeviceError
-        There is no Ray, or no place for a worker.
+        There is no Ray, or no machine for a worker.
     """
 
     def __init__(self, spec: EnvSpec, device: str, settings: Any, model: ActorCritic, shards: int) -> None:
@@ -145,7 +145,7 @@ class RayWorkers:
 
     @property
     def config(self) -> BatchConfig:
-        """What a saved state of all agents has to agree with."""
+        """The batch that a saved state of all agents has to agree with."""
         return BatchConfig(spec=self.spec, n_envs=worlds_of(self.spec, self.settings.n_agents))
 
     def state(self) -> SavedState:
