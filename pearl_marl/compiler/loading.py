@@ -65,6 +65,7 @@ def loop(function: Callable[..., Any], *uses: types.ModuleType) -> Callable[...,
     def call(*given: Any) -> Any:
         return made()(*given)
 
+    call.compiled = made  # type: ignore[attr-defined]  # for other compiled functions, which call that one
     return call
 
 

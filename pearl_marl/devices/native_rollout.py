@@ -62,8 +62,6 @@ def _rollout(given, table, net, actions, elements, masks, alive, sums, record, a
     words = np.empty((rows, actions.shape[1]), np.int64)
     keep = len(record.rewards) > 0
     logits = np.empty((rows if keep else 0, record.logits.shape[2]), np.int32)
-    filtered = np.zeros(max(1, integer_loops_filtered(net)), np.int32)
-    room = room_for(net)
     keys = np.empty((agents, max(net.draws, 1), 2), np.uint32)
     mine = given.copy()
     began = given[TICK]
@@ -100,10 +98,7 @@ def _rollout(given, table, net, actions, elements, masks, alive, sums, record, a
                     slot = np.uint32(given[FIRST_SLOT] + np.uint64(b + i // agents))
                     for d in range(net.draws):
                         draws[i, d] = draw(slot, keys[i % agents, d, 0], keys[i % agents, d, 1])
-            for start in range(0, n, TILE):
-                some = min(TILE, n - start)
-                add_up(net, seen, start, some, start % agents, room, filtered)
-                choose_words(net, room.sums, start, some, allowed, draws, words, logits)
+            act(net, seen[:n], allowed[: n * min(len(allowed), 1)], draws[:n], words[:n], logits)
             for i in range(n):
                 for k in range(actions.shape[1]):
                     actions[first + i, k] = words[i, k]
@@ -153,13 +148,11 @@ def _compiled(kernels: Kernels) -> Callable[..., None]:
         **drawing,
         "step": kernels.step,
         "BLOCK": BLOCK,
-        "TILE": integer_loops.TILE,
         "FIRST_DRAW": device_policy.FIRST_DRAW,
         "CHAIN_A": rng.CHAIN_A,
         "CHAIN_B": rng.CHAIN_B,
         **{constant: _PLACES[name] for constant, name in _CONSTANTS.items()},
-        **{used: getattr(integer_loops, used) for used in ("add_up", "choose_words", "room_for")},
-        "integer_loops_filtered": integer_loops.filtered_size,
+        "act": integer_loops.act.compiled(),  # type: ignore[attr-defined]
     }
     loaded, _ = load(name, inspect.getsource(_rollout), **names)
     return kept_code(numba.njit(nogil=True, error_model="numpy")(loaded._rollout), name)  # type: ignore[no-any-return]

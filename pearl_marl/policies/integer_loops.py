@@ -16,6 +16,7 @@ from llvmlite import ir
 from numba import njit, types
 from numba.extending import intrinsic
 
+from pearl_marl.compiler.loading import loop
 from pearl_marl.policies.device_policy import Array
 from pearl_marl.policies.integer_network import ENTRIES, IntegerNetwork, Levels, Patches, Rows, Scaling
 
@@ -262,7 +263,8 @@ def room_for(net: Prepared) -> Room:
     """Return room for a tile."""
     pairs, outputs = 1, 1
     for layer in range(len(net.sizes)):
-        pairs, outputs = max(pairs, net.sizes[layer, 0]), max(outputs, net.sizes[layer, 1])
+        outputs = max(outputs, net.sizes[layer, 1])
+        pairs = max(pairs, net.sizes[layer, 0], outputs // 2)
     return Room(np.zeros((pairs, TILE), np.int32), np.zeros((outputs, TILE), np.int32))
 
 
@@ -411,7 +413,25 @@ def choose_words(
                 logits[first + s, j] = sums[j, s]
 
 
+
 @called
 def filtered_size(net: Prepared) -> int:
     """Return how many numbers filters find in an agent's planes."""
     return len(net.filter_bias) * (net.shape[0] - 2) * (net.shape[1] - 2) if net.kind == PLANES else 0
+
+
+def _act(net, elements, masks, draws, words, logits):  # type: ignore[no-untyped-def]
+    room, filtered = room_for(net), np.zeros(max(1, filtered_size(net)), np.int32)
+    for start in range(0, len(words), TILE):
+        some = min(TILE, len(words) - start)
+        add_up(net, elements, start, some, start, room, filtered)
+        choose_words(net, room.sums, start, some, masks, draws, words, logits)
+
+
+act = loop(_act)
+"""Choose an action for each agent: ``act(net, elements, masks, draws, words, logits)``.
+
+``elements`` are integers of shape ``(n, elements)``, of whole worlds; ``masks``, ``int8`` of shape ``(n, n_actions)`` or
+of no rows; ``draws``, ``uint32`` of shape ``(n, net.draws)``. The words of actions are written to ``words``, ``int64`` of shape
+``(n, fields)``, and logits to ``logits``, ``int32`` of shape ``(n, outputs)`` or of no rows.
+"""
