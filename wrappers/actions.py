@@ -138,7 +138,7 @@ class _NoNans(Transform):
 
     def __init__(self, batch: Batch, space: Space[Any], action_space: Any) -> None:
         super().__init__(batch, space, action_space)
-        self.action_kinds = "iuf"  # NaN is a float, whatever the action space
+        self.action_rules.kinds = "iuf"  # NaN is a float, whatever the action space
 
     def actions(self, actions: Array) -> Array:
         if actions.dtype.kind != "f":
@@ -209,7 +209,7 @@ class _Sticky(Transform):
     def __init__(self, batch: Batch, space: Space[Any], action_space: Any, probability: float) -> None:
         super().__init__(batch, space, action_space)
         self._below = round(probability * 2**32)
-        dtype = np.float64 if "f" in self.action_kinds else np.int64
+        dtype = np.float64 if "f" in self.action_rules.kinds else np.int64
         self._taken = np.zeros((self.n, *(action_space.shape or ())), dtype)
         self._may_stick = np.zeros(self.n, np.bool_)
         self.memory = {"taken": self._taken, "may_stick": self._may_stick}

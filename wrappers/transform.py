@@ -7,15 +7,15 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from gymnasium.spaces import Box, Space
+from gymnasium.spaces import Space
 from gymnasium.vector import AutoresetMode
 
 from pearl_marl import rng
-from pearl_marl.batch.actions import refusal, refuse_first
+from pearl_marl.batch.actions import ActionRules
 from pearl_marl.batch.recycling import Recycler
 from pearl_marl.batch.step import Array, BatchStep
-from pearl_marl.elements import ActionSpace, bounds
-from pearl_marl.errors import ActionError, OrderError
+from pearl_marl.elements import ActionSpace
+from pearl_marl.errors import OrderError
 from pearl_marl.interfaces.batch import Batch
 from pearl_marl.interfaces.world import Mask
 
@@ -37,8 +37,8 @@ class Transform:
         One agent's spaces, with the change; of roles, the widest.
     world
         How agents share states, with the change.
-    action_kinds
-        The kinds of dtype that actions may have.
+    action_rules
+        Which actions may be taken.
     acting
         Who acts in the step under way: is there, and not dead.
     resetting
@@ -52,6 +52,8 @@ class Transform:
     keeps_history = False
     """Whether observations depend on earlier ones: :meth:`push`, :meth:`begin` and :meth:`show` are used."""
 
+    action_rules: ActionRules
+
     def __init__(self, batch: Batch, observation_space: Space[Any], action_space: ActionSpace) -> None:
         self.batch, self.n = batch, batch.batch_size
         self.observation_space, self.action_space = observation_space, action_space
@@ -62,9 +64,14 @@ class Transform:
         inside: Transform | None = getattr(batch, "transform", None)
         # Whom to ask about actions that are handed through.
         self._taker = inside if inside is not None and inside.action_space is action_space else None
-        self.action_kinds = "iuf" if isinstance(action_space, Box) else "iu"
-        if self._taker is not None:
-            self.action_kinds = self._taker.action_kinds
+        spec = batch.innermost.spec
+        self.action_rules = ActionRules(
+            action_space,
+            self.n,
+            # Of another space, its elements have no names.
+            [field.name for field in spec.action_fields] if action_space == spec.action_space else [],
+            kinds="" if self._taker is None else self._taker.action_rules.kinds,
+        )
         self.memory: dict[str, Array] = {}
         self.new = Recycler()
         self.acting, self.resetting = batch.live, np.zeros(self.n, np.bool_)
@@ -106,7 +113,7 @@ class Transform:
 
     def step(self, actions: npt.ArrayLike) -> BatchStep:
         """Step every slot once."""
-        actions = self.actions(self.given(actions))
+        actions = self.actions(self.array(actions))
         self.acting = self.batch.live
         if self.world.agents > 1:
             self.acting = self.acting & self.batch.alive
@@ -118,44 +125,28 @@ class Transform:
         """Step the batch; once, unless a subclass has it otherwise."""
         return self.batch.step_batch(actions)
 
-    def given(self, actions: npt.ArrayLike) -> Array:
+    def array(self, actions: npt.ArrayLike) -> Array:
         """Return actions as an array; refuse them if it has not the shape and kind of dtype of actions."""
         if not self.ready:
             raise OrderError("step() before reset(): call reset() of the outermost wrapper first")
         try:
             array = np.asarray(actions)
-        except ValueError:  # a ragged list
-            raise self._refusal(actions) from None
-        shape = self.n, *(self.action_space.shape or ())
-        if array.shape != shape or array.dtype.kind not in self.action_kinds:
-            raise self._refusal(actions)
+        except ValueError:  # some are sequences of other lengths
+            raise self.action_rules.refusal(actions) from None
+        if not self.action_rules.are_actions(array, self.n):
+            raise self.action_rules.refusal(actions)
         return array
 
     def possible(self, actions: Array) -> Mask:
-        """Return which slots' actions are valid, or become valid in a wrapper inside."""
-        if self._taker is not None:
-            return self._taker.possible(actions)
-        low, high = bounds(self.action_space)
-        within: Any = (low <= actions) & (actions <= high)
-        if actions.dtype.kind == "f" and not isinstance(self.action_space, Box):
-            within &= actions == np.floor(actions)
-        return np.asarray(within if within.ndim == 1 else within.reshape(self.n, -1).all(1))
+        """Return which rows of actions are valid, or become valid in a wrapper inside."""
+        return self.action_rules.possible(actions) if self._taker is None else self._taker.possible(actions)
 
     def check(self, actions: Array) -> None:
         """Refuse actions that are not possible; for transforms that may not hand them on."""
         possible = self.possible(actions) | self.resetting  # for whom it is ignored
         if not possible.all():
             first = int(np.argmin(possible))
-            space, names = self.action_space, self._action_names()
-            raise refuse_first([f"agent_{first}"], [actions[first].tolist()], space, names)
-
-    def _refusal(self, actions: Any) -> ActionError:
-        return refusal(actions, self.action_space, self.n, names=self._action_names())
-
-    def _action_names(self) -> list[str]:
-        """Return the names of an action's fields, if it is what the environment inside all wrappers takes."""
-        spec = self.batch.innermost.spec
-        return [f.name for f in spec.action_fields] if self.action_space == spec.action_space else []
+            raise self.action_rules.refusal_of([f"agent_{first}"], [actions[first].tolist()])
 
     def results(self, step: BatchStep) -> BatchStep:
         """Return the results of a step with the change."""

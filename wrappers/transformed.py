@@ -29,8 +29,7 @@ class TransformedBatch(Batch):
         super().__init__(
             batch.batch_size,
             transform.observation_space,
-            transform.action_space,
-            transform.action_kinds,
+            transform.action_rules,
             batch.autoreset,
             batch.slot_autoreset_mode,
             transform.world,

@@ -1,4 +1,8 @@
-"""Checking a batch of actions, and narrowing it to the device's width, in one pass."""
+"""Which actions may be taken, decided here and nowhere else; and drawing random ones.
+
+:class:`ActionRules` answers for a batch: for a device, which narrows actions to its words as they are
+checked; for a batch some of whose agents have left; for a wrapper with a space of its own; and for one agent.
+"""
 
 from __future__ import annotations
 
@@ -10,11 +14,109 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium.spaces import Box, Discrete
 
+from pearl_marl.batch.step import on_host
 from pearl_marl.elements import ActionSpace, bounds
 from pearl_marl.errors import ActionError
 from pearl_marl.golden import uniform_below
 from pearl_marl.machine_code import compiled
 from pearl_marl.spec import EnvSpec
+
+
+class ActionRules:
+    """Which actions the agents of a batch may take.
+
+    Parameters
+    ----------
+    space, n
+        One agent's action space (of roles, the widest), and how many agents there are.
+    names
+        The names of an action's fields, for messages.
+    first_agent
+        The number of the first agent, likewise.
+    kinds
+        The kinds of dtype that arrays of actions may have; by default those of the space.
+    """
+
+    def __init__(
+        self,
+        space: ActionSpace,
+        n: int,
+        names: Sequence[str] = (),
+        first_agent: int = 0,
+        kinds: str = "",
+    ) -> None:
+        self.space, self.shape, self.n = space, space.shape or (), n
+        self.kinds = kinds or ("iuf" if isinstance(space, Box) else "iu")
+        self._names, self._first = names, first_agent
+        self._least = int(space.start) if isinstance(space, Discrete) else bounds(space)[0]
+
+    @classmethod
+    def of(cls, spec: EnvSpec, space: ActionSpace, n: int, first_slot: int = 0) -> ActionRules:
+        """Return the rules of ``n`` agents of an environment; ``space`` is its action space, or a copy."""
+        return cls(space, n, [field.name for field in spec.action_fields], first_slot * spec.agents)
+
+    def are_actions(self, array: npt.NDArray[Any], count: int) -> bool:
+        """Return whether an array has the shape and kind of dtype of so many actions."""
+        return array.shape == (count, *self.shape) and array.dtype.kind in self.kinds
+
+    def array(self, actions: Sequence[Any]) -> npt.NDArray[Any] | None:
+        """Return an array of as many actions, one after the other; ``None`` where they do not make one."""
+        try:
+            array = np.array(actions)
+        except ValueError:  # some are sequences of other lengths
+            return None
+        return array if self.are_actions(array, len(actions)) else None
+
+    def possible(self, actions: npt.NDArray[Any]) -> npt.NDArray[np.bool_]:
+        """Return which rows of an array of actions are in the action space, ``bool`` of shape ``(n,)``."""
+        low, high = bounds(self.space)
+        within: Any = (low <= actions) & (actions <= high)
+        if actions.dtype.kind == "f" and not isinstance(self.space, Box):
+            within &= actions == np.floor(actions)
+        return np.asarray(within if within.ndim == 1 else within.reshape(self.n, -1).all(1))
+
+    def with_idle(self, actions: Any, ignored: npt.NDArray[np.bool_], masks: Any = None) -> Any:
+        """Return actions with possible ones where an agent's own is ignored, whatever that is.
+
+        ``ignored`` has an element an action. Where ``masks`` are given, with a row an action, the first that
+        they allow stands in. What has not as many actions is returned as it is, to be refused.
+        """
+        given = actions.cpu() if hasattr(actions, "cpu") else actions
+        try:
+            array = np.asarray(given)
+        except (TypeError, ValueError):  # some are sequences of other lengths
+            array = None
+        idle: Any = self._least if masks is None else on_host(masks).argmax(1)
+        if array is not None and self.are_actions(array, len(ignored)):
+            if masks is not None:
+                idle = idle.astype(array.dtype)
+            return np.where(ignored.reshape(-1, *(1,) * len(self.shape)), idle, array)
+        if not isinstance(given, (list, tuple)) or len(given) != len(ignored):
+            return actions
+        values = list(given)
+        for row in np.flatnonzero(ignored).tolist():
+            values[row] = idle if masks is None else idle[row]
+        return values
+
+    def check_one(
+        self, row: int, action: Any, space: ActionSpace, masks: npt.NDArray[np.int8] | None = None
+    ) -> None:
+        """Refuse an action that the agent of a row may not take.
+
+        ``space`` is its role's; ``masks`` are those of all agents, where masked actions are refused.
+        """
+        if why_not(action, space):
+            raise refuse_first([f"agent_{self._first + row}"], [action], space, self._names)
+        if masks is not None:
+            refuse_masked(np.array([action]), masks[row : row + 1], self._first + row)
+
+    def refusal(self, actions: Any) -> ActionError:
+        """Return the error for a batch of actions that are not all possible."""
+        return refusal(actions, self.space, self.n, self._first, self._names)
+
+    def refusal_of(self, agents: Iterable[str], actions: Iterable[Any]) -> ActionError:
+        """Return the error for actions of some agents that are not all possible."""
+        return refuse_first(agents, actions, self.space, self._names)
 
 
 def encode(actions: Any, spec: EnvSpec, target: npt.NDArray[Any], first_slot: int = 0) -> npt.NDArray[Any]:
@@ -140,11 +242,6 @@ def _refusal(actions: Any, spec: EnvSpec, target: npt.NDArray[Any], first: int) 
 def _columns(rows: npt.NDArray[Any]) -> Iterable[npt.NDArray[Any]]:
     """Return an array of one number a row for each number that a row has."""
     return (rows,) if rows.ndim == 1 else rows.T
-
-
-def idle_action(space: ActionSpace) -> Any:
-    """Return an action that is possible, for whom nobody has one: the least."""
-    return int(space.start) if isinstance(space, Discrete) else bounds(space)[0]
 
 
 def refuse_first(

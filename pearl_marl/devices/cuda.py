@@ -184,13 +184,12 @@ class Cuda(Device):
                 self._parts[4].copy_to_host(layout.pieces(memory)[4])
         return results
 
-    def _begin(self, words: Any) -> None:
+    def _begin(self, words: Any) -> tuple[Any, Future[BatchStep]]:
         if isinstance(words, _OnGpu):  # queued here and now, as nothing waits for it
             results: Future[BatchStep] = Future()
             results.set_result(self._step(words))
-            self.under_way = words, results
-        else:
-            super()._begin(words)
+            return words, results
+        return super()._begin(words)
 
     def _read(self) -> tuple[Array, Array]:
         self.synchronize()

@@ -19,7 +19,7 @@ from pearl_marl.comparison.divergence import (
     state_words,
 )
 from pearl_marl.comparison.replay import Replay
-from pearl_marl.devices.base import Device, count_or_none
+from pearl_marl.devices.base import Device, Phase, count_or_none
 from pearl_marl.devices.by_name import make_host_device
 from pearl_marl.errors import ArgumentError, LockstepError, PearlError
 from pearl_marl.spec import EnvSpec
@@ -156,10 +156,10 @@ class Lockstep(Device):
 
     def _change(self, setting: Callable[[Device], None]) -> None:
         """Change what steps depend on; those taken before could not be taken again."""
-        if self.ready:
+        if self.phase is Phase.READY:
             self._compare_states()
         self._both(setting)
-        if self.ready:
+        if self.phase is Phase.READY:
             self._agreed()
 
     def _compare_states(self) -> None:
@@ -184,7 +184,7 @@ class Lockstep(Device):
         try:
             return ours, call(self.reference)
         except PearlError:
-            if self.reference.ready:
+            if self.reference.phase is Phase.READY:
                 self.device.restore(self.reference.snapshot())
             raise
 

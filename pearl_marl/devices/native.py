@@ -15,7 +15,7 @@ from gymnasium.spaces import Discrete
 from gymnasium.vector import AutoresetMode
 
 from pearl_marl import rng
-from pearl_marl.batch.actions import are_words, refusal, room_for_words
+from pearl_marl.batch.actions import are_words, room_for_words
 from pearl_marl.batch.config import BatchConfig
 from pearl_marl.batch.results import ResultArrays
 from pearl_marl.batch.slot_memory import SlotMemory, aligned_bytes, counter_dtype
@@ -24,7 +24,7 @@ from pearl_marl.compiler.block_pieces import BLOCK
 from pearl_marl.compiler.kernel_source import GIVEN, RESULTS
 from pearl_marl.compiler.kernels import compile_kernels
 from pearl_marl.deferral import completed
-from pearl_marl.devices.base import Device, count_or_none
+from pearl_marl.devices.base import Device, Phase, count_or_none
 from pearl_marl.devices.threads import Threads
 from pearl_marl.errors import ActionError
 
@@ -149,10 +149,11 @@ class Native(Device):
     def step(self, actions: npt.ArrayLike) -> BatchStep:
         """Step every slot once; see :meth:`Device.step`."""
         # The kernel looks at the actions itself, where no other thread has begun by then.
-        if not (self.ready and self.under_way is None and self._checks and self._threads == 1):
+        alone = self._threads == 1 and self.stage_seconds is None
+        if not (alone and self._checks and self.phase is Phase.READY):
             return super().step(actions)
         if not are_words(actions, self._words):
-            return super().step(actions)
+            actions = self.encoded(actions)
         tick = self._given[_TICK]
         try:
             # One call of the kernel moves slots and tick, so that Ctrl-C comes before both or after both.
@@ -186,8 +187,7 @@ class Native(Device):
         if actions.ndim > 1:  # to the kernel, fields of one agent are like more agents of a slot
             actions = actions.reshape(-1)
         if not self._run(self._kernels.step, (given, actions, self.reward_table)):
-            space: Any = self.config.spec.action_space
-            raise refusal(actions, space, len(actions), self.config.first_slot)
+            raise self.action_rules.refusal(actions)
         if self._tuning:
             self._tune(time.perf_counter() - began)
         return results

@@ -34,7 +34,7 @@ from pearl_marl.batch.step import Array, BatchStep, Seen
 from pearl_marl.compiler.kernel_source import kernel_source
 from pearl_marl.compiler.kernels import kernel_name
 from pearl_marl.devices import cluster
-from pearl_marl.devices.base import Device
+from pearl_marl.devices.base import Device, Phase
 from pearl_marl.devices.by_name import make_distinct
 from pearl_marl.devices.recovery import CHECKPOINT_EVERY, CheckpointLog
 from pearl_marl.devices.sharded import Sharded
@@ -53,7 +53,7 @@ class _ShardLogs(CheckpointLog):
 
     def before(self, device: Any, call: str) -> None:
         """Mark the moment to go back to, unless there is one already."""
-        if device.known:
+        if device.phase is not Phase.FAILED:
             for part in device.parts:
                 part.recovery.mark()
 
@@ -62,10 +62,15 @@ class _ShardLogs(CheckpointLog):
 
     def recover(self, device: Any) -> None:
         """Bring every shard to the mark; see :meth:`Device.recover`."""
+        if device.phase is Phase.OPEN:
+            raise DeviceError(
+                f"the {device.name} device keeps nothing to recover from, as no reset has succeeded: "
+                "call reset(), or load a saved state"
+            )
         self.before(device, "recover")
-        device.known = False
+        device.fail()
         device.on_all(lambda part, _: part.recovery.rewind(part))
-        device.known = True
+        device.phase = Phase.READY
 
 
 class Ray(Sharded):
@@ -193,7 +198,7 @@ class _Shard(Device):
             try:
                 if self._actor is None:
                     self._start(self.config, categories(self.config.spec, self.reward_table))
-                    if not anew and self.ready:
+                    if not anew and self.phase is not Phase.OPEN:
                         self._catch_up()
                 return cluster.get(getattr(self._actor, call).remote(*arguments))
             except cluster.lost() as error:
@@ -205,7 +210,7 @@ class _Shard(Device):
                     raise DeviceError(
                         f"the actor of slots {first} to {first + self.config.n_envs - 1} ({self.name}) was "
                         f"lost {TRIES} times in a row, at last by: {str(error).strip()}\nLook for what ends "
-                        f"it (often memory: `ray status`, `ray memory`), then {self.way_on}"
+                        f"it (often memory: `ray status`, `ray memory`), then {self.remedy}"
                     ) from error
         raise AssertionError("unreachable")
 

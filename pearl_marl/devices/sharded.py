@@ -25,7 +25,7 @@ from pearl_marl.batch.config import BatchConfig
 from pearl_marl.batch.results import ResultArrays
 from pearl_marl.batch.saved_state import SavedState
 from pearl_marl.batch.step import Array, BatchStep, Seen
-from pearl_marl.devices.base import Device, count_or_none
+from pearl_marl.devices.base import Device, Phase, count_or_none
 from pearl_marl.devices.by_name import make_distinct
 from pearl_marl.devices.recovery import CHECKPOINT_EVERY, CheckpointLog
 from pearl_marl.devices.threads import Threads
@@ -67,14 +67,14 @@ class Sharded(Device):
         self._sizes = None if sizes is None else [int(size) for size in sizes]
 
     @property
-    def way_on(self) -> str:
+    def remedy(self) -> str:
         """See :class:`Device`; with a seed, as the parts may not agree on where they are."""
         return "call recover(), or reset() with a seed, or load a saved state, to go on"
 
-    def check_known(self) -> None:
+    def check_not_failed(self) -> None:
         """Refuse to go on where a call has failed on some parts."""
-        if not self.known:
-            raise DeviceError(f"a call of {self.name} failed on some parts before; {self.way_on}")
+        if self.phase is Phase.FAILED:
+            raise DeviceError(f"a call of {self.name} failed on some parts before; {self.remedy}")
 
     def on_all(self, call: Callable[[Device, slice], T]) -> list[T]:
         """Call for all parts at the same time, each with its slots; return when all are done."""
@@ -105,7 +105,7 @@ class Sharded(Device):
             self._open_parts(config)
         except BaseException:
             for part in self.parts:
-                if hasattr(part, "config"):
+                if part.phase is not Phase.NEW:
                     part.close()
             raise
 
@@ -121,17 +121,19 @@ class Sharded(Device):
 
     def _reset(self, mask: Array | None, seed: int | None) -> Seen:
         if seed is None:
-            self.check_known()
+            self.check_not_failed()
         return self._restart(lambda part, slots: part.reset(seed, None if mask is None else mask[slots]))
 
     def _step(self, actions: Array) -> BatchStep:
-        self.check_known()
-        done = self._change(lambda part, slots: part.step_words(actions[self.rows(slots)]))
+        done = self.on_all(lambda part, slots: part.step_words(actions[self.rows(slots)]))
         results = self._results.take()
         for slots, step in zip(self._slots, done, strict=True):
             for whole, share in zip(results.arrays, step.arrays, strict=True):
                 whole[self.rows(slots)] = share
         return results
+
+    def _may_have_moved(self) -> bool:
+        return True  # those of other parts
 
     def rows(self, slots: slice) -> slice:
         """Return the rows that the agents of some slots have."""
@@ -139,7 +141,6 @@ class Sharded(Device):
         return slice(slots.start * agents, slots.stop * agents)
 
     def _read(self) -> tuple[Array, Array]:
-        self.check_known()
         saved = SavedState.join(self.config.spec, self.on_all(lambda part, _: part.snapshot()))
         return saved.memory, saved.stored
 
@@ -154,11 +155,11 @@ class Sharded(Device):
         return self._restart(write)
 
     def _apply_rewards(self, table: npt.ArrayLike) -> None:
-        self.check_known()
+        self.check_not_failed()
         self._change(lambda part, _: part.set_rewards(table))
 
     def _apply_limit(self, config: BatchConfig) -> None:
-        self.check_known()
+        self.check_not_failed()
         self._change(lambda part, _: part.set_max_cycles(config.max_cycles))
 
     def _close(self) -> None:
@@ -169,10 +170,11 @@ class Sharded(Device):
 
     def _change(self, call: Callable[[Device, slice], T]) -> list[T]:
         """Do what moves slots. Should it fail on one part, the others may have moved."""
-        self.known = False
-        results = self.on_all(call)
-        self.known = True
-        return results
+        try:
+            return self.on_all(call)
+        except BaseException:
+            self.fail()
+            raise
 
     def _restart(self, call: Callable[[Device, slice], Array]) -> Seen:
         """Reset or restore all parts; return what agents see."""

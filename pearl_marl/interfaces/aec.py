@@ -15,7 +15,6 @@ from gymnasium.spaces import Box, Space
 from pettingzoo import AECEnv
 from pettingzoo.utils.wrappers import OrderEnforcingWrapper
 
-from pearl_marl.batch.actions import idle_action, refuse_first, refuse_masked, why_not
 from pearl_marl.batch.step import Array, on_host
 from pearl_marl.deferral import uninterrupted
 from pearl_marl.errors import ActionError, ArgumentError, OrderError
@@ -164,12 +163,8 @@ class PearlAECEnv(AECEnv):  # type: ignore[misc]  # pettingzoo has no types
                 raise ActionError(f"{agent}: action {action!r}, but its episode has ended: it takes None")
             return
         space: Any = self.env.action_space(agent)
-        if why_not(action, space):
-            names = [field.name for field in self.env.spec.action_fields]
-            raise refuse_first([agent], [action], space, names)
-        if self.env.spec.masked == "refused":
-            slot = self.env.slots[agent]
-            refuse_masked(np.array([action]), on_host(self.env.action_masks)[slot : slot + 1], slot)
+        masks = on_host(self.env.action_masks) if self.env.spec.masked == "refused" else None
+        self.env.batch.action_rules.check_one(self.env.slot_of(agent), action, space, masks)
 
     def _was_dead_step(self, action: Any) -> None:
         """Have the selected agent leave; PettingZoo's wrappers call this, too."""
@@ -213,12 +208,9 @@ class PearlAECEnv(AECEnv):  # type: ignore[misc]  # pettingzoo has no types
 
     def _actions(self) -> dict[str, Any]:
         """Return an action for everybody that is there, of whom some are not on turn, or have left here."""
-        slots = self.env.slots
-        idle = dict.fromkeys(self.env.agents, idle_action(self.env.batch.slot_action_space))
-        if self.env.action_masks is not None:
-            allowed = on_host(self.env.action_masks).argmax(1).tolist()
-            idle = {agent: allowed[slots[agent]] for agent in idle}
-        return {**idle, **self._given}
+        batch, nobody = self.env.batch, [None] * self.env.batch_size
+        idle = batch.action_rules.with_idle(nobody, np.ones(len(nobody), np.bool_), batch.action_masks)
+        return {**{agent: idle[self.env.slots[agent]] for agent in self.env.agents}, **self._given}
 
     def _on_turn(self) -> list[str]:
         """Return the agents to act: all that are there, unless it is a game in which some are on turn."""

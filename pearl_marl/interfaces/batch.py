@@ -14,13 +14,13 @@ from gymnasium.spaces import Box, Space
 from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode
 
-from pearl_marl.batch.actions import idle_action
+from pearl_marl.batch.actions import ActionRules
 from pearl_marl.batch.saved_state import SavedState
 from pearl_marl.batch.slot_memory import state_dtype
 from pearl_marl.batch.starts import checked_start
 from pearl_marl.batch.step import Array, BatchStep, on_host
 from pearl_marl.deferral import uninterrupted
-from pearl_marl.devices import BatchConfig, Device
+from pearl_marl.devices import BatchConfig, Device, Phase
 from pearl_marl.elements import ActionSpace
 from pearl_marl.errors import ArgumentError, OrderError
 from pearl_marl.interfaces.world import Mask, World
@@ -44,27 +44,24 @@ class Batch(ABC):
         :meth:`step_batch` does. A ``VectorEnv`` in DISABLED mode and agents that leave only hide it.
     autoreset
         Whether slots that ended start over by themselves and need no reset.
-    action_kinds
-        The kinds of dtype that actions may have.
+    action_rules
+        Which actions its agents may take.
     """
 
     def __init__(
         self,
         batch_size: int,
         observation_space: Space[Any],
-        action_space: ActionSpace,
-        action_kinds: str,
+        action_rules: ActionRules,
         autoreset: bool,
         slot_autoreset_mode: AutoresetMode,
         world: World,
     ) -> None:
         self.batch_size, self.world = batch_size, world
-        self.slot_observation_space, self.slot_action_space = observation_space, action_space
-        self.action_kinds = action_kinds
+        self.slot_observation_space: Space[Any] = observation_space
+        self.slot_action_space: ActionSpace = action_rules.space
+        self.action_rules = action_rules
         self.autoreset, self.slot_autoreset_mode = autoreset, slot_autoreset_mode
-        self.action_shape = action_space.shape or ()
-        # An action that is possible, for agents that need none.
-        self.idle: Any = idle_action(action_space)
         # As `live` is another array whenever it changes, this one is known to say that everybody acts.
         self._everybody: Mask | None = None
 
@@ -94,21 +91,8 @@ class Batch(ABC):
             return actions
         if not live.any():
             raise OrderError("step() with no agent left: every episode has ended, call reset() first")
-        given: Any = actions
-        try:
-            array = np.asarray(given.cpu() if hasattr(given, "cpu") else given)
-        except ValueError:  # a ragged list, to be refused
-            return actions
-        if not self.are_actions(array, self.batch_size):
-            return actions
-        idle = self.idle
-        if self.world.masked:  # agents that left may be in a world that runs on, and are not to be refused
-            idle = on_host(self.action_masks).argmax(1).astype(array.dtype)
-        return np.where(acting.reshape(-1, *(1,) * len(self.action_shape)), array, idle)
-
-    def are_actions(self, array: Array, count: int) -> bool:
-        """Return whether an array has the shape and kind of dtype of so many actions."""
-        return array.shape == (count, *self.action_shape) and array.dtype.kind in self.action_kinds
+        filled: npt.ArrayLike = self.action_rules.with_idle(actions, ~acting, self.action_masks)
+        return filled
 
     def reset_slots(self, mask: Mask) -> Array:
         """Begin an episode in the masked worlds, shape ``(worlds,)``; return all observations."""
@@ -182,9 +166,8 @@ class DeviceBatch(Batch):
         check_render_mode(spec, render_mode)
         # Copies, or seeding one environment's spaces would seed another's.
         observations, actions, world = deepcopy((spec.observation_space, spec.action_space, World.of(spec)))
-        kinds = "iuf" if isinstance(actions, Box) else "iu"
-        mode = config.autoreset_mode
-        super().__init__(config.n_agents, observations, actions, kinds, autoreset, mode, world)
+        rules = ActionRules.of(spec, actions, config.n_agents)
+        super().__init__(config.n_agents, observations, rules, autoreset, config.autoreset_mode, world)
         self.device = device.open(config, rewards)
         self.render_mode = render_mode
         self._leaves = leaves
@@ -223,7 +206,7 @@ class DeviceBatch(Batch):
     @property
     def ready(self) -> bool:
         """See :class:`Batch`."""
-        return self.device.ready
+        return self.device.phase is Phase.READY
 
     @property
     def np_random(self) -> np.random.Generator:

@@ -12,16 +12,21 @@ import numpy.typing as npt
 import pettingzoo
 from gymnasium.spaces import Box, Dict, Space
 
-from pearl_marl.batch.actions import refuse_first
 from pearl_marl.batch.config import worlds_of
 from pearl_marl.batch.results import check_memory
 from pearl_marl.batch.step import Array, on_host
 from pearl_marl.devices import BatchConfig, BatchStep, Device, make_device
 from pearl_marl.errors import ActionError, ArgumentError, OrderError
-from pearl_marl.interfaces.agent_dict import AgentDict, ended_infos, observations_in, python_values
-from pearl_marl.interfaces.agent_spaces import AgentSpaces
 from pearl_marl.interfaces.batch import Batch, DeviceBatch
-from pearl_marl.interfaces.names import AgentList, Names
+from pearl_marl.interfaces.by_agent import (
+    AgentDict,
+    AgentList,
+    AgentSpaces,
+    Names,
+    ended_infos,
+    observations_in,
+    python_values,
+)
 from pearl_marl.interfaces.view import View
 from pearl_marl.interfaces.world import Mask
 from pearl_marl.packing import observed_as
@@ -36,7 +41,7 @@ class PearlParallelEnv(View, pettingzoo.ParallelEnv):  # type: ignore[misc]  # p
     ``agent_{K-1}`` are in the first, ``world`` is ``i // K``.
 
     Make one with :func:`parallel_env`. The five results of :meth:`step` are dicts that are filled
-    on first use (:class:`pearl_marl.interfaces.agent_dict.AgentDict`); their ``.array`` is what the device
+    on first use (:class:`pearl_marl.interfaces.by_agent.AgentDict`); their ``.array`` is what the device
     returned, a row an agent. Programs that need no dict at all call :meth:`step_batch`.
 
     With ``autoreset=True`` agents stay: one whose episode ended finds itself at the start of the
@@ -174,7 +179,7 @@ class PearlParallelEnv(View, pettingzoo.ParallelEnv):  # type: ignore[misc]  # p
     def slot_of(self, agent: str) -> int:
         """Return an agent's slot; refuse a name that nobody has."""
         try:
-            return self.names.slot(agent)
+            return self.names.row(agent)
         except KeyError:
             raise ArgumentError(
                 f"there is no agent {agent!r}; agents are agent_0 to agent_{self.batch_size - 1}"
@@ -318,7 +323,7 @@ class PearlParallelEnv(View, pettingzoo.ParallelEnv):  # type: ignore[misc]  # p
         agents = self._name_who_is_there()
         live = self._named
         given: Any = actions
-        if isinstance(actions, Mapping) and self.ready:
+        if isinstance(actions, Mapping) and self.batch.ready:
             values = self._values(agents, actions)
             if not values:  # PettingZoo's convention, which SuperSuit's black_death needs
                 return {}, {}, {}, {}, {}
@@ -378,18 +383,17 @@ class PearlParallelEnv(View, pettingzoo.ParallelEnv):  # type: ignore[misc]  # p
         return self._shown(masks, slots)(rows)
 
     def _action_array(self, agents: Sequence[str], values: list[Any]) -> Array:
-        """Return actions of agents as an array over all slots; the rows of agents that left hold anything."""
-        array = _array(values)
-        if not self.batch.are_actions(array, len(values)) and self.batch.world.agents > 1:
-            # What the dead give, whatever it is, is ignored.
-            acting = on_host(self.alive)[self._named].tolist()
-            values = [value if acts else self.batch.idle for value, acts in zip(values, acting, strict=True)]
-            array = _array(values)
-        if not self.batch.are_actions(array, len(values)):
-            raise refuse_first(agents, values, self.batch.slot_action_space)
+        """Return actions of agents as an array over all rows; those of agents that left hold anything."""
+        rules = self.batch.action_rules
+        array = rules.array(values)
+        if array is None and self.batch.world.agents > 1:
+            # What agents give whose episode is over, whatever it is, is ignored.
+            array = rules.array(rules.with_idle(values, ~on_host(self.alive)[self._named]))
+        if array is None:
+            raise rules.refusal_of(agents, values)
         if len(values) == self.batch_size:
             return array
-        whole = np.empty((self.batch_size, *self.batch.action_shape), array.dtype)
+        whole = np.empty((self.batch_size, *rules.shape), array.dtype)
         whole[self._named] = array
         return whole
 
@@ -418,14 +422,6 @@ class PearlParallelEnv(View, pettingzoo.ParallelEnv):  # type: ignore[misc]  # p
             self._agents = AgentList(self._here)
             self._named = live
         return self._here
-
-
-def _array(values: list[Any]) -> Array:
-    """Return values as an array; an empty one where some are sequences of other lengths."""
-    try:
-        return np.array(values)
-    except ValueError:
-        return np.empty(0)
 
 
 def _first(own: Space[Any], whole: Space[Any]) -> slice | None:

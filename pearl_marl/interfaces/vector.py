@@ -17,8 +17,8 @@ from pearl_marl.batch.step import Array, BatchStep, on_host
 from pearl_marl.deferral import uninterrupted
 from pearl_marl.devices import BatchConfig, Device, make_device
 from pearl_marl.errors import ArgumentError, OrderError
-from pearl_marl.interfaces.agent_dict import observations_in
 from pearl_marl.interfaces.batch import Batch, DeviceBatch
+from pearl_marl.interfaces.by_agent import observations_in
 from pearl_marl.interfaces.view import View
 from pearl_marl.interfaces.world import Mask
 from pearl_marl.packing import observed_as

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import pearl_marl
-from pearl_marl.interfaces.names import AgentList, Names
+from pearl_marl.interfaces.by_agent import AgentList, Names
 
 N = 12
 PLAIN = [f"agent_{i}" for i in range(N)]
@@ -21,7 +21,7 @@ PLAIN = [f"agent_{i}" for i in range(N)]
 @pytest.fixture(autouse=True)
 def few_are_many(monkeypatch: pytest.MonkeyPatch) -> None:
     """Have containers of any size filled when they are read, and none from the start."""
-    monkeypatch.setattr("pearl_marl.interfaces.names.FEW", -1)
+    monkeypatch.setattr("pearl_marl.interfaces.by_agent.FEW", -1)
 
 
 def filled(names: list[str]) -> bool:

@@ -16,8 +16,7 @@ import pearl_marl
 from pearl_marl import wrappers
 from pearl_marl.batch.actions import random_actions
 from pearl_marl.errors import ArgumentError, OrderError, SavedStateError
-from pearl_marl.interfaces.agent_dict import _UnfilledAgentDict
-from pearl_marl.interfaces.filling import FEW
+from pearl_marl.interfaces.by_agent import FEW, _UnfilledAgentDict
 from pearl_marl.testing.case import assert_same_step, assert_same_trajectory, trajectory
 
 pytestmark = pytest.mark.usefixtures("toys")

@@ -19,7 +19,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 from pearl_marl.cache import cache_folder, checksum, keep, kept, locked, replace
-from pearl_marl.devices.simulator import pyverilator_mends
+from pearl_marl.devices.simulator import pyverilator_model
 from pearl_marl.errors import DeviceError
 from pearl_marl.hardware import elaboration, toolchain
 from pearl_marl.hardware.build import Build
@@ -49,7 +49,7 @@ _LIGHT_MAKE = (
     *_MAKE[1:],
     "VM_PARALLEL_BUILDS=0",
     "VM_SLOW=$(VM_CLASSES_SLOW) $(VM_SUPPORT_SLOW) pyverilator_wrapper",
-    f"VK_USER_OBJS=V{pyverilator_mends.TOP}__ALL.o",
+    f"VK_USER_OBJS=V{pyverilator_model.TOP}__ALL.o",
     "VK_OBJS=",
 )
 _CHECKSUM = "checksum"
@@ -84,7 +84,7 @@ def library(build: Build, traced: bool = False, pipelined: bool = True) -> Path:
     ]
     sources = elaboration.sources(spec)
     code = _columns(layout) + _CODE.read_text("utf-8")
-    texts = [code, *(path.read_text("utf-8") for path in (*sources, Path(pyverilator_mends.__file__)))]
+    texts = [code, *(path.read_text("utf-8") for path in (*sources, Path(pyverilator_model.__file__)))]
     digest = _digest(_tools(), arguments, make, traced, texts)
     folder = cache_folder("rtl", ROOM)
     title = f"{spec.name}-{layout.n_envs}-{layout.pe_num}-{layout.data_wl}{'' if pipelined else '-serial'}"
@@ -119,11 +119,11 @@ def _build(entry: Path, arguments: list[str], code: str, traced: bool, light: bo
         work, result = scratch / "work", scratch / "result"
         work.mkdir()
         result.mkdir()
-        pyverilator_mends.generate(work, arguments, code, traced)
+        pyverilator_model.generate(work, arguments, code, traced)
         common = entry.parent / f"verilated-{_digest(_tools(), _LIBRARY, _LIGHT, _HEADERS)}"
         _lend(common, work)
         jobs = len(os.sched_getaffinity(0))
-        make = ["make", "-C", str(work), "-f", f"V{pyverilator_mends.TOP}.mk", f"-j{jobs}"]
+        make = ["make", "-C", str(work), "-f", f"V{pyverilator_model.TOP}.mk", f"-j{jobs}"]
         if light:
             make += _LIGHT_MAKE
             headers = _compiled_headers(common, work, [*make, f"OPT_FAST={_LIGHT}"], traced)
@@ -131,7 +131,7 @@ def _build(entry: Path, arguments: list[str], code: str, traced: bool, light: bo
         else:
             toolchain.run([*make, *_MAKE])
         _keep(work, common)
-        built = (work / f"V{pyverilator_mends.TOP}").rename(result / "model.so")
+        built = (work / f"V{pyverilator_model.TOP}").rename(result / "model.so")
         (result / _CHECKSUM).write_bytes(checksum(built.read_bytes()))
         result.rename(entry)
     except OSError as error:
