@@ -6,48 +6,20 @@ import hashlib
 import inspect
 from collections.abc import Callable
 from functools import cache
-from typing import Any, NamedTuple
+from typing import Any
 
 import numba
 import numpy as np
 
 from pearl_marl import rng
-from pearl_marl.batch.step import Array
 from pearl_marl.compiler.block_pieces import BLOCK
 from pearl_marl.compiler.kernel_source import GIVEN
 from pearl_marl.compiler.kernels import DRAWING, Kernels
 from pearl_marl.compiler.loading import load, with_callees
 from pearl_marl.machine_code import kept_code
 from pearl_marl.policies import device_policy, integer_loops, integer_network
-from pearl_marl.policies.integer_loops import Prepared
 
 _PLACES = {name: GIVEN.index(name) for name in GIVEN}
-
-
-class Sums(NamedTuple):
-    """What a rollout adds up, an element an agent."""
-
-    running: Array  # float64: the return of the episode so far
-    length: Array  # int64: its steps so far
-    whole: Array  # uint8: whether it began in the rollout or with it
-    waiting: Array  # uint8: whether the agent has ended before its world
-    returns: Array  # float64
-    squares: Array  # float64
-    lengths: Array  # int64
-    ended: Array  # int64
-    truncated: Array  # int64
-
-
-class Record(NamedTuple):
-    """Where every step of a rollout goes, a row a step; arrays of no rows where none is wanted."""
-
-    elements: Array
-    masks: Array
-    actions: Array
-    rewards: Array
-    terminations: Array
-    truncations: Array
-    logits: Array
 
 
 def _rollout(given, table, net, actions, elements, masks, alive, sums, record, agents, steps, lo, hi):  # type: ignore[no-untyped-def]
@@ -109,7 +81,7 @@ def _rollout(given, table, net, actions, elements, masks, alive, sums, record, a
                     for k in range(allowed.shape[1]):
                         record.masks[t, first + i, k] = allowed[i, k]
                     for k in range(actions.shape[1]):
-                        record.actions[t, first + i, k] = words[i, k]
+                        record.words[t, first + i, k] = words[i, k]
                     for k in range(logits.shape[1]):
                         record.logits[t, first + i, k] = logits[i, k]
             step(mine, actions.reshape(-1), table, b, e)
@@ -138,7 +110,14 @@ def _rollout(given, table, net, actions, elements, masks, alive, sums, record, a
 
 
 @cache
-def _compiled(kernels: Kernels) -> Callable[..., None]:
+def kernel(kernels: Kernels) -> Callable[..., None]:
+    """Return the rollout of some kernels, whose observations are elements.
+
+    It is called as ``rollout(given, table, net, actions, elements, masks, alive, sums, record, agents, steps, lo, hi)`` for
+    the slots of a range. ``given`` and ``table`` are what the kernel ``step`` takes, whose addresses of results are replaced;
+    ``elements``, ``masks`` and ``alive`` are what agents are shown now; ``actions`` is written over; ``sums`` and ``record`` are
+    :class:`~pearl_marl.devices.rollouts.Sums` and :class:`~pearl_marl.devices.rollouts.Record`.
+    """
     texts = [inspect.getsource(part) for part in (_rollout, integer_loops, integer_network, device_policy, rng)]
     digest = hashlib.sha256(repr((kernels.path.name, texts, numba.__version__, np.__version__)).encode())
     name = f"rollout_{kernels.path.stem.rpartition('_')[0]}_{digest.hexdigest()[:16]}"
@@ -172,15 +151,3 @@ _CONSTANTS = {
     "ALIVE": "alive",
 }
 
-
-def rollout_kernel(kernels: Kernels) -> Callable[..., None]:
-    """Return the rollout of some kernels.
-
-    It is called as ``rollout(given, table, net, actions, elements, masks, alive, sums, record, agents, steps, lo, hi)``
-    for the slots of a range, with ``given`` and ``table`` as the kernel ``step`` takes them, whose addresses of results
-    it replaces by its own.
-    """
-    return _compiled(kernels)
-
-
-__all__ = ["Prepared", "Record", "Sums", "rollout_kernel"]

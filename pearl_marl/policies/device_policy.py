@@ -44,6 +44,8 @@ class DevicePolicy(ABC):
 
     spec: EnvSpec
     draws: int = 0
+    logits: int = 0
+    """How many logits an action is chosen by."""
 
     @abstractmethod
     def choose(self, elements: Array, agents: Array, masks: Array | None, draws: Array) -> Choice:

@@ -114,6 +114,11 @@ class IntegerNetwork(DevicePolicy):
         """How many random numbers an action takes: one a field, if actions are drawn."""
         return len(self.head.counts) if isinstance(self.head, Head) and len(self.head.weights) else 0
 
+    @property
+    def logits(self) -> int:  # type: ignore[override]
+        """How many logits an action is chosen by; none, where sums are levels."""
+        return 0 if isinstance(self.head, Levels) else sum(self.head.counts)
+
     def choose(self, elements: Array, agents: Array, masks: Array | None, draws: Array) -> Choice:
         """See :class:`DevicePolicy`."""
         sums = self.sums(elements, agents)
