@@ -329,8 +329,8 @@ class Device(ABC):
     def rollout(self, policy: DevicePolicy, steps: int, record: bool = False) -> Rollout:
         """Step every slot so many times, with the actions of a policy; return what came of it.
 
-        Afterwards everything is as after single steps with these actions. If the call fails, or Ctrl-C ends it, it is as
-        before.
+        Afterwards everything is as after single steps with these actions. If the call fails, or Ctrl-C ends
+        it, it is as before.
 
         Parameters
         ----------
@@ -353,7 +353,9 @@ class Device(ABC):
         saved = self.snapshot()
         with self._noted("rollout", policy, steps):
             try:
-                return self._rollout(policy, steps, record)
+                result, seen = self._rollout(policy, steps, record)
+                self._remember(seen)
+                return result
             except BaseException:
                 if self.phase is not Phase.FAILED:
                     self._remember(self._write(saved.memory, saved.stored))
@@ -363,15 +365,22 @@ class Device(ABC):
         """Return what policies in integers are shown now: observations of shape ``(n_agents, elements)``."""
         return rollouts.look(self.config, self._read()[0])
 
-    def _rollout(self, policy: DevicePolicy, steps: int, record: bool) -> Rollout:
-        """Do a rollout; by single steps, where there is no faster way."""
+    def _rollout(self, policy: DevicePolicy, steps: int, record: bool) -> tuple[Rollout, Seen]:
+        """Do a rollout; return also what is seen after it. By single steps, unless there is a faster way."""
         elapsed = SlotMemory(self.config.spec, self.config.n_envs, self._read()[0]).elapsed
         sums = rollouts.Sums.of(elapsed.repeat(self.config.spec.agents), self.elements().alive)
         kept = rollouts.Record.of(self.config, steps, policy.logits) if record else None
-        rollouts.by_steps(
-            self.config, policy, steps, sums, kept, self.elements, lambda: (self.seed, self.tick), self._advance
+        seen = rollouts.by_steps(
+            self.config,
+            policy,
+            steps,
+            sums,
+            kept,
+            self.elements,
+            lambda: (self.seed, self.tick),
+            self._advance,
         )
-        return sums.result(steps, None if kept is None else kept.trajectories(self.config))
+        return sums.result(steps, {} if kept is None else kept.arrays(self.config)), seen
 
     @uninterrupted
     def _advance(self, words: Array) -> BatchStep:

@@ -201,7 +201,7 @@ class Native(Device):
             self._tune(time.perf_counter() - began)
         return results
 
-    def _rollout(self, policy: DevicePolicy, steps: int, record: bool) -> Rollout:
+    def _rollout(self, policy: DevicePolicy, steps: int, record: bool) -> tuple[Rollout, Seen]:
         if not isinstance(policy, IntegerNetwork):
             return super()._rollout(policy, steps, record)
         config, spec = self.config, self.config.spec
@@ -220,11 +220,12 @@ class Native(Device):
             seconds = time.perf_counter() - began
             # Between two parts Ctrl-C has its effect.
             some = max(1, int(some * min(8.0, ROLLOUT_SECONDS / max(seconds, 1e-6))))
-        return sums.result(steps, kept.trajectories(config) if record else None)
+        seen = self._reset(np.zeros(config.n_envs, np.bool_), None)
+        return sums.result(steps, kept.arrays(config) if record else {}), seen
 
     @uninterrupted
     def _run_rollout(self, kernel: Any, first: tuple[Any, ...], last: tuple[Any, ...]) -> None:
-        """Do some steps of a rollout, and remember what is seen after them."""
+        """Do some steps of a rollout."""
         elements, masks, alive = self.elements()
         if masks is None:
             masks = np.zeros((0, 0), np.int8)
@@ -233,7 +234,6 @@ class Native(Device):
         given[GIVEN.index("checked")] = 0
         self._run(kernel, (given, self.reward_table, *first, elements, masks, alive.view(np.uint8), *last))
         self.tick = (self.tick + last[-1]) & rng.LAST_TICK
-        self._remember(self._reset(np.zeros(self.config.n_envs, np.bool_), None))
 
     def _tune(self, seconds: float) -> None:
         """Learn from one step's time: take more threads for long steps, keep them if they help."""

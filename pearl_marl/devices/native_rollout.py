@@ -13,16 +13,28 @@ import numpy as np
 
 from pearl_marl import rng
 from pearl_marl.compiler.block_pieces import BLOCK
-from pearl_marl.compiler.kernel_source import GIVEN
-from pearl_marl.compiler.kernels import DRAWING, Kernels
+from pearl_marl.compiler.kernel_source import GIVEN, RESULTS
+from pearl_marl.compiler.kernels import Kernels
 from pearl_marl.compiler.loading import load, with_callees
 from pearl_marl.machine_code import kept_code
 from pearl_marl.policies import device_policy, integer_loops, integer_network
+from pearl_marl.policies.device_policy import FIRST_DRAW
+from pearl_marl.policies.integer_loops import act
+from pearl_marl.rng import CHAIN_A, CHAIN_B
 
-_PLACES = {name: GIVEN.index(name) for name in GIVEN}
+TICK, SEED_0, SEED_1, FIRST_SLOT = map(GIVEN.index, ("tick", "seed_0", "seed_1", "first_slot"))
+OBSERVATIONS, REWARDS, TERMINATIONS, TRUNCATIONS, FINAL = map(GIVEN.index, RESULTS)
+MASKS, ALIVE = map(GIVEN.index, ("action_masks", "alive"))
+
+step: Any = None
+"""The kernel's, which a rollout is compiled with."""
+
+_jit: Any = numba.njit(error_model="numpy")
+key, draw = (with_callees(function, {}, _jit) for function in (rng.key, rng.draw))
 
 
-def _rollout(given, table, net, actions, elements, masks, alive, sums, record, agents, steps, lo, hi):  # type: ignore[no-untyped-def]
+def rollout(given, table, net, actions, elements, masks, alive, sums, record, agents, steps, lo, hi):  # type: ignore[no-untyped-def]
+    """Roll out the slots of a range: see :func:`kernel`."""
     # Everything of a block lies in these, which every step writes over.
     rows, width = BLOCK * agents, elements.shape[1]
     seen, final = np.empty((rows, width), elements.dtype), np.empty((rows, width), elements.dtype)
@@ -113,41 +125,18 @@ def _rollout(given, table, net, actions, elements, masks, alive, sums, record, a
 def kernel(kernels: Kernels) -> Callable[..., None]:
     """Return the rollout of some kernels, whose observations are elements.
 
-    It is called as ``rollout(given, table, net, actions, elements, masks, alive, sums, record, agents, steps, lo, hi)`` for
-    the slots of a range. ``given`` and ``table`` are what the kernel ``step`` takes, whose addresses of results are replaced;
-    ``elements``, ``masks`` and ``alive`` are what agents are shown now; ``actions`` is written over; ``sums`` and ``record`` are
-    :class:`~pearl_marl.devices.rollouts.Sums` and :class:`~pearl_marl.devices.rollouts.Record`.
+    It is called as ``rollout(given, table, net, actions, elements, masks, alive, sums, record, agents, steps,
+    lo, hi)`` for the slots of a range. ``given`` and ``table`` are what the kernel ``step`` takes, whose
+    addresses of results are replaced; ``elements``, ``masks`` and ``alive`` are what agents are shown now;
+    ``actions`` is written over; ``sums`` and ``record`` are :class:`~pearl_marl.devices.rollouts.Sums` and
+    :class:`~pearl_marl.devices.rollouts.Record`.
     """
-    texts = [inspect.getsource(part) for part in (_rollout, integer_loops, integer_network, device_policy, rng)]
+    texts = [
+        inspect.getsource(part) for part in (rollout, integer_loops, integer_network, device_policy, rng)
+    ]
     digest = hashlib.sha256(repr((kernels.path.name, texts, numba.__version__, np.__version__)).encode())
     name = f"rollout_{kernels.path.stem.rpartition('_')[0]}_{digest.hexdigest()[:16]}"
-    jit = numba.njit(error_model="numpy", no_cfunc_wrapper=True)
-    drawing = {name: with_callees(function, {}, jit) for name, function in DRAWING.items()}
-    names: dict[str, Any] = {
-        **drawing,
-        "step": kernels.step,
-        "BLOCK": BLOCK,
-        "FIRST_DRAW": device_policy.FIRST_DRAW,
-        "CHAIN_A": rng.CHAIN_A,
-        "CHAIN_B": rng.CHAIN_B,
-        **{constant: _PLACES[name] for constant, name in _CONSTANTS.items()},
-        "act": integer_loops.act.compiled(),  # type: ignore[attr-defined]
-    }
-    loaded, _ = load(name, inspect.getsource(_rollout), **names)
-    return kept_code(numba.njit(nogil=True, error_model="numpy")(loaded._rollout), name)  # type: ignore[no-any-return]
-
-
-_CONSTANTS = {
-    "TICK": "tick",
-    "SEED_0": "seed_0",
-    "SEED_1": "seed_1",
-    "FIRST_SLOT": "first_slot",
-    "OBSERVATIONS": "observations",
-    "FINAL": "final_observations",
-    "REWARDS": "rewards",
-    "TERMINATIONS": "terminations",
-    "TRUNCATIONS": "truncations",
-    "MASKS": "action_masks",
-    "ALIVE": "alive",
-}
-
+    known = {name: value for name, value in globals().items() if not name.startswith("__")}
+    names = {**known, "act": act.compiled(), "step": kernels.step}  # type: ignore[attr-defined]
+    loaded, _ = load(name, inspect.getsource(rollout), **names)
+    return kept_code(numba.njit(nogil=True, error_model="numpy")(loaded.rollout), name)  # type: ignore[no-any-return]

@@ -6,14 +6,14 @@ The sums of a rollout are kept here, too, and its steps, where they are wanted.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from pearl_marl.batch.actions import room_for_words
 from pearl_marl.batch.config import BatchConfig
 from pearl_marl.batch.results import check_memory
-from pearl_marl.batch.rollout import Rollout, Trajectories
+from pearl_marl.batch.rollout import Rollout
 from pearl_marl.batch.step import Array, BatchStep, Seen
 from pearl_marl.compiler.kernels import compile_kernels
 from pearl_marl.errors import ArgumentError
@@ -38,9 +38,18 @@ class Sums(NamedTuple):
     def of(cls, elapsed: Array, alive: Array) -> Sums:
         """Return the sums of no steps; ``elapsed`` are each agent's steps of its episode so far."""
         n = len(alive)
-        numbers = [np.zeros(n, kind) for kind in (np.float64, np.int64)]
         whole, waiting = (elapsed == 0).astype(np.uint8), (~alive.astype(np.bool_)).astype(np.uint8)
-        return cls(*numbers, whole, waiting, *(np.zeros(n, kind) for kind in 2 * [np.float64] + 3 * [np.int64]))
+        return cls(
+            np.zeros(n, np.float64),
+            np.zeros(n, np.int64),
+            whole,
+            waiting,
+            np.zeros(n, np.float64),
+            np.zeros(n, np.float64),
+            np.zeros(n, np.int64),
+            np.zeros(n, np.int64),
+            np.zeros(n, np.int64),
+        )
 
     def add(self, step: BatchStep) -> None:
         """Count one step."""
@@ -57,16 +66,21 @@ class Sums(NamedTuple):
         self.running[over], self.length[over], self.whole[over] = 0, 0, 1
         self.waiting[:] = np.where(over | ~acting, ~step.alive, 0)
 
-    def result(self, steps: int, trajectories: Trajectories | None) -> Rollout:
-        """Return the result of a rollout of so many steps."""
-        truncated = int(self.truncated.sum())
+    def result(self, steps: int, recorded: dict[str, Any]) -> Rollout:
+        """Return the result of a rollout of so many steps, with what was recorded of them."""
         return Rollout(
-            steps, truncated, self.returns, self.squares, self.lengths, self.ended, trajectories
+            steps=steps,
+            truncated=int(self.truncated.sum()),
+            returns=self.returns,
+            squares=self.squares,
+            lengths=self.lengths,
+            ended=self.ended,
+            **recorded,
         )
 
 
 class Record(NamedTuple):
-    """Every step of a rollout, with the elements that observations are made of; of no steps where none is kept."""
+    """Every step of a rollout, with the elements that observations are made of."""
 
     elements: Array  # (steps, n_agents, elements)
     masks: Array  # (steps, n_agents, n_actions) int8; of no agents without masks
@@ -96,8 +110,8 @@ class Record(NamedTuple):
         """Return some of the steps, in the same memory."""
         return Record(*(array[start:stop] for array in self))
 
-    def trajectories(self, config: BatchConfig) -> Trajectories:
-        """Return the steps in the form in which an environment takes and gives them."""
+    def arrays(self, config: BatchConfig) -> dict[str, Any]:
+        """Return the steps as a :class:`Rollout` has them: as an environment takes and gives them."""
         spec = config.spec
         shape, dtype = (*self.rewards.shape, *spec.observation_shape), spec.observation_dtype
         if elements_of(spec) is spec:
@@ -108,15 +122,15 @@ class Record(NamedTuple):
         fractions = np.array([2.0**-field.fraction for field in spec.action_fields])
         actions = self.words * fractions if fractions.min() < 1 else self.words
         space = spec.action_space
-        return Trajectories(
-            observations.reshape(shape),
-            self.masks if spec.mask_fields else None,
-            actions.astype(space.dtype).reshape(*self.rewards.shape, *(space.shape or ())),
-            self.rewards,
-            self.terminations.view(np.bool_),
-            self.truncations.view(np.bool_),
-            self.logits if self.logits.shape[2] else None,
-        )
+        return {
+            "observations": observations.reshape(shape),
+            "action_masks": self.masks if spec.mask_fields else None,
+            "actions": actions.astype(space.dtype).reshape(*self.rewards.shape, *(space.shape or ())),
+            "rewards": self.rewards,
+            "terminations": self.terminations.view(np.bool_),
+            "truncations": self.truncations.view(np.bool_),
+            "logits": self.logits if self.logits.shape[2] else None,
+        }
 
 
 def check(config: BatchConfig, policy: object, steps: object, record: object) -> None:
@@ -129,7 +143,9 @@ def check(config: BatchConfig, policy: object, steps: object, record: object) ->
     for what in ("observation_space", "action_space"):
         theirs, own = getattr(policy.spec, what), getattr(spec, what)
         if theirs != own:
-            raise ArgumentError(f"the policy is for {policy.spec.name} with the {what} {theirs}; here it is {own}")
+            raise ArgumentError(
+                f"the policy is for {policy.spec.name} with the {what} {theirs}; here it is {own}"
+            )
     if isinstance(steps, bool) or not isinstance(steps, (int, np.integer)) or steps < 1:
         raise ArgumentError(f"steps is {steps!r}; it must be an integer of at least 1")
     if not isinstance(record, bool):
@@ -140,7 +156,7 @@ def check(config: BatchConfig, policy: object, steps: object, record: object) ->
         check_memory(config, int(steps) * (each + 16 * len(spec.action_fields) + 6 + 4 * policy.logits))
 
 
-def element_dtype(seen: EnvSpec) -> np.dtype:  # type: ignore[type-arg]
+def element_dtype(seen: EnvSpec) -> np.dtype[Any]:
     """Return the dtype of elements: that of observations, whose flags are bytes."""
     return np.dtype(np.uint8) if seen.observation_dtype == np.bool_ else seen.observation_dtype
 
@@ -170,11 +186,11 @@ def by_steps(
     see: Callable[[], Seen],
     position: Callable[[], tuple[tuple[int, int], int]],
     step: Callable[[Array], BatchStep],
-) -> None:
-    """Act and step, so many times; add to the sums, and to the record, if there is one.
+) -> Seen:
+    """Act and step, so many times, and add to sums and record; return what is seen last.
 
-    ``see`` returns what agents are shown now, ``position`` seed and tick, and ``step`` does a step of all slots with
-    the words of actions.
+    ``see`` returns what agents are shown now, ``position`` seed and tick, and ``step`` does a step of all
+    slots with the words of actions.
     """
     spec = config.spec
     slots = np.repeat(config.first_slot + np.arange(config.n_envs), spec.agents)
@@ -196,3 +212,4 @@ def by_steps(
             record.truncations[t] = result.truncations
             if choice.logits is not None:
                 record.logits[t] = choice.logits
+    return result.seen

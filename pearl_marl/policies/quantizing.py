@@ -1,4 +1,4 @@
-"""From a trained policy to one in integers: weights of a few bits, and tables for what lies between layers."""
+"""From a trained policy to one in integers: weights of a few bits, and tables between layers."""
 
 from __future__ import annotations
 
@@ -48,11 +48,11 @@ def quantized(
     Parameters
     ----------
     policy
-        What was trained. One that draws its actions is drawn from here too; one that takes a share of random actions
-        takes the best only.
+        What was trained. One that draws its actions is drawn from here too; one that takes a share of random
+        actions takes the best only.
     observations
-        Some that it meets, of shape ``(n, *spec.observation_shape)``: the range of what pictures become follows from
-        them.
+        Some that it meets, of shape ``(n, *spec.observation_shape)``: the range of what pictures become
+        follows from them.
     weight_bits, activation_bits
         Widths of weights, and of what goes from one layer to the next, 4 to 16.
 
@@ -69,17 +69,19 @@ def quantized(
     network: Any = policy.network
     if not isinstance(network, Network):
         raise ArgumentError(
-            "the policy has a network of its own for each agent of a world, and only shared ones become integers: "
-            "train it with sharing all or indicator"
+            "the policy has a network of its own for each agent of a world, and only shared ones become "
+            "integers: train it with sharing all or indicator"
         )
-    made = _Quantizing(policy, network, observations, (1 << weight_bits - 1) - 1, (1 << activation_bits - 1) - 1)
+    made = _Quantizing(
+        policy, network, observations, (1 << weight_bits - 1) - 1, (1 << activation_bits - 1) - 1
+    )
     return made.network()
 
 
 def _of_table(policy: Table) -> IntegerNetwork:
-    """Return a table of action values: as integers that are ordered as the values are, the first of equals first."""
+    """Return a table of action values as integers, in the order of the values."""
     if len(policy.values) != 1:
-        raise ArgumentError(f"the policy has {len(policy.values)} tables, one for each of its learners: choose one")
+        raise ArgumentError(f"the policy has {len(policy.values)} tables, a learner each: take one of them")
     values = policy.values[0].numpy()
     ranks = np.stack([np.unique(row, return_inverse=True)[1] for row in values])
     return table_network(policy.spec, ranks)
@@ -88,8 +90,8 @@ def _of_table(policy: Table) -> IntegerNetwork:
 def table_network(spec: EnvSpec, values: Array) -> IntegerNetwork:
     """Return the policy that takes the greatest of the values of an observation, the first of equals.
 
-    ``values`` are integers of 32 bits of shape ``(observations, actions)``; observations are counted as a NumPy array
-    of shape ``(*elements, actions)`` counts its rows.
+    ``values`` are integers of 32 bits of shape ``(observations, actions)``; observations are counted as a
+    NumPy array of shape ``(*elements, actions)`` counts its rows.
     """
     from pearl_marl.elements import bounds
 
@@ -185,7 +187,7 @@ class _Quantizing:
     def _patches(self) -> tuple[Patches, float]:
         """Return what pictures go through first, and the scale of what comes of it."""
         convolution = self.float.encoder.convolution
-        weights, bias = convolution.weight.numpy(), convolution.bias.numpy()
+        weights, bias = convolution.weight.numpy(), _numbers(convolution.bias)
         scale = self.most_weight / _greatest(weights)
         planes = self.float.encoder.whole(self.observations).permute(0, 3, 1, 2).float()
         reached = _reached(convolution(planes))
@@ -216,7 +218,10 @@ class _Quantizing:
             middle = (policy.low + policy.high).double().numpy().ravel() / 2 * size
             per_sum = policy.bound.double().numpy().ravel() * size / scale
             shift = max(0, int(30 - math.ceil(math.log2(per_sum.max()))))
-            low, high = (np.rint(end.double().numpy().ravel() * size).astype(np.int64) for end in (policy.low, policy.high))
+            low, high = (
+                np.rint(end.double().numpy().ravel() * size).astype(np.int64)
+                for end in (policy.low, policy.high)
+            )
             return Levels(
                 np.rint(per_sum * 2.0**shift).astype(np.int64),
                 np.rint(middle * 2.0**shift).astype(np.int64),
@@ -232,9 +237,17 @@ class _Quantizing:
         return Head(spec.action_counts, shift, np.rint(65535 * np.exp(-distances)).astype(np.int32))
 
 
+def _numbers(tensor: torch.Tensor | None) -> Array:
+    assert tensor is not None
+    array: Array = tensor.numpy()
+    return array
+
+
 def _greatest(*arrays: Array | None) -> float:
     """Return the greatest size of a number in some arrays, or 1 where all are 0."""
-    return max((float(np.abs(array).max(initial=0)) for array in arrays if array is not None), default=0) or 1.0
+    return (
+        max((float(np.abs(array).max(initial=0)) for array in arrays if array is not None), default=0) or 1.0
+    )
 
 
 def _reached(sums: torch.Tensor) -> float:

@@ -63,7 +63,9 @@ def random_network(
     else:
         ends = bounds(spec.action_space)
         words = [
-            np.array([round(float(x) * 2.0**f.fraction) for x, f in zip(end, spec.action_fields, strict=True)])
+            np.array(
+                [round(float(x) * 2.0**f.fraction) for x, f in zip(end, spec.action_fields, strict=True)]
+            )
             for end in ends
         ]
         head = Levels(np.full(outputs, 12345), np.full(outputs, -777), 2, *words)

@@ -33,7 +33,10 @@ def some_elements(spec: EnvSpec, rng: np.random.Generator) -> Array:
 
 CASES = [
     *(("CartPole", widths, drawn) for widths in ((9, 6), (1,), (), (33, 5, 2)) for drawn in (False, True)),
-    *((name, (9, 6), True) for name in ("Taxi", "Blackjack", "ConnectFour", "LevelBasedForaging", "Pendulum", "Seaquest")),
+    *(
+        (name, (9, 6), True)
+        for name in ("Taxi", "Blackjack", "ConnectFour", "LevelBasedForaging", "Pendulum", "Seaquest")
+    ),
 ]
 
 
@@ -81,7 +84,9 @@ def cart_pole() -> IntegerNetwork:
         (lambda n: {"inputs": n.inputs._replace(limit=1 << 15)}, "limit of inputs is 32768"),
         (lambda n: {"head": Head((3,))}, "2 outputs for actions in Discrete"),
         (
-            lambda n: {"layers": (n.layers[0]._replace(bias=np.full(9, (1 << 31) - 5, np.int32)), *n.layers[1:])},
+            lambda n: {
+                "layers": (n.layers[0]._replace(bias=np.full(9, (1 << 31) - 5, np.int32)), *n.layers[1:])
+            },
             "sums of layer 0 may reach 2,147",
         ),
     ],
