@@ -37,7 +37,7 @@ REFERENCE = {
         "wrappers.benchmarl",
     ),
     "Evaluation": ("evaluation", "policies"),
-    "Hardware": ("memory_map", "latency", "plan", "hardware"),
+    "Hardware": ("memory_map", "latency", "hardware"),
     "Authors": ("spec", "golden", "fixed_point", "planes", "testing"),
 }
 """Headings of the reference's pages, and what of ``pearl_marl`` is on them."""

@@ -83,7 +83,7 @@ STYLES = {
 OWN_SETTINGS: dict[str, dict[str, dict[str, Any]]] = {
     BATCHED: {"ppo": {"n_agents": 256, "minibatch": 256, "iterations": 120}, "dqn": {}},
     LARGE: {
-        "ppo": {"n_agents": 4096, "depth": 8, "minibatch": 2048},
+        "ppo": {"n_agents": 4096, "rollout_length": 8, "minibatch": 2048},
         "dqn": {"n_agents": 4096, "memory": 50},
     },
 }

@@ -24,12 +24,12 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecNormalize
 from torch import nn
 
 import pearl_marl
+from pearl_marl.benchmark.trainers.sb3 import EnvPoolVecEnv
 from pearl_marl.errors import ArgumentError
 from pearl_marl.evaluation.run import Evaluation
 from pearl_marl.experiments.calling import call
 from pearl_marl.registry import get_spec
 from pearl_marl.training.run_folder import RunFolder
-from pearl_marl.training_benchmark.sb3 import EnvPoolVecEnv
 
 MODELS: dict[str, Any] = {"ppo": PPO, "dqn": DQN}
 
@@ -77,7 +77,7 @@ def vec_env(source: str, env_id: str, n: int, seed: int) -> VecEnv:
         raise ArgumentError(f"--source {source} has no {env_id}")
     elif source == "envpool":
         try:
-            from pearl_marl.training_benchmark.envpool_agents import environments
+            from pearl_marl.benchmark.trainers.envpool_agents import environments
         except ImportError:
             raise ArgumentError("EnvPool is not installed: pip install '.[bench]'") from None
         return EnvPoolVecEnv(environments(oracle, n, seed), n)

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 from pearl_marl.policies import trained
 from pearl_marl.registry import get_spec
-from pearl_marl.training.run import evaluate, settings_for, train
+from pearl_marl.training.run import Training, evaluate, settings_for, train
 
 from .section import Colour, Progress, Row, labelled, legend, panels, row_of, select, tidy
 
@@ -128,9 +128,8 @@ def _learned(task: Task, seed: int, quick: bool) -> list[Row]:
     given = {"seed": seed, **task.settings, **({"iterations": QUICK_ITERATIONS} if quick else {})}
     settings = settings_for(task.algorithm, task.env_id, given, agents=spec.agents)
     with tempfile.TemporaryDirectory() as folder:
-        metrics = train(
-            task.env_id, dict(task.options), task.algorithm, settings, "native", Path(folder), task.aim
-        )
+        training = Training(task.env_id, task.algorithm, settings, dict(task.options), goal=task.aim)
+        metrics = train(training, Path(folder))
         policy = trained.load(Path(folder))
     # Of a game that somebody wins, what the others get says nothing.
     share = 1 if spec.turns else spec.agents

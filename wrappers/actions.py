@@ -11,13 +11,13 @@ from gymnasium.spaces import Box, Space
 
 from pearl_marl.batch.actions import random_allowed, random_numbers
 from pearl_marl.batch.step import Array, BatchStep
+from pearl_marl.checks import checked_function, checked_number
 from pearl_marl.elements import ActionSpace
 from pearl_marl.errors import ArgumentError
 from pearl_marl.interfaces.batch import Batch
 from pearl_marl.interfaces.world import Mask
-from pearl_marl.spec import is_number
 
-from .base import Env, box, checked, checked_function, differing, wrap
+from .base import Env, box, checked, differing, wrap
 from .transform import Slots, Transform
 
 
@@ -103,8 +103,7 @@ def scale_actions_v0(env: Env, scale: float) -> Any:
 
     def make(batch: Batch, space: Space[Any], action_space: Any) -> Transform:
         old = box(action_space, "scale_actions_v0", "actions")
-        if not is_number(scale) or scale <= 0:
-            raise ArgumentError(f"scale is {scale!r}; it must be a positive number")
+        checked_number("scale", scale, above=0)
         new = Box(old.low * scale, old.high * scale, dtype=np.float32)
         return _Mapped(batch, space, new, partial(np.multiply, scale))
 
@@ -245,11 +244,8 @@ def sticky_actions_v0(env: Env, repeat_action_probability: float) -> Any:
     Where there are masks, one that is masked now is not repeated. SuperSuit draws the same for every agent if
     there is a seed.
     """
-    if not is_number(repeat_action_probability) or not 0 <= repeat_action_probability < 1:
-        raise ArgumentError(
-            f"repeat_action_probability is {repeat_action_probability!r}; it must be in [0, 1)"
-        )
-    return wrap(env, _Sticky, float(repeat_action_probability))
+    probability = checked_number("repeat_action_probability", repeat_action_probability, least=0, below=1)
+    return wrap(env, _Sticky, probability)
 
 
 def _nan_slots(actions: Array) -> Mask:

@@ -22,19 +22,6 @@ Env: TypeAlias = PearlParallelEnv | PearlVectorEnv
 __all__ = ["Batch", "Transform", "box", "with_zeros", "wrap"]
 
 
-def checked_function(name: str, value: Any) -> None:
-    """Refuse what is no function, where a wrapper is made and not at the first step."""
-    if not callable(value):
-        raise ArgumentError(f"{name} is {value!r}; it must be a function")
-
-
-def checked_integer(name: str, value: Any, least: int = 1) -> int:
-    """Return an argument that has to be an integer of at least so many."""
-    if isinstance(value, bool) or not isinstance(value, int) or value < least:
-        raise ArgumentError(f"{name} is {value!r}; it must be an integer of at least {least}")
-    return value
-
-
 def wrap(env: Env, make: Callable[..., Transform], *arguments: Any) -> Any:
     """Put a transform around an environment.
 

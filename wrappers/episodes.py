@@ -9,6 +9,7 @@ from gymnasium.spaces import Space
 from gymnasium.vector import AutoresetMode
 
 from pearl_marl.batch.step import Array, BatchStep
+from pearl_marl.checks import Range
 from pearl_marl.errors import ArgumentError
 from pearl_marl.golden import uniform_below
 from pearl_marl.interfaces.batch import Batch
@@ -71,8 +72,11 @@ def frame_skip_v0(env: Env, num_frames: int | tuple[int, int]) -> Any:
         How often, or the least and the most: then a number for all agents is drawn in every step.
     """
     counts = num_frames if isinstance(num_frames, tuple) else (num_frames, num_frames)
-    whole = all(isinstance(count, int) and not isinstance(count, bool) for count in counts)
-    if not whole or len(counts) != 2 or not 1 <= counts[0] <= counts[1]:
+    if (
+        len(counts) != 2
+        or any(count not in Range(least=1, whole=True) for count in counts)
+        or counts[0] > counts[1]
+    ):
         raise ArgumentError(
             f"num_frames is {num_frames!r}; it must be a positive integer, or the least and the most of them"
         )

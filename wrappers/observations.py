@@ -11,16 +11,15 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium.spaces import Box, Discrete, Space
 
-from pearl_marl.batch.recycling import Recycler
-from pearl_marl.batch.results import memory_of_machine
+from pearl_marl.batch.results import Recycler, memory_of_machine
 from pearl_marl.batch.step import Array, BatchStep
+from pearl_marl.checks import checked_choice, checked_function, checked_integer, is_number
 from pearl_marl.elements import bounds
 from pearl_marl.errors import ArgumentError
 from pearl_marl.interfaces.batch import Batch
-from pearl_marl.spec import is_number
 
 from . import kernels
-from .base import Env, box, checked, checked_function, checked_integer, differing, with_zeros, wrap
+from .base import Env, box, checked, differing, with_zeros, wrap
 from .transform import Slots, Transform
 
 Change = Callable[[Array], Array]
@@ -169,8 +168,7 @@ def _rescaled(new: Recycler, scale: tuple[Any, ...], obs: Array) -> Array:
 
 def color_reduction_v0(env: Env, mode: str = "full") -> Any:
     """Keep one channel of pictures (``"R"``, ``"G"``, ``"B"``) or their brightness (``"full"``)."""
-    if mode not in ("full", "R", "G", "B"):
-        raise ArgumentError(f"mode is {mode!r}; possible are 'full', 'R', 'G' and 'B'")
+    checked_choice("mode", mode, ("full", "R", "G", "B"))
     return _mapped(env, "color_reduction_v0", partial(_one_channel, mode))
 
 
@@ -195,8 +193,7 @@ def resize_v1(env: Env, x_size: int, y_size: int, linear_interp: bool = True) ->
     linear_interp
         Whether to mix the four nearest pixels (in ``float32``, and cut off for integers), not take one.
     """
-    checked_integer("x_size", x_size)
-    checked_integer("y_size", y_size)
+    x_size, y_size = checked_integer("x_size", x_size), checked_integer("y_size", y_size)
     return _mapped(env, "resize_v1", partial(_resized, x_size, y_size, linear_interp))
 
 
@@ -483,8 +480,7 @@ def frame_stack_v2(env: Env, stack_size: int = 4, stack_dim: int = -1) -> Any:
 
 def _frame_stack(env: Env, size: int, axis: int, repeat: bool) -> Any:
     _check_frames(env, "stack_size", size)
-    if isinstance(axis, bool) or not isinstance(axis, int) or axis not in (0, -1):
-        raise ArgumentError(f"stack_dim is {axis!r}; possible are 0 and -1")
+    checked_choice("stack_dim", axis, (0, -1))
 
     def make(batch: Batch, space: Space[Any], action_space: Any) -> Transform:
         if isinstance(space, Discrete):

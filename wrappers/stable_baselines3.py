@@ -18,6 +18,7 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvS
 
 from pearl_marl.batch.slot_memory import SlotMemory
 from pearl_marl.batch.step import BatchStep
+from pearl_marl.checks import checked_flag
 from pearl_marl.deferral import uninterrupted
 from pearl_marl.devices.by_name import make_host_device
 from pearl_marl.errors import ArgumentError, OrderError
@@ -78,9 +79,7 @@ class PearlVecEnv(VecEnv):
         super().__init__(batch.batch_size, observation_space, batch.slot_action_space)
         self.metadata = env.metadata  # whose render_fps films go by
         device = make_host_device(batch.innermost.device)
-        if not isinstance(staggered, bool):
-            raise ArgumentError(f"staggered is {staggered!r}; it must be True or False")
-        if staggered and not device.config.limit:
+        if checked_flag("staggered", staggered) and not device.config.limit:
             raise ArgumentError(
                 "staggered=True spreads a time limit, and this environment has none (max_cycles=0): "
                 "leave it out, or make the environment with max_cycles"

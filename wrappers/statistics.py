@@ -8,10 +8,10 @@ import numpy as np
 from gymnasium.spaces import Box, Space
 
 from pearl_marl.batch.step import Array, BatchStep
+from pearl_marl.checks import checked_number
 from pearl_marl.errors import ArgumentError
 from pearl_marl.interfaces.batch import Batch
 from pearl_marl.interfaces.world import Mask
-from pearl_marl.spec import is_number
 
 from . import kernels
 from .base import Env, box, wrap
@@ -30,9 +30,7 @@ class _Normalised(Transform):
         self, batch: Batch, space: Space[Any], action_space: Any, width: int, epsilon: float
     ) -> None:
         super().__init__(batch, space, action_space)
-        if not is_number(epsilon) or epsilon <= 0:
-            raise ArgumentError(f"epsilon is {epsilon!r}; it must be a positive number")
-        self._epsilon = float(epsilon)
+        self._epsilon = checked_number("epsilon", epsilon, above=0)
         self._mean, self._variance, self._count = np.zeros(width), np.ones(width), np.full((), 1e-4)
         self._statistics = {"mean": self._mean, "variance": self._variance, "count": self._count}
         self.memory = dict(self._statistics)
@@ -101,9 +99,7 @@ class _NormalisedReward(_Normalised):
         self, batch: Batch, space: Space[Any], action_space: Any, gamma: float, epsilon: float
     ) -> None:
         super().__init__(batch, space, action_space, 1, epsilon)
-        if not is_number(gamma) or not 0 <= gamma <= 1:
-            raise ArgumentError(f"gamma is {gamma!r}; it must be in [0, 1]")
-        self._gamma = float(gamma)
+        self._gamma = checked_number("gamma", gamma, 0, 1)
         self._returns = np.zeros(self.n)
         self.memory["returns"] = self._returns
 

@@ -15,6 +15,7 @@ from torchrl.envs import EnvBase
 
 from pearl_marl.batch.actions import random_allowed
 from pearl_marl.batch.step import Array
+from pearl_marl.checks import checked_flag
 from pearl_marl.devices.by_name import make_host_device
 from pearl_marl.elements import action_counts, bounds
 from pearl_marl.errors import ArgumentError
@@ -48,8 +49,7 @@ def to_torchrl(env: Any, *, state: bool = False) -> TorchRLEnv:
     ArgumentError
         It is no such environment, or in a wrapper that skips frames.
     """
-    if not isinstance(state, bool):
-        raise ArgumentError(f"state is {state!r}; it must be True or False")
+    checked_flag("state", state)
     return TorchRLEnv(_checked(env), state)
 
 

@@ -12,7 +12,7 @@ from gymnasium.vector import AutoresetMode
 
 from pearl_marl import rng
 from pearl_marl.batch.actions import ActionRules
-from pearl_marl.batch.recycling import Recycler
+from pearl_marl.batch.results import Recycler
 from pearl_marl.batch.step import Array, BatchStep
 from pearl_marl.elements import ActionSpace
 from pearl_marl.errors import OrderError

@@ -56,6 +56,11 @@ class Contender:
         """Median seconds of a step of all slots."""
         return statistics.median(self.seconds)
 
+    @property
+    def rate(self) -> float:
+        """Agent-steps per second."""
+        return self.n / self.seconds_per_step
+
     def row(self) -> dict[str, Any]:
         """Return the figures by name, for JSON."""
         result: dict[str, Any] = {"name": self.name, "counts": self.counts, "n": self.n, "ours": self.ours}
@@ -63,7 +68,7 @@ class Contender:
             return {**result, "unavailable": self.unavailable}
         return {
             **result,
-            "steps_per_second": self.n / self.seconds_per_step,
+            "steps_per_second": self.rate,
             "microseconds_per_step": self.seconds_per_step * 1e6,
             "rounds_microseconds": [s * 1e6 for s in self.seconds],
         }
@@ -110,19 +115,3 @@ def _time_chosen(game: Game, wait: Callable[[], Any]) -> float:
     game.step(actions)
     wait()
     return time.perf_counter() - began
-
-
-def rate(steps_per_second: float) -> str:
-    """Return steps per second as people read them: ``2.71 G``."""
-    for factor, prefix in ((1e9, "G"), (1e6, "M"), (1e3, "k")):
-        if steps_per_second >= factor:
-            return f"{steps_per_second / factor:.3g} {prefix}"
-    return f"{steps_per_second:.3g}"
-
-
-def duration(seconds: float) -> str:
-    """Return a duration as people read it: ``17.3 us``."""
-    for factor, unit in ((1.0, "s"), (1e-3, "ms")):
-        if seconds >= factor:
-            return f"{seconds / factor:.3g} {unit}"
-    return f"{seconds / 1e-6:.3g} us"

@@ -33,8 +33,9 @@ COMMANDS = {
     "run": "Step every agent with random (or given) actions: throughput and episode statistics.",
     "train": "Train a policy that all agents share; with the --out of a run that was killed, resume it.",
     "eval": "Evaluate a policy on a device: returns, lengths, latency of every stage, and a digest.",
-    "bench": "Measure steps per second against EnvPool, "
-    "Gymnasium's vector environments and the games' packages.",
+    "match": "Let policies play each other where agents share a world: who wins, and what returns they get.",
+    "bench": "Measure speed beside that of other packages: "
+    "of steps, of growing numbers of agents, of trainings.",
     "verify": "Compare a device with the golden functions, "
     "every word of every field, or replay a divergence.",
     "serve": "Serve a simulated board, to be used with --device xdma:DIR, until Ctrl-C.",
@@ -59,7 +60,10 @@ class _Commands(TyperGroup):
         name, _, rest = super().resolve_command(ctx, args)  # which refuses what is no command
         alone = typer.Typer(add_completion=False, rich_markup_mode=self.rich_markup_mode)
         with interrupts.at_once():  # Numba and PyTorch take seconds to load
-            alone.command(name)(import_module(f"{__name__}.{name}").command)
+            module = import_module(f"{__name__}.{name}")
+        if hasattr(module, "app"):  # of several commands
+            return name, typer.main.get_command(module.app), module.current(rest)
+        alone.command(name)(module.command)
         return name, typer.main.get_command(alone), rest
 
 

@@ -15,7 +15,7 @@ def sentence(error: Any, commands: Iterable[str], arguments: Iterable[str]) -> s
     """Return it for one of Typer's errors, the names of all commands, and the words of the command line."""
     kind, context = type(error).__name__, getattr(error, "ctx", None)
     words = list(arguments)
-    of_command = context.info_name if context and context.parent else None
+    of_command = _path(context)
     # An option without its value is found before its command has a context.
     named = of_command or next((word for word in words if word in commands), None)
     command, help_ = of_command or "pearl", f"pearl {named} --help" if named else "pearl --help"
@@ -45,6 +45,13 @@ def sentence(error: Any, commands: Iterable[str], arguments: Iterable[str]) -> s
     if message.startswith("Missing command"):
         return f"name a command: there are {', '.join(commands)}"
     return str(message)
+
+
+def _path(context: Any) -> str:
+    """Return the words that name a command, without ``pearl``: ``"bench steps"``."""
+    if context is None or context.parent is None:
+        return ""
+    return f"{_path(context.parent)} {context.info_name}".strip()
 
 
 def refuse_empty(arguments: Iterable[str]) -> None:

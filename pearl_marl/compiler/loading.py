@@ -18,7 +18,8 @@ from typing import Any
 import numba
 import numpy as np
 
-from pearl_marl.cache import cache_folder, replace
+from pearl_marl.cache import cache_folder
+from pearl_marl.files import write_whole
 from pearl_marl.golden import GoldenFunction
 from pearl_marl.machine_code import kept_code
 from pearl_marl.places import is_librarys
@@ -30,7 +31,7 @@ def load(name: str, source: str, **names: Any) -> tuple[Any, Path]:
     content, known = source.encode(), path.exists()
     with contextlib.suppress(OSError):  # people read that file, and nothing else does
         if not known or path.read_bytes() != content:
-            replace(path, content)
+            write_whole(path, content)
     if not known:
         # It takes seconds: nobody should wonder whether it hangs.
         text = f"pearl: compiling {name} at its first calls; kept in {path.parent}"
@@ -44,8 +45,8 @@ def load(name: str, source: str, **names: Any) -> tuple[Any, Path]:
     return module, path
 
 
-def loop(function: Callable[..., Any], *uses: types.ModuleType) -> Callable[..., Any]:
-    """Compile a function of this package at its first call, and keep it as kernels are kept.
+def compiled_loop(function: Callable[..., Any], *uses: types.ModuleType) -> Callable[[], Callable[..., Any]]:
+    """Return a function that returns a function of this package compiled; it is kept as kernels are kept.
 
     It depends on its own module, and on those that it ``uses``, of which it calls functions.
     """
@@ -61,12 +62,7 @@ def loop(function: Callable[..., Any], *uses: types.ModuleType) -> Callable[...,
         jit = numba.njit(nogil=True, error_model="numpy", fastmath={"contract"})
         return kept_code(jit(getattr(loaded, function.__name__)), name)
 
-    @functools.wraps(function)
-    def call(*given: Any) -> Any:
-        return made()(*given)
-
-    call.compiled = made  # type: ignore[attr-defined]  # for other compiled functions, which call that one
-    return call
+    return made
 
 
 def with_callees(

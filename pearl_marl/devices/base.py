@@ -31,8 +31,7 @@ from pearl_marl import rng
 from pearl_marl.batch import rewards as reward_tables
 from pearl_marl.batch.actions import ActionRules, encode, refuse_masked, room_for_words
 from pearl_marl.batch.config import BatchConfig, checked_mask
-from pearl_marl.batch.recycling import Recycler
-from pearl_marl.batch.results import Layout
+from pearl_marl.batch.results import Layout, Recycler
 from pearl_marl.batch.rollout import Rollout
 from pearl_marl.batch.saved_state import SavedState
 from pearl_marl.batch.slot_memory import SlotMemory
@@ -166,7 +165,8 @@ class Device(ABC):
         large = config.copy and self._remembers and Layout(config).size > CACHE_BYTES
         self._copies = Recycler() if large else None
         self._thread = Threads(1, f"pearl-{self.name}")
-        # Every step asks for it, and finds it faster here than on the class.
+        # Every step asks for these two, and finds them faster here than on the class.
+        self.stage_seconds = None
         self.recovery = None if self.recovery_type is None else self.recovery_type(self.checkpoint_every)
         self.phase = Phase.OPEN
         if rewards is not None:

@@ -57,7 +57,7 @@ class CommBram(Device):
         except BaseException:
             transport.close()
             raise
-        self._mirror = Mirror(config, self._protocol.ter)
+        self._mirror = Mirror(config, self._protocol.end_field)
 
     @property
     def cycles(self) -> int:
@@ -103,12 +103,11 @@ class CommBram(Device):
         protocol, mirror = self._protocol, self._mirror
         protocol.set(self._settings(self.tick))
         mode = mirror.begin_due()
-        protocol.pack(actions, mirror.due if mode & Mode.RESET_MASK else None)
-        wrong = protocol.step(mode)
+        wrong = protocol.step(mode, actions, mirror.due)
         if wrong:
             raise DeviceError(f"the {self.name} device{wrong}; {self.remedy}")
         tick = (self.tick + 1) & rng.LAST_TICK
-        words = (*protocol.observations, protocol.rewards, protocol.ters)
+        words = (*protocol.observations, protocol.rewards, protocol.end_bits)
         results = mirror.results_of(words, self.seed, tick, self.reward_table)
         mirror.begun(mode)
         protocol.confirm(self._settings(tick))
@@ -123,14 +122,14 @@ class CommBram(Device):
         memory = SlotMemory(config.spec, config.n_envs)
         starting = np.ones(config.n_envs, np.bool_)
         if not mirror.all_due:
-            ters = np.empty_like(self._protocol.ters)
-            fields = (*config.spec.state, self._protocol.ter)
-            self._protocol.read_region("current_states", fields, [*memory.state, ters])
+            end_bits = np.empty_like(self._protocol.end_bits)
+            fields = (*config.spec.state, self._protocol.end_field)
+            self._protocol.read_region("current_states", fields, [*memory.state, end_bits])
             self._protocol.read_region("elapsed", (_ELAPSED,), [memory.elapsed])
             if not config.limit:
                 memory.elapsed[:] = 0
-            starting = mirror.starting(ters)
-            memory.ended[:] = mirror.ended_after(ters)
+            starting = mirror.starting(end_bits)
+            memory.ended[:] = mirror.ended_after(end_bits)
         return memory.bytes, mirror.start(memory, starting, self.seed, self.tick, use_stored=mirror.repeats)
 
     def _read(self) -> tuple[Array, Array]:
@@ -145,8 +144,10 @@ class CommBram(Device):
             if stored.size:
                 mirror.starts.bytes[:] = stored
                 protocol.write_region("initial_states", spec.state, mirror.starts.state)
-            ters = mirror.ters_of(slots.ended)
-            protocol.write_region("current_states", (*spec.state, protocol.ter), [*slots.state, ters])
+            end_bits = mirror.end_bits_of(slots.ended)
+            protocol.write_region(
+                "current_states", (*spec.state, protocol.end_field), [*slots.state, end_bits]
+            )
             protocol.write_region("elapsed", (_ELAPSED,), [slots.elapsed])
             mirror.continue_from(slots)
             return self._slots()[1]
@@ -172,7 +173,7 @@ class Mirror:
         Which slots the next step has to start afresh: all, or those masked, ``bool`` of shape ``(n_envs,)``.
     """
 
-    def __init__(self, config: BatchConfig, ter: Field) -> None:
+    def __init__(self, config: BatchConfig, end_field: Field) -> None:
         spec, n = config.spec, config.n_envs
         self._config = config
         self._kernels = compile_kernels(spec)
@@ -188,7 +189,7 @@ class Mirror:
         if self.repeats:
             self._mode |= Mode.STORED
         # After the last step, as the column of that name in the slots' memory.
-        self._ended: Array = np.zeros(n, ter.dtype)
+        self._ended: Array = np.zeros(n, end_field.dtype)
         # The tick as kernels take it: with a sign.
         self._tick = np.zeros(1, np.uint64)
         self._signed_tick = self._tick.view(np.int64)
@@ -216,14 +217,15 @@ class Mirror:
 
         ``tick`` is the next step's: the episode that begins in the hardware's next step begins here in this.
         """
-        config, results, n = self._config, self._results.take(), self._config.n_envs
+        config, n = self._config, self._config.n_envs
+        results, arrays = self._results.take_arrays()
         # What agents that ended before do not get is the host's affair.
         absent: tuple[Array, ...] = ()
         if config.spec.agents > 1:
             absent = (np.where(self._ended & 1, 0, self._ended).astype(self._ended.dtype),)
         self._tick[0] = tick
         self._kernels.results(
-            *words, *absent, self.starts.bytes, reward_table, *results.arrays, *seed, self._signed_tick[0],
+            *words, *absent, self.starts.bytes, reward_table, *arrays, *seed, self._signed_tick[0],
             config.first_slot, self._next_step, self.repeats, n, 0, n,
         )  # fmt: skip
         if self._next_step:
@@ -254,27 +256,27 @@ class Mirror:
         self.due = np.zeros_like(self.due)
         self._ended = slots.ended.copy()
 
-    def starting(self, ters: Array) -> npt.NDArray[np.bool_]:
+    def starting(self, end_bits: Array) -> npt.NDArray[np.bool_]:
         """Return which slots the next step starts afresh, by the hardware's bits after the last one."""
-        return self.due if self._next_step else self.due | self._over(ters)
+        return self.due if self._next_step else self.due | self._over(end_bits)
 
-    def _over(self, ters: Array) -> npt.NDArray[np.bool_]:
+    def _over(self, end_bits: Array) -> npt.NDArray[np.bool_]:
         """Return which slots have ended: by the time limit, or as all agents have."""
         # An only agent's two bits are more than 0 in either case.
-        over: npt.NDArray[np.bool_] = ters >= (1 << self._config.spec.agents) - 1
+        over: npt.NDArray[np.bool_] = end_bits >= (1 << self._config.spec.agents) - 1
         return over
 
-    def ended_after(self, ters: Array) -> Array:
+    def ended_after(self, end_bits: Array) -> Array:
         """Return the column ``ended`` of slots with such bits."""
-        over = self._over(ters)
+        over = self._over(end_bits)
         if self._config.spec.agents == 1:
             return (over & self._next_step).view(np.uint8)
-        ended: Array = ters << 1
+        ended: Array = end_bits << 1
         ended[over] = self._next_step
         return ended
 
-    def ters_of(self, ended: Array) -> Array:
+    def end_bits_of(self, ended: Array) -> Array:
         """Return such bits of slots with this column: the inverse."""
-        ters = ended >> 1
-        ters[ended & 1 != 0] = (1 << self._config.spec.agents) - 1
-        return ters
+        end_bits = ended >> 1
+        end_bits[ended & 1 != 0] = (1 << self._config.spec.agents) - 1
+        return end_bits

@@ -46,6 +46,8 @@ SECONDS_PER_THREAD = 150e-6
 _TICK = GIVEN.index("tick")
 _SEEDS = slice(GIVEN.index("seed_0"), GIVEN.index("seed_1") + 1)
 
+_READY = Phase.READY  # an enum's members are looked up slowly
+
 TRIAL_STEPS = 5
 """Steps in a row that decide: a single one may only have been interrupted."""
 
@@ -158,8 +160,7 @@ class Native(Device):
     def step(self, actions: npt.ArrayLike) -> BatchStep:
         """Step every slot once; see :meth:`Device.step`."""
         # The kernel looks at the actions itself, where no other thread has begun by then.
-        alone = self._threads == 1 and self.stage_seconds is None
-        if not (alone and self._checks and self.phase is Phase.READY):
+        if not (self.phase is _READY and self._checks and self._threads == 1 and self.stage_seconds is None):
             return super().step(actions)
         if not are_words(actions, self._words):
             actions = self.encoded(actions)
@@ -178,7 +179,7 @@ class Native(Device):
 
     def _step(self, actions: Array) -> BatchStep:
         results, addresses = self._results.take_addressed()
-        began = time.perf_counter()
+        began = time.perf_counter() if self._tuning else 0.0
         given = self._given
         # They may be results of the last step, which this one writes over, unless they own their memory.
         if (

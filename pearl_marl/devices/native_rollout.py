@@ -19,15 +19,16 @@ from pearl_marl.compiler.loading import load, with_callees
 from pearl_marl.machine_code import kept_code
 from pearl_marl.policies import device_policy, integer_loops, integer_network
 from pearl_marl.policies.device_policy import FIRST_DRAW
-from pearl_marl.policies.integer_loops import act
+from pearl_marl.policies.integer_loops import compiled_act
 from pearl_marl.rng import CHAIN_A, CHAIN_B
 
 TICK, SEED_0, SEED_1, FIRST_SLOT = map(GIVEN.index, ("tick", "seed_0", "seed_1", "first_slot"))
 OBSERVATIONS, REWARDS, TERMINATIONS, TRUNCATIONS, FINAL = map(GIVEN.index, RESULTS)
 MASKS, ALIVE = map(GIVEN.index, ("action_masks", "alive"))
 
+act: Any = None
 step: Any = None
-"""The kernel's, which a rollout is compiled with."""
+"""The policy and the kernel that a rollout is compiled with."""
 
 _jit: Any = numba.njit(error_model="numpy")
 key, draw = (with_callees(function, {}, _jit) for function in (rng.key, rng.draw))
@@ -137,6 +138,6 @@ def kernel(kernels: Kernels) -> Callable[..., None]:
     digest = hashlib.sha256(repr((kernels.path.name, texts, numba.__version__, np.__version__)).encode())
     name = f"rollout_{kernels.path.stem.rpartition('_')[0]}_{digest.hexdigest()[:16]}"
     known = {name: value for name, value in globals().items() if not name.startswith("__")}
-    names = {**known, "act": act.compiled(), "step": kernels.step}  # type: ignore[attr-defined]
+    names = {**known, "act": compiled_act(), "step": kernels.step}
     loaded, _ = load(name, inspect.getsource(rollout), **names)
     return kept_code(numba.njit(nogil=True, error_model="numpy")(loaded.rollout), name)  # type: ignore[no-any-return]

@@ -1,9 +1,9 @@
 """The golden functions as a device: Python itself runs them, one slot after the other; written to be read.
 
-It is what every other device is held against, so it shares with them no more than the golden
-functions, ``unpack``, the random draws, the table of rewards, the layout of a saved state, and what checks
-and encodes actions before any device has them. The order in which slots step, end and begin again stands
-here a second time, and neither a generated kernel nor Numba has a part in it.
+It is what every other device is compared with. So it shares with them no more than the golden functions
+and ``unpack`` as their author wrote them, the random draws, the table of rewards, the layout of a saved
+state, and the code that checks and encodes actions for all devices. It states a second time in which order
+slots step, end and begin again, and uses neither Numba nor any code that is generated for kernels.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from pearl_marl.batch.step import Array, BatchStep, Seen
 from pearl_marl.devices.base import Device
 from pearl_marl.errors import DeviceError
 from pearl_marl.golden import GoldenFunction, reference
-from pearl_marl.spec import TERMINATED, Field
+from pearl_marl.spec import TERMINATED, EnvSpec, Field
 
 
 class Reference(Device):
@@ -185,23 +185,30 @@ class Reference(Device):
 
     def _observe_one(self, state: list[Array], *agent: int) -> Array:
         spec = self.config.spec
-        dtype: Any = spec.observation_dtype
-        words = self._words(spec.positional.observe, state, spec.observation, *agent)
-        unpack = spec.positional.unpack
-        if unpack is not None:
-            shown = zip(*(column.tolist() for column in words), strict=True)
-            rows = [_row(unpack, numbers, spec.observation_size, dtype) for numbers in shown]
-            return np.stack(rows).reshape(-1, *spec.observation_shape)
-        values = [
-            word.astype(dtype) * dtype.type(2.0**-f.fraction) if f.fraction else word.astype(dtype)
-            for word, f in zip(words, spec.observation, strict=True)
-        ]
-        return np.stack(values, -1).reshape(len(self._slots), *spec.observation_shape)
+        return observations_of(spec, self._words(spec.positional.observe, state, spec.observation, *agent))
 
     def _reward_values(self, words: Array) -> Array:
         if self.config.spec.rewards is not None:
             return self.reward_table[words]
         return words.astype(np.float32) * np.float32(2.0**-self.config.spec.reward.fraction)
+
+
+def observations_of(spec: EnvSpec, words: list[Array]) -> Array:
+    """Return the observations that words stand for, shape ``(n, *spec.observation_shape)``.
+
+    ``words`` are arrays of shape ``(n,)``, one for each field. Plain Python writes planes.
+    """
+    dtype: Any = spec.observation_dtype
+    unpack = spec.plain_unpack
+    if unpack is None:
+        rows = [
+            word.astype(dtype) * dtype.type(2.0**-f.fraction) if f.fraction else word.astype(dtype)
+            for word, f in zip(words, spec.observation, strict=True)
+        ]
+        return np.stack(rows, -1).reshape(-1, *spec.observation_shape)
+    numbers = zip(*(column.tolist() for column in words), strict=True)
+    rows = [_row(unpack, row, spec.observation_size, dtype) for row in numbers]
+    return np.stack(rows).reshape(-1, *spec.observation_shape)
 
 
 @functools.lru_cache(1 << 14)

@@ -148,8 +148,8 @@ class Protocol:
         64-bit words, so both go on for 8 bytes.
     doorbell
         The words of the doorbell in ``written``.
-    observations, rewards, ters
-        The last step's results, as words: a column a field; a word an agent; the bits of ends, a word a slot.
+    observations, rewards, end_bits
+        The last step's results, as words: a column a field; a word an agent; a word a slot.
     sequence, cycles
         The number of the last step that succeeded; its clock cycles, from doorbell to last result.
     settings
@@ -164,9 +164,9 @@ class Protocol:
         self.transport, self.layout = transport, layout
         self._name, self._spec = name, spec
         n, agents = layout.n_envs, layout.n_envs * spec.agents
-        self._write_from = layout["reset_mask"].offset
+        write_from = layout["reset_mask"].offset
         read_from, length = layout.step_read
-        self.written = _pages(layout.end("doorbell") - self._write_from + 8)
+        self.written = _pages(layout.end("doorbell") - write_from + 8)
         self.answer = _pages(length + 8)
 
         def stream(buffer: Stream, base: int, name: str) -> Stream:
@@ -174,44 +174,45 @@ class Protocol:
             start = region.offset - base
             return buffer[start : start + stream_bytes(n, region.slot_bits)]
 
-        doorbell = layout["doorbell"].offset - self._write_from
+        doorbell = layout["doorbell"].offset - write_from
         self.doorbell = self.written[doorbell : doorbell + 4 * len(Doorbell)].view("<u4")
         self._exchange = Exchange(read_from, self.answer[:-8], layout["status"].offset)
-        self._mask_stream = stream(self.written, self._write_from, "reset_mask")
-        self._actions = stream(self.written, self._write_from, "actions"), _places(spec.action_fields)
+        self._mask = stream(self.written, write_from, "reset_mask")
+        self._actions = stream(self.written, write_from, "actions"), _bit_ranges(spec.action_fields)
+        # What is written of them: from where on, with a reset mask and without.
+        starts = write_from, layout["actions"].offset
+        self._with_mask, self._without = ((start, self.written[start - write_from : -8]) for start in starts)
         self.observations = [np.empty(agents, field.dtype) for field in spec.seen]
         self.rewards = np.empty(agents, spec.reward.dtype)
-        self.ter = Field("ter", ter_bits(spec))
-        self.ters = np.empty(n, self.ter.dtype)
+        self.end_field = Field("end_bits", ter_bits(spec))
+        self.end_bits = np.empty(n, self.end_field.dtype)
         streams = (stream(self.answer, read_from, name) for name in ("observations", "rewards", "ters"))
-        columns = (self.observations, [self.rewards], [self.ters])
-        fields = (spec.seen, (spec.reward,), (self.ter,))
+        columns = (self.observations, [self.rewards], [self.end_bits])
+        fields = (spec.seen, (spec.reward,), (self.end_field,))
         self._results = [
             (source, bits, column, stride, offset)
             for source, words, of in zip(streams, columns, fields, strict=True)
-            for column, (bits, stride, offset) in zip(words, _places(of), strict=True)
+            for column, (bits, stride, offset) in zip(words, _bit_ranges(of), strict=True)
         ]
 
-    def pack(self, actions: npt.NDArray[Any], mask: npt.NDArray[np.bool_] | None) -> None:
-        """Bring to what the next step writes: actions, each agent's fields side by side, and a reset mask."""
-        target, places = self._actions
-        for k, (bits, stride, offset) in enumerate(places):
-            words = actions if len(places) == 1 else np.ascontiguousarray(actions[:, k])
-            pack(words, bits, target, stride, offset)
-        if mask is not None:
-            pack(mask.view(np.uint8), 1, self._mask_stream, 1)
+    def step(self, mode: Mode, actions: npt.NDArray[Any], mask: npt.NDArray[np.bool_]) -> str:
+        """Write actions, ring the doorbell, and unpack the results of that step.
 
-    def step(self, mode: Mode) -> str:
-        """Ring the doorbell with what is packed, and unpack the results of that step.
-
-        Returns what is wrong with the answer, in words; empty if nothing is.
+        The reset mask is written too if ``mode`` says so. Returns what is wrong with the answer, in words;
+        empty if nothing is.
         """
+        step, target = self._exchange, self._without
+        if mode & Mode.RESET_MASK:
+            target = self._with_mask
+            pack(mask.view(np.uint8), 1, self._mask, 1)
+        stream, ranges = self._actions
+        for k, (bits, stride, offset) in enumerate(ranges):
+            words = actions if len(ranges) == 1 else np.ascontiguousarray(actions[:, k])
+            pack(words, bits, stream, stride, offset)
         sequence = (self.sequence + 1) & 0xFFFFFFFF
         self.doorbell[Doorbell.MODE] = mode
-        self.doorbell[Doorbell.SEQUENCE] = sequence
-        step = self._exchange
-        start = self._write_from if mode & Mode.RESET_MASK else self.layout["actions"].offset
-        step.write_at, step.data, step.sequence = start, self.written[start - self._write_from : -8], sequence
+        self.doorbell[Doorbell.SEQUENCE] = step.sequence = sequence
+        step.write_at, step.data = target
         self.transport.exchange(step)
         error = step.error
         if step.finished != sequence and not error & StatusError.RESET:
@@ -289,7 +290,7 @@ class Protocol:
         return word(self.transport, self.layout[region].offset + 4 * index)
 
 
-def _places(fields: tuple[Field, ...]) -> list[tuple[int, int, int]]:
+def _bit_ranges(fields: tuple[Field, ...]) -> list[tuple[int, int, int]]:
     """Return where each field lies in a stream of them side by side: its bits, the stride, its offset."""
     stride, ends = word_bits(fields), itertools.accumulate(field.bits for field in fields)
     return [(field.bits, stride, end - field.bits) for field, end in zip(fields, ends, strict=True)]

@@ -178,6 +178,11 @@ class Evaluation:
         return slots.size
 
     @property
+    def digest(self) -> str:
+        """SHA-256 over all that the policy has seen and done so far."""
+        return self._digest.hexdigest()
+
+    @property
     def world_returns(self) -> npt.NDArray[np.float64]:
         """Returns of each agent of a world, shape ``(episodes, K)``: of those that count for all of them."""
         agents = self.config.spec.agents
@@ -218,7 +223,7 @@ class Evaluation:
             "length": interval(self.lengths),
             "interval": "mean +- 1.96 standard errors: 95 %, by normal approximation",
             **self._of_worlds(),
-            "digest": self._digest.hexdigest(),
+            "digest": self.digest,
             "latency": [
                 {"stage": name, "paper": STAGES.get(name), **spread([row[name] for row in self._seconds])}
                 for name in stages

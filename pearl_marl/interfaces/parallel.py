@@ -75,6 +75,7 @@ class PearlParallelEnv(View, pettingzoo.ParallelEnv):  # type: ignore[misc]  # p
         spaces = [self._observation_space(role) for role in self._roles]
         self._observation_spaces = [spaces[self._roles.index(role)] for role in self._roles]
         self._rows = observations_in(observation_space)
+        self._tensors = batch.innermost.device.tensors
         # As `live` is another array whenever it changes, it tells whether these names of it are out of date:
         # those that steps may keep, and the public list.
         self._named: Mask = np.zeros(0, np.bool_)
@@ -328,9 +329,11 @@ class PearlParallelEnv(View, pettingzoo.ParallelEnv):  # type: ignore[misc]  # p
             if not values:  # PettingZoo's convention, which SuperSuit's black_death needs
                 return {}, {}, {}, {}, {}
             given = self._action_array(agents, values)
-        result = self.step_batch(given).on_host()
+        result = self.batch.step_batch(given)
+        if self._tensors:
+            result = result.on_host()
         obs, rewards, terminations, truncations, final_obs = result
-        ended, masks, here = result.ended, result.action_masks, None
+        ended, masks, here = terminations | truncations, result.action_masks, None
         if not self.autoreset:
             # Here an agent that ended sees its last observation, and nothing of what its slot does next.
             obs = result.arrivals()

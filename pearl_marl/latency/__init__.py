@@ -8,7 +8,8 @@
 T1 and T7 are measured on this machine, by stepping the host's half of the protocol without hardware
 (:func:`measure_host` in ``host.py``). T3 to T5 are counted: clock cycles from the memory map and the
 core's timing (:func:`step_cycles` in ``cycles.py``), as the simulated device takes them. T2 and T6 come
-from a :class:`Link`: so much for a call, so much for a byte. ``prediction.py`` puts all together.
+from a :class:`Link`: so much for a call, so much for a byte. ``prediction.py`` adds all of them up, and
+:func:`plan` chooses a build by what they predict.
 
 Where the paper's hardware takes T3, T4 and T5 partly one after the other (its Eq. 2 and 3, see
 :class:`~pearl_marl.latency.cycles.Loop`), this one does all three at the same time. Its form without
@@ -19,6 +20,7 @@ May import ``devices``, ``hardware`` and what is below them.
 
 from pearl_marl.latency.cycles import axi_cycles, draws_wait, loop_cycles, step_cycles
 from pearl_marl.latency.host import HostTimes, measure_host
+from pearl_marl.latency.planning import plan
 from pearl_marl.latency.prediction import LINKS, Link, predict
 
 __all__ = [
@@ -29,6 +31,7 @@ __all__ = [
     "draws_wait",
     "loop_cycles",
     "measure_host",
+    "plan",
     "predict",
     "step_cycles",
 ]

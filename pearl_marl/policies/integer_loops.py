@@ -17,7 +17,7 @@ from llvmlite import ir
 from numba import njit, types
 from numba.extending import intrinsic
 
-from pearl_marl.compiler.loading import loop
+from pearl_marl.compiler.loading import compiled_loop
 from pearl_marl.policies.device_policy import Array
 from pearl_marl.policies.integer_network import ENTRIES, IntegerNetwork, Levels, Patches, Rows, Scaling
 
@@ -437,11 +437,11 @@ def _act(net, elements, masks, draws, words, logits):  # type: ignore[no-untyped
         choose_words(net, room.sums, start, some, masks, draws, words, logits)
 
 
-act = loop(_act)
-"""Choose an action for each agent: ``act(net, elements, masks, draws, words, logits)``.
+compiled_act = compiled_loop(_act)
+"""Return what chooses an action for each agent: ``act(net, elements, masks, draws, words, logits)``.
 
-``elements`` are integers of shape ``(n, elements)``, of whole worlds; ``masks``, ``int8`` of shape ``(n,
-n_actions)`` or of no rows; ``draws``, ``uint32`` of shape ``(n, net.draws)``. The words of actions are
-written to ``words``, ``int64`` of shape ``(n, fields)``, and logits to ``logits``, ``int32`` of shape ``(n,
-outputs)`` or of no rows.
+``elements`` are integers of shape ``(n, elements)``, of whole worlds; ``masks``, ``int8`` of shape
+``(n, n_actions)`` or of no rows; ``draws``, ``uint32`` of shape ``(n, net.draws)``. The words of actions are
+written to ``words``, ``int64`` of shape ``(n, fields)``, and logits to ``logits``, ``int32`` of shape
+``(n, outputs)`` or of no rows.
 """

@@ -229,9 +229,9 @@ class _Quantizing:
                 low,
                 high,
             )
-        if policy.about["kind"] != "logits" or not policy.chance:
+        if policy.about["kind"] != "logits" or not policy.temperature:
             return Head(spec.action_counts)
-        per_sum = 1 / (scale * policy.chance)
+        per_sum = 1 / (scale * policy.temperature)
         shift = max(0, math.ceil(math.log2(FARTHEST_CHANCE / per_sum / ENTRIES)))
         distances = np.arange(ENTRIES) * 2.0**shift * per_sum
         return Head(spec.action_counts, shift, np.rint(65535 * np.exp(-distances)).astype(np.int32))

@@ -13,12 +13,13 @@ import torch
 from gymnasium.spaces import Box, Discrete
 from torch import Tensor, nn
 
+from pearl_marl.checks import is_number
 from pearl_marl.elements import are_numbers, bounds
 from pearl_marl.errors import ArgumentError, shown, told
 from pearl_marl.policies import policy_file
-from pearl_marl.policies.network import SHARING, Array, check_weights, masked, networks
+from pearl_marl.policies.network import SHARING, Array, masked, most, networks
 from pearl_marl.registry import registered_spec
-from pearl_marl.spec import EnvSpec, is_number
+from pearl_marl.spec import EnvSpec
 
 KINDS = ("logits", "values", "mean")
 """How a network's outputs are meant: see :class:`NetworkPolicy`."""
@@ -79,10 +80,10 @@ class NetworkPolicy(_Trained):
     sharing
         What agents of a world have in common. ``"all"``: one network, that sees nothing but observations.
         ``"indicator"``: one network, which is told whose they are. ``"none"``: each has its own.
-    chance
-        What part chance has in what it does where it is used. With ``"logits"``, the temperature at which
-        actions are drawn; 0 for the most probable. With ``"values"``, the share of random actions. Agents of
-        a team who always do their best wait for each other for ever, where both want to be in the same cell.
+    temperature, epsilon
+        How random its actions are where it is used. With ``"logits"``, they are drawn at this temperature; 0
+        takes the most probable. With ``"values"``, this share is random. Two agents of a team that both want
+        to be in the same cell, and always take the best action, wait for each other forever.
     """
 
     bound: Tensor
@@ -90,11 +91,19 @@ class NetworkPolicy(_Trained):
     high: Tensor
 
     def __init__(
-        self, spec: EnvSpec, kind: str, width: int, sharing: str = "all", chance: float = 0.0
+        self,
+        spec: EnvSpec,
+        kind: str,
+        width: int,
+        sharing: str = "all",
+        temperature: float = 0.0,
+        epsilon: float = 0.0,
     ) -> None:
         sharing = sharing if spec.agents > 1 else "all"
-        super().__init__(spec, kind=kind, width=width, sharing=sharing, chance=chance)
-        self.chance, self.random = chance, torch.Generator().manual_seed(0)
+        randomness = {"logits": {"temperature": temperature}, "values": {"epsilon": epsilon}}.get(kind, {})
+        super().__init__(spec, kind=kind, width=width, sharing=sharing, **randomness)
+        self.temperature, self.epsilon = temperature, epsilon
+        self.random = torch.Generator().manual_seed(0)
         actions = spec.action_space
         if isinstance(actions, Box) != (kind == "mean") or (
             kind == "values" and not isinstance(actions, Discrete)
@@ -131,24 +140,19 @@ class NetworkPolicy(_Trained):
         outputs = self(obs, masks)
         if self.about["kind"] == "mean":
             return self.within_bounds(outputs)
-        return self.most(outputs)
-
-    def most(self, outputs: Tensor) -> Tensor:
-        """Return the numbers of the greatest outputs: ``int64``, one for each field of an action."""
-        if not self.heads:
-            return outputs.argmax(-1)
-        return torch.stack([part.argmax(-1) for part in torch.split(outputs, self.heads, -1)], -1)
+        return most(outputs, self.heads)
 
     @torch.no_grad()
     def act(self, obs: Tensor, masks: Tensor | None = None) -> Tensor:
-        """Return actions of the policy's probabilities, if chance has a part in it, else the best."""
-        if not self.chance or self.about["kind"] == "mean":
+        """Return random actions, as the policy's temperature or epsilon says; without one, the best."""
+        kind = self.about["kind"]
+        if not {"logits": self.temperature, "values": self.epsilon}.get(kind):
             return self.best(obs, masks)
         outputs = self(obs, masks)
         noise = torch.rand(outputs.shape, generator=self.random).to(outputs.device)
-        if self.about["kind"] == "logits":  # Gumbel's trick
-            return self.most(outputs / self.chance - noise.log().neg().log())
-        anyone = torch.rand(len(outputs), generator=self.random).to(outputs.device) < self.chance
+        if kind == "logits":  # Gumbel's trick
+            return most(outputs / self.temperature - noise.log().neg().log(), self.heads)
+        anyone = torch.rand(len(outputs), generator=self.random).to(outputs.device) < self.epsilon
         return torch.where(anyone, masked(noise, masks).argmax(1), outputs.argmax(1))
 
     def seed(self, seed: int) -> None:
@@ -220,7 +224,7 @@ def load(path: Path) -> NetworkPolicy | Table:
         # On torch's device of no memory: the file may name any size.
         with torch.device("meta"):
             policy = _described(about, tensors)
-        check_weights(policy, tensors, policy.spec.name)
+        policy_file.check_weights(policy, tensors, policy.spec.name)
     except ArgumentError as error:
         raise ArgumentError(f"{file} is damaged, or of another version: {told(error)}") from None
     policy.load_state_dict(tensors, assign=True)
@@ -258,7 +262,10 @@ def _described(about: dict[str, Any], tensors: dict[str, Tensor]) -> NetworkPoli
     hidden = tensors.get(layer, _SCALAR)
     if width < 1 or hidden.shape != (width, width):
         raise ArgumentError(f"its policy has the width {shown(width)}, and layers of {tuple(hidden.shape)}")
-    chance = about.get("chance", 0.0)
-    if not is_number(chance) or chance < 0:
-        raise ArgumentError(f"its policy has the chance {shown(chance)}; it must be a number from 0")
-    return NetworkPolicy(spec, about["kind"], width, sharing, float(chance))
+    name = {"logits": "temperature", "values": "epsilon"}.get(about["kind"])
+    if name is None:
+        return NetworkPolicy(spec, about["kind"], width, sharing)
+    randomness = about.get(name, about.get("chance", 0.0))  # older files have "chance" for both
+    if not is_number(randomness) or randomness < 0:
+        raise ArgumentError(f"its policy has the {name} {shown(randomness)}; it must be a number from 0")
+    return NetworkPolicy(spec, about["kind"], width, sharing, **{name: float(randomness)})

@@ -34,6 +34,14 @@ from pearl_marl.testing.case import (  # noqa: E402
     rows,
     trajectory,
 )
+from pearl_marl.testing.oracles import (  # noqa: E402
+    assert_same_play,
+    compare_pictures,
+    compare_steps,
+    every_state,
+    first_episodes,
+    step_from,
+)
 from pearl_marl.testing.suite import ContractSuite, DeviceSuite  # noqa: E402
 
 __all__ = [
@@ -43,9 +51,15 @@ __all__ = [
     "Case",
     "ContractSuite",
     "DeviceSuite",
+    "assert_same_play",
     "assert_same_step",
     "assert_same_trajectory",
+    "compare_pictures",
+    "compare_steps",
+    "every_state",
+    "first_episodes",
     "make_device",
     "rows",
+    "step_from",
     "trajectory",
 ]

@@ -12,7 +12,7 @@ import pearl_marl
 from pearl_marl.elements import bounds
 from pearl_marl.errors import ArgumentError
 from pearl_marl.policies.device_policy import Array, elements_of
-from pearl_marl.policies.integer_loops import TILE, act, prepared
+from pearl_marl.policies.integer_loops import TILE, compiled_act, prepared
 from pearl_marl.policies.integer_network import Dense, Head, IntegerNetwork, Scaling
 from pearl_marl.spec import EnvSpec
 
@@ -51,7 +51,7 @@ def test_compiled_as_in_numpy(name: str, widths: tuple[int, ...], drawn: bool) -
     words = np.zeros_like(choice.words)
     logits = np.zeros((0, 0) if choice.logits is None else choice.logits.shape, np.int32)
     no_masks = np.zeros((0, 0), np.int8)
-    act(prepared(network), elements, no_masks if masks is None else masks, draws, words, logits)
+    compiled_act()(prepared(network), elements, no_masks if masks is None else masks, draws, words, logits)
     assert np.array_equal(words, choice.words)
     assert choice.logits is None or np.array_equal(logits, choice.logits)
     assert len(np.unique(words)) > 1

@@ -368,7 +368,7 @@ class TestArguments:
 
     @pytest.mark.parametrize("scale", ["2", np.ones(2), 0, np.inf], ids=repr)
     def test_scales(self, scale: Any) -> None:
-        with pytest.raises(ArgumentError, match=r"scale is .*; it must be a positive number"):
+        with pytest.raises(ArgumentError, match=r"scale is .*; it must be a number above 0"):
             wrappers.scale_actions_v0(pearl_marl.parallel_env("Pendulum", 2), scale)
 
     def test_rewards_of_the_wrong_shape(self) -> None:

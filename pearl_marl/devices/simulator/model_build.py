@@ -18,9 +18,10 @@ from collections.abc import Sequence
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-from pearl_marl.cache import cache_folder, checksum, keep, kept, locked, replace
+from pearl_marl.cache import cache_folder, checksum, keep, kept, locked
 from pearl_marl.devices.simulator import pyverilator_model
 from pearl_marl.errors import DeviceError
+from pearl_marl.files import write_whole
 from pearl_marl.hardware import elaboration, toolchain
 from pearl_marl.hardware.build import Build
 from pearl_marl.memory_map import MemoryMap
@@ -161,7 +162,7 @@ def _compiled_headers(common: Path, work: Path, make: Sequence[str], traced: boo
         toolchain.run([*make, f"{headers.name}.fast.gch"])
         content = (work / f"{headers.name}.fast.gch").read_bytes()
         for path, text in ((headers, _HEADERS.encode()), (compiled, content), (beside, checksum(content))):
-            replace(path, text)
+            write_whole(path, text)
     return headers
 
 

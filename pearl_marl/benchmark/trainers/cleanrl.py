@@ -21,10 +21,9 @@ from torch import Tensor, nn
 from torch.distributions import Categorical
 
 from pearl_marl.benchmark.peers import quiet_spaces
+from pearl_marl.benchmark.training import TrainingTask
+from pearl_marl.benchmark.watch import Watch
 from pearl_marl.registry import get_spec
-
-from .tasks import Task
-from .watch import Watch
 
 
 class Normalised:
@@ -101,7 +100,7 @@ class Agent(nn.Module):
         return actions, logs, chances.entropy(), self.critic(features)[:, 0]  # type: ignore[no-untyped-call]
 
 
-def environments(task: Task, n: int, seed: int) -> Any:
+def environments(task: TrainingTask, n: int, seed: int) -> Any:
     """Return who steps: EnvPool, or MinAtar's own through Gymnasium where EnvPool has no such game."""
     oracle = get_spec(task.env_id).oracle or ""
     if "MinAtar" not in oracle:
@@ -113,9 +112,9 @@ def environments(task: Task, n: int, seed: int) -> Any:
     return envs
 
 
-def train(task: Task, settings: Any, watch: Watch) -> None:
+def train(task: TrainingTask, settings: Any, watch: Watch) -> None:
     """Train until the watch says that it is over."""
-    n, depth, width = settings.n_agents, settings.depth, settings.width
+    n, depth, width = settings.n_agents, settings.rollout_length, settings.width
     batch = n * depth
     torch.manual_seed(settings.seed)
     rng = np.random.default_rng(settings.seed)
@@ -169,7 +168,7 @@ def train(task: Task, settings: Any, watch: Watch) -> None:
             gains = torch.zeros((depth, n))
             for t in reversed(range(depth)):
                 surprise = rewards[t] + settings.discount * following * (1 - done) - values[t]
-                gain = surprise + settings.discount * settings.trace * (1 - done) * gain
+                gain = surprise + settings.discount * settings.gae_lambda * (1 - done) * gain
                 gains[t], following, done = gain, values[t], dones[t]
             returns = gains + values
 

@@ -16,10 +16,9 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecNormalize
 from torch import Tensor, nn
 
 from pearl_marl.benchmark.peers import quiet_spaces
+from pearl_marl.benchmark.training import TrainingTask
+from pearl_marl.benchmark.watch import Watch
 from pearl_marl.registry import get_spec
-
-from .tasks import Task
-from .watch import Watch
 
 
 class EnvPoolVecEnv(VecEnv):
@@ -120,7 +119,7 @@ class Watched(BaseCallback):
             self.watch(self.num_timesteps, self.choose)
 
 
-def environments(task: Task, n: int, seed: int) -> VecEnv:
+def environments(task: TrainingTask, n: int, seed: int) -> VecEnv:
     """Return who steps: EnvPool, or MinAtar's own where EnvPool has no such game."""
     oracle = get_spec(task.env_id).oracle or ""
     if "MinAtar" in oracle:
@@ -134,7 +133,7 @@ def environments(task: Task, n: int, seed: int) -> VecEnv:
     return VecNormalize(env, norm_reward=False) if vector else env
 
 
-def train(task: Task, settings: Any, watch: Watch) -> None:
+def train(task: TrainingTask, settings: Any, watch: Watch) -> None:
     """Train until the watch says that it is over."""
     env = environments(task, settings.n_agents, settings.seed)
     network: dict[str, Any] = {"net_arch": [settings.width] * 2, "activation_fn": nn.Tanh}
@@ -146,7 +145,7 @@ def train(task: Task, settings: Any, watch: Watch) -> None:
         network = {"net_arch": [], **extractor}
     steps = settings.n_agents * settings.iterations
     if task.algorithm == "ppo":
-        steps *= settings.depth
+        steps *= settings.rollout_length
     given = {"policy_kwargs": network, "seed": settings.seed, "device": "cpu"}
     model: Any = {"ppo": _ppo, "dqn": _dqn}[task.algorithm](env, settings, given)
 
@@ -164,12 +163,12 @@ def _ppo(env: VecEnv, settings: Any, given: dict[str, Any]) -> PPO:
     return PPO(
         "MlpPolicy",
         env,
-        n_steps=settings.depth,
+        n_steps=settings.rollout_length,
         batch_size=settings.minibatch,
         n_epochs=settings.epochs,
         learning_rate=lambda left: settings.learning_rate * left,
         gamma=settings.discount,
-        gae_lambda=settings.trace,
+        gae_lambda=settings.gae_lambda,
         clip_range=settings.clip,
         ent_coef=settings.entropy,
         **given,
@@ -188,9 +187,9 @@ def _dqn(env: VecEnv, settings: Any, given: dict[str, Any]) -> DQN:
         gamma=settings.discount,
         learning_starts=settings.warm_up * n,
         buffer_size=settings.memory * n,
-        exploration_initial_eps=settings.explore_first,
-        exploration_final_eps=settings.explore_last,
-        exploration_fraction=settings.exploring,
-        target_update_interval=max(settings.refresh // settings.updates, 1) * n,
+        exploration_initial_eps=settings.epsilon,
+        exploration_final_eps=settings.final_epsilon,
+        exploration_fraction=settings.exploration_fraction,
+        target_update_interval=max(settings.target_update // settings.updates, 1) * n,
         **given,
     )

@@ -18,8 +18,8 @@ import numpy as np
 import numpy.typing as npt
 import optax
 
-from .tasks import Task
-from .watch import Watch
+from pearl_marl.benchmark.training import TrainingTask
+from pearl_marl.benchmark.watch import Watch
 
 NAMES = {
     "CartPole": "CartPole-v1",
@@ -111,13 +111,13 @@ def network(params: Any, obs: Any) -> tuple[Any, Any]:
     return applied(params["actor"], features, None), applied(params["critic"], features, None)[:, 0]
 
 
-def train(task: Task, settings: Any, watch: Watch) -> None:
+def train(task: TrainingTask, settings: Any, watch: Watch) -> None:
     """Train until the watch says that it is over."""
     env, env_params = gymnax.make(NAMES[task.env_id])
     space: Any = env.observation_space(env_params)
     numbers, vector = not space.shape, len(space.shape) == 1
     shape = (int(space.n),) if numbers else space.shape
-    n, depth, s = settings.n_agents, settings.depth, settings
+    n, depth, s = settings.n_agents, settings.rollout_length, settings
     batches = max(n * depth // s.minibatch, 1)
 
     def prepared(statistics: Any, obs: Any) -> Any:
@@ -166,7 +166,7 @@ def train(task: Task, settings: Any, watch: Watch) -> None:
             step.rewards
             + s.discount * following * going_on
             - step.values
-            + s.discount * s.trace * going_on * gain
+            + s.discount * s.gae_lambda * going_on * gain
         )
         return (gain, step.values), gain
 

@@ -1,4 +1,4 @@
-"""Everything that ``pearl bench`` times: this package, from bare kernel to dicts an agent, and its peers."""
+"""What ``pearl bench steps`` times: this package, from its bare kernel to dicts by agent, and its peers."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def contenders(spec: EnvSpec, n: int) -> list[Contender]:
         ("step_batch", f"{kept}; one thread", _batch),
         ("step_batch, int64 actions", f"{kept}; one thread", partial(_batch, dtype=np.int64)),
         ("step_batch, threads=None", f"{kept}; as many threads as pay", partial(_batch, device=Native)),
-        ("PettingZoo step, array actions", "five dicts, nobody looks inside; one thread", unread),
+        ("PettingZoo step, array actions", "five dicts that are not read; one thread", unread),
         ("PettingZoo step, dict actions", "five dicts, every key read; one thread", read),
         ("Gymnasium VectorEnv step", "arrays and infos, int64 actions; one thread", _vector),
         ("step_batch, device='rtl'", "the FPGA design under Verilator, by backdoor; one thread", simulated),

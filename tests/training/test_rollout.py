@@ -1,4 +1,4 @@
-"""Advantages of agents who do not act in every step, against their definition, decision by decision."""
+"""Advantages of agents that do not act in every step, against their definition, decision by decision."""
 
 from __future__ import annotations
 
@@ -9,20 +9,20 @@ import numpy as np
 import pytest
 
 torch = pytest.importorskip("torch", reason="torch is not installed: pip install '.[train]'")
-advantages = importlib.import_module("pearl_marl.training.advantages")
+rollout = importlib.import_module("pearl_marl.training.rollout")
 
 STEPS, N = 60, 40
-DISCOUNT, TRACE = 0.9, 0.7
+DISCOUNT, GAE_LAMBDA = 0.9, 0.7
 
 
-def course(acting: Any, unknown: Any = None, seed: int = 0) -> Any:
+def trajectories(acting: Any, unknown: Any = None, seed: int = 0) -> Any:
     random = np.random.default_rng(seed)
     rewards, values = random.normal(size=(STEPS, N)), random.normal(size=(STEPS + 1, N))
     ended = random.random((STEPS, N)) < 0.1
     if unknown is None:
         unknown = np.zeros((STEPS, N), np.bool_)
     parts = rewards, values, ended, acting, unknown & ended
-    return advantages.Course(*(torch.from_numpy(part) for part in parts))
+    return rollout.Trajectories(*(torch.from_numpy(part) for part in parts))
 
 
 def of_one(rewards: Any, values: Any, ended: Any, acting: Any, unknown: Any) -> tuple[Any, Any]:
@@ -45,7 +45,7 @@ def of_one(rewards: Any, values: Any, ended: Any, acting: Any, unknown: Any) -> 
         if t in errors:
             result[t], learned[t] = errors[t], True
             if traces[t] is not None and traces[t] < STEPS:
-                result[t] += DISCOUNT * TRACE * result[traces[t]]
+                result[t] += DISCOUNT * GAE_LAMBDA * result[traces[t]]
     return result, learned
 
 
@@ -54,8 +54,8 @@ def of_one(rewards: Any, values: Any, ended: Any, acting: Any, unknown: Any) -> 
 def test_advantages_of_decisions(share: float, cut: float) -> None:
     random = np.random.default_rng(3)
     acting = random.random((STEPS + 1, N)) < share
-    given = course(acting, random.random((STEPS, N)) < cut)
-    gains, learned = advantages.advantages(given, DISCOUNT, TRACE)
+    given = trajectories(acting, random.random((STEPS, N)) < cut)
+    gains, learned = rollout.estimated_advantages(given, DISCOUNT, GAE_LAMBDA)
     for k in range(N):
         expected, which = of_one(*(part[:, k].numpy() for part in given))
         np.testing.assert_array_equal(learned[:, k], which)
@@ -64,10 +64,10 @@ def test_advantages_of_decisions(share: float, cut: float) -> None:
 
 
 def test_who_acts_in_every_step_is_computed_faster_to_the_same() -> None:
-    given = course(np.ones((STEPS + 1, N), np.bool_))
-    fast, everything = advantages.advantages(given, DISCOUNT, TRACE)
+    given = trajectories(np.ones((STEPS + 1, N), np.bool_))
+    fast, everything = rollout.estimated_advantages(given, DISCOUNT, GAE_LAMBDA)
     one_waits = given.acting.clone()
     one_waits[:, 0] = False
-    slow, _ = advantages.advantages(given._replace(acting=one_waits), DISCOUNT, TRACE)
+    slow, _ = rollout.estimated_advantages(given._replace(acting=one_waits), DISCOUNT, GAE_LAMBDA)
     assert everything.all()
     torch.testing.assert_close(slow[:, 1:], fast[:, 1:])

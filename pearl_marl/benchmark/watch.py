@@ -6,10 +6,9 @@ import time
 from collections.abc import Callable
 from typing import Any
 
+from pearl_marl.benchmark.training import TrainingTask
 from pearl_marl.evaluation.run import Evaluation
 from pearl_marl.registry import get_spec
-
-from .tasks import Task
 
 EVALUATED = 200
 """Agents whose first episodes are an evaluation, on our environment."""
@@ -33,7 +32,7 @@ class Watch:
         The best mean return of all evaluations; None without any.
     """
 
-    def __init__(self, task: Task) -> None:
+    def __init__(self, task: TrainingTask) -> None:
         self.task = task
         self.points: list[tuple[float, int]] = []
         self.reached: float | None = None

@@ -6,7 +6,7 @@ import copy
 
 import numpy as np
 
-from pearl_marl.batch.recycling import MAX_BLOCKS, Recycler
+from pearl_marl.batch.results import MAX_BLOCKS, Recycler
 
 
 def address(array: np.ndarray) -> int:

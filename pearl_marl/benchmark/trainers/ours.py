@@ -4,17 +4,16 @@ from __future__ import annotations
 
 from typing import Any
 
+from pearl_marl.benchmark.training import TrainingTask
+from pearl_marl.benchmark.watch import Watch
 from pearl_marl.registry import get_spec
 from pearl_marl.training.run import ALGORITHMS
-
-from .tasks import Task
-from .watch import Watch
 
 FIRST = {"ppo": 1, "dqn": 11}
 """Iterations after which a trainer has done all that it does, warm-up of DQN included."""
 
 
-def train(task: Task, settings: Any, watch: Watch) -> None:
+def train(task: TrainingTask, settings: Any, watch: Watch) -> None:
     """Train until the watch says that it is over."""
     make: Any = ALGORITHMS[task.algorithm]
     spec = get_spec(task.env_id)

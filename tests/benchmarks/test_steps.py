@@ -1,19 +1,23 @@
-"""`pearl bench`: what it says it counts, and that everybody plays by the rules."""
+"""`pearl bench steps`: what it says it counts, and that every contender plays by the rules."""
 
 from __future__ import annotations
 
 import json
+import re
 import sys
 from collections import Counter
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
 from pearl_marl import get_spec
-from pearl_marl.benchmark import contenders, peers
+from pearl_marl.benchmark import peers, steps, tables
 from pearl_marl.benchmark.measure import Contender, Game, UnavailableError, measure
+from pearl_marl.cli import bench
+from pearl_marl.registry import names
 
 from ..toy_world import MEADOW
 
@@ -32,19 +36,19 @@ def no_simulator(monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(*_: Any) -> None:
         raise UnavailableError("not in this test")
 
-    monkeypatch.setattr(contenders, "simulated", refuse)
+    monkeypatch.setattr(steps, "simulated", refuse)
 
 
 @pytest.mark.parametrize("name", PACKAGE)
 def test_games_beside_envpool_and_their_package(pearl: Pearl, name: str) -> None:
     pytest.importorskip("envpool")
     pytest.importorskip("lbforaging")
-    status, out, err = pearl("bench", name, "--n-agents", 8, "--rounds", 1, "--seconds", 0, "--json")
+    status, out, err = pearl("bench", "steps", name, "--n-agents", 8, "--rounds", 1, "--seconds", 0, "--json")
     assert status == 0, err
     result = json.loads(out)
     assert result["steps_of"].startswith("4 worlds of 2 agents: a step of a world is 2 agent-steps")
     masked = bool(get_spec(name).mask_fields)
-    legal = "Everyone takes random legal actions, and choosing them is not timed."
+    legal = "All agents take random legal actions, and choosing them is not timed."
     assert (result["actions"] == legal) == masked
     rows = {row["name"]: row for row in result["contenders"]}
     for timed in (
@@ -65,16 +69,16 @@ def test_games_beside_envpool_and_their_package(pearl: Pearl, name: str) -> None
 
 
 def test_what_is_counted_is_said(pearl: Pearl) -> None:
-    status, out, err = pearl("bench", "ConnectFour", "--n-agents", 8, "--rounds", 1, "--seconds", 0)
+    status, out, err = pearl("bench", "steps", "ConnectFour", "--n-agents", 8, "--rounds", 1, "--seconds", 0)
     assert status == 0, err
     said = " ".join(out.split())
-    assert "4 worlds of 2 agents: a step of a world is 2 agent-steps, whoever is on turn." in said
+    assert "4 worlds of 2 agents: a step of a world is 2 agent-steps, even though they take turns." in said
     assert "choosing them is not timed" in said
     assert "One world of 2 agents: step_batch takes" in said
 
 
 def test_only_whole_worlds(pearl: Pearl) -> None:
-    status, _, err = pearl("bench", "ConnectFour", "--n-agents", 7)
+    status, _, err = pearl("bench", "steps", "ConnectFour", "--n-agents", 7)
     assert status == 2
     assert "6 and 8 fit" in err
 
@@ -82,7 +86,7 @@ def test_only_whole_worlds(pearl: Pearl) -> None:
 def games(name: str, n: int) -> dict[str, Game]:
     """Return the contenders that choose actions, by their names."""
     made = {}
-    for contender in contenders.contenders(get_spec(name), n):
+    for contender in steps.contenders(get_spec(name), n):
         try:
             step = contender.make()
         except UnavailableError:
@@ -172,10 +176,9 @@ def test_other_worlds_have_no_peers() -> None:
 def test_growth(pearl: Pearl, monkeypatch: pytest.MonkeyPatch) -> None:
     """Every environment at every size, in the order of the table."""
     from pearl_marl.benchmark import growth
-    from pearl_marl.cli import bench
 
     monkeypatch.setattr(bench, "growth", lambda rounds: growth.growth(rounds, (64, 128)))
-    status, out, _ = pearl("bench", "--growth", "--rounds", 1, "--json")
+    status, out, _ = pearl("bench", "growth", "--rounds", 1, "--json")
     assert status == 0
     points = json.loads(out)["points"]
     assert [(p["subject"], p["n_agents"]) for p in points] == [
@@ -184,7 +187,73 @@ def test_growth(pearl: Pearl, monkeypatch: pytest.MonkeyPatch) -> None:
     assert all(p["step"] > 0 and p["write"] > 0 for p in points)
 
 
-def test_growth_is_of_its_own_environments(pearl: Pearl) -> None:
-    status, _, err = pearl("bench", "CartPole", "--growth")
-    assert status == 2
-    assert "--growth has its own" in err
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        (["CartPole", "--json"], ["steps", "CartPole", "--json"]),
+        ([], ["steps"]),
+        (["--all"], ["steps", "--all"]),
+        (["CartPole", "--training", "--quick"], ["training", "CartPole", "--quick"]),
+        (["--growth"], ["growth"]),
+    ],
+)
+def test_old_forms_work_and_name_the_new(
+    old: list[str], new: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert bench.current(old) == new
+    assert f"use `pearl {' '.join(['bench', *new])}`" in capsys.readouterr().err
+    assert bench.current(new) == new
+    assert capsys.readouterr().err == ""
+
+
+ROOT = Path(__file__).parents[2]
+
+
+def cells(line: str) -> list[str]:
+    return [cell.strip() for cell in line.strip("|").split("|")]
+
+
+def measured_tables() -> list[list[list[str]]]:
+    """Return the measured tables of the README: the cells of their rows, headings and rules first."""
+    text = (ROOT / "README.md").read_text().partition("## How fast")[2].partition("## Install")[0]
+    return [[cells(line) for line in block.splitlines()] for block in re.findall(r"(?:^\|.*\n)+", text, re.M)]
+
+
+def timed(name: str, rate: float) -> Contender:
+    return Contender(name, "what", 8, lambda: lambda: None, seconds=[8 / rate])
+
+
+PEERS = [timed("step_batch", 1e6), timed("kernel only", 2e9), timed("EnvPool, sync", 1e3)]
+
+
+def test_the_readme_has_the_tables_of_the_commands() -> None:
+    """Their columns, and the names of their rows; the figures are of another day."""
+    training = pytest.importorskip("pearl_marl.benchmark.training", exc_type=ImportError)
+    one, every, trainings = measured_tables()
+    for table, made in (
+        (one, tables.steps_table(PEERS)),
+        (every, tables.environments_table([("CliffWalking", PEERS)])),
+        (trainings, tables.training_table([])),
+    ):
+        assert table[:2] == [cells(line) for line in made.markdown().splitlines()[:2]]
+    known = {c.name: c.counts for c in steps.contenders(get_spec("CliffWalking"), 8)}
+    assert {row[0]: row[-1] for row in one[2:]}.items() <= known.items()
+    assert [row[0] for row in every[2:]] == names()
+    trainers = {trainer.name for trainer in training.TRAINERS}
+    assert {row[0].rpartition(": ")[2] for row in trainings[2:]} <= trainers
+
+
+def test_every_environment_has_its_best_peer() -> None:
+    rows = [*PEERS, timed("MinAtar", 2e4), timed("Gymnasium SyncVectorEnv", 1e4)]
+    *_, line = tables.environments_table([("Seaquest", rows)]).markdown().splitlines()
+    assert line == "| Seaquest | 2 G | 1 M | 1 k | 1,000 | 20 k, MinAtar | 50 |"
+
+
+def test_trainings_of_each_task_are_one_below_the_other() -> None:
+    row = {"task": "PPO CartPole", "contender": "PEARL-MARL", "agent_steps_per_second": 810e3, "seeds": 3}
+    row |= {"seconds_to_goal": 0.089, "reached": 2, "rate_ratio": [1, 1, 1], "time_ratio": [1, 1, 1]}
+    other = row | {"contender": "it", "rate_ratio": [9.04, 8.8, 9.3], "reached": 3, "time_ratio": None}
+    lost = {"task": "PPO CartPole", "contender": "PufferLib", "missing": "why"}
+    _, _, ours, theirs = tables.training_table([row, other, lost]).markdown().splitlines()
+    assert ours == "| **PPO CartPole**: PEARL-MARL | 810 k | | 0.089, 2 of 3 | |"
+    assert theirs == "| it | 810 k | 9.04 (8.8 to 9.3) | 0.089 | |"
