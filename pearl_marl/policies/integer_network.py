@@ -199,6 +199,10 @@ def _check(network: IntegerNetwork) -> None:
 
     if not layers:
         refuse("it has no layers")
+    if network.indicator.ndim != 2 or any(
+        layer.weights.ndim != 2 or layer.bias.ndim != 1 for layer in layers
+    ):
+        refuse("weights have two axes, and biases one")
     elements = spec.observation_size
     match inputs:
         case Scaling():
@@ -270,8 +274,18 @@ def _check(network: IntegerNetwork) -> None:
     outputs, head = len(layers[-1].bias), network.head
     if isinstance(head, Levels):
         needed = len(spec.action_fields) if not spec.action_counts else -1
+        for name, array in head._asdict().items():
+            if name != "shift" and array.shape != (len(spec.action_fields),):
+                refuse(f"{name} has the shape {array.shape}, and an action {len(spec.action_fields)} fields")
+        within("a multiplier", head.multiplier, (1 << 31) - 1)
+        within("an offset", np.abs(head.offset), (1 << 62) - 1)
+        for least, greatest, field in zip(head.low, head.high, spec.action_fields, strict=True):
+            if not field.range[0] <= least <= greatest <= field.range[1]:
+                refuse(f"actions from {least} to {greatest} do not fit the field {field.name}")
     else:
         needed = sum(head.counts) if head.counts == spec.action_counts else -1
+        if not 0 <= head.shift < SUM_BITS:
+            refuse(f"distances are shifted by {head.shift}; possible are 0 to {SUM_BITS - 1}")
         if head.weights.shape not in ((0,), (ENTRIES,)):
             refuse(f"the weights of chances have the shape {head.weights.shape}; they take {ENTRIES:,}")
         if len(head.weights):
