@@ -25,7 +25,7 @@ ALSO = ("LICENSE", "CITATION.cff")
 REFERENCE = {
     "Environments": (
         *("parallel_env", "env", "raw_env", "make_vec", "list_envs", "get_spec", "register", "unpacked"),
-        *("PearlParallelEnv", "PearlVectorEnv", "batch.step.BatchStep", "interfaces.by_agent.AgentDict"),
+        *("PearlParallelEnv", "PearlVectorEnv", "batch.step.BatchStep", "interfaces.agent_dict.AgentDict"),
         "errors",
     ),
     "Devices": ("devices", "verification"),

@@ -1,7 +1,7 @@
 """Observations as the words that an environment makes them of: a row of bytes instead of planes.
 
-Seaquest's ten planes of 100 elements are 69 bytes like this, ConnectFour's two boards 16. Whoever keeps or
-sends many of them does so packed, and unpacks those at hand.
+Seaquest's ten planes of 100 elements are 69 bytes like this, ConnectFour's two boards 16. Keep or
+send many of them packed, and unpack those at hand.
 """
 
 from __future__ import annotations
@@ -110,7 +110,7 @@ def unpacked(spec: EnvSpec, rows: Array) -> Array:
             f"uint8 of the shape (n, {layout.itemsize})"
         )
     words = np.ascontiguousarray(rows).view(layout)[:, 0]
-    columns = (np.ascontiguousarray(words[f.name], f.dtype) for f in spec.observation)
+    columns = tuple(np.ascontiguousarray(words[f.name], f.dtype) for f in spec.observation)
     observations = np.empty((len(rows), *spec.observation_shape), spec.observation_dtype)
-    compile_kernels(spec).deliver(*columns, observations)
+    compile_kernels(spec).deliver(columns, observations, len(rows))
     return observations

@@ -10,9 +10,9 @@ from pearl_marl.errors import ArgumentError
 from pearl_marl.fields import Field
 from pearl_marl.golden import Draws, GoldenFunction, Word
 from pearl_marl.layout import Layout, leaves
-from pearl_marl.places import place_of
 from pearl_marl.reals import Choice, Real, admitted, stored
 from pearl_marl.reals.words import rounded
+from pearl_marl.source_lines import source_line
 
 
 class Positional(NamedTuple):
@@ -215,7 +215,7 @@ def _called_with(function: GoldenFunction, *given: str) -> GoldenFunction:
     except TypeError as error:
         code = getattr(function, "py_func", function).__code__
         raise ArgumentError(
-            f"{place_of(code.co_filename, code.co_firstlineno)}: {function.__name__}() is called with "
+            f"{source_line(code.co_filename, code.co_firstlineno)}: {function.__name__}() is called with "
             f"({', '.join(given)}): {error}"
         ) from None
     return function

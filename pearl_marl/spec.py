@@ -26,7 +26,6 @@ from pearl_marl.fields import word_bits as word_bits
 from pearl_marl.golden import MOST_DRAWS, CountingDraws, GoldenFunction, as_python_runs_it, call_reference
 from pearl_marl.layout import Interval, Layout, real_field
 from pearl_marl.pickling import reduced
-from pearl_marl.places import place_of
 from pearl_marl.positional import (
     Positional,
     initial_of,
@@ -36,6 +35,7 @@ from pearl_marl.positional import (
     unpack_of,
     view_of,
 )
+from pearl_marl.source_lines import source_line
 from pearl_marl.tracing.checks import Argument, Result, check
 from pearl_marl.tracing.operations import word_range
 from pearl_marl.tracing.records import RULES, record
@@ -399,7 +399,7 @@ class EnvSpec:
         except Exception as error:
             code = getattr(self.unpack, "py_func", self.unpack).__code__  # type: ignore[union-attr]
             raise ArgumentError(
-                f"{place_of(code.co_filename, code.co_firstlineno)}: unpack() fails for a row of "
+                f"{source_line(code.co_filename, code.co_firstlineno)}: unpack() fails for a row of "
                 f"{self.observation_size} elements, as {self.observation_space} has: {error}"
             ) from error
 

@@ -279,7 +279,7 @@ def test_an_interrupt_comes_before_a_call_or_after_it(maker: str, tries: int) ->
         each.reset_batch(0)
     before, came = env.save_state(), {False: 0, True: 0}
     for _ in range(tries):
-        if not env.unwrapped.autoreset and not env.live.any():
+        if not env.unwrapped.autoreset and not env.present.any():
             for each in (env, other):
                 each.reset_batch(1)
             before = env.save_state()

@@ -54,7 +54,7 @@ class _Shared(Transform):
 
 
 def shared_reward_v0(env: Env) -> Any:
-    """Give every agent the sum of the rewards in its world, as a team; the dead get none."""
+    """Give every agent the sum of the rewards in its world, as a team; agents that have ended get none."""
     return wrap(env, _Shared)
 
 

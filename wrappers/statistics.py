@@ -15,7 +15,7 @@ from pearl_marl.interfaces.world import Mask
 
 from . import kernels
 from .base import Env, box, wrap
-from .transform import Slots, Transform
+from .transform import Rows, Transform
 
 _FARTHEST = 1e100
 """Statistics of no environment go so far; of a saved state that says so, their squares would be infinite."""
@@ -50,9 +50,9 @@ class _Normalised(Transform):
         mean, variance = np.empty_like(self._mean), np.empty_like(self._mean)
         count = kernels.moments(rows.reshape(self.n, -1), counted, mean, variance)
         total = self._count + count
-        apart = mean - self._mean
-        spread = self._variance * self._count + variance * count + apart**2 * self._count * count / total
-        self._mean += apart * count / total
+        difference = mean - self._mean
+        spread = self._variance * self._count + variance * count + difference**2 * self._count * count / total
+        self._mean += difference * count / total
         self._variance[:] = spread / total
         self._count[...] = total
 
@@ -82,7 +82,7 @@ class _NormalisedObservation(_Normalised):
     def results(self, step: BatchStep) -> BatchStep:
         # What is counted is what is seen; the ends of episodes are not where the next begins at once.
         if self.batch.autoreset:
-            self.update(step.obs, self.batch.alive)
+            self.update(step.obs, self.batch.in_episode)
         else:
             self.update(step.arrivals(), self.acting)
         return super().results(step)
@@ -109,8 +109,8 @@ class _NormalisedReward(_Normalised):
         self.update(self._returns, counted)
         return (step.rewards / self.deviation()).astype(np.float32)
 
-    def episode_began(self, slots: Slots) -> None:
-        self._returns[slots] = 0
+    def episode_began(self, rows: Rows) -> None:
+        self._returns[rows] = 0
 
 
 def normalize_observation_v0(env: Env, epsilon: float = 1e-8) -> Any:

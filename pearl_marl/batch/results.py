@@ -1,7 +1,7 @@
 """The arrays that a step's results are written into, in memory that is used again.
 
 Fresh memory for 43,008 slots costs several times the step, because the system clears every page of it. So a
-:class:`Recycler` uses memory again once nobody refers to an array in it, or to a view of one.
+:class:`Recycler` uses memory again once nothing refers to an array in it, or to a view of one.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from pearl_marl.batch.step import BatchStep
 from pearl_marl.errors import ArgumentError
 
 MAX_BLOCKS = 12
-"""How many blocks are kept. Whoever holds on to more results gets fresh memory for them."""
+"""How many blocks are kept. Where more results are held on to, fresh memory is taken."""
 
 Arrays = tuple[npt.NDArray[Any], ...]
 Carve = Callable[[npt.NDArray[np.uint8]], Arrays]
@@ -55,7 +55,7 @@ class Block:
 
 
 class Recycler:
-    """Makes arrays that are the user's to keep, out of memory that nobody keeps.
+    """Makes arrays that are the user's to keep, out of memory that is no longer in use.
 
     ``carve`` makes of a new block's bytes the arrays that are to stay in it, if any are. Copies and pickles
     are empty: no two of them ever hand out the same memory.
@@ -165,7 +165,7 @@ def check_memory(config: BatchConfig, more: int = 0) -> None:
 
 
 class ResultArrays:
-    """Hands out arrays for results: with ``config.copy`` ones that nobody else refers to, else the same ones.
+    """Hands out arrays for results: new ones with ``config.copy``, else the same in every step.
 
     The array objects stay in every block of memory, so that a step makes no new views.
     """
@@ -180,19 +180,9 @@ class ResultArrays:
 
     def take(self) -> BatchStep:
         """Return arrays to write the next results into; their content is of no meaning."""
-        return self.take_addressed()[0]
+        return self.take_block()[0]
 
-    def take_addressed(self) -> tuple[BatchStep, npt.NDArray[np.int64]]:
-        """Do the same; return also the addresses of :attr:`BatchStep.arrays`."""
+    def take_block(self) -> tuple[BatchStep, Block]:
+        """Do the same; return also the block that the :attr:`BatchStep.arrays` lie in."""
         block = self._block or self._new.block(self.layout.size)
-        return self._same or self.layout.step(block.arrays), block.addresses
-
-    def take_arrays(self) -> tuple[BatchStep, Arrays]:
-        """Do the same; return also the :attr:`BatchStep.arrays`."""
-        block = self._block or self._new.block(self.layout.size)
-        return self._same or self.layout.step(block.arrays), block.arrays
-
-    def take_block(self) -> tuple[npt.NDArray[np.uint8], BatchStep]:
-        """Do the same; return also the bytes that the arrays lie in, as :attr:`layout` has them."""
-        block = self._block or self._new.block(self.layout.size)
-        return block.memory, self._same or self.layout.step(block.arrays)
+        return self._same or self.layout.step(block.arrays), block

@@ -12,14 +12,14 @@ from dataclasses import dataclass, field
 from typing import Any
 
 Step = Callable[[], Any]
-"""Steps every slot once. What has processes of its own has a method ``close``, too, which ends them."""
+"""Steps every slot once. A step with processes of its own also has a method ``close``, which ends them."""
 
 
 @dataclass
 class Game:
-    """What steps every slot once where legal actions differ from step to step.
+    """A step where legal actions differ from one step to the next.
 
-    ``choose`` returns actions, which is not timed, and ``step`` takes them.
+    ``choose``, which is not timed, returns the actions that ``step`` takes.
     """
 
     choose: Callable[[], Any]
@@ -36,10 +36,9 @@ class UnavailableError(Exception):
 
 @dataclass
 class Contender:
-    """Something to time: ``make`` returns what steps all ``n`` slots, or agents of worlds, once.
+    """Something to time: ``make`` returns a step of all ``n`` slots, or agents of worlds.
 
-    ``counts`` says what one of its steps includes: which sport this is. ``wait`` waits for what steps have
-    only started.
+    ``counts`` says what one step includes. ``wait`` returns when all steps that were started are done.
     """
 
     name: str
@@ -75,9 +74,9 @@ class Contender:
 
 
 def measure(contenders: list[Contender], rounds: int, seconds: float) -> Iterator[str]:
-    """Time contenders ``rounds`` times, each for about so many seconds; yield the name of the next.
+    """Time contenders ``rounds`` times, each for about ``seconds``; yield the name of the next.
 
-    Fills their ``seconds``; those that cannot run get ``unavailable`` instead.
+    Fills their ``seconds``; a contender that cannot run gets ``unavailable`` instead.
     """
     running: list[tuple[Contender, Step | Game, int]] = []
     for contender in contenders:

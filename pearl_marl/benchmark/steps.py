@@ -49,7 +49,11 @@ def contenders(spec: EnvSpec, n: int) -> list[Contender]:
         ("PettingZoo step, dict actions", "five dicts, every key read; one thread", read),
         ("Gymnasium VectorEnv step", "arrays and infos, int64 actions; one thread", _vector),
         ("step_batch, device='rtl'", "the FPGA design under Verilator, by backdoor; one thread", simulated),
-        ("(memory) filling the result arrays", "writing zeros over what a step returns: the floor", _filling),
+        (
+            "(memory) filling the result arrays",
+            "writing zeros over what a step returns: the floor",
+            _write_results,
+        ),
     ]
     tensors = "all results, yours to keep, as tensors on the GPU; actions there"
     on_gpu = [
@@ -81,17 +85,17 @@ def _repeated(
     env: Any,
     actions: Array,
     step: Callable[[Any], Any],
-    given: Callable[[Array], Any] = lambda actions: actions,
+    convert: Callable[[Array], Any] = lambda actions: actions,
 ) -> Step | Game:
-    """Return what takes the same actions again and again; where there are masks, legal ones of every step.
+    """Return a step with the same actions again and again; where there are masks, with legal ones each time.
 
-    ``given`` makes of them what ``step`` is called with.
+    ``convert`` turns actions into the argument of ``step``.
     """
     if not spec.mask_fields:
-        always = given(actions)
-        return lambda: step(always)
+        converted = convert(actions)
+        return lambda: step(converted)
     rng, n = np.random.default_rng(0), len(actions)
-    return Game(lambda: given(random_actions(spec, rng, n, on_host(env.device.action_masks))), step)
+    return Game(lambda: convert(random_actions(spec, rng, n, on_host(env.device.action_masks))), step)
 
 
 def _batch(
@@ -104,7 +108,7 @@ def _batch(
     env = parallel_env(spec.name, len(actions), device=device(), copy=copy, **spec.options)
     env.reset_batch(seed=0)
     return _repeated(
-        spec, env, actions, env.step_batch, lambda given: given.astype(dtype or spec.action_dtype)
+        spec, env, actions, env.step_batch, lambda chosen: chosen.astype(dtype or spec.action_dtype)
     )
 
 
@@ -126,7 +130,7 @@ def _pettingzoo(spec: EnvSpec, actions: Array, read: bool) -> Step | Game:
         env,
         actions,
         lambda by_agent: [len(dict(results)) for results in env.step(by_agent)],
-        lambda given: dict(zip(env.possible_agents, given.tolist(), strict=True)),
+        lambda chosen: dict(zip(env.possible_agents, chosen.tolist(), strict=True)),
     )
 
 
@@ -137,10 +141,10 @@ def _vector(spec: EnvSpec, actions: Array) -> Step | Game:
         )
     envs = make_vec(spec.name, len(actions), device=one_thread(), **spec.options)
     envs.reset(seed=0)
-    return _repeated(spec, envs, actions, envs.step, lambda given: given.astype(np.int64))
+    return _repeated(spec, envs, actions, envs.step, lambda chosen: chosen.astype(np.int64))
 
 
-def _filling(spec: EnvSpec, actions: Array) -> Step:
+def _write_results(spec: EnvSpec, actions: Array) -> Step:
     worlds = worlds_of(spec, len(actions))
     device = one_thread().open(BatchConfig(spec=spec, n_envs=worlds, copy=False))
     device.reset(seed=0)
@@ -148,7 +152,7 @@ def _filling(spec: EnvSpec, actions: Array) -> Step:
     if masks is not None:
         actions = random_actions(spec, np.random.default_rng(0), len(actions), masks)
     step = device.step(actions)
-    arrays = step.arrays[:4] + step.arrays[5:]  # of final observations few are written
+    arrays = step.arrays[:4] + step.arrays[5:]  # few final observations are written
 
     def write() -> None:
         for array in arrays:
@@ -192,4 +196,4 @@ def _tensors(spec: EnvSpec, actions: Array) -> Step | Game:
         raise UnavailableError(str(error)) from None
     import torch
 
-    return _repeated(spec, env, actions, env.step_batch, lambda given: torch.from_numpy(given).cuda())
+    return _repeated(spec, env, actions, env.step_batch, lambda chosen: torch.from_numpy(chosen).cuda())

@@ -1,4 +1,4 @@
-"""The clock of a training. It stands still while the policy is evaluated, the same way for everybody."""
+"""The clock of a training. It stands still while the policy is evaluated, for all trainers alike."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class Watch:
     """Notes how far a training is, and says when it is over.
 
     A trainer calls ``start`` when all is made and compiled, then the watch itself after every iteration, with
-    the number of agent-steps so far and what chooses the best actions for observations.
+    the number of agent-steps so far and a function from observations to the best actions.
 
     Attributes
     ----------
@@ -67,9 +67,10 @@ class Watch:
         return (steps - before) / (last - first) if steps > before else steps / last
 
 
-def mean_return(env_id: str, choose: Callable[[Any], Any]) -> float:
-    """Return the mean of :data:`EVALUATED` episodes."""
-    evaluation = Evaluation(get_spec(env_id), choose, EVALUATED, seed=1)
+def mean_return(env_id: str, choose: Callable[[Any], Any], limit: int | None = None) -> float:
+    """Return the mean of :data:`EVALUATED` episodes; ``limit`` is for those without a time limit."""
+    spec = get_spec(env_id)
+    evaluation = Evaluation(spec, choose, EVALUATED, seed=1, max_cycles=spec.max_cycles or limit)
     for _ in evaluation.run():
         pass
     return float(evaluation.returns.mean())

@@ -15,7 +15,7 @@ from typing import Annotated, Any, NoReturn
 
 import typer
 from rich.markup import escape
-from typer.core import TyperGroup
+from typer.core import TyperCommand, TyperGroup
 from typer.exceptions import TyperException
 
 from pearl_marl.cli import usage
@@ -51,6 +51,18 @@ COMMANDS = {
 """The commands, in the order of their list, each with the first sentence of its own help."""
 
 
+class _Command(TyperCommand):
+    """A command that says itself which arguments it does not take."""
+
+    allow_extra_args = True
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        others: list[str] = super().parse_args(ctx, args)
+        if not ctx.resilient_parsing:  # a shell completes a word
+            usage.refuse_others(ctx, others, sys.argv[1:])
+        return others
+
+
 class _Commands(TyperGroup):
     """Has the list of commands without importing any, and imports the one that is called."""
 
@@ -62,8 +74,10 @@ class _Commands(TyperGroup):
         with interrupts.at_once():  # Numba and PyTorch take seconds to load
             module = import_module(f"{__name__}.{name}")
         if hasattr(module, "app"):  # of several commands
+            for command in module.app.registered_commands:
+                command.cls = _Command
             return name, typer.main.get_command(module.app), module.current(rest)
-        alone.command(name)(module.command)
+        alone.command(name, cls=_Command)(module.command)
         return name, typer.main.get_command(alone), rest
 
 

@@ -22,7 +22,7 @@ from pearl_marl.cache import cache_folder
 from pearl_marl.files import write_whole
 from pearl_marl.golden import GoldenFunction
 from pearl_marl.machine_code import kept_code
-from pearl_marl.places import is_librarys
+from pearl_marl.source_lines import is_of_a_library
 
 
 def load(name: str, source: str, **names: Any) -> tuple[Any, Path]:
@@ -33,7 +33,7 @@ def load(name: str, source: str, **names: Any) -> tuple[Any, Path]:
         if not known or path.read_bytes() != content:
             write_whole(path, content)
     if not known:
-        # It takes seconds: nobody should wonder whether it hangs.
+        # It takes seconds, and should not look as if it hung.
         text = f"pearl: compiling {name} at its first calls; kept in {path.parent}"
         print(text, file=sys.stderr, flush=True)
     # Machine code names the module that it comes from, so the module has to be a real one.
@@ -142,7 +142,7 @@ _OF_CLASSES = {"__dict__", "__weakref__", "__doc__", "__module__", "__annotation
 
 
 def _is_authors(module: str | None) -> bool:
-    return not is_librarys(module or "builtins") and not str(module).startswith(("numba.", "pearl_marl."))
+    return not is_of_a_library(module or "builtins") and not str(module).startswith(("numba.", "pearl_marl."))
 
 
 def _parts(code: types.CodeType, scope: dict[str, Any]) -> Iterator[Any]:

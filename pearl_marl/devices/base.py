@@ -35,12 +35,12 @@ from pearl_marl.batch.results import Layout, Recycler
 from pearl_marl.batch.rollout import Rollout
 from pearl_marl.batch.saved_state import SavedState
 from pearl_marl.batch.slot_memory import SlotMemory
-from pearl_marl.batch.step import Array, BatchStep, Seen, on_host
+from pearl_marl.batch.step import Array, BatchStep, Observed, on_host
 from pearl_marl.deferral import uninterrupted
 from pearl_marl.devices import rollouts
 from pearl_marl.devices.recovery import CheckpointLog
 from pearl_marl.devices.threads import Threads
-from pearl_marl.errors import ActionError, ArgumentError, DeviceError, OrderError
+from pearl_marl.errors import ActionError, ArgumentError, DeviceError, OrderError, renamed
 from pearl_marl.policies.device_policy import DevicePolicy
 
 CACHE_BYTES = 1 << 18
@@ -93,7 +93,7 @@ class Device(ABC):
     action_masks
         Which actions may be taken in the next step, ``int8`` of shape ``(n, n_actions)``, from the first
         reset on; ``None`` where the environment has no masks. See :class:`BatchStep`.
-    alive
+    in_episode
         Which agents take part in it, ``bool`` of shape ``(n,)``.
     made_with
         The attributes that it had before it was opened, which are the settings of a copy.
@@ -123,7 +123,8 @@ class Device(ABC):
     phase = Phase.NEW
 
     action_masks: Array | None = None
-    alive: Array
+    in_episode: Array
+    alive = renamed("alive", "in_episode")
     action_rules: ActionRules
 
     config: BatchConfig
@@ -159,7 +160,7 @@ class Device(ABC):
             config.spec, config.spec.action_space, config.n_agents, config.first_slot
         )
         self._actions = room_for_words(config.spec, config.n_agents)
-        self.alive = np.ones(config.n_agents, np.bool_)
+        self.in_episode = np.ones(config.n_agents, np.bool_)
         # Of one agent without masks nothing has to be remembered from one step to the next.
         self._remembers = config.spec.agents > 1 or bool(config.spec.mask_fields)
         large = config.copy and self._remembers and Layout(config).size > CACHE_BYTES
@@ -215,9 +216,9 @@ class Device(ABC):
                 self.seed, self.tick = words, 0
             elif chosen is None:
                 self.tick = rng.following(self.tick)  # or every reset would begin the same episodes
-            seen = self._reset(chosen, seed)
+            observed = self._reset(chosen, seed)
             self.phase = Phase.READY
-            return self._remember(seen)
+            return self._remember(observed)
 
     @uninterrupted
     def step(self, actions: npt.ArrayLike) -> BatchStep:
@@ -290,7 +291,7 @@ class Device(ABC):
             self._note("step_words", words)
         self.tick = (tick + 1) & rng.LAST_TICK
         if self._remembers:
-            self._remember(result.seen)
+            self._remember(result.observed)
         return result
 
     def _step_failed(self) -> None:
@@ -316,12 +317,12 @@ class Device(ABC):
             refuse_masked(words, on_host(self.action_masks), first * spec.agents, agents)
         return words
 
-    def _remember(self, seen: Seen) -> Array:
+    def _remember(self, observed: Observed) -> Array:
         """Keep what the next step goes by; return the observations."""
-        obs, self.action_masks, self.alive = seen
+        obs, self.action_masks, self.in_episode = observed
         if self._copies is not None and isinstance(obs, np.ndarray):
             # To refer to results would keep all the memory that they lie in from being used for the next.
-            self.alive = self._copies.copy(self.alive)
+            self.in_episode = self._copies.copy(self.in_episode)
             if self.action_masks is not None:
                 self.action_masks = self._copies.copy(self.action_masks)
         return obs
@@ -353,24 +354,24 @@ class Device(ABC):
         saved = self.snapshot()
         with self._noted("rollout", policy, steps):
             try:
-                result, seen = self._rollout(policy, steps, record)
-                self._remember(seen)
+                result, observed = self._rollout(policy, steps, record)
+                self._remember(observed)
                 return result
             except BaseException:
                 if self.phase is not Phase.FAILED:
                     self._remember(self._write(saved.memory, saved.stored))
                 raise
 
-    def elements(self) -> Seen:
+    def elements(self) -> Observed:
         """Return what policies in integers are shown now: observations of shape ``(n_agents, elements)``."""
         return rollouts.look(self.config, self._read()[0])
 
-    def _rollout(self, policy: DevicePolicy, steps: int, record: bool) -> tuple[Rollout, Seen]:
-        """Do a rollout; return also what is seen after it. By single steps, unless there is a faster way."""
+    def _rollout(self, policy: DevicePolicy, steps: int, record: bool) -> tuple[Rollout, Observed]:
+        """Do a rollout; return also what is observed after it. By single steps, unless there is a faster way."""
         elapsed = SlotMemory(self.config.spec, self.config.n_envs, self._read()[0]).elapsed
-        sums = rollouts.Sums.of(elapsed.repeat(self.config.spec.agents), self.elements().alive)
+        sums = rollouts.Sums.of(elapsed.repeat(self.config.spec.agents), self.elements().in_episode)
         kept = rollouts.Record.of(self.config, steps, policy.logits) if record else None
-        seen = rollouts.by_steps(
+        observed = rollouts.by_steps(
             self.config,
             policy,
             steps,
@@ -380,7 +381,7 @@ class Device(ABC):
             lambda: (self.seed, self.tick),
             self._advance,
         )
-        return sums.result(steps, {} if kept is None else kept.arrays(self.config)), seen
+        return sums.result(steps, {} if kept is None else kept.arrays(self.config)), observed
 
     @uninterrupted
     def _advance(self, words: Array) -> BatchStep:
@@ -393,7 +394,7 @@ class Device(ABC):
             raise
         self.tick = (tick + 1) & rng.LAST_TICK
         if self._remembers:
-            self._remember(result.seen)
+            self._remember(result.observed)
         return result
 
     @uninterrupted
@@ -433,7 +434,7 @@ class Device(ABC):
 
     @uninterrupted
     def shared_snapshot(self) -> SavedState:
-        """Return the same in memory that the next step may change, for who writes it down before."""
+        """Return the same in memory that the next step may change, to be written down before it."""
         self.check_idle("snapshot", ready=True)
         return self.saved(*self._read())
 
@@ -446,7 +447,7 @@ class Device(ABC):
             rewards=tuple(self.rewards.tolist()),
             memory=memory,
             stored=stored,
-            live=memory[:0],
+            present=memory[:0],
         )
 
     @uninterrupted
@@ -460,9 +461,9 @@ class Device(ABC):
         with self._noted("restore", saved):
             self.seed, self.tick = saved.seed, saved.tick
             self.reward_table = reward_tables.padded(self.config.spec, saved.rewards)
-            seen = self._write(saved.memory, saved.stored)
+            observed = self._write(saved.memory, saved.stored)
             self.phase = Phase.READY
-            return self._remember(seen)
+            return self._remember(observed)
 
     @uninterrupted
     def put(self, start: Mapping[str, Array], mask: npt.ArrayLike | None = None) -> Array:
@@ -609,7 +610,7 @@ class Device(ABC):
             config = state["config"]
             if state["closed"]:  # nothing is taken up for that
                 self.made_with, self.config, self.reward_table = state["settings"], config, state["rewards"]
-                self.alive, self.phase = np.ones(config.n_agents, np.bool_), Phase.CLOSED
+                self.in_episode, self.phase = np.ones(config.n_agents, np.bool_), Phase.CLOSED
                 return
             self.open(config, reward_tables.categories(config.spec, state["rewards"]))
             if state["saved"] is not None:
@@ -620,7 +621,7 @@ class Device(ABC):
         """Get ready to step the slots of ``config``, or raise DeviceError."""
 
     @abstractmethod
-    def _reset(self, mask: Array | None, seed: int | None) -> Seen:
+    def _reset(self, mask: Array | None, seed: int | None) -> Observed:
         """Start the masked slots (all, if ``None``) at ``tick``; return what all agents see then.
 
         ``seed`` is what ``self.seed`` was made from, where the random numbers begin anew.
@@ -653,7 +654,7 @@ class Device(ABC):
         """Return the slots' memory and the stored initial states (empty if random), as bytes."""
 
     @abstractmethod
-    def _write(self, memory: Array, stored: Array) -> Seen:
+    def _write(self, memory: Array, stored: Array) -> Observed:
         """Replace both; return what all agents see then."""
 
     def _apply_rewards(self, table: npt.ArrayLike) -> None:  # noqa: B027, as most use the table itself

@@ -24,7 +24,7 @@ from pearl_marl import rng
 from pearl_marl.batch.config import BatchConfig
 from pearl_marl.batch.results import ResultArrays
 from pearl_marl.batch.slot_memory import SlotMemory
-from pearl_marl.batch.step import Array, BatchStep, Seen
+from pearl_marl.batch.step import Array, BatchStep, Observed
 from pearl_marl.compiler.kernels import compile_kernels
 from pearl_marl.devices.base import Device
 from pearl_marl.devices.transport import STAGES, Protocol, Settings, Transport
@@ -77,7 +77,7 @@ class CommBram(Device):
         edges = itertools.pairwise((began, *self._protocol.transport.times, ended))
         return {stage: end - begin for stage, (begin, end) in zip(STAGES, edges, strict=True)}
 
-    def _reset(self, mask: Array | None, seed: int | None) -> Seen:
+    def _reset(self, mask: Array | None, seed: int | None) -> Observed:
         mirror = self._mirror
         if mask is not None:
             before = mirror.due
@@ -116,7 +116,7 @@ class CommBram(Device):
     def _may_have_moved(self) -> bool:
         return self._protocol.unconfirmed
 
-    def _slots(self) -> tuple[Array, Seen]:
+    def _slots(self) -> tuple[Array, Observed]:
         """Return the slots' memory as the native device would have it now, and what agents see."""
         config, mirror = self.config, self._mirror
         memory = SlotMemory(config.spec, config.n_envs)
@@ -136,7 +136,7 @@ class CommBram(Device):
         starts = self._mirror.starts.bytes
         return self._slots()[0], starts if self._mirror.repeats else starts[:0]
 
-    def _write(self, memory: Array, stored: Array) -> Seen:
+    def _write(self, memory: Array, stored: Array) -> Observed:
         protocol, mirror = self._protocol, self._mirror
         spec, slots = self.config.spec, SlotMemory(self.config.spec, self.config.n_envs, memory)
         try:
@@ -218,14 +218,15 @@ class Mirror:
         ``tick`` is the next step's: the episode that begins in the hardware's next step begins here in this.
         """
         config, n = self._config, self._config.n_envs
-        results, arrays = self._results.take_arrays()
+        results, block = self._results.take_block()
         # What agents that ended before do not get is the host's affair.
         absent: tuple[Array, ...] = ()
         if config.spec.agents > 1:
             absent = (np.where(self._ended & 1, 0, self._ended).astype(self._ended.dtype),)
         self._tick[0] = tick
         self._kernels.results(
-            *words, *absent, self.starts.bytes, reward_table, *arrays, *seed, self._signed_tick[0],
+            words[:-2], words[-2], (words[-1], *absent), self.starts.bytes, reward_table,
+            tuple(block.arrays), *seed, self._signed_tick[0],
             config.first_slot, self._next_step, self.repeats, n, 0, n,
         )  # fmt: skip
         if self._next_step:
@@ -240,15 +241,15 @@ class Mirror:
 
     def start(
         self, memory: SlotMemory, mask: Array, seed: tuple[int, int], tick: int, *, use_stored: bool
-    ) -> Seen:
+    ) -> Observed:
         """Begin an episode in the masked slots of ``memory``; return what the agents of all slots see."""
         config, results, n = self._config, self._results.take(), self._config.n_envs
         memory.elapsed[mask] = 0
         self._kernels.reset(
-            memory.bytes, self.starts.bytes, mask.view(np.uint8), results.obs, *results.arrays[5:], *seed,
+            memory.bytes, self.starts.bytes, mask.view(np.uint8), (results.obs, *results.arrays[5:]), *seed,
             rng.signed(tick), config.first_slot, use_stored, n, 0, n,
         )  # fmt: skip
-        return results.seen
+        return results.observed
 
     def continue_from(self, slots: SlotMemory) -> None:
         """Take up slots that the hardware has been given."""

@@ -57,8 +57,8 @@ def _what_differs(field: Control, theirs: int, spec: EnvSpec, layout: MemoryMap)
         ours = layout.n_envs * k
         return f"it is built for {theirs * k:,} agents, not {ours:,}: take as many, or build it anew"
     if field is Control.ENV_HASH:
-        hashes = {elaboration.env_hash(each): each.id for each in known}
-        usual = next((each.options for each in known if each.id == spec.id), {})
+        hashes = {elaboration.env_hash(other): other.id for other in known}
+        usual = next((other.options for other in known if other.id == spec.id), {})
         changed = {name: value for name, value in spec.options.items() if usual.get(name) != value}
         wanted = spec.id + (f" with {changed}" if changed else "")
         held = hashes.get(theirs, "another environment, or one with other options or golden functions")

@@ -12,8 +12,7 @@ import numba
 import numpy as np
 
 from pearl_marl import rng
-from pearl_marl.compiler.block_pieces import BLOCK
-from pearl_marl.compiler.kernel_source import GIVEN, RESULTS
+from pearl_marl.compiler.kernel_loops import BLOCK, RESULTS, STEP_ARGUMENTS
 from pearl_marl.compiler.kernels import Kernels
 from pearl_marl.compiler.loading import load, with_callees
 from pearl_marl.machine_code import kept_code
@@ -22,9 +21,11 @@ from pearl_marl.policies.device_policy import FIRST_DRAW
 from pearl_marl.policies.integer_loops import compiled_act
 from pearl_marl.rng import CHAIN_A, CHAIN_B
 
-TICK, SEED_0, SEED_1, FIRST_SLOT = map(GIVEN.index, ("tick", "seed_0", "seed_1", "first_slot"))
-OBSERVATIONS, REWARDS, TERMINATIONS, TRUNCATIONS, FINAL = map(GIVEN.index, RESULTS)
-MASKS, ALIVE = map(GIVEN.index, ("action_masks", "alive"))
+TICK, SEED_0, SEED_1, FIRST_SLOT, NEXT_STEP = map(
+    STEP_ARGUMENTS.index, ("tick", "seed_0", "seed_1", "first_slot", "next_step")
+)
+OBSERVATIONS, REWARDS, TERMINATIONS, TRUNCATIONS, FINAL = map(STEP_ARGUMENTS.index, RESULTS)
+MASKS, ALIVE = map(STEP_ARGUMENTS.index, ("action_masks", "alive"))
 
 act: Any = None
 step: Any = None
@@ -34,11 +35,11 @@ _jit: Any = numba.njit(error_model="numpy")
 key, draw = (with_callees(function, {}, _jit) for function in (rng.key, rng.draw))
 
 
-def rollout(given, table, net, actions, elements, masks, alive, sums, record, agents, steps, lo, hi):  # type: ignore[no-untyped-def]
+def rollout(arguments, table, net, actions, elements, masks, in_episode, sums, record, agents, steps, lo, hi):  # type: ignore[no-untyped-def]
     """Roll out the slots of a range: see :func:`kernel`."""
     # Everything of a block lies in these, which every step writes over.
     rows, width = BLOCK * agents, elements.shape[1]
-    seen, final = np.empty((rows, width), elements.dtype), np.empty((rows, width), elements.dtype)
+    shown, final = np.empty((rows, width), elements.dtype), np.empty((rows, width), elements.dtype)
     allowed = np.empty((rows if masks.shape[0] else 0, masks.shape[1]), masks.dtype)
     present = np.ones(rows, np.uint8)
     rewards = np.empty(rows, np.float32)
@@ -48,20 +49,20 @@ def rollout(given, table, net, actions, elements, masks, alive, sums, record, ag
     keep = len(record.rewards) > 0
     logits = np.empty((rows if keep else 0, record.logits.shape[2]), np.int32)
     keys = np.empty((agents, max(net.draws, 1), 2), np.uint32)
-    mine = given.copy()
-    began = given[TICK]
+    mine = arguments.copy()
+    began = arguments[TICK]
     for b in range(lo, hi, BLOCK):
         e = min(b + BLOCK, hi)
         n, first = (e - b) * agents, b * agents
         for i in range(n):
             for k in range(width):
-                seen[i, k] = elements[first + i, k]
-            present[i] = alive[first + i]
+                shown[i, k] = elements[first + i, k]
+            present[i] = in_episode[first + i]
             for k in range(allowed.shape[1]):
                 allowed[i, k] = masks[first + i, k]
         # Kernels add to an address what lies before a block; so these begin before their arrays.
-        mine[OBSERVATIONS] = np.uint64(seen.ctypes.data) - np.uint64(first * width * seen.itemsize)
-        mine[FINAL] = np.uint64(final.ctypes.data) - np.uint64(first * width * seen.itemsize)
+        mine[OBSERVATIONS] = np.uint64(shown.ctypes.data) - np.uint64(first * width * shown.itemsize)
+        mine[FINAL] = np.uint64(final.ctypes.data) - np.uint64(first * width * shown.itemsize)
         mine[REWARDS] = np.uint64(rewards.ctypes.data) - np.uint64(first * 4)
         mine[TERMINATIONS] = np.uint64(terminations.ctypes.data) - np.uint64(first)
         mine[TRUNCATIONS] = np.uint64(truncations.ctypes.data) - np.uint64(first)
@@ -76,21 +77,21 @@ def rollout(given, table, net, actions, elements, masks, alive, sums, record, ag
                 for agent in range(agents):
                     for d in range(net.draws):
                         index = np.uint32(FIRST_DRAW + agent * net.draws + d)
-                        seed_0, seed_1 = np.uint32(given[SEED_0]), np.uint32(given[SEED_1])
+                        seed_0, seed_1 = np.uint32(arguments[SEED_0]), np.uint32(arguments[SEED_1])
                         keys[agent, d, 0] = key(np.uint32(CHAIN_A), seed_0, seed_1, tick, index)
                         keys[agent, d, 1] = key(np.uint32(CHAIN_B), seed_0, seed_1, tick, index)
                 for i in range(n):
-                    slot = np.uint32(given[FIRST_SLOT] + np.uint64(b + i // agents))
+                    slot = np.uint32(arguments[FIRST_SLOT] + np.uint64(b + i // agents))
                     for d in range(net.draws):
                         draws[i, d] = draw(slot, keys[i % agents, d, 0], keys[i % agents, d, 1])
-            act(net, seen[:n], allowed[: n * min(len(allowed), 1)], draws[:n], words[:n], logits)
+            act(net, shown[:n], allowed[: n * min(len(allowed), 1)], draws[:n], words[:n], logits)
             for i in range(n):
                 for k in range(actions.shape[1]):
                     actions[first + i, k] = words[i, k]
             if keep:
                 for i in range(n):
                     for k in range(width):
-                        record.elements[t, first + i, k] = seen[i, k]
+                        record.elements[t, first + i, k] = shown[i, k]
                     for k in range(allowed.shape[1]):
                         record.masks[t, first + i, k] = allowed[i, k]
                     for k in range(actions.shape[1]):
@@ -114,7 +115,7 @@ def rollout(given, table, net, actions, elements, masks, alive, sums, record, ag
                         sums.ended[agent] += 1
                         sums.truncated[agent] += 1 - terminations[i]
                     sums.running[agent], sums.length[agent], sums.whole[agent] = 0.0, 0, 1
-                    sums.waiting[agent] = 1 - present[i]
+                    sums.waiting[agent] = 1 if arguments[NEXT_STEP] else 1 - present[i]
             if keep:
                 for i in range(n):
                     record.rewards[t, first + i] = rewards[i]
@@ -126,11 +127,11 @@ def rollout(given, table, net, actions, elements, masks, alive, sums, record, ag
 def kernel(kernels: Kernels) -> Callable[..., None]:
     """Return the rollout of some kernels, whose observations are elements.
 
-    It is called as ``rollout(given, table, net, actions, elements, masks, alive, sums, record, agents, steps,
-    lo, hi)`` for the slots of a range. ``given`` and ``table`` are what the kernel ``step`` takes, whose
-    addresses of results are replaced; ``elements``, ``masks`` and ``alive`` are what agents are shown now;
-    ``actions`` is written over; ``sums`` and ``record`` are :class:`~pearl_marl.devices.rollouts.Sums` and
-    :class:`~pearl_marl.devices.rollouts.Record`.
+    It is called as ``rollout(arguments, table, net, actions, elements, masks, in_episode, sums, record,
+    agents, steps, lo, hi)`` for the slots of a range. ``arguments`` and ``table`` are what the kernel
+    ``step`` takes, whose addresses of results are replaced; ``elements``, ``masks`` and ``in_episode`` are
+    what agents are shown now; ``actions`` is written over; ``sums`` and ``record`` are
+    :class:`~pearl_marl.devices.rollouts.Sums` and :class:`~pearl_marl.devices.rollouts.Record`.
     """
     texts = [
         inspect.getsource(part) for part in (rollout, integer_loops, integer_network, device_policy, rng)

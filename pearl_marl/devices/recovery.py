@@ -31,7 +31,7 @@ Calls = list[tuple[str, tuple[Any, ...]]]
 class CheckpointLog:
     """Keeps a state of a device's slots on the host, and the calls since.
 
-    It does not refer to the device, so that one that everybody has forgotten frees its board at once.
+    It does not refer to the device, so that one that is no longer used frees its board at once.
 
     Parameters
     ----------

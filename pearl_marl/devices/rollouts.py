@@ -9,12 +9,13 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
+from gymnasium.vector import AutoresetMode
 
 from pearl_marl.batch.actions import room_for_words
 from pearl_marl.batch.config import BatchConfig
 from pearl_marl.batch.results import check_memory
 from pearl_marl.batch.rollout import Rollout
-from pearl_marl.batch.step import Array, BatchStep, Seen
+from pearl_marl.batch.step import Array, BatchStep, Observed
 from pearl_marl.compiler.kernels import compile_kernels
 from pearl_marl.errors import ArgumentError
 from pearl_marl.policies.device_policy import DevicePolicy, elements_of, policy_draws
@@ -27,7 +28,7 @@ class Sums(NamedTuple):
     running: Array  # float64: the return of the episode so far
     length: Array  # int64: its steps so far
     whole: Array  # uint8: whether it began in the rollout or with it
-    waiting: Array  # uint8: whether the agent has ended before its world
+    waiting: Array  # uint8: whether it takes no part: it has ended before its world, or its world resets
     returns: Array  # float64: of whole episodes that ended
     squares: Array  # float64
     lengths: Array  # int64
@@ -35,10 +36,10 @@ class Sums(NamedTuple):
     truncated: Array  # int64
 
     @classmethod
-    def of(cls, elapsed: Array, alive: Array) -> Sums:
+    def of(cls, elapsed: Array, in_episode: Array) -> Sums:
         """Return the sums of no steps; ``elapsed`` are each agent's steps of its episode so far."""
-        n = len(alive)
-        whole, waiting = (elapsed == 0).astype(np.uint8), (~alive.astype(np.bool_)).astype(np.uint8)
+        n = len(in_episode)
+        whole, waiting = (elapsed == 0).astype(np.uint8), (~in_episode.astype(np.bool_)).astype(np.uint8)
         return cls(
             np.zeros(n, np.float64),
             np.zeros(n, np.int64),
@@ -51,8 +52,8 @@ class Sums(NamedTuple):
             np.zeros(n, np.int64),
         )
 
-    def add(self, step: BatchStep) -> None:
-        """Count one step."""
+    def add(self, step: BatchStep, next_step: bool) -> None:
+        """Count one step; with ``next_step``, worlds that end spend the next one on their reset."""
         acting = self.waiting == 0
         self.running[acting] += step.rewards[acting]
         self.length[acting] += 1
@@ -64,7 +65,7 @@ class Sums(NamedTuple):
         self.ended[counted] += 1
         self.truncated[counted] += ~step.terminations[counted]
         self.running[over], self.length[over], self.whole[over] = 0, 0, 1
-        self.waiting[:] = np.where(over | ~acting, ~step.alive, 0)
+        self.waiting[:] = np.where(over, next_step | ~step.in_episode, ~acting & ~step.in_episode)
 
     def result(self, steps: int, recorded: dict[str, Any]) -> Rollout:
         """Return the result of a rollout of so many steps, with what was recorded of them."""
@@ -161,7 +162,7 @@ def element_dtype(seen: EnvSpec) -> np.dtype[Any]:
     return np.dtype(np.uint8) if seen.observation_dtype == np.bool_ else seen.observation_dtype
 
 
-def look(config: BatchConfig, memory: Array) -> Seen:
+def look(config: BatchConfig, memory: Array) -> Observed:
     """Return what agents are shown in the states in some slots' memory, with elements as observations.
 
     Observations have the shape ``(n_agents, elements)``.
@@ -169,12 +170,12 @@ def look(config: BatchConfig, memory: Array) -> Seen:
     spec, n = elements_of(config.spec), config.n_agents
     obs = np.empty((n, *spec.observation_shape), element_dtype(spec))
     masks = np.zeros((n, len(spec.mask_fields)), np.int8)
-    alive = np.ones(n, np.uint8)
-    also = ((masks,) if spec.mask_fields else ()) + ((alive,) if spec.agents > 1 else ())
+    in_episode = np.ones(n, np.uint8)
+    views = obs, *((masks,) if spec.mask_fields else ()), *((in_episode,) if spec.agents > 1 else ())
     nothing = np.zeros(config.n_envs, np.uint8)
     place = 0, 0, np.int64(0), config.first_slot, False, config.n_envs, 0, config.n_envs
-    compile_kernels(spec).reset(memory, memory, nothing, obs, *also, *place)
-    return Seen(obs.reshape(n, -1), masks if spec.mask_fields else None, alive.view(np.bool_))
+    compile_kernels(spec).reset(memory, memory, nothing, views, *place)
+    return Observed(obs.reshape(n, -1), masks if spec.mask_fields else None, in_episode.view(np.bool_))
 
 
 def by_steps(
@@ -183,10 +184,10 @@ def by_steps(
     steps: int,
     sums: Sums,
     record: Record | None,
-    see: Callable[[], Seen],
+    see: Callable[[], Observed],
     position: Callable[[], tuple[tuple[int, int], int]],
     step: Callable[[Array], BatchStep],
-) -> Seen:
+) -> Observed:
     """Act and step, so many times, and add to sums and record; return what is seen last.
 
     ``see`` returns what agents are shown now, ``position`` seed and tick, and ``step`` does a step of all
@@ -203,7 +204,7 @@ def by_steps(
         choice = policy.choose(elements, agents, masks, draws)
         room.reshape(choice.words.shape)[:] = choice.words
         result = step(room).on_host()
-        sums.add(result)
+        sums.add(result, config.autoreset_mode is AutoresetMode.NEXT_STEP)
         if record is not None:
             record.elements[t], record.words[t] = elements, choice.words
             if masks is not None:
@@ -212,4 +213,4 @@ def by_steps(
             record.truncations[t] = result.truncations
             if choice.logits is not None:
                 record.logits[t] = choice.logits
-    return result.seen
+    return result.observed

@@ -24,7 +24,7 @@ import numpy.typing as npt
 from pearl_marl.batch.config import BatchConfig
 from pearl_marl.batch.results import ResultArrays
 from pearl_marl.batch.saved_state import SavedState
-from pearl_marl.batch.step import Array, BatchStep, Seen
+from pearl_marl.batch.step import Array, BatchStep, Observed
 from pearl_marl.devices.base import Device, Phase, count_or_none
 from pearl_marl.devices.by_name import make_distinct
 from pearl_marl.devices.recovery import CHECKPOINT_EVERY, CheckpointLog
@@ -84,7 +84,7 @@ class Sharded(Device):
         ]
         try:
             wait(tasks)
-        except BaseException:  # Ctrl-C, and nobody may find a part at work
+        except BaseException:  # Ctrl-C, and no part may be left at work
             wait(tasks)
             raise
         return [task.result() for task in tasks]
@@ -119,7 +119,7 @@ class Sharded(Device):
         first_slot, size = config.first_slot + slots.start, slots.stop - slots.start
         part.open(replace(config, n_envs=size, first_slot=first_slot, copy=False))
 
-    def _reset(self, mask: Array | None, seed: int | None) -> Seen:
+    def _reset(self, mask: Array | None, seed: int | None) -> Observed:
         if seed is None:
             self.check_not_failed()
         return self._restart(lambda part, slots: part.reset(seed, None if mask is None else mask[slots]))
@@ -144,7 +144,7 @@ class Sharded(Device):
         saved = SavedState.join(self.config.spec, self.on_all(lambda part, _: part.snapshot()))
         return saved.memory, saved.stored
 
-    def _write(self, memory: Array, stored: Array) -> Seen:
+    def _write(self, memory: Array, stored: Array) -> Observed:
         saved, spec = self.saved(memory, stored), self.config.spec
 
         def write(part: Device, slots: slice) -> Array:
@@ -176,7 +176,7 @@ class Sharded(Device):
             self.fail()
             raise
 
-    def _restart(self, call: Callable[[Device, slice], Array]) -> Seen:
+    def _restart(self, call: Callable[[Device, slice], Array]) -> Observed:
         """Reset or restore all parts; return what agents see."""
         shares = self._change(call)
         results = self._results.take()
@@ -186,8 +186,8 @@ class Sharded(Device):
             if results.action_masks is not None:
                 results.action_masks[rows] = part.action_masks
             if self.config.spec.agents > 1:
-                results.alive[rows] = part.alive
-        return results.seen
+                results.in_episode[rows] = part.in_episode
+        return results.observed
 
 
 def _are_sizes(sizes: object, count: int) -> bool:

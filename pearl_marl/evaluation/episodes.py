@@ -24,7 +24,7 @@ class Ended(NamedTuple):
 
 
 NONE = Ended(np.zeros(0, np.intp), np.zeros(0), np.zeros(0, np.int64), np.zeros(0, np.bool_))
-"""What most steps of few slots end."""
+"""No episodes, as in most steps of few slots."""
 
 
 class RunningEpisodes:
@@ -46,7 +46,7 @@ class RunningEpisodes:
         self._steps += 1
         self._returns += step.rewards
         self._starts[self._absent] = self._steps  # their next episode begins with that of their world
-        self._absent = np.flatnonzero(~step.alive)
+        self._absent = np.flatnonzero(~step.in_episode)
         slots = np.flatnonzero(step.ended)
         if not slots.size:
             return NONE

@@ -1,4 +1,4 @@
-"""The machine that a figure is of."""
+"""The machine that a figure was measured on."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Any
 
 
 def machine() -> dict[str, Any]:
-    """Return what a figure has to name to be repeatable: processor, cores, versions."""
+    """Return the facts that make a figure repeatable: processor, cores, versions."""
     versions = {}
     steps = "gymnasium", "pettingzoo", "envpool", "lbforaging", "overcooked-ai", "jaxmarl", "jax"
     for package in ("pearl-marl", "numpy", "numba", *steps):

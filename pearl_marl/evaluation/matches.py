@@ -80,7 +80,7 @@ class Match(Evaluation):
         self.elapsed = np.zeros(self.config.n_envs, np.int64)
 
     def _count(self, step: BatchStep) -> int:
-        ended, present = (flags.reshape(len(self.elapsed), -1) for flags in (step.ended, step.alive))
+        ended, present = (flags.reshape(len(self.elapsed), -1) for flags in (step.ended, step.in_episode))
         self.elapsed = np.where(ended.any(1) & present.all(1), 0, self.elapsed + 1)
         return super()._count(step)
 

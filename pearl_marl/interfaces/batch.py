@@ -23,7 +23,7 @@ from pearl_marl.batch.step import Array, BatchStep, on_host
 from pearl_marl.deferral import uninterrupted
 from pearl_marl.devices import BatchConfig, Device, Phase
 from pearl_marl.elements import ActionSpace
-from pearl_marl.errors import ArgumentError, OrderError
+from pearl_marl.errors import ArgumentError, OrderError, renamed
 from pearl_marl.interfaces.world import Mask, World
 from pearl_marl.policies.device_policy import DevicePolicy
 from pearl_marl.rendering import Renderer, check_render_mode, renderer
@@ -36,11 +36,11 @@ class Batch(ABC):
     Attributes
     ----------
     batch_size
-        Number of agents: worlds times agents per world. A *slot* here is the row of an agent.
+        Number of agents: worlds times agents per world. Arrays have a row for each.
     world
         How agents share states.
-    slot_observation_space, slot_action_space
-        The spaces of one slot's observation and action.
+    observation_space, action_space
+        The spaces of one agent's observation and action.
     slot_autoreset_mode
         When a slot that ended starts over: in the ``SAME_STEP``, or in the ``NEXT_STEP``. That is what
         :meth:`step_batch` does. A ``VectorEnv`` in DISABLED mode and agents that leave only hide it.
@@ -60,12 +60,12 @@ class Batch(ABC):
         world: World,
     ) -> None:
         self.batch_size, self.world = batch_size, world
-        self.slot_observation_space: Space[Any] = observation_space
-        self.slot_action_space: ActionSpace = action_rules.space
+        self.observation_space: Space[Any] = observation_space
+        self.action_space: ActionSpace = action_rules.space
         self.action_rules = action_rules
         self.autoreset, self.slot_autoreset_mode = autoreset, slot_autoreset_mode
-        # As `live` is another array whenever it changes, this one is known to say that everybody acts.
-        self._everybody: Mask | None = None
+        # Of this array it is known that all agents act: `present` is another one whenever it changes.
+        self._all_act: Mask | None = None
 
     def __copy__(self) -> Self:
         # Two environments that share a device would step each other's agents.
@@ -77,21 +77,21 @@ class Batch(ABC):
         return self.batch_size // self.world.agents
 
     def step_batch(self, actions: npt.ArrayLike) -> BatchStep:
-        """Step every slot once; actions of agents that left or are dead are ignored."""
-        if self.live is not self._everybody or self.world.agents > 1:
+        """Step every world once; actions of agents that left or have ended before their world are ignored."""
+        if self.present is not self._all_act or self.world.agents > 1:
             actions = self.filled(actions)
-        return self.step_slots(actions)
+        return self.step_rows(actions)
 
     def filled(self, actions: npt.ArrayLike) -> npt.ArrayLike:
-        """Return actions with a possible one for agents that left or are dead, whose own is ignored."""
-        live = self.live
-        acting = live if self.world.agents == 1 else live & on_host(self.alive)
+        """Return actions with possible ones for agents that left or have ended before their world."""
+        present = self.present
+        acting = present if self.world.agents == 1 else present & on_host(self.in_episode)
         if acting.all():
-            self._everybody = live
+            self._all_act = present
             return actions
         if not self.ready:  # the device says why not
             return actions
-        if not live.any():
+        if not present.any():
             raise OrderError("step() with no agent left: every episode has ended, call reset() first")
         filled: npt.ArrayLike = self.action_rules.with_idle(actions, ~acting, self.action_masks)
         return filled
@@ -109,16 +109,18 @@ class Batch(ABC):
 
     @property
     @abstractmethod
-    def live(self) -> Mask:
+    def present(self) -> Mask:
         """Which agents are present, that is, have not left for good. Shape ``(batch_size,)``.
 
-        The array is never written into. When somebody leaves or comes back, it is another one.
+        The array is never written into. When an agent leaves or comes back, it is another one.
         """
 
     @property
     @abstractmethod
-    def alive(self) -> Mask:
+    def in_episode(self) -> Mask:
         """Which agents take part in the next step: see :class:`BatchStep`."""
+
+    live, alive = renamed("live", "present"), renamed("alive", "in_episode")
 
     @property
     @abstractmethod
@@ -131,8 +133,8 @@ class Batch(ABC):
         """Whether a step is possible: after the first reset, and until closed."""
 
     @abstractmethod
-    def step_slots(self, actions: npt.ArrayLike) -> BatchStep:
-        """Do what :meth:`step_batch` does, with possible actions for agents that left or are dead."""
+    def step_rows(self, actions: npt.ArrayLike) -> BatchStep:
+        """Do what :meth:`step_batch` does, with actions that are possible where they are ignored."""
 
     @abstractmethod
     def reset_batch(self, seed: int | None = None, mask: npt.ArrayLike | None = None) -> Array:
@@ -173,9 +175,9 @@ class DeviceBatch(Batch):
         self.device = device.open(config, rewards)
         self.render_mode = render_mode
         self._leaves = leaves
-        # Nobody is there before the first reset. Arrays of `live` are replaced, never written into.
+        # No agent is present before the first reset. Arrays of `present` are replaced, never written into.
         self._all = np.ones(config.n_agents, np.bool_)
-        self._live = ~self._all
+        self._present = ~self._all
         self._random, self.np_random_seed = seeding.np_random()
         self._start: dict[str, Array] | None = None
         self._renderer: Renderer | None = None
@@ -191,14 +193,14 @@ class DeviceBatch(Batch):
         return self
 
     @property
-    def live(self) -> Mask:
+    def present(self) -> Mask:
         """See :class:`Batch`."""
-        return self._live
+        return self._present
 
     @property
-    def alive(self) -> Mask:
+    def in_episode(self) -> Mask:
         """See :class:`Batch`."""
-        return self.device.alive
+        return self.device.in_episode
 
     @property
     def action_masks(self) -> Array | None:
@@ -247,16 +249,16 @@ class DeviceBatch(Batch):
         if seed is not None:
             self._random, self.np_random_seed = np.random.default_rng(checked_seed(seed)), int(seed)
         if mask is None:
-            self._live = self._all
+            self._present = self._all
             self._show()
         else:
-            back = self.world.rows(np.asarray(mask)) & ~self._live
+            back = self.world.rows(np.asarray(mask)) & ~self._present
             if back.any():
-                self._live = self._live | back
+                self._present = self._present | back
         return obs
 
-    def step_slots(self, actions: npt.ArrayLike) -> BatchStep:
-        """See :meth:`Batch.step_slots`."""
+    def step_rows(self, actions: npt.ArrayLike) -> BatchStep:
+        """See :meth:`Batch.step_rows`."""
         # Where nothing is noted here, the device's step is all that an interrupt could cut in two.
         if not self._leaves and self.render_mode != "human":
             return self.device.step(actions)
@@ -289,9 +291,9 @@ class DeviceBatch(Batch):
     def _noted(self, result: BatchStep) -> BatchStep:
         """Take note of the agents that leave in a step, and show it."""
         if self._leaves:
-            leaving = on_host(result.ended) & self._live
+            leaving = on_host(result.ended) & self._present
             if leaving.any():
-                self._live = self._live & ~leaving
+                self._present = self._present & ~leaving
         self._show()
         return result
 
@@ -300,17 +302,18 @@ class DeviceBatch(Batch):
         """Return everything that what follows depends on; :meth:`load_state` takes it, on any device."""
         self.device.check_idle("save_state", ready=True)
         saved = self.device.shared_snapshot()
-        live = self._live if self._leaves else self._live[:0]
+        present = self._present if self._leaves else self._present[:0]
         identity = {**self.device.config.identity(), "autoreset": self.autoreset}
-        return replace(saved, identity=identity, live=live.view(np.uint8)).to_bytes()
+        return replace(saved, identity=identity, present=present.view(np.uint8)).to_bytes()
 
     @uninterrupted
     def load_state(self, blob: bytes) -> Array:
         """See :meth:`Batch.load_state`."""
         self.device.check_idle("load_state")
         saved = SavedState.from_bytes(blob, self.device.config, self.autoreset)
-        obs = self.device.restore(replace(saved, live=saved.live[:0]))  # which a device knows nothing of
-        self._live = saved.live.astype(np.bool_) if self._leaves else self._all
+        # A device knows nothing of agents that left.
+        obs = self.device.restore(replace(saved, present=saved.present[:0]))
+        self._present = saved.present.astype(np.bool_) if self._leaves else self._all
         return obs
 
     def render(self, world: int | None = None) -> Any:
@@ -327,7 +330,7 @@ class DeviceBatch(Batch):
         return self._renderer.render(state)
 
     def _show(self) -> None:
-        """Draw the step that was made, where somebody watches."""
+        """Draw the step that was made, in the mode for people."""
         if self.render_mode == "human":
             self.render()
 

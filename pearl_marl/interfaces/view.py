@@ -30,8 +30,9 @@ class View:
     def __getattr__(self, name: str) -> Any:
         if name not in _MOVED:
             raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
-        warnings.warn(f"{name} of an environment is now batch.{name}", DeprecationWarning, stacklevel=2)
-        return getattr(self.batch, name)
+        new = _MOVED[name]
+        warnings.warn(f"{name} of an environment is now batch.{new}", DeprecationWarning, stacklevel=2)
+        return getattr(self.batch, new)
 
     @property
     def env(self) -> Self:
@@ -132,7 +133,10 @@ class View:
 
 
 _MOVED = {
-    *("batch_size", "world", "slot_observation_space", "slot_action_space", "slot_autoreset_mode"),
-    *("live", "alive", "autoreset"),
+    **{name: name for name in ("batch_size", "world", "slot_autoreset_mode", "autoreset")},
+    "slot_observation_space": "observation_space",
+    "slot_action_space": "action_space",
+    "live": "present",
+    "alive": "in_episode",
 }
-"""Some of them are an environment's, too."""
+"""What is a batch's, by the names of before. Some of them are an environment's, too."""

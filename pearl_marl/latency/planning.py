@@ -17,7 +17,7 @@ from pearl_marl.memory_map import DATA_WIDTHS, MemoryMap, memory_map
 from pearl_marl.spec import EnvSpec, check_spec
 
 MAX_PE_NUM = 256
-"""The most processing elements that are looked at, in powers of two, which need the fewest shifters."""
+"""The most processing elements that are considered, in powers of two, which need the fewest shifters."""
 
 NEAR = 1.05
 """A smaller design is chosen over the fastest, if its steps take at most so many times as long."""
@@ -45,13 +45,13 @@ class Candidate:
 class Plan:
     """The build that was chosen, and what it was chosen from.
 
-    ``candidates`` are a build for each ``pe_num``: what was chosen, and else the narrowest word that serves.
-    ``larger`` is the same of the next ``pe_num``, whether it fits the part or not: what was not chosen. It is
-    ``None`` if nothing larger was looked at.
+    ``candidates`` are a build for each ``pe_num``: the chosen one, and of other numbers the one with the
+    narrowest word that is nearly as fast as their fastest. ``larger`` is that of the next ``pe_num``, whether
+    it fits the part or not; ``None`` if nothing larger was considered.
 
     ``host`` and ``half_host`` are what the host takes for all slots and for half of them, measured.
     ``overlap`` is of two devices of half the slots that take turns; ``None`` for a single slot. ``usage`` is
-    what synthesis made of the build, if it is in the cache.
+    the result of synthesis, if it is in the cache.
     """
 
     chosen: Candidate
@@ -77,7 +77,7 @@ def plan(
     Of all builds that fit the part (``None`` for anything) by their memories and multipliers, the smallest
     that is nearly as fast as the fastest (:data:`NEAR`): fewest processing elements, then the narrowest word.
     Where it takes many of the part's multipliers (:data:`DSP_SHARE`), the same of those that take fewer and
-    outrun the link. ``pe_num`` and ``data_wl`` look at one value only.
+    outrun the link. ``pe_num`` and ``data_wl`` restrict the choice to one value.
 
     Raises
     ------
@@ -89,7 +89,7 @@ def plan(
         raise ArgumentError(f"link is {link!r}; it must be a Link, such as one of pearl_marl.latency.LINKS")
     if part is not None and not isinstance(part, Part):
         raise ArgumentError(f"part is {part!r}; it must be one of pearl_marl.hardware.fitting.PARTS, or None")
-    memory_map(spec, n_envs, 1, DATA_WIDTHS[0])  # refuses what is no number of slots
+    memory_map(spec, n_envs, 1, DATA_WIDTHS[0])  # refuses an impossible number of slots
     sizes = [1 << k for k in range(MAX_PE_NUM.bit_length()) if 1 << k <= n_envs]
     if pe_num is not None:
         sizes = [pe_num]
@@ -121,7 +121,7 @@ def plan(
         overlap = Overlap(predict(spec, half, link, half_host, clock))
     return Plan(
         chosen,
-        # Of its own size, what was chosen: near the fastest of all may be a wider word than near its own.
+        # The chosen one for its own size, whose word may be wider than that near the fastest of this size.
         tuple(chosen if chosen in group else _smallest(group) for group in _by_size(fitting)),
         next(map(_smallest, _by_size(larger)), None),
         host,
@@ -132,12 +132,12 @@ def plan(
 
 
 def _by_size(candidates: list[Candidate]) -> list[list[Candidate]]:
-    """Return them in a list for each ``pe_num``, the least first."""
+    """Return the candidates in a list for each ``pe_num``, the least first."""
     return [list(group) for _, group in groupby(candidates, lambda c: c.layout.pe_num)]
 
 
 def _smallest(candidates: list[Candidate]) -> Candidate:
-    """Return the smallest that is nearly as fast as the fastest."""
+    """Return the smallest candidate that is nearly as fast as the fastest."""
     enough = NEAR * min(c.prediction.total for c in candidates)
     near = [c for c in candidates if c.prediction.total <= enough]
     return min(near, key=lambda c: (c.layout.pe_num, c.layout.data_wl))

@@ -7,6 +7,7 @@ both by the same actions and draws, and compares observations, rewards, ends, ma
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple, Protocol
 
@@ -299,7 +300,16 @@ def compare(
     else:
         ours.words = [np.asarray(word).astype(f.dtype) for word, f in zip(state, spec.state, strict=True)]
     elapsed, begun = np.zeros(n, np.int64), [word.copy() for word in ours.words]
-    judge = _Judge(spec, tolerance)
+    recent, judge = deque[Array](maxlen=8), _Judge(spec, tolerance)
+
+    def where(game: int) -> str:
+        taken = [given[game].tolist() for given in recent][-int(elapsed[game]) :]
+        last = ", ".join(str(given[0] if spec.agents == 1 else given) for given in taken)
+        return (
+            f"from {named(spec, [word[game] for word in begun])} after {elapsed[game]:,} steps, the last "
+            f"by the actions {last}"
+        )
+
     oracle.pose(every, ours.values())
     judge.compare(ours, Outcome(), oracle.look(every), every, lambda game: "at the start")
     for step in range(steps):
@@ -316,9 +326,7 @@ def compare(
         late = elapsed >= spec.max_cycles if spec.max_cycles else np.zeros(n, np.bool_)
         mine = mine._replace(truncated=late & ~over)
 
-        def where(game: int, start: list[Array] = begun, last: Array = chosen, time: Array = elapsed) -> str:
-            told = named(spec, [word[game] for word in start])
-            return f"from {told} after {time[game]:,} steps, the last by the actions {last[game].tolist()}"
+        recent.append(chosen)
 
         errors = judge.compare(ours, mine, theirs, every, where)
         ended = over | late
@@ -358,7 +366,7 @@ class _Judge:
                 error = np.abs(own.astype(np.float64) - due)
                 wrong = error > limit
             else:
-                wrong = own.astype(dtype) != due.astype(dtype)
+                wrong = own.astype(dtype) != (due.astype(dtype) if np.dtype(dtype).kind == "f" else due)
                 if due.dtype.kind == "f":
                     wrong &= ~np.isnan(due)
                 error = wrong.astype(np.float64)
@@ -367,8 +375,8 @@ class _Judge:
             if wrong.any():
                 at = tuple(np.argwhere(wrong)[0].tolist())
                 raise DifferenceError(
-                    f"{where(int(games[at[0]]))}: {self._name(name, at)} is {_told(own[at])}, the original's "
-                    f"{_told(due[at])}"
+                    f"{where(int(games[at[0]]))}: {_name(spec, name, *at[1:])} is {float(own[at]):.9g}, the "
+                    f"original's {float(due[at]):.9g}"
                 )
 
         if theirs.rewards is not None and mine.rewards is not None:
@@ -391,24 +399,33 @@ class _Judge:
         given = self.tolerance
         return given.get(name, 0.0) if isinstance(given, Mapping) else given
 
-    def _name(self, what: str, at: tuple[int, ...]) -> str:
-        """Return what a number is called: rewards and ends by agent, observations by element."""
-        _, agent, *element = at
-        name = what
-        if element and what == "observation" and self.spec.unpack is None:
-            name = self.spec.observation[element[0]].name
-        elif element:
-            name = f"{what} {element[0]}" if what == "mask" else f"element {element[0]}"
-        if self.spec.agents == 1 or what not in ("reward", "terminated", "observation", "mask"):
-            return name
-        return f"{name} of {agent}" if element else f"{name} {agent}"
+
+def numbers(spec: EnvSpec, outcome: Outcome) -> dict[str, Array]:
+    """Return rewards, ends and observations of many games by their names, a column for each number."""
+    columns = dict[str, Array]()
+    shown = {"reward": outcome.rewards, "terminated": outcome.terminated, "observation": outcome.observations}
+    for what, values in shown.items():
+        if values is not None:
+            table = np.asarray(values, np.float64)
+            table = table.reshape(len(table), spec.agents, -1)
+            for at in np.ndindex(table.shape[1:]):
+                columns[_name(spec, what, *at)] = table[:, *at]
+    return columns
+
+
+def _name(spec: EnvSpec, what: str, agent: int, element: int = 0) -> str:
+    """Return what a number is called."""
+    name = what
+    if what == "observation":
+        name = f"element {element}" if spec.unpack is not None else spec.observation[element].name
+    elif what == "mask":
+        name = f"mask {element}"
+    if spec.agents == 1 or what not in ("reward", "terminated", "observation", "mask"):
+        return name
+    return f"{name} of {agent}" if name != what else f"{name} {agent}"
 
 
 def named(spec: EnvSpec, words: Sequence[Any]) -> str:
     """Return a state as a message names it."""
     pairs = [f"{f.name}={f.value(word)}" for f, word in zip(spec.state, words, strict=True)]
     return ", ".join(pairs if len(pairs) <= 12 else [*pairs[:12], "..."])
-
-
-def _told(number: Any) -> str:
-    return f"{float(number):.9g}"

@@ -44,7 +44,7 @@ class GoldenContract:
         words = room_for_words(spec, n * spec.agents)
         for actions in sticky_actions(spec, len(words), steps, seed=2):
             step = device.step_words(encode(actions, spec, words))
-            assert contains_all(spec.observation_space, step.obs[step.alive])
+            assert contains_all(spec.observation_space, step.obs[step.in_episode])
         device.close()
 
     def test_spaces_equal_the_oracles(self, spec: EnvSpec) -> None:

@@ -90,7 +90,7 @@ class Agents:
             state = words.repeat_interleave(self.spec.agents, 0)
         self.inputs = Inputs(obs, masks, self.position, state)
         if self.spec.agents > 1:  # an agent that is alone does not end before its world
-            self.alive = torch.as_tensor(self.device.alive, device=obs.device).clone()
+            self.alive = torch.as_tensor(self.device.in_episode, device=obs.device).clone()
         self.acting = self.alive if masks is None else self.alive & (masks != 0).any(1)
 
     @property

@@ -16,7 +16,7 @@ import torch
 from pearl_marl.batch.config import BatchConfig, worlds_of
 from pearl_marl.batch.saved_state import SavedState
 from pearl_marl.devices import cluster
-from pearl_marl.devices.ray import Parcel, contents, parcel
+from pearl_marl.devices.ray import Packed, pack, unpacked
 from pearl_marl.errors import ArgumentError, DeviceError
 from pearl_marl.policies.network import Array
 from pearl_marl.spec import EnvSpec
@@ -33,10 +33,10 @@ ATTEMPTS = 3
 class Worker:
     """What runs in a process of its own: a :class:`RolloutWorker` that is sent weights."""
 
-    def begin(self, parcel: Parcel) -> SavedState:
+    def begin(self, packed: Packed) -> SavedState:
         """Make the agents; return their state. In the parcel are arguments of :class:`RolloutWorker`."""
         torch.set_num_threads(1)
-        spec, device, settings, blocks = contents(parcel)
+        spec, device, settings, blocks = unpacked(packed)
         self.model = ActorCritic(spec, settings.width, settings.sharing)
         self.worker = RolloutWorker(spec, device, settings, self.model, blocks)
         self.model.to(self.worker.where)
@@ -92,7 +92,7 @@ class RayWorkers:
 
     def _start(self, i: int) -> tuple[Any, SavedState]:
         """Return an actor for a shard, and its agents' first state."""
-        sent = parcel(self.spec, self.device, self.settings, self._blocks[i])
+        sent = pack(self.spec, self.device, self.settings, self._blocks[i])
         for attempt in itertools.count(1):
             try:
                 actor = cluster.start_actor(Worker, resources=self._resources)

@@ -39,6 +39,21 @@ def no_simulator(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(steps, "simulated", refuse)
 
 
+def test_processes_of_a_peer_end_with_the_measurement() -> None:
+    """Before the tests that use EnvPool: processes forked after those may crash."""
+    by_name = {contender.name: contender for contender in peers.peers(get_spec("CartPole"), 2)}
+    contender = by_name["Gymnasium AsyncVectorEnv"]
+    made: list[Any] = []
+
+    def make() -> Any:
+        made.append(contender.make())
+        return made[0]
+
+    list(measure([Contender("async", "", 2, make)], rounds=1, seconds=0))
+    assert made[0].envs.closed
+    assert not any(process.is_alive() for process in made[0].envs.processes)
+
+
 @pytest.mark.parametrize("name", PACKAGE)
 def test_games_beside_envpool_and_their_package(pearl: Pearl, name: str) -> None:
     pytest.importorskip("envpool")
@@ -135,20 +150,6 @@ def test_choosing_is_not_timed() -> None:
     list(measure([contender], rounds=2, seconds=0))
     assert log == ["choose", "wait", "step", "wait"] * 4
     assert len(contender.seconds) == 2
-
-
-def test_processes_of_a_peer_end_with_the_measurement() -> None:
-    by_name = {contender.name: contender for contender in peers.peers(get_spec("CartPole"), 2)}
-    contender = by_name["Gymnasium AsyncVectorEnv"]
-    made: list[Any] = []
-
-    def make() -> Any:
-        made.append(contender.make())
-        return made[0]
-
-    list(measure([Contender("async", "", 2, make)], rounds=1, seconds=0))
-    assert made[0].envs.closed
-    assert not any(process.is_alive() for process in made[0].envs.processes)
 
 
 @pytest.mark.parametrize(("name", "package"), [("Overcooked", "overcooked-ai"), ("CoinGame", "jaxmarl")])

@@ -12,7 +12,7 @@ import pytest
 
 import pearl_marl
 from pearl_marl.batch.actions import random_actions
-from pearl_marl.compiler.block_pieces import BLOCK
+from pearl_marl.compiler.kernel_loops import BLOCK
 from pearl_marl.devices import BatchConfig, Lockstep, Native, Phase, native
 from pearl_marl.errors import ActionError, OrderError
 from pearl_marl.testing import assert_same_trajectory, trajectory

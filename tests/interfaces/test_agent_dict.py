@@ -14,13 +14,13 @@ from gymnasium.spaces import Box, Discrete, Tuple
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pearl_marl.interfaces.by_agent import AgentDict, ended_infos, observations_in, python_values
+from pearl_marl.interfaces.agent_dict import AgentDict, ended_infos, observations_in, python_values
 
 
 @pytest.fixture(autouse=True)
 def few_are_many(monkeypatch: pytest.MonkeyPatch) -> None:
     """Have containers of any size filled when they are read, and none from the start."""
-    monkeypatch.setattr("pearl_marl.interfaces.by_agent.FEW", -1)
+    monkeypatch.setattr("pearl_marl.interfaces.agent_dict.FEW", -1)
 
 
 def pair(n: int) -> tuple[AgentDict, dict[str, Any]]:

@@ -16,7 +16,7 @@ import pearl_marl
 from pearl_marl import wrappers
 from pearl_marl.batch.actions import random_actions
 from pearl_marl.errors import ArgumentError, OrderError, SavedStateError
-from pearl_marl.interfaces.by_agent import FEW, _UnfilledAgentDict
+from pearl_marl.interfaces.agent_dict import FEW, _UnfilledAgentDict
 from pearl_marl.testing.case import assert_same_step, assert_same_trajectory, trajectory
 
 pytestmark = pytest.mark.usefixtures("toys")
@@ -162,7 +162,7 @@ class TestSavedStates:
         env.reset(seed=1)
         for act in actions("Drift", 8):
             last = env.step_batch(act)
-        assert 0 < env.unwrapped.live.sum() < N
+        assert 0 < env.unwrapped.present.sum() < N
         blob, again = env.save_state(), make()
         np.testing.assert_array_equal(again.load_state(blob), last.obs)
         assert again.agents == env.agents == env.possible_agents

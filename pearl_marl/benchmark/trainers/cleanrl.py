@@ -27,17 +27,17 @@ from pearl_marl.registry import get_spec
 
 
 class Normalised:
-    """Vectors standardised by the statistics of all that were seen, as Gymnasium's wrapper does it."""
+    """Standardises vectors by the statistics of all before, as Gymnasium's wrapper does."""
 
     def __init__(self, size: int) -> None:
         self.mean, self.variance, self.count = np.zeros(size), np.ones(size), 1e-4
 
-    def see(self, obs: npt.NDArray[Any]) -> None:
-        """Take a batch into the statistics."""
+    def update(self, obs: npt.NDArray[Any]) -> None:
+        """Add a batch to the statistics."""
         mean, variance, rows = obs.mean(0), obs.var(0), len(obs)
-        total, apart = self.count + rows, mean - self.mean
-        squares = self.variance * self.count + variance * rows + apart**2 * self.count * rows / total
-        self.mean, self.variance, self.count = self.mean + apart * rows / total, squares / total, total
+        total, change = self.count + rows, mean - self.mean
+        squares = self.variance * self.count + variance * rows + change**2 * self.count * rows / total
+        self.mean, self.variance, self.count = self.mean + change * rows / total, squares / total, total
 
     def __call__(self, obs: npt.NDArray[Any]) -> npt.NDArray[Any]:
         """Return a batch standardised."""
@@ -54,15 +54,15 @@ def layer(inputs: int, outputs: int, deviation: float = math.sqrt(2)) -> nn.Line
 
 
 class Channels(nn.Module):
-    """Puts the channels of pictures first."""
+    """Moves the channels of pictures to the front."""
 
     def forward(self, pictures: Tensor) -> Tensor:
-        """Return them so."""
+        """Return the pictures with channels first."""
         return pictures.permute(0, 3, 1, 2)
 
 
 class Agent(nn.Module):
-    """Actor and critic: apart for vectors and numbers, with a convolution that they share for pictures."""
+    """Actor and critic: separate for vectors and numbers, with a shared convolution for pictures."""
 
     def __init__(self, shape: tuple[int, ...], actions: int, width: int) -> None:
         super().__init__()
@@ -101,7 +101,7 @@ class Agent(nn.Module):
 
 
 def environments(task: TrainingTask, n: int, seed: int) -> Any:
-    """Return who steps: EnvPool, or MinAtar's own through Gymnasium where EnvPool has no such game."""
+    """Return EnvPool's environments, or MinAtar's own through Gymnasium where EnvPool has no such game."""
     oracle = get_spec(task.env_id).oracle or ""
     if "MinAtar" not in oracle:
         from . import envpool_agents
@@ -122,7 +122,7 @@ def train(task: TrainingTask, settings: Any, watch: Watch) -> None:
     with quiet_spaces():
         space: Any = getattr(envs, "single_observation_space", None) or envs.observation_space
         actions_space: Any = getattr(envs, "single_action_space", None) or envs.action_space
-    see = None
+    update = None
     if isinstance(space, Discrete):
         rows, shape = np.eye(int(space.n), dtype=np.float32), (int(space.n),)
         prepared: Any = rows.__getitem__
@@ -130,21 +130,21 @@ def train(task: TrainingTask, settings: Any, watch: Watch) -> None:
         shape, prepared = space.shape, lambda obs: obs.astype(np.float32)
     else:
         shape, prepared = space.shape, Normalised(space.shape[0])
-        see = prepared.see
+        update = prepared.update
     agent = Agent(shape, int(actions_space.n), width)
     optimiser = torch.optim.Adam(agent.parameters(), lr=settings.learning_rate, eps=1e-5)
 
     obs = torch.zeros((depth, n, *shape))
     actions = torch.zeros((depth, n), dtype=torch.int64)
     logs, rewards, dones, values = (torch.zeros((depth, n)) for _ in range(4))
-    seen = envs.reset()[0]
-    if see:
-        see(seen)
-    next_obs, next_done = torch.from_numpy(prepared(seen)), torch.zeros(n)
+    observed = envs.reset()[0]
+    if update:
+        update(observed)
+    next_obs, next_done = torch.from_numpy(prepared(observed)), torch.zeros(n)
 
-    def choose(given: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    def choose(observations: npt.NDArray[Any]) -> npt.NDArray[Any]:
         with torch.no_grad():
-            best = agent.actor(agent.shared(torch.from_numpy(prepared(given)))).argmax(1)
+            best = agent.actor(agent.shared(torch.from_numpy(prepared(observations)))).argmax(1)
         found: npt.NDArray[Any] = best.numpy()
         return found
 
@@ -156,11 +156,11 @@ def train(task: TrainingTask, settings: Any, watch: Watch) -> None:
             with torch.no_grad():
                 actions[t], logs[t], _, values[t] = agent(next_obs)
             taken = actions[t].numpy().astype(actions_space.dtype)
-            seen, reward, terminations, truncations, _ = envs.step(taken)
-            if see:
-                see(seen)
+            observed, reward, terminations, truncations, _ = envs.step(taken)
+            if update:
+                update(observed)
             rewards[t] = torch.from_numpy(np.asarray(reward, np.float32)) * settings.reward_scale
-            next_obs = torch.from_numpy(prepared(seen))
+            next_obs = torch.from_numpy(prepared(observed))
             next_done = torch.from_numpy((terminations | truncations).astype(np.float32))
 
         with torch.no_grad():
@@ -172,13 +172,13 @@ def train(task: TrainingTask, settings: Any, watch: Watch) -> None:
                 gains[t], following, done = gain, values[t], dones[t]
             returns = gains + values
 
-        flat = [part.flatten(0, 1) for part in (obs, actions, logs, gains, returns)]
+        flat = [array.flatten(0, 1) for array in (obs, actions, logs, gains, returns)]
         order = np.arange(batch)
         for _ in range(settings.epochs):
             rng.shuffle(order)
             for start in range(0, batch, settings.minibatch):
                 some = torch.from_numpy(order[start : start + settings.minibatch])
-                some_obs, some_actions, old, some_gains, some_returns = (part[some] for part in flat)
+                some_obs, some_actions, old, some_gains, some_returns = (array[some] for array in flat)
                 _, new, entropy, expected = agent(some_obs, some_actions)
                 ratio = (new - old).exp()
                 scaled = (some_gains - some_gains.mean()) / (some_gains.std() + 1e-8)

@@ -1,4 +1,4 @@
-"""EnvPool's environments, a row an agent, with the interface of Gymnasium's vector environments."""
+"""EnvPool's environments, a row for each agent, as Gymnasium's vector environments."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ NAMES = {"CartPole": "CartPole-v1", "MountainCar": "MountainCar-v0", "FrozenLake
 
 
 class Foraging:
-    """Its worlds of two who forage, which have Jumanji's rules. Agents see who of the two they are."""
+    """EnvPool's foraging: worlds of two agents, with Jumanji's rules. Agents observe which one they are."""
 
     agents = 2
 
@@ -31,22 +31,24 @@ class Foraging:
         self.action_space = Discrete(actions)
 
     def reset(self, agents: npt.NDArray[Any] | None = None) -> tuple[npt.NDArray[Any], dict[str, Any]]:
-        """Start all worlds anew, or those of some agents, which have to be all of theirs."""
-        given = () if agents is None else (agents[:: self.agents] // self.agents,)
-        obs, infos = self._envs.reset(*given)
-        return self._seen(obs, infos["env_id"].argsort()), {}
+        """Reset all worlds, or those of some agents, which have to be all agents of their worlds."""
+        worlds = () if agents is None else (agents[:: self.agents] // self.agents,)
+        obs, infos = self._envs.reset(*worlds)
+        return self._observations(obs, infos["env_id"].argsort()), {}
 
     def step(self, actions: npt.NDArray[Any]) -> tuple[Any, ...]:
         """Step all; return what Gymnasium's environments do."""
         obs, rewards, terminations, truncations, infos = self._envs.step(actions.reshape(-1, self.agents))
         order = infos["env_id"].argsort()  # worlds may come back in any
-        results = (part[order].repeat(self.agents) for part in (rewards, terminations, truncations))
-        return self._seen(obs, order), *results, {}
+        results = (array[order].repeat(self.agents) for array in (rewards, terminations, truncations))
+        return self._observations(obs, order), *results, {}
 
-    def _seen(self, obs: Any, order: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
+    def _observations(self, obs: Any, order: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
         views = obs["agents_view"][order].astype(np.float32)
-        who = np.broadcast_to(np.eye(self.agents, dtype=np.float32), (len(views), self.agents, self.agents))
-        return np.concatenate((views, who), 2).reshape(len(views) * self.agents, -1)
+        number = np.broadcast_to(
+            np.eye(self.agents, dtype=np.float32), (len(views), self.agents, self.agents)
+        )
+        return np.concatenate((views, number), 2).reshape(len(views) * self.agents, -1)
 
     def close(self) -> None:
         """Close them."""

@@ -10,14 +10,14 @@ from pearl_marl.registry import get_spec
 from pearl_marl.training.run import ALGORITHMS
 
 FIRST = {"ppo": 1, "dqn": 11}
-"""Iterations after which a trainer has done all that it does, warm-up of DQN included."""
+"""Iterations after which a trainer has run all of its code, the warm-up of DQN included."""
 
 
 def train(task: TrainingTask, settings: Any, watch: Watch) -> None:
     """Train until the watch says that it is over."""
     make: Any = ALGORITHMS[task.algorithm]
     spec = get_spec(task.env_id)
-    # One that is thrown away compiles what is not in the cache yet, and loads what is.
+    # A first trainer, which is thrown away, compiles or loads all kernels.
     before = make(spec, "native", settings)
     while before.done < FIRST[task.algorithm]:
         before.iterate()

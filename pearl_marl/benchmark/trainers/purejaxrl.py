@@ -30,8 +30,8 @@ NAMES = {
 """gymnax's names of environments, by ours."""
 
 
-class Step(NamedTuple):
-    """What a step of every environment leaves to be learned from."""
+class Transition(NamedTuple):
+    """One step of every environment, as learning needs it."""
 
     obs: Any
     actions: Any
@@ -42,18 +42,18 @@ class Step(NamedTuple):
 
 
 class Statistics(NamedTuple):
-    """Of all vectors that were seen."""
+    """Mean and variance of all vectors so far."""
 
     mean: Any
     variance: Any
     count: Any
 
-    def seeing(self, obs: Any) -> Statistics:
-        """Return those with a batch more."""
+    def updated(self, obs: Any) -> Statistics:
+        """Return the statistics with one batch more."""
         mean, variance, rows = obs.mean(0), obs.var(0), len(obs)
-        total, apart = self.count + rows, mean - self.mean
-        squares = self.variance * self.count + variance * rows + apart**2 * self.count * rows / total
-        return Statistics(self.mean + apart * rows / total, squares / total, total)
+        total, change = self.count + rows, mean - self.mean
+        squares = self.variance * self.count + variance * rows + change**2 * self.count * rows / total
+        return Statistics(self.mean + change * rows / total, squares / total, total)
 
     def scaled(self, obs: Any) -> Any:
         """Return a batch standardised."""
@@ -68,8 +68,8 @@ def dense(key: Any, inputs: int, outputs: int, scale: float = 2**0.5) -> Any:
 def applied(layers: Any, features: Any, activation: Any) -> Any:
     """Return what layers make of features; after the last there is no activation."""
     *hidden, (weights, bias) = layers
-    for each, offset in hidden:
-        features = activation(features @ each + offset)
+    for matrix, offset in hidden:
+        features = activation(features @ matrix + offset)
     return features @ weights + bias
 
 
@@ -130,7 +130,7 @@ def train(task: TrainingTask, settings: Any, watch: Watch) -> None:
 
     optimiser = optax.chain(optax.clip_by_global_norm(0.5), optax.adam(rate, eps=1e-5))
 
-    def loss(params: Any, step: Step, gains: Any, targets: Any) -> Any:
+    def loss(params: Any, step: Transition, gains: Any, targets: Any) -> Any:
         logits, values = network(params, step.obs)
         chances = jax.nn.log_softmax(logits)
         logs = jnp.take_along_axis(chances, step.actions[:, None], 1)[:, 0]
@@ -145,8 +145,8 @@ def train(task: TrainingTask, settings: Any, watch: Watch) -> None:
     def act(carry: Any, _: Any) -> Any:
         params, statistics, states, obs, key = carry
         key, drawing, stepping = jax.random.split(key, 3)
-        given = prepared(statistics, obs)
-        logits, values = network(params, given)
+        inputs = prepared(statistics, obs)
+        logits, values = network(params, inputs)
         actions = jax.random.categorical(drawing, logits)
         logs = jnp.take_along_axis(jax.nn.log_softmax(logits), actions[:, None], 1)[:, 0]
         step = jax.vmap(env.step, in_axes=(0, 0, 0, None))
@@ -154,12 +154,14 @@ def train(task: TrainingTask, settings: Any, watch: Watch) -> None:
             jax.random.split(stepping, n), states, actions, env_params
         )
         if vector:
-            statistics = statistics.seeing(after)
+            statistics = statistics.updated(after)
         dones = terminated | truncated
         rewards = rewards.astype(jnp.float32) * s.reward_scale
-        return (params, statistics, states, after, key), Step(given, actions, logs, values, rewards, dones)
+        return (params, statistics, states, after, key), Transition(
+            inputs, actions, logs, values, rewards, dones
+        )
 
-    def advantage(carry: Any, step: Step) -> Any:
+    def advantage(carry: Any, step: Transition) -> Any:
         gain, following = carry
         going_on = 1.0 - step.dones
         gain = (
@@ -170,15 +172,15 @@ def train(task: TrainingTask, settings: Any, watch: Watch) -> None:
         )
         return (gain, step.values), gain
 
-    def descend(carry: Any, part: Any) -> Any:
+    def descend(carry: Any, batch: Any) -> Any:
         params, opt_state = carry
-        updates, opt_state = optimiser.update(jax.grad(loss)(params, *part), opt_state)
+        updates, opt_state = optimiser.update(jax.grad(loss)(params, *batch), opt_state)
         return (optax.apply_updates(params, updates), opt_state), None
 
     def epoch(carry: Any, key: Any, everything: Any) -> Any:
         order = jax.random.permutation(key, n * depth)
-        parts = jax.tree.map(lambda x: x[order].reshape(batches, -1, *x.shape[1:]), everything)
-        return jax.lax.scan(descend, carry, parts)
+        minibatches = jax.tree.map(lambda x: x[order].reshape(batches, -1, *x.shape[1:]), everything)
+        return jax.lax.scan(descend, carry, minibatches)
 
     def update(runner: Any) -> Any:
         params, opt_state, *others = runner
@@ -198,13 +200,13 @@ def train(task: TrainingTask, settings: Any, watch: Watch) -> None:
     obs, states = jax.vmap(env.reset, in_axes=(0, None))(jax.random.split(resetting, n), env_params)
     statistics: Any = None
     if vector:
-        statistics = Statistics(jnp.zeros(shape), jnp.ones(shape), jnp.float32(1e-4)).seeing(obs)
+        statistics = Statistics(jnp.zeros(shape), jnp.ones(shape), jnp.float32(1e-4)).updated(obs)
     runner = (params, optimiser.init(params), statistics, states, obs, key)
     compiled = jax.jit(update, donate_argnums=0).lower(runner).compile()
     best = jax.jit(lambda params, statistics, obs: network(params, prepared(statistics, obs))[0].argmax(1))
 
-    def choose(given: npt.NDArray[Any]) -> npt.NDArray[Any]:
-        return np.asarray(best(runner[0], runner[2], jnp.asarray(given)))
+    def choose(observations: npt.NDArray[Any]) -> npt.NDArray[Any]:
+        return np.asarray(best(runner[0], runner[2], jnp.asarray(observations)))
 
     watch.start()
     for iteration in range(s.iterations):

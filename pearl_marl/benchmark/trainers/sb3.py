@@ -27,7 +27,7 @@ class EnvPoolVecEnv(VecEnv):
     Parameters
     ----------
     envs
-        What EnvPool made, of the type ``"gymnasium"``, and all of them in a batch.
+        EnvPool's environments of the type ``"gymnasium"``, all in one batch.
     n
         How many.
     """
@@ -87,18 +87,18 @@ class Picture(BaseFeaturesExtractor):
     def __init__(self, space: Any, width: int) -> None:
         super().__init__(space, width)
         height, breadth, channels = space.shape
-        self.seeing = nn.Sequential(nn.Conv2d(channels, 16, 3), nn.ReLU(), nn.Flatten())
+        self.convolution = nn.Sequential(nn.Conv2d(channels, 16, 3), nn.ReLU(), nn.Flatten())
         size = 16 * (height - 2) * (breadth - 2)
-        self.knowing = nn.Sequential(nn.Linear(size, width), nn.ReLU(), nn.Linear(width, width), nn.ReLU())
+        self.dense = nn.Sequential(nn.Linear(size, width), nn.ReLU(), nn.Linear(width, width), nn.ReLU())
 
     def forward(self, pictures: Tensor) -> Tensor:
         """Return features."""
-        features: Tensor = self.knowing(self.seeing(pictures.permute(0, 3, 1, 2)))
+        features: Tensor = self.dense(self.convolution(pictures.permute(0, 3, 1, 2)))
         return features
 
 
 class Watched(BaseCallback):
-    """Has a watch look on after every iteration, and ends the training when it says so."""
+    """Calls a watch after every iteration, and ends the training when the watch says so."""
 
     def __init__(self, watch: Watch, choose: Callable[[Any], Any]) -> None:
         super().__init__()
@@ -120,7 +120,7 @@ class Watched(BaseCallback):
 
 
 def environments(task: TrainingTask, n: int, seed: int) -> VecEnv:
-    """Return who steps: EnvPool, or MinAtar's own where EnvPool has no such game."""
+    """Return EnvPool's environments, or MinAtar's own where EnvPool has no such game."""
     oracle = get_spec(task.env_id).oracle or ""
     if "MinAtar" in oracle:
         env: VecEnv = DummyVecEnv([partial(gymnasium.make, oracle)] * n)
@@ -146,20 +146,26 @@ def train(task: TrainingTask, settings: Any, watch: Watch) -> None:
     steps = settings.n_agents * settings.iterations
     if task.algorithm == "ppo":
         steps *= settings.rollout_length
-    given = {"policy_kwargs": network, "seed": settings.seed, "device": "cpu"}
-    model: Any = {"ppo": _ppo, "dqn": _dqn}[task.algorithm](env, settings, given)
+    common = {"policy_kwargs": network, "seed": settings.seed, "device": "cpu"}
+    model: Any = {"ppo": _ppo, "dqn": _dqn}[task.algorithm](env, settings, common)
+
+    try:
+        model.learn(steps, callback=Watched(watch, best_actions(model)))
+    finally:
+        env.close()
+
+
+def best_actions(model: Any) -> Callable[[Any], Any]:
+    """Return a function from observations, as environments return them, to a model's best actions."""
 
     def choose(obs: Any) -> Any:
         normalise = model.get_vec_normalize_env()
         return model.predict(normalise.normalize_obs(obs) if normalise else obs, deterministic=True)[0]
 
-    try:
-        model.learn(steps, callback=Watched(watch, choose))
-    finally:
-        env.close()
+    return choose
 
 
-def _ppo(env: VecEnv, settings: Any, given: dict[str, Any]) -> PPO:
+def _ppo(env: VecEnv, settings: Any, common: dict[str, Any]) -> PPO:
     return PPO(
         "MlpPolicy",
         env,
@@ -171,11 +177,11 @@ def _ppo(env: VecEnv, settings: Any, given: dict[str, Any]) -> PPO:
         gae_lambda=settings.gae_lambda,
         clip_range=settings.clip,
         ent_coef=settings.entropy,
-        **given,
+        **common,
     )
 
 
-def _dqn(env: VecEnv, settings: Any, given: dict[str, Any]) -> DQN:
+def _dqn(env: VecEnv, settings: Any, common: dict[str, Any]) -> DQN:
     n = settings.n_agents
     return DQN(
         "MlpPolicy",
@@ -191,5 +197,5 @@ def _dqn(env: VecEnv, settings: Any, given: dict[str, Any]) -> DQN:
         exploration_final_eps=settings.final_epsilon,
         exploration_fraction=settings.exploration_fraction,
         target_update_interval=max(settings.target_update // settings.updates, 1) * n,
-        **given,
+        **common,
     )

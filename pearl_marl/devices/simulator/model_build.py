@@ -34,7 +34,7 @@ _IN_ONE_PIECE = "+define+PEARL_MEMORIES_IN_ONE_PIECE"
 _VERILATOR = ("-O3", "--flatten", "--x-assign", "fast", "--x-initial", "fast", _IN_ONE_PIECE)
 # Signals of more than 256 bits would be left out otherwise.
 _TRACED = ("--trace", "--trace-max-width", "65536", "--public-flat-rw")
-# The library is loaded as one piece, and nobody replaces its functions: calls within it are direct.
+# The library is loaded as one piece, and none of its functions is replaced: calls within it are direct.
 _FAST = "-O3 -march=native -fno-semantic-interposition"
 _LIBRARY = "OPT_GLOBAL=-O1"
 _MAKE = (f"OPT_FAST={_FAST}", "OPT_SLOW=-O0", _LIBRARY, "LDFLAGS=-shared")

@@ -1,4 +1,4 @@
-"""The pieces of the CPU's kernels that write observations of many flags or of one wide number, and masks.
+"""Runs: what is written at once of observations of many flags or of one wide number, and of masks.
 
 Left to itself, a loop that writes a long row for each slot is scalar, or scatters its words. So one loop
 packs the flags into bytes, in SIMD code, and another one writes a byte's bits out, all of them at once.
@@ -8,7 +8,9 @@ RobotWarehouse, whose observations have 71 elements, steps nine times as many ag
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
+
+import numpy as np
 
 from pearl_marl.spec import EnvSpec, Field
 
@@ -19,11 +21,16 @@ WIDER = 4
 """From so many times the width of its word on, an observation is made first and widened then."""
 
 
-class Run(NamedTuple):
+def cell_dtype(spec: EnvSpec) -> np.dtype[Any]:
+    """Return what an element of an observation is written as: a bool as its byte."""
+    return np.dtype(np.uint8 if spec.observation_dtype == np.bool_ else spec.observation_dtype)
+
+
+class FlagRun(NamedTuple):
     """Elements of a row that are written at once: flags that a byte holds, or a single one."""
 
-    array: str
-    """``O`` for observations, ``M`` for masks."""
+    of_mask: bool
+    """Whether it is of action masks, or else of observations."""
     at: int
     """The first element's place in an agent's row."""
     word: int
@@ -36,33 +43,25 @@ def is_flag(field: Field) -> bool:
     return field.bits == 1 and not field.signed and not field.fraction
 
 
-def runs(spec: EnvSpec) -> list[Run]:
+def runs(spec: EnvSpec) -> list[FlagRun]:
     """Return the elements of an agent's row that are written in runs.
 
     That is all masks, and all of an observation whose elements are its fields and that has many flags, or is
     one number in a much wider word: a loop works on as few slots at once as its widest word allows.
     """
-    masks = _runs("M", spec.mask_fields, len(spec.observation))
+    masks = _runs(True, spec.mask_fields, len(spec.observation))
     wide = [spec.observation_dtype.itemsize >= WIDER * field.dtype.itemsize for field in spec.observation]
     if spec.unpack is not None or (wide != [True] and sum(map(is_flag, spec.observation)) <= FEW):
         return masks
-    return _runs("O", spec.observation, 0) + masks
+    return _runs(False, spec.observation, 0) + masks
 
 
-def _runs(array: str, fields: Sequence[Field], first: int) -> list[Run]:
-    found: list[Run] = []
+def _runs(of_mask: bool, fields: Sequence[Field], first: int) -> list[FlagRun]:
+    found: list[FlagRun] = []
     flags = [is_flag(field) for field in fields]
     for k, flag in enumerate(flags):
         if flag and k and flags[k - 1] and found[-1].size < BYTE:
             found[-1] = found[-1]._replace(size=found[-1].size + 1)
         else:
-            found.append(Run(array, k, first + k, 1))
+            found.append(FlagRun(of_mask, k, first + k, 1))
     return found
-
-
-def packed(run: Run, dtype: str, words: Sequence[str]) -> str:
-    """Return the word of a run, of the words of its elements."""
-    text = f"np.{dtype}({words[run.word]})"
-    for bit, flag in enumerate(words[run.word + 1 : run.word + run.size], 1):
-        text = f"uint8_or({text}, uint8_left({flag}, {bit}))"
-    return text

@@ -2,7 +2,7 @@
 
 Ten million names take seconds to write and a gigabyte to keep, and a plain dict of the observations of 43,008
 agents takes a thousand times as long as their step. Most users never look at a single key. So names are made
-when somebody reads them, and a list or dict of many agents is filled by the first method that needs its
+when they are read, and a list or dict of many agents is filled by the first method that needs its
 elements. To every such method it is an ordinary, mutable list or dict. One of few agents is filled at once.
 
 :class:`Names` is what an environment and its dicts share, and never changes. :class:`AgentList` is the list
@@ -328,7 +328,7 @@ class AgentSpaces(Mapping[str, Space[Any]]):
 
     @classmethod
     def of(cls, names: Names, spaces: Sequence[Space[Any]]) -> Mapping[str, Space[Any]]:
-        """Return the spaces of agents, of whom each world has those of ``spaces`` in turn; of few a dict."""
+        """Return the spaces of agents, where each world has those of ``spaces`` in turn; of few a dict."""
         made = cls(names, spaces)
         return dict(made) if len(names) <= FEW else made
 

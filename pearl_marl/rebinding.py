@@ -1,7 +1,7 @@
-"""Making a function again over other names, and with it every function that it calls.
+"""Functions made again in which names stand for something else, and with them every function that they call.
 
-A golden function names NumPy's types, tables and helpers. Whoever runs it over something else than NumPy's
-words, or compiles it, makes it again in a scope where those names stand for something else.
+A golden function names NumPy's types, tables and helpers. To run it on symbols, or to compile it, these names
+have to stand for other things.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _INSTEAD = {
 """What golden functions of integers say where NumPy's would make its own integers, which overflow."""
 
 
-def remade(
+def rebound(
     function: types.FunctionType,
     change: Callable[[Any], Any],
     finish: Callable[[types.FunctionType], Any] = lambda function: function,
@@ -51,7 +51,9 @@ def remade(
             new = types.FunctionType(its_code, scope, old.__name__, old.__defaults__, cells)
             done[old] = finish(new)  # known to itself, and to functions that call it in turn
             new.__defaults__ = tuple(map(value, old.__defaults__ or ()))
-            new.__kwdefaults__ = {name: value(given) for name, given in (old.__kwdefaults__ or {}).items()}
+            new.__kwdefaults__ = {
+                name: value(default) for name, default in (old.__kwdefaults__ or {}).items()
+            }
             used = (name for name in _names(old.__code__) if name in old.__globals__)
             scope.update({name: value(old.__globals__[name]) for name in used})
             for name, cell in zip(its_code.co_freevars, cells, strict=True):
@@ -154,7 +156,7 @@ class _Module:
                 raise ArgumentError(f"golden functions of integers have no np.{name}; {write}")
         random_one = module.__name__ in ("random", "secrets")
         if isinstance(value, types.FunctionType) and not random_one:
-            return remade(value, self._vocabulary.meaning)
+            return rebound(value, self._vocabulary.meaning)
         if callable(value) and not isinstance(value, type):
             hint = "; ask `draws` for random numbers" if random_one else ""
             return refused(f"{module.__name__}.{name}", hint)
