@@ -367,7 +367,7 @@ class Device(ABC):
         return rollouts.look(self.config, self._read()[0])
 
     def _rollout(self, policy: DevicePolicy, steps: int, record: bool) -> tuple[Rollout, Observed]:
-        """Do a rollout; return also what is observed after it. By single steps, unless there is a faster way."""
+        """Do a rollout, by single steps unless there is a faster way; return also what is observed last."""
         elapsed = SlotMemory(self.config.spec, self.config.n_envs, self._read()[0]).elapsed
         sums = rollouts.Sums.of(elapsed.repeat(self.config.spec.agents), self.elements().in_episode)
         kept = rollouts.Record.of(self.config, steps, policy.logits) if record else None
