@@ -32,13 +32,16 @@ from pearl_marl.batch import rewards as reward_tables
 from pearl_marl.batch.actions import ActionRules, encode, refuse_masked, room_for_words
 from pearl_marl.batch.config import BatchConfig, checked_mask
 from pearl_marl.batch.results import Layout, Recycler
+from pearl_marl.batch.rollout import Rollout
 from pearl_marl.batch.saved_state import SavedState
 from pearl_marl.batch.slot_memory import SlotMemory
 from pearl_marl.batch.step import Array, BatchStep, Observed, on_host
 from pearl_marl.deferral import uninterrupted
+from pearl_marl.devices import rollouts
 from pearl_marl.devices.recovery import CheckpointLog
 from pearl_marl.devices.threads import Threads
 from pearl_marl.errors import ActionError, ArgumentError, DeviceError, OrderError, renamed
+from pearl_marl.policies.device_policy import DevicePolicy
 
 CACHE_BYTES = 1 << 18
 """Results of which two sets may be in use in turns, and still be in a core's second cache."""
@@ -323,6 +326,76 @@ class Device(ABC):
             if self.action_masks is not None:
                 self.action_masks = self._copies.copy(self.action_masks)
         return obs
+
+    def rollout(self, policy: DevicePolicy, steps: int, record: bool = False) -> Rollout:
+        """Step every slot so many times, with the actions of a policy; return what came of it.
+
+        Afterwards everything is as after single steps with these actions. If the call fails, or Ctrl-C ends
+        it, it is as before.
+
+        Parameters
+        ----------
+        policy
+            One for this environment: see :class:`pearl_marl.policies.device_policy.DevicePolicy`.
+        steps
+            How many, at least 1.
+        record
+            Whether to return every step, too, and not only the sums of episodes.
+
+        Raises
+        ------
+        ArgumentError
+            The policy is none, or is for another environment, or steps is no such number.
+        OrderError
+            As :meth:`step` does.
+        """
+        self.check_idle("rollout", ready=True)
+        rollouts.check(self.config, policy, steps, record)
+        saved = self.snapshot()
+        with self._noted("rollout", policy, steps):
+            try:
+                result, observed = self._rollout(policy, steps, record)
+                self._remember(observed)
+                return result
+            except BaseException:
+                if self.phase is not Phase.FAILED:
+                    self._remember(self._write(saved.memory, saved.stored))
+                raise
+
+    def elements(self) -> Observed:
+        """Return what policies in integers are shown now: observations of shape ``(n_agents, elements)``."""
+        return rollouts.look(self.config, self._read()[0])
+
+    def _rollout(self, policy: DevicePolicy, steps: int, record: bool) -> tuple[Rollout, Observed]:
+        """Do a rollout, by single steps unless there is a faster way; return also what is observed last."""
+        elapsed = SlotMemory(self.config.spec, self.config.n_envs, self._read()[0]).elapsed
+        sums = rollouts.Sums.of(elapsed.repeat(self.config.spec.agents), self.elements().in_episode)
+        kept = rollouts.Record.of(self.config, steps, policy.logits) if record else None
+        observed = rollouts.by_steps(
+            self.config,
+            policy,
+            steps,
+            sums,
+            kept,
+            self.elements,
+            lambda: (self.seed, self.tick),
+            self._advance,
+        )
+        return sums.result(steps, {} if kept is None else kept.arrays(self.config)), observed
+
+    @uninterrupted
+    def _advance(self, words: Array) -> BatchStep:
+        """Do a step that is not noted for :meth:`recover`."""
+        tick = self.tick
+        try:
+            result = self._step(words)
+        except BaseException:
+            self._step_failed()
+            raise
+        self.tick = (tick + 1) & rng.LAST_TICK
+        if self._remembers:
+            self._remember(result.observed)
+        return result
 
     @uninterrupted
     def set_rewards(self, table: npt.ArrayLike) -> None:

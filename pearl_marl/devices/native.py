@@ -18,17 +18,26 @@ from pearl_marl import rng
 from pearl_marl.batch.actions import are_words, room_for_words
 from pearl_marl.batch.config import BatchConfig
 from pearl_marl.batch.results import ResultArrays
+from pearl_marl.batch.rollout import Rollout
 from pearl_marl.batch.slot_memory import SlotMemory, aligned_bytes, counter_dtype
 from pearl_marl.batch.step import Array, BatchStep, Observed
 from pearl_marl.compiler.kernel_loops import BLOCK, RESULTS, STEP_ARGUMENTS
 from pearl_marl.compiler.kernels import compile_kernels
-from pearl_marl.deferral import completed
+from pearl_marl.deferral import completed, uninterrupted
+from pearl_marl.devices import native_rollout
 from pearl_marl.devices.base import Device, Phase, count_or_none
+from pearl_marl.devices.rollouts import Record, Sums
 from pearl_marl.devices.threads import Threads
 from pearl_marl.errors import ActionError
+from pearl_marl.policies.device_policy import DevicePolicy, elements_of
+from pearl_marl.policies.integer_loops import prepared
+from pearl_marl.policies.integer_network import IntegerNetwork
 
 SLOW_STEP_SECONDS = 300e-6
 """From here on a second thread can pay: handing it work and waiting for it costs about 50 us."""
+
+ROLLOUT_SECONDS = 0.1
+"""How long a part of a rollout takes, between which Ctrl-C has its effect."""
 
 SECONDS_PER_THREAD = 150e-6
 """The least work a thread is taken for."""
@@ -192,6 +201,42 @@ class Native(Device):
         if self._tuning:
             self._tune(time.perf_counter() - began)
         return results
+
+    def _rollout(self, policy: DevicePolicy, steps: int, record: bool) -> tuple[Rollout, Observed]:
+        if not isinstance(policy, IntegerNetwork):
+            return super()._rollout(policy, steps, record)
+        config, spec = self.config, self.config.spec
+        kernel = native_rollout.kernel(compile_kernels(elements_of(spec), self._elapsed.dtype))
+        network = prepared(policy)
+        sums = Sums.of(self._elapsed.repeat(spec.agents), self.in_episode)
+        kept = Record.of(config, steps if record else 0, policy.logits)
+        actions = np.zeros((config.n_agents, len(spec.action_fields)), spec.action_dtype)
+        done, some = 0, 1
+        while done < steps:
+            some = min(some, steps - done)
+            began = time.perf_counter()
+            part = kept.part(done, done + some)
+            self._run_rollout(kernel, (network, actions), (sums, part, spec.agents, some))
+            done += some
+            seconds = time.perf_counter() - began
+            # Between two parts Ctrl-C has its effect.
+            some = max(1, int(some * min(8.0, ROLLOUT_SECONDS / max(seconds, 1e-6))))
+        observed = self._reset(np.zeros(config.n_envs, np.bool_), None)
+        return sums.result(steps, kept.arrays(config) if record else {}), observed
+
+    @uninterrupted
+    def _run_rollout(self, kernel: Any, first: tuple[Any, ...], last: tuple[Any, ...]) -> None:
+        """Do some steps of a rollout."""
+        elements, masks, in_episode = self.elements()
+        if masks is None:
+            masks = np.zeros((0, 0), np.int8)
+        self._arguments[_SEEDS] = self._seed = self.seed
+        arguments = self._arguments.copy()
+        arguments[STEP_ARGUMENTS.index("checked")] = 0
+        self._run(
+            kernel, (arguments, self.reward_table, *first, elements, masks, in_episode.view(np.uint8), *last)
+        )
+        self.tick = (self.tick + last[-1]) & rng.LAST_TICK
 
     def _tune(self, seconds: float) -> None:
         """Learn from one step's time: take more threads for long steps, keep them if they help."""

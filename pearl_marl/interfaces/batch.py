@@ -15,6 +15,7 @@ from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode
 
 from pearl_marl.batch.actions import ActionRules
+from pearl_marl.batch.rollout import Rollout
 from pearl_marl.batch.saved_state import SavedState
 from pearl_marl.batch.slot_memory import state_dtype
 from pearl_marl.batch.starts import checked_start
@@ -24,6 +25,7 @@ from pearl_marl.devices import BatchConfig, Device, Phase
 from pearl_marl.elements import ActionSpace
 from pearl_marl.errors import ArgumentError, OrderError, renamed
 from pearl_marl.interfaces.world import Mask, World
+from pearl_marl.policies.device_policy import DevicePolicy
 from pearl_marl.rendering import Renderer, check_render_mode, renderer
 from pearl_marl.rng import checked_seed
 
@@ -274,6 +276,17 @@ class DeviceBatch(Batch):
     def recv(self) -> BatchStep:
         """Wait for the step that :meth:`send` started and return its results."""
         return self._noted(self.device.recv())
+
+    def rollout(self, policy: DevicePolicy, steps: int, record: bool = False) -> Rollout:
+        """Step every slot with a policy's actions: see :meth:`pearl_marl.devices.Device.rollout`."""
+        if not self.autoreset:
+            raise OrderError(
+                "rollout() takes an environment whose agents start over by themselves: make it with "
+                "autoreset=True, or in SAME_STEP or NEXT_STEP mode"
+            )
+        result = self.device.rollout(policy, steps, record)
+        self._show()
+        return result
 
     def _noted(self, result: BatchStep) -> BatchStep:
         """Take note of the agents that leave in a step, and show it."""

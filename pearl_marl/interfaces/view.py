@@ -8,10 +8,12 @@ from typing import Any, Self
 
 import numpy as np
 
+from pearl_marl.batch.rollout import Rollout
 from pearl_marl.batch.step import Array
 from pearl_marl.devices import Device
 from pearl_marl.errors import OrderError
 from pearl_marl.interfaces.batch import Batch, DeviceBatch
+from pearl_marl.policies.device_policy import DevicePolicy
 
 
 class View:
@@ -53,7 +55,9 @@ class View:
     def unchanged(self) -> DeviceBatch:
         """The batch of the device; refused in wrappers, which would not know what happens to it."""
         if not isinstance(self.batch, DeviceBatch):
-            raise OrderError("a wrapped environment has no send() and recv(): only step() and step_batch()")
+            raise OrderError(
+                "a wrapped environment has no send(), recv() and rollout(): only step() and step_batch()"
+            )
         return self.batch
 
     @property
@@ -93,6 +97,29 @@ class View:
     def ready(self) -> bool:
         """Whether a step is possible: after the first reset, and until closed."""
         return self.batch.ready
+
+    def rollout(self, policy: DevicePolicy, steps: int, record: bool = False) -> Rollout:
+        """Step every agent so many times with the actions of a policy in integers, in one call.
+
+        The device does it all, and the environment is then as after as many steps one by one.
+
+        Parameters
+        ----------
+        policy
+            What :func:`pearl_marl.load_policy` returns.
+        steps
+            How many, at least 1.
+        record
+            Whether to return every step, too, and not only the sums of episodes.
+
+        Raises
+        ------
+        ArgumentError
+            The policy is none, or for another environment, or ``steps`` is no such number.
+        OrderError
+            Before the first reset, in a wrapper, or where agents do not start over by themselves.
+        """
+        return self.unchanged.rollout(policy, steps, record)
 
     def recover(self) -> None:
         """After a DeviceError, continue from where the last successful call left every agent.

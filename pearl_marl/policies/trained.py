@@ -237,7 +237,7 @@ def _check_description(about: Any) -> None:
     if not isinstance(about, dict):
         raise ArgumentError("its metadata say nothing of its policy")
     needed: dict[str, type] = {"environment": str, "options": dict, "kind": str}
-    if about.get("kind") != "table":
+    if about.get("kind") not in ("table", "integers"):
         needed["width"] = int
     for name, kind in needed.items():
         if name not in about:
@@ -252,6 +252,8 @@ def _described(about: dict[str, Any], tensors: dict[str, Tensor]) -> NetworkPoli
     if about["kind"] == "table":
         values = tensors.get("values", _SCALAR)
         return Table(spec, max(1, len(values)) if values.ndim else 1)
+    if about["kind"] == "integers":
+        raise ArgumentError("it is a policy in integers, which pearl_marl.load_policy() reads for rollout()")
     if about["kind"] not in KINDS:
         raise ArgumentError(
             f"its policy has the kind {shown(about['kind'])}; possible are {', '.join(KINDS)}, table"

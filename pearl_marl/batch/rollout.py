@@ -1,0 +1,71 @@
+"""What a rollout gives: sums of its episodes and, if asked for, every step of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[Any]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Rollout:
+    """The result of ``rollout(policy, steps)``.
+
+    Episodes count that began within the rollout, or just before it, and ended in it. An agent that ends
+    before its world has an episode that is as long as it took part.
+
+    Attributes
+    ----------
+    steps
+        How many steps every agent did.
+    truncated
+        How many episodes nothing but the time limit ended.
+    returns, squares
+        Sums of the returns of each agent's episodes, and of their squares, ``float64`` of shape
+        ``(n_agents,)``.
+    lengths, ended
+        Sums of these episodes' steps, and how many they are, ``int64`` of shape ``(n_agents,)``.
+    observations, action_masks
+        What agents saw before each step, of shape ``(steps, n_agents, ...)``. These and the following are
+        ``None`` unless every step was asked for; and ``action_masks`` where the environment has none.
+    actions
+        What they did, as ``step_batch`` takes it, of shape ``(steps, n_agents, ...)``.
+    rewards, terminations, truncations
+        What came of it: ``float32``, ``bool`` and ``bool`` of shape ``(steps, n_agents)``.
+    logits
+        What actions were chosen by, ``int32`` of shape ``(steps, n_agents, outputs)``; ``None`` where there
+        is no such.
+    """
+
+    steps: int
+    truncated: int
+    returns: npt.NDArray[np.float64]
+    squares: npt.NDArray[np.float64]
+    lengths: npt.NDArray[np.int64]
+    ended: npt.NDArray[np.int64]
+    observations: Array | None = None
+    action_masks: Array | None = None
+    actions: Array | None = None
+    rewards: Array | None = None
+    terminations: Array | None = None
+    truncations: Array | None = None
+    logits: Array | None = None
+
+    @property
+    def episodes(self) -> int:
+        """How many episodes ended."""
+        return int(self.ended.sum())
+
+    @property
+    def mean_return(self) -> float | None:
+        """The mean of the episodes' returns; ``None`` where none ended."""
+        return float(self.returns.sum() / self.episodes) if self.episodes else None
+
+    @property
+    def mean_length(self) -> float | None:
+        """The mean of the episodes' lengths; ``None`` where none ended."""
+        return float(self.lengths.sum() / self.episodes) if self.episodes else None

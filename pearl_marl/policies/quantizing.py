@@ -1,0 +1,256 @@
+"""From a trained policy to one in integers: weights of a few bits, and tables between layers."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import torch
+
+from pearl_marl.errors import ArgumentError
+from pearl_marl.policies import dense
+from pearl_marl.policies.device_policy import Array
+from pearl_marl.policies.integer_network import (
+    ENTRIES,
+    Dense,
+    Head,
+    IntegerNetwork,
+    Levels,
+    Patches,
+    Rows,
+    Scaling,
+)
+from pearl_marl.policies.network import Network
+from pearl_marl.policies.trained import NetworkPolicy, Table
+from pearl_marl.spec import EnvSpec
+
+INPUT_STEPS = 128
+"""Inputs that are standardised are counted in parts of a standard deviation: so many."""
+
+ACTIVATION_STEPS = 128
+"""Entries of a table of hyperbolic tangents for each unit: it reaches from -4 to 4, where 0.07 % are left."""
+
+MULTIPLIER_BITS = 15
+
+FARTHEST_CHANCE = 12.0
+"""How many times ``e`` an action is less likely than the best when it gets the last, and least, weight."""
+
+BITS = 4, 16
+"""Possible widths of weights and activations, sign included."""
+
+
+def quantized(
+    policy: NetworkPolicy | Table, observations: Array, weight_bits: int = 8, activation_bits: int = 8
+) -> IntegerNetwork:
+    """Return a policy in integers that does what a trained one does, as nearly as its bits allow.
+
+    Parameters
+    ----------
+    policy
+        What was trained. One that draws its actions is drawn from here too; one that takes a share of random
+        actions takes the best only.
+    observations
+        Some that it meets, of shape ``(n, *spec.observation_shape)``: the range of what pictures become
+        follows from them.
+    weight_bits, activation_bits
+        Widths of weights, and of what goes from one layer to the next, 4 to 16.
+
+    Raises
+    ------
+    ArgumentError
+        The widths are impossible, or the policy has a network of its own for each agent of a world.
+    """
+    for name, bits in (("weight_bits", weight_bits), ("activation_bits", activation_bits)):
+        if isinstance(bits, bool) or not isinstance(bits, int) or not BITS[0] <= bits <= BITS[1]:
+            raise ArgumentError(f"{name} is {bits!r}; it must be an integer from {BITS[0]} to {BITS[1]}")
+    if isinstance(policy, Table):
+        return _of_table(policy)
+    network: Any = policy.network
+    if not isinstance(network, Network):
+        raise ArgumentError(
+            "the policy has a network of its own for each agent of a world, and only shared ones become "
+            "integers: train it with sharing all or indicator"
+        )
+    made = _Quantizing(
+        policy, network, observations, (1 << weight_bits - 1) - 1, (1 << activation_bits - 1) - 1
+    )
+    return made.network()
+
+
+def _of_table(policy: Table) -> IntegerNetwork:
+    """Return a table of action values as integers, in the order of the values."""
+    if len(policy.values) != 1:
+        raise ArgumentError(f"the policy has {len(policy.values)} tables, a learner each: take one of them")
+    values = policy.values[0].numpy()
+    ranks = np.stack([np.unique(row, return_inverse=True)[1] for row in values])
+    return table_network(policy.spec, ranks)
+
+
+def table_network(spec: EnvSpec, values: Array) -> IntegerNetwork:
+    """Return the policy that takes the greatest of the values of an observation, the first of equals.
+
+    ``values`` are integers of 32 bits of shape ``(observations, actions)``; observations are counted as a
+    NumPy array of shape ``(*elements, actions)`` counts its rows.
+    """
+    from pearl_marl.elements import bounds
+
+    low, high = (end.ravel().astype(np.int64) for end in bounds(spec.observation_space))
+    sizes = high - low + 1
+    strides = np.array([math.prod(sizes[k + 1 :].tolist()) for k in range(len(sizes))], np.int64)
+    rows = Rows(np.array([-(low * strides).sum()]), strides[None], values.astype(np.int32))
+    actions = values.shape[1]
+    layer = Dense(np.zeros((actions, 0), np.int16), np.zeros(actions, np.int32))
+    return IntegerNetwork(spec, rows, np.zeros((0, actions), np.int32), (layer,), Head((actions,)))
+
+
+class _Quantizing:
+    """A network on its way to integers.
+
+    ``scale`` is what a real number is multiplied by, where the layers have come to.
+    """
+
+    def __init__(
+        self, policy: NetworkPolicy, network: Network, observations: Array, most_weight: int, most: int
+    ) -> None:
+        self.policy, self.spec, self.float = policy, policy.spec, network
+        self.observations = torch.from_numpy(np.ascontiguousarray(observations))
+        self.most_weight, self.most = most_weight, most
+
+    @torch.no_grad()
+    def network(self) -> IntegerNetwork:
+        """Return the network in integers."""
+        float_, encoder = self.float, self.float.encoder
+        inputs: Scaling | Rows | Patches
+        relu = encoder.kind == "picture"
+        indicator = None if float_.indicator is None else float_.indicator.weight.numpy()
+        if encoder.kind == "numbers":
+            table = encoder.table.weight.numpy()
+            scale = self.most_weight / _greatest(table, indicator)
+            elements = len(encoder.offsets)
+            rows = np.rint(table * scale).astype(np.int32)
+            inputs = Rows(encoder.offsets.numpy().astype(np.int64), np.eye(elements, dtype=np.int64), rows)
+            first = np.zeros((float_.hidden.in_features, 0), np.int16), encoder.bias.numpy()
+        elif relu:
+            inputs, input_scale = self._patches()
+            first, scale = self._weights(encoder.linear, input_scale)
+        else:
+            inputs, input_scale = self._scaling()
+            first, scale = self._weights(encoder.linear, input_scale)
+        layers, added = [], None
+        if indicator is not None:
+            added = np.rint(indicator * scale).astype(np.int32)
+        hidden = self._hidden() if relu else [None, None]
+        weights, bias = first
+        for k, following in enumerate((float_.hidden, float_.output)):
+            layer, made = self._activated(weights, bias, scale, hidden[k])
+            layers.append(layer)
+            (weights, bias), scale = self._weights(following, made)
+        layers.append(Dense(weights, np.rint(bias * scale).astype(np.int32)))
+        if added is None:
+            added = np.zeros((0, len(layers[0].bias)), np.int32)
+        return IntegerNetwork(self.spec, inputs, added, tuple(layers), self._head(scale))
+
+    def _weights(self, layer: torch.nn.Linear, input_scale: float) -> tuple[tuple[Array, Array], float]:
+        """Return a layer's weights in integers, and its biases as they are; and the scale of its sums."""
+        weights = layer.weight.numpy()
+        scale = self.most_weight / _greatest(weights)
+        return (np.rint(weights * scale).astype(np.int16), layer.bias.numpy()), scale * input_scale
+
+    def _activated(
+        self, weights: Array, bias: Array, scale: float, reached: float | None
+    ) -> tuple[Dense, float]:
+        """Return a layer with what its sums become, and the scale of that."""
+        sums = np.rint(bias * scale).astype(np.int32)
+        if reached is None:
+            shift = max(0, round(math.log2(scale / ACTIVATION_STEPS)))
+            middles = (np.arange(ENTRIES) - ENTRIES // 2 + 0.5) * 2.0**shift / scale
+            table = np.rint(self.most * np.tanh(middles)).astype(np.int16)
+            return Dense(weights, sums, shift, table), float(self.most)
+        shift = max(0, math.ceil(math.log2(reached * scale / self.most)))
+        return Dense(weights, sums, shift, limit=self.most), scale / 2**shift
+
+    def _scaling(self) -> tuple[Scaling, float]:
+        """Return how vectors are standardised, and the scale of what comes of it."""
+        mean, factor = (tensor.double().numpy() for tensor in self.float.encoder.statistics())
+        fractions = np.array([field.fraction for field in self.spec.observation], np.float64)
+        if self.spec.unpack is not None:
+            fractions = np.zeros(len(mean))
+        per_element = factor * 2.0**-fractions * INPUT_STEPS
+        shift = np.clip(MULTIPLIER_BITS - 1 - np.floor(np.log2(per_element)), 0, 62).astype(np.int64)
+        multiplier = np.minimum(np.rint(per_element * 2.0**shift), (1 << 31) - 1).astype(np.int64)
+        # Half a step, so that shifting rounds to the nearest.
+        half = np.where(per_element > 0, 0.5 / per_element, 0)
+        offset = np.rint(mean * 2.0**fractions - np.minimum(half, 1e18)).astype(np.int64)
+        return Scaling(offset, multiplier, shift, dense.FARTHEST * INPUT_STEPS), float(INPUT_STEPS)
+
+    def _patches(self) -> tuple[Patches, float]:
+        """Return what pictures go through first, and the scale of what comes of it."""
+        convolution = self.float.encoder.convolution
+        weights, bias = convolution.weight.numpy(), _numbers(convolution.bias)
+        scale = self.most_weight / _greatest(weights)
+        planes = self.float.encoder.whole(self.observations).permute(0, 3, 1, 2).float()
+        reached = _reached(convolution(planes))
+        shift = max(0, math.ceil(math.log2(reached * scale / self.most)))
+        rows, columns, count = self.spec.observation_shape
+        patches = Patches(
+            (rows, columns, count),
+            np.rint(weights.transpose(0, 2, 3, 1) * scale).astype(np.int16),
+            np.rint(bias * scale).astype(np.int32),
+            shift,
+            self.most,
+        )
+        return patches, scale / 2**shift
+
+    def _hidden(self) -> list[float | None]:
+        """Return how far the sums of both hidden layers reach above 0."""
+        first = self.float.encoder(self.observations)
+        if self.float.indicator is not None:
+            first = first + self.float.indicator(self.policy.positions(len(self.observations)))
+        return [_reached(first), _reached(self.float.hidden(torch.relu(first)))]
+
+    def _head(self, scale: float) -> Head | Levels:
+        """Return how the last sums, of this scale, become actions."""
+        policy, spec = self.policy, self.spec
+        if policy.about["kind"] == "mean":
+            fields = spec.action_fields
+            size = np.array([2.0**field.fraction for field in fields])
+            middle = (policy.low + policy.high).double().numpy().ravel() / 2 * size
+            per_sum = policy.bound.double().numpy().ravel() * size / scale
+            shift = max(0, int(30 - math.ceil(math.log2(per_sum.max()))))
+            low, high = (
+                np.rint(end.double().numpy().ravel() * size).astype(np.int64)
+                for end in (policy.low, policy.high)
+            )
+            return Levels(
+                np.rint(per_sum * 2.0**shift).astype(np.int64),
+                np.rint(middle * 2.0**shift).astype(np.int64),
+                shift,
+                low,
+                high,
+            )
+        if policy.about["kind"] != "logits" or not policy.temperature:
+            return Head(spec.action_counts)
+        per_sum = 1 / (scale * policy.temperature)
+        shift = max(0, math.ceil(math.log2(FARTHEST_CHANCE / per_sum / ENTRIES)))
+        distances = np.arange(ENTRIES) * 2.0**shift * per_sum
+        return Head(spec.action_counts, shift, np.rint(65535 * np.exp(-distances)).astype(np.int32))
+
+
+def _numbers(tensor: torch.Tensor | None) -> Array:
+    assert tensor is not None
+    array: Array = tensor.numpy()
+    return array
+
+
+def _greatest(*arrays: Array | None) -> float:
+    """Return the greatest size of a number in some arrays, or 1 where all are 0."""
+    return (
+        max((float(np.abs(array).max(initial=0)) for array in arrays if array is not None), default=0) or 1.0
+    )
+
+
+def _reached(sums: torch.Tensor) -> float:
+    """Return how far sums go above 0, but for one in a thousand."""
+    above = sums.clamp(min=0).double().flatten().numpy()
+    return max(float(np.quantile(above, 0.999)), 1e-3)
