@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 
 from pearl_marl.errors import ArgumentError, shown, told
-from pearl_marl.policies import policy_file
 from pearl_marl.policies.device_policy import Array
 from pearl_marl.policies.integer_network import (
     Dense,
@@ -47,6 +46,8 @@ _HEADS: dict[str, tuple[type[Any], dict[str, type[Any]]]] = {
 def save(network: IntegerNetwork, path: Path) -> None:
     """Write what :func:`load_policy` reads."""
     import torch
+
+    from pearl_marl.policies import policy_file
 
     tensors: dict[str, Array] = {"indicator": network.indicator.astype(np.int32)}
     about: dict[str, Any] = {
@@ -88,6 +89,10 @@ def load_policy(path: str | Path) -> IntegerNetwork:
     file = path / NAME if path.is_dir() else path
     if path.is_dir() and not file.exists():
         raise ArgumentError(f"{path} has no policy in integers: make one with `pearl quantize {path}`")
+    try:
+        from pearl_marl.policies import policy_file  # which takes torch
+    except ModuleNotFoundError as error:
+        raise ArgumentError(f"{file} takes {error.name}: pip install '.[train]'") from None
     about, tensors = policy_file.read(file)
     if isinstance(about, dict) and about.get("kind") != KIND:
         raise ArgumentError(f"{file} is no policy in integers: make one of it with `pearl quantize {file}`")
