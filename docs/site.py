@@ -24,8 +24,24 @@ ALSO = ("LICENSE", "CITATION.cff")
 
 REFERENCE = {
     "Environments": (
-        *("parallel_env", "env", "raw_env", "make_vec", "list_envs", "get_spec", "register", "unpacked"),
-        *("PearlParallelEnv", "PearlVectorEnv", "batch.step.BatchStep", "interfaces.agent_dict.AgentDict"),
+        *(
+            "parallel_env",
+            "env",
+            "raw_env",
+            "make_vec",
+            "list_envs",
+            "load_policy",
+            "get_spec",
+            "register",
+            "unpacked",
+        ),
+        *(
+            "PearlParallelEnv",
+            "PearlVectorEnv",
+            "batch.step.BatchStep",
+            "batch.rollout.Rollout",
+            "interfaces.agent_dict.AgentDict",
+        ),
         "errors",
     ),
     "Devices": ("devices", "verification"),

@@ -15,7 +15,8 @@ Array = npt.NDArray[Any]
 class Rollout:
     """The result of ``rollout(policy, steps)``.
 
-    Episodes count that began within the rollout, or just before it, and ended in it. An agent that ends
+    Episodes count that began within the rollout, or just before it, and ended in it. Without a time limit,
+    steps of episodes are not counted, and those under way count from the rollout's start. An agent that ends
     before its world has an episode that is as long as it took part.
 
     Attributes

@@ -32,6 +32,7 @@ COMMANDS = {
     "the kernels of some environments, or all and the trainers.",
     "run": "Step every agent with random (or given) actions: throughput and episode statistics.",
     "train": "Train a policy that all agents share; with the --out of a run that was killed, resume it.",
+    "quantize": "Make a policy in integers of a trained one, and measure the returns of both.",
     "eval": "Evaluate a policy on a device: returns, lengths, latency of every stage, and a digest.",
     "match": "Let policies play each other where agents share a world: who wins, and what returns they get.",
     "bench": "Measure speed beside that of other packages: "

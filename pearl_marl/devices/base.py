@@ -327,7 +327,9 @@ class Device(ABC):
                 self.action_masks = self._copies.copy(self.action_masks)
         return obs
 
-    def rollout(self, policy: DevicePolicy, steps: int, record: bool = False) -> Rollout:
+    def rollout(
+        self, policy: DevicePolicy, steps: int, record: bool = False, episodes: int | None = None
+    ) -> Rollout:
         """Step every slot so many times, with the actions of a policy; return what came of it.
 
         Afterwards everything is as after single steps with these actions. If the call fails, or Ctrl-C ends
@@ -341,20 +343,22 @@ class Device(ABC):
             How many, at least 1.
         record
             Whether to return every step, too, and not only the sums of episodes.
+        episodes
+            How many episodes of each agent count, its first; all, if not given.
 
         Raises
         ------
         ArgumentError
-            The policy is none, or is for another environment, or steps is no such number.
+            The policy is none, or is for another environment, or a number is impossible.
         OrderError
             As :meth:`step` does.
         """
         self.check_idle("rollout", ready=True)
-        rollouts.check(self.config, policy, steps, record)
+        rollouts.check(self.config, policy, steps, record, episodes)
         saved = self.snapshot()
         with self._noted("rollout", policy, steps):
             try:
-                result, observed = self._rollout(policy, steps, record)
+                result, observed = self._rollout(policy, steps, record, episodes)
                 self._remember(observed)
                 return result
             except BaseException:
@@ -366,10 +370,12 @@ class Device(ABC):
         """Return what policies in integers are shown now: observations of shape ``(n_agents, elements)``."""
         return rollouts.look(self.config, self._read()[0])
 
-    def _rollout(self, policy: DevicePolicy, steps: int, record: bool) -> tuple[Rollout, Observed]:
+    def _rollout(
+        self, policy: DevicePolicy, steps: int, record: bool, episodes: int | None
+    ) -> tuple[Rollout, Observed]:
         """Do a rollout, by single steps unless there is a faster way; return also what is observed last."""
         elapsed = SlotMemory(self.config.spec, self.config.n_envs, self._read()[0]).elapsed
-        sums = rollouts.Sums.of(elapsed.repeat(self.config.spec.agents), self.elements().in_episode)
+        sums = rollouts.Sums.of(elapsed.repeat(self.config.spec.agents), self.elements().in_episode, episodes)
         kept = rollouts.Record.of(self.config, steps, policy.logits) if record else None
         observed = rollouts.by_steps(
             self.config,

@@ -202,13 +202,15 @@ class Native(Device):
             self._tune(time.perf_counter() - began)
         return results
 
-    def _rollout(self, policy: DevicePolicy, steps: int, record: bool) -> tuple[Rollout, Observed]:
+    def _rollout(
+        self, policy: DevicePolicy, steps: int, record: bool, episodes: int | None
+    ) -> tuple[Rollout, Observed]:
         if not isinstance(policy, IntegerNetwork):
-            return super()._rollout(policy, steps, record)
+            return super()._rollout(policy, steps, record, episodes)
         config, spec = self.config, self.config.spec
         kernel = native_rollout.kernel(compile_kernels(elements_of(spec), self._elapsed.dtype))
         network = prepared(policy)
-        sums = Sums.of(self._elapsed.repeat(spec.agents), self.in_episode)
+        sums = Sums.of(self._elapsed.repeat(spec.agents), self.in_episode, episodes)
         kept = Record.of(config, steps if record else 0, policy.logits)
         actions = np.zeros((config.n_agents, len(spec.action_fields)), spec.action_dtype)
         done, some = 0, 1

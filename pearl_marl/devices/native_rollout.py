@@ -107,7 +107,7 @@ def rollout(arguments, table, net, actions, elements, masks, in_episode, sums, r
                 sums.running[agent] += rewards[i]
                 sums.length[agent] += 1
                 if terminations[i] | truncations[i]:
-                    if sums.whole[agent]:
+                    if sums.whole[agent] and sums.ended[agent] < sums.most[agent]:
                         total = sums.running[agent]
                         sums.returns[agent] += total
                         sums.squares[agent] += total * total

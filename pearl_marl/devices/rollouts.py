@@ -16,6 +16,7 @@ from pearl_marl.batch.config import BatchConfig
 from pearl_marl.batch.results import check_memory
 from pearl_marl.batch.rollout import Rollout
 from pearl_marl.batch.step import Array, BatchStep, Observed
+from pearl_marl.checks import checked_flag, checked_integer
 from pearl_marl.compiler.kernels import compile_kernels
 from pearl_marl.errors import ArgumentError
 from pearl_marl.policies.device_policy import DevicePolicy, elements_of, policy_draws
@@ -34,9 +35,10 @@ class Sums(NamedTuple):
     lengths: Array  # int64
     ended: Array  # int64
     truncated: Array  # int64
+    most: Array  # int64: how many episodes count
 
     @classmethod
-    def of(cls, elapsed: Array, in_episode: Array) -> Sums:
+    def of(cls, elapsed: Array, in_episode: Array, episodes: int | None) -> Sums:
         """Return the sums of no steps; ``elapsed`` are each agent's steps of its episode so far."""
         n = len(in_episode)
         whole, waiting = (elapsed == 0).astype(np.uint8), (~in_episode.astype(np.bool_)).astype(np.uint8)
@@ -50,6 +52,7 @@ class Sums(NamedTuple):
             np.zeros(n, np.int64),
             np.zeros(n, np.int64),
             np.zeros(n, np.int64),
+            np.full(n, np.iinfo(np.int64).max if episodes is None else episodes),
         )
 
     def add(self, step: BatchStep, next_step: bool) -> None:
@@ -58,7 +61,7 @@ class Sums(NamedTuple):
         self.running[acting] += step.rewards[acting]
         self.length[acting] += 1
         over = acting & (step.terminations | step.truncations)
-        counted = over & (self.whole != 0)
+        counted = over & (self.whole != 0) & (self.ended < self.most)
         self.returns[counted] += self.running[counted]
         self.squares[counted] += self.running[counted] ** 2
         self.lengths[counted] += self.length[counted]
@@ -134,7 +137,7 @@ class Record(NamedTuple):
         }
 
 
-def check(config: BatchConfig, policy: object, steps: object, record: object) -> None:
+def check(config: BatchConfig, policy: object, steps: Any, record: object, episodes: object) -> None:
     """Refuse what is no policy for an environment, or no number of steps."""
     spec = config.spec
     if not isinstance(policy, DevicePolicy):
@@ -147,10 +150,10 @@ def check(config: BatchConfig, policy: object, steps: object, record: object) ->
             raise ArgumentError(
                 f"the policy is for {policy.spec.name} with the {what} {theirs}; here it is {own}"
             )
-    if isinstance(steps, bool) or not isinstance(steps, (int, np.integer)) or steps < 1:
-        raise ArgumentError(f"steps is {steps!r}; it must be an integer of at least 1")
-    if not isinstance(record, bool):
-        raise ArgumentError(f"record is {record!r}; it must be True or False")
+    checked_integer("steps", steps)
+    if episodes is not None:
+        checked_integer("episodes", episodes, note=" or None")
+    checked_flag("record", record)
     if record:
         seen = elements_of(spec)
         each = 2 * seen.observation_size * element_dtype(seen).itemsize + len(spec.mask_fields)

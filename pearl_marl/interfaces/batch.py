@@ -277,14 +277,16 @@ class DeviceBatch(Batch):
         """Wait for the step that :meth:`send` started and return its results."""
         return self._noted(self.device.recv())
 
-    def rollout(self, policy: DevicePolicy, steps: int, record: bool = False) -> Rollout:
+    def rollout(
+        self, policy: DevicePolicy, steps: int, record: bool = False, episodes: int | None = None
+    ) -> Rollout:
         """Step every slot with a policy's actions: see :meth:`pearl_marl.devices.Device.rollout`."""
         if not self.autoreset:
             raise OrderError(
                 "rollout() takes an environment whose agents start over by themselves: make it with "
                 "autoreset=True, or in SAME_STEP or NEXT_STEP mode"
             )
-        result = self.device.rollout(policy, steps, record)
+        result = self.device.rollout(policy, steps, record, episodes)
         self._show()
         return result
 

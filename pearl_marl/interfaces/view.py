@@ -98,7 +98,9 @@ class View:
         """Whether a step is possible: after the first reset, and until closed."""
         return self.batch.ready
 
-    def rollout(self, policy: DevicePolicy, steps: int, record: bool = False) -> Rollout:
+    def rollout(
+        self, policy: DevicePolicy, steps: int, record: bool = False, episodes: int | None = None
+    ) -> Rollout:
         """Step every agent so many times with the actions of a policy in integers, in one call.
 
         The device does it all, and the environment is then as after as many steps one by one.
@@ -111,15 +113,17 @@ class View:
             How many, at least 1.
         record
             Whether to return every step, too, and not only the sums of episodes.
+        episodes
+            How many episodes of each agent count, its first; all, if not given.
 
         Raises
         ------
         ArgumentError
-            The policy is none, or for another environment, or ``steps`` is no such number.
+            The policy is none, or for another environment, or a number is impossible.
         OrderError
             Before the first reset, in a wrapper, or where agents do not start over by themselves.
         """
-        return self.unchanged.rollout(policy, steps, record)
+        return self.unchanged.rollout(policy, steps, record, episodes)
 
     def recover(self) -> None:
         """After a DeviceError, continue from where the last successful call left every agent.

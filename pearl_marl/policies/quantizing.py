@@ -135,8 +135,9 @@ class _Quantizing:
             inputs, input_scale = self._patches()
             first, scale = self._weights(encoder.linear, input_scale)
         else:
-            inputs, input_scale = self._scaling()
-            first, scale = self._weights(encoder.linear, input_scale)
+            inputs, rest = self._scaling()
+            (weights, bias), scale = self._weights(encoder.linear, float(INPUT_STEPS))
+            first = weights, bias + encoder.linear.weight.double().numpy() @ rest
         layers, added = [], None
         if indicator is not None:
             added = np.rint(indicator * scale).astype(np.int32)
@@ -170,8 +171,11 @@ class _Quantizing:
         shift = max(0, math.ceil(math.log2(reached * scale / self.most)))
         return Dense(weights, sums, shift, limit=self.most), scale / 2**shift
 
-    def _scaling(self) -> tuple[Scaling, float]:
-        """Return how vectors are standardised, and the scale of what comes of it."""
+    def _scaling(self) -> tuple[Scaling, Array]:
+        """Return how vectors are standardised, and what each is above that then, in standard deviations.
+
+        Elements that are small integers are no nearer to their mean than to an integer beside it.
+        """
         mean, factor = (tensor.double().numpy() for tensor in self.float.encoder.statistics())
         fractions = np.array([field.fraction for field in self.spec.observation], np.float64)
         if self.spec.unpack is not None:
@@ -179,10 +183,13 @@ class _Quantizing:
         per_element = factor * 2.0**-fractions * INPUT_STEPS
         shift = np.clip(MULTIPLIER_BITS - 1 - np.floor(np.log2(per_element)), 0, 62).astype(np.int64)
         multiplier = np.minimum(np.rint(per_element * 2.0**shift), (1 << 31) - 1).astype(np.int64)
-        # Half a step, so that shifting rounds to the nearest.
-        half = np.where(per_element > 0, 0.5 / per_element, 0)
-        offset = np.rint(mean * 2.0**fractions - np.minimum(half, 1e18)).astype(np.int64)
-        return Scaling(offset, multiplier, shift, dense.FARTHEST * INPUT_STEPS), float(INPUT_STEPS)
+        offset = np.rint(mean * 2.0**fractions).astype(np.int64)
+        # Shifting rounds down, by half a step on average.
+        rest = ((offset - mean * 2.0**fractions) * per_element + 0.5) / INPUT_STEPS
+        farthest = float(dense.FARTHEST)
+        return Scaling(offset, multiplier, shift, dense.FARTHEST * INPUT_STEPS), rest.clip(
+            -farthest, farthest
+        )
 
     def _patches(self) -> tuple[Patches, float]:
         """Return what pictures go through first, and the scale of what comes of it."""
