@@ -8,6 +8,7 @@ is drawn.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -183,6 +184,21 @@ class IntegerNetwork(DevicePolicy):
         number = (drawn.astype(np.uint64) * ends[:, -1]) >> np.uint64(32)
         drawn_one: Array = np.where(ends[:, -1] > 0, (number[:, None] >= ends).sum(1), best)
         return drawn_one
+
+
+def table_network(spec: EnvSpec, values: Array) -> IntegerNetwork:
+    """Return the policy that takes the greatest of the values of an observation, the first of equals.
+
+    ``values`` are integers of 32 bits of shape ``(observations, actions)``; observations are counted as a
+    NumPy array of shape ``(*elements, actions)`` counts its rows.
+    """
+    low, high = (end.ravel().astype(np.int64) for end in bounds(spec.observation_space))
+    sizes = high - low + 1
+    strides = np.array([math.prod(sizes[k + 1 :].tolist()) for k in range(len(sizes))], np.int64)
+    rows = Rows(np.array([-(low * strides).sum()]), strides[None], values.astype(np.int32))
+    actions = values.shape[1]
+    layer = Dense(np.zeros((actions, 0), np.int16), np.zeros(actions, np.int32))
+    return IntegerNetwork(spec, rows, np.zeros((0, actions), np.int32), (layer,), Head((actions,)))
 
 
 def _check(network: IntegerNetwork) -> None:

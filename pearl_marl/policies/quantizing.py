@@ -20,10 +20,10 @@ from pearl_marl.policies.integer_network import (
     Patches,
     Rows,
     Scaling,
+    table_network,
 )
 from pearl_marl.policies.network import Network
 from pearl_marl.policies.trained import NetworkPolicy, Table
-from pearl_marl.spec import EnvSpec
 
 INPUT_STEPS = 128
 """Inputs that are standardised are counted in parts of a standard deviation: so many."""
@@ -85,23 +85,6 @@ def _of_table(policy: Table) -> IntegerNetwork:
     values = policy.values[0].numpy()
     ranks = np.stack([np.unique(row, return_inverse=True)[1] for row in values])
     return table_network(policy.spec, ranks)
-
-
-def table_network(spec: EnvSpec, values: Array) -> IntegerNetwork:
-    """Return the policy that takes the greatest of the values of an observation, the first of equals.
-
-    ``values`` are integers of 32 bits of shape ``(observations, actions)``; observations are counted as a
-    NumPy array of shape ``(*elements, actions)`` counts its rows.
-    """
-    from pearl_marl.elements import bounds
-
-    low, high = (end.ravel().astype(np.int64) for end in bounds(spec.observation_space))
-    sizes = high - low + 1
-    strides = np.array([math.prod(sizes[k + 1 :].tolist()) for k in range(len(sizes))], np.int64)
-    rows = Rows(np.array([-(low * strides).sum()]), strides[None], values.astype(np.int32))
-    actions = values.shape[1]
-    layer = Dense(np.zeros((actions, 0), np.int16), np.zeros(actions, np.int32))
-    return IntegerNetwork(spec, rows, np.zeros((0, actions), np.int32), (layer,), Head((actions,)))
 
 
 class _Quantizing:

@@ -14,13 +14,13 @@ from pearl_marl.devices import BatchConfig, Native
 from pearl_marl.errors import ArgumentError
 from pearl_marl.policies import integer_file
 from pearl_marl.policies.device_policy import Array, policy_draws
-from pearl_marl.policies.integer_network import IntegerNetwork
+from pearl_marl.policies.integer_network import IntegerNetwork, table_network
 
 from .networks import random_network
 
 torch = pytest.importorskip("torch", reason="PyTorch is not installed: pip install '.[train]'")
 
-from pearl_marl.policies.quantizing import quantized, table_network  # noqa: E402
+from pearl_marl.policies.quantizing import quantized  # noqa: E402
 from pearl_marl.policies.trained import NetworkPolicy, Table  # noqa: E402
 
 N = 60
