@@ -129,8 +129,8 @@ class Device(ABC):
 
     config: BatchConfig
 
-    _sent: tuple[Any, Future[BatchStep]]
-    """The words of the step under way, and what will have its results."""
+    _sent: tuple[Any, Future[BatchStep]] | None = None
+    """The words of the step under way, and what will have its results, also after :meth:`close`."""
 
     stage_seconds: dict[str, float] | None = None
     """Where each step writes how long its stages took, if steps are timed."""
@@ -273,16 +273,19 @@ class Device(ABC):
     @uninterrupted
     def recv(self) -> BatchStep:
         """Wait for the step that :meth:`send` started and return its results."""
-        if self.phase is not Phase.STEPPING:
+        if self._sent is None:
             raise OrderError("recv() without a step under way: call send() first")
         words, step = self._sent
         try:
             result = step.result()
         except BaseException:
             if step.done():  # or Ctrl-C came first, and the step is still under way
+                self._sent = None
                 self._step_failed()
             raise
-        self.phase = Phase.READY
+        self._sent = None
+        if self.phase is Phase.STEPPING:  # a device that was closed meanwhile stays so
+            self.phase = Phase.READY
         return self._stepped(words, self._sent_at, result)
 
     def _stepped(self, words: Array, tick: int, result: BatchStep) -> BatchStep:
@@ -295,7 +298,8 @@ class Device(ABC):
         return result
 
     def _step_failed(self) -> None:
-        self.phase = Phase.FAILED if self._may_have_moved() else Phase.READY
+        if self.phase is not Phase.CLOSED:
+            self.phase = Phase.FAILED if self._may_have_moved() else Phase.READY
 
     def encoded(self, actions: Any) -> Array:
         """Return actions as :meth:`step_words` takes them, in an array of the device's or the given one."""

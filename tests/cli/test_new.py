@@ -307,9 +307,9 @@ class Installed:
         tree = folder / "tree"
         listed = subprocess.run(["git", "ls-files"], cwd=ROOT, capture_output=True, text=True, check=True)
         for name in listed.stdout.split():
-            if (ROOT / name).is_file():
+            if os.path.lexists(ROOT / name):
                 (tree / name).parent.mkdir(parents=True, exist_ok=True)
-                shutil.copy(ROOT / name, tree / name)
+                shutil.copy(ROOT / name, tree / name, follow_symlinks=False)
         pip = [sys.executable, "-m", "pip", "--quiet", "--disable-pip-version-check"]
         offline = ["--no-deps", "--no-index"]
         self._call(*pip, "wheel", *offline, "--no-build-isolation", "-w", folder, tree)
